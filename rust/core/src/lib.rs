@@ -2,4 +2,16 @@
 //! transcribed by Lobatto collocation.
 #![warn(missing_docs)]
 
+pub mod error;
+pub mod experiment;
+pub mod expr;
+pub mod interpolate;
+pub mod lgl;
 pub mod math;
+pub mod mesh;
+pub mod model;
+pub mod nlp;
+pub mod noise;
+pub mod table;
+pub mod tape;
+pub mod transcription;

@@ -1,7 +1,22 @@
 //! Python bindings of `phugoid`: handles and views, no numerics.
+
+mod collocation;
+mod errors;
+mod expr;
+mod model;
+
 use pyo3::prelude::*;
 
 #[pymodule]
-fn _core(_m: &Bound<'_, PyModule>) -> PyResult<()> {
+fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
+    m.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    m.add_class::<expr::PyExpr>()?;
+    m.add_class::<expr::PyTable>()?;
+    m.add_class::<model::PyModel>()?;
+    m.add_class::<collocation::PyCollocation>()?;
+    m.add_function(wrap_pyfunction!(expr::apply, m)?)?;
+    m.add_function(wrap_pyfunction!(expr::operations, m)?)?;
+    m.add_function(wrap_pyfunction!(expr::load_expression, m)?)?;
+    m.add_function(wrap_pyfunction!(expr::lgl, m)?)?;
     Ok(())
 }

@@ -1,0 +1,79 @@
+# `make test` and `make demo` each do all that they need, from Python 3.10 and Rust alone: they create .venv, build the
+# package in release mode, and install it there with Ipopt. A second run rebuilds what has changed.
+
+PYTHON ?= python3
+VENV   ?= .venv
+CARGO  ?= cargo
+# Options for pytest, such as PYTEST="-k collocation -x".
+PYTEST ?=
+
+py := $(VENV)/bin/python
+sources := Cargo.toml $(wildcard Cargo.lock) pyproject.toml $(wildcard README.md LICENSE) \
+           $(shell find rust python -name '*.rs' -o -name Cargo.toml -o -name '*.py' -o -name '*.pyi' -o -name py.typed \
+                    -o -type d ! -name __pycache__)
+
+activate := . $(VENV)/bin/activate &&
+export MPLBACKEND := Agg
+
+.PHONY: help test test-rust test-python demo bench lint format develop clean
+
+help:
+	@echo "make test     all tests, Rust and Python       make demo     examples/hfb320.py, results in out/"
+	@echo "make lint     what CI checks besides tests     make bench    benchmarks against other packages"
+	@echo "make format   formats Rust and Python          make develop  installs the package for editing"
+	@echo "make clean    removes .venv, target and out"
+
+test: test-rust test-python
+
+# The bindings crate has no tests of its own: the Python tests are.
+test-rust:
+	$(CARGO) test --workspace --exclude phugoid-python
+
+# Also runs the examples in the docstrings of the package as installed.
+test-python: $(VENV)/.package $(VENV)/.ipopt
+	$(py) -m pytest --doctest-modules --pyargs phugoid tests $(PYTEST)
+
+demo: $(VENV)/.package $(VENV)/.ipopt
+	mkdir -p out
+	$(py) examples/hfb320.py
+
+bench: $(VENV)/.package $(VENV)/.ipopt
+	$(py) benchmarks/compare.py
+
+lint: $(VENV)/.package $(VENV)/.lint
+	$(py) tools/check_layers.py
+	$(CARGO) fmt --all --check
+	$(activate) $(CARGO) clippy --workspace --all-targets -- -D warnings
+	$(py) -m ruff check
+	$(py) -m ruff format --check
+	$(py) -m mypy
+	$(py) -m mypy.stubtest phugoid._core
+
+format: $(VENV)/.lint
+	$(CARGO) fmt --all
+	$(py) -m ruff check --fix
+	$(py) -m ruff format
+
+# Python sources are used where they lie; run it again after a change in Rust.
+develop: $(VENV)/.package $(VENV)/.lint
+	$(activate) maturin develop --release
+
+clean:
+	rm -rf $(VENV) target out
+
+$(VENV)/.created:
+	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 10) and 'Python 3.10 or later is needed, see PYTHON in the Makefile')"
+	$(PYTHON) -m venv $(VENV)
+	touch $@
+
+$(VENV)/.package: $(sources) | $(VENV)/.created
+	$(py) -m pip install --quiet ".[test]"
+	touch $@
+
+$(VENV)/.lint: pyproject.toml | $(VENV)/.created
+	$(py) -m pip install --quiet "maturin>=1.7,<2" "mypy>=1.8" "ruff==0.17.*"
+	touch $@
+
+$(VENV)/.ipopt: tools/ipopt.py | $(VENV)/.package
+	$(py) tools/ipopt.py
+	touch $@

@@ -1,0 +1,70 @@
+"""What phugoid raises: one base class, and one subclass for each place where the fault may lie.
+
+Each subclass is also the built-in exception that a reader would expect, so ``except ValueError`` works.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+__all__ = [
+    "DataError",
+    "EvaluationError",
+    "MissingDependency",
+    "ModelError",
+    "PhugoidError",
+    "SolverError",
+    "UnknownName",
+    "did_you_mean",
+]
+
+
+class PhugoidError(Exception):
+    """Base of everything that phugoid raises on purpose."""
+
+
+class ModelError(PhugoidError, ValueError):
+    """The model as written cannot be right: an unknown symbol, a missing equation, impossible bounds."""
+
+
+class DataError(PhugoidError, ValueError):
+    """The measured data, or a file that holds them, cannot be used as they are."""
+
+
+class EvaluationError(PhugoidError, ArithmeticError):
+    """An equation gave NaN or infinity where a number is needed."""
+
+
+class SolverError(PhugoidError, RuntimeError):
+    """A solver could not be run. (Ending without convergence is a status of the fit, not an exception.)"""
+
+
+class MissingDependency(PhugoidError, ImportError):
+    """An optional package that this call needs is not installed."""
+
+
+class UnknownName(PhugoidError, KeyError):
+    """A name was looked up that is not there; a ``KeyError``, so mappings behave as usual."""
+
+    def __str__(self) -> str:
+        # KeyError prints the repr of its argument, which would put our sentence in quotes.
+        return str(self.args[0]) if self.args else ""
+
+
+def did_you_mean(name: str, candidates: Iterable[str]) -> str:
+    """The end of an error message: ``" Did you mean 'x'?"`` for the nearest of ``candidates``, or ``""``.
+
+    Letter case is ignored, since a wrong case is the commonest slip.
+
+    >>> did_you_mean("Alpha", ["q", "alpha"])
+    " Did you mean 'alpha'?"
+    >>> did_you_mean("V", ["q", "alpha"])
+    ''
+    """
+    from difflib import get_close_matches
+
+    lowered: dict[str, str] = {}
+    for candidate in candidates:
+        lowered.setdefault(candidate.lower(), candidate)
+    near = get_close_matches(name.lower(), lowered, n=1)
+    return f" Did you mean '{lowered[near[0]]}'?" if near else ""

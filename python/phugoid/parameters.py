@@ -1,0 +1,238 @@
+"""What the user declares of a parameter (`Parameter`) and what a fit says of it (`Estimate`, `Estimates`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import ModelError, UnknownName, did_you_mean
+
+__all__ = ["Estimate", "Estimates", "Parameter", "estimates_table", "text_table"]
+
+_INF = math.inf
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """An unknown constant of the model, as declared.
+
+    start    where the search begins (in the parameter's unit); the value itself where ``fixed``.
+    bounds   ``(lower, upper)``; ``-inf`` and ``inf`` stand for no bound.
+    unit     for labels and tables only; nothing is converted.
+    prior    ``(mean, std)`` of a Gaussian prior, or None.
+    fixed    True keeps the parameter at ``start``.
+
+    Raises ModelError where a value is not a number, the bounds are reversed or equal, ``start`` lies outside
+    them, or the prior's standard deviation is not positive.
+
+    >>> Parameter(0.2, bounds=(0, 1), unit="1/s").bounds
+    (0.0, 1.0)
+    """
+
+    start: float = 0.0
+    bounds: tuple[float, float] = (-_INF, _INF)
+    unit: str = ""
+    prior: tuple[float, float] | None = None
+    fixed: bool = False
+
+    def __post_init__(self) -> None:
+        start = _number(self.start, "start")
+        if not math.isfinite(start):
+            raise ModelError(f"a parameter's start must be a finite number, but it is {start}")
+        lower, upper = _pair(self.bounds, "bounds", "(lower, upper); -inf and inf stand for no bound")
+        if lower > upper:
+            raise ModelError(f"a parameter's bounds ({lower:g}, {upper:g}) are reversed: give (lower, upper)")
+        if lower == upper:
+            raise ModelError(
+                f"a parameter's bounds ({lower:g}, {upper:g}) leave no room: "
+                f"use Parameter({lower:g}, fixed=True)"
+            )
+        if not lower <= start <= upper:
+            raise ModelError(
+                f"a parameter's start {start:g} lies outside its bounds ({lower:g}, {upper:g}): "
+                "give a start between them"
+            )
+        prior = None
+        if self.prior is not None:
+            mean, std = prior = _pair(self.prior, "prior", "(mean, standard deviation)")
+            if not math.isfinite(mean):
+                raise ModelError(f"a parameter's prior has mean {mean}: give a finite number")
+            if not 0.0 < std < _INF:
+                raise ModelError(
+                    f"a parameter's prior has standard deviation {std:g}: it must be positive and finite "
+                    "(use fixed=True for a known value, prior=None for an unknown one)"
+                )
+        if not isinstance(self.unit, str):
+            raise ModelError(f"a parameter's unit must be text, but it is {self.unit!r}")
+        object.__setattr__(self, "start", start)
+        object.__setattr__(self, "bounds", (lower, upper))
+        object.__setattr__(self, "prior", prior)
+
+
+@dataclass(frozen=True, repr=False)
+class Estimate:
+    """What a fit found for one parameter; ``float(estimate)`` is its value.
+
+    std_error      standard error from the inverse information matrix (Cramér-Rao bound), in ``unit``; NaN
+                   where there is none: the parameter is fixed, at a bound, or not identifiable.
+    start, bounds  as declared.
+    bounds_active  ``"lower"`` or ``"upper"`` where the estimate lies at that bound, else None.
+
+    >>> Estimate("Mw", 0.21661, 0.00031, "1/s")
+    Mw = 0.2166 ± 0.0003 1/s
+    """
+
+    name: str
+    value: float
+    std_error: float = math.nan
+    unit: str = ""
+    start: float = 0.0
+    bounds: tuple[float, float] = (-_INF, _INF)
+    fixed: bool = False
+    bounds_active: Literal["lower", "upper"] | None = None
+
+    @property
+    def relative_std_error(self) -> float:
+        """Standard error over the size of the value; NaN where there is no error or the value is zero."""
+        return self.std_error / abs(self.value) if self.value != 0.0 else math.nan
+
+    @property
+    def remark(self) -> str:
+        """For tables: ``"fixed"``, ``"at lower bound"``, ``"at upper bound"`` or ``""``."""
+        if self.fixed:
+            return "fixed"
+        return f"at {self.bounds_active} bound" if self.bounds_active else ""
+
+    def __float__(self) -> float:
+        return float(self.value)
+
+    def __repr__(self) -> str:
+        text = f"{self.name} = {_plus_minus(self.value, self.std_error)} {self.unit}".rstrip()
+        return f"{text} ({self.remark})" if self.remark else text
+
+
+class Estimates(Mapping[str, Estimate]):
+    """The estimates of a fit by name, in the model's order; read-only.
+
+    An unknown name raises UnknownName (a KeyError), which says what the nearest name is.
+    """
+
+    def __init__(self, estimates: Iterable[Estimate] = ()) -> None:
+        self._by_name: dict[str, Estimate] = {}
+        for estimate in estimates:
+            if estimate.name in self._by_name:
+                raise ModelError(f"two parameters are called '{estimate.name}'")
+            self._by_name[estimate.name] = estimate
+
+    def __getitem__(self, name: str) -> Estimate:
+        try:
+            return self._by_name[name]
+        except KeyError:
+            hint = did_you_mean(str(name), self._by_name) or f" There are: {', '.join(self._by_name)}."
+            raise UnknownName(f"there is no parameter '{name}'.{hint}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names, in order."""
+        return tuple(self._by_name)
+
+    @property
+    def values_array(self) -> NDArray[np.float64]:
+        """The values, shape (n,), in the order of ``names``."""
+        return np.array([e.value for e in self._by_name.values()], dtype=np.float64)
+
+    @property
+    def std_errors_array(self) -> NDArray[np.float64]:
+        """The standard errors, shape (n,), in the order of ``names``; NaN where there is none."""
+        return np.array([e.std_error for e in self._by_name.values()], dtype=np.float64)
+
+    def to_dict(self) -> dict[str, float]:
+        """Name to value: what ``estimate(start=...)`` and ``simulate`` take."""
+        return {name: float(e.value) for name, e in self._by_name.items()}
+
+    def __str__(self) -> str:
+        return estimates_table(self._by_name.values())
+
+    def __repr__(self) -> str:
+        return f"Estimates({', '.join(map(repr, self._by_name.values()))})"
+
+
+def estimates_table(estimates: Iterable[Estimate], title: str = "parameter") -> str:
+    """Name, estimate, standard error (absolute, and in % of the value), unit and remark: one line each."""
+    rows = []
+    for e in estimates:
+        value, std_error = _rounded(e.value, e.std_error)
+        relative = 100.0 * e.relative_std_error
+        percent = f"{relative:.3g}" if relative < 1000.0 else f"{relative:.1e}"
+        rows.append([e.name, value, std_error, percent if math.isfinite(relative) else "", e.unit, e.remark])
+    return text_table([title, "estimate", "std error", "in %", "unit", "remark"], rows, "lrrrll")
+
+
+def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str) -> str:
+    """Plain text with aligned columns under a rule; ``align`` holds ``l`` or ``r`` for each column.
+
+    A column that is empty in every row is left out.
+    """
+    body = [list(row) for row in rows]
+    kept = [j for j in range(len(header)) if not body or any(row[j] for row in body)]
+    widths = {j: max(len(row[j]) for row in [header, *body]) for j in kept}
+
+    def line(cells: Sequence[str]) -> str:
+        padded = (cells[j].ljust(widths[j]) if align[j] == "l" else cells[j].rjust(widths[j]) for j in kept)
+        return "  ".join(padded).rstrip()
+
+    rule = "  ".join("-" * widths[j] for j in kept)
+    return "\n".join([line(header), rule, *map(line, body)])
+
+
+def _decimals(std_error: float) -> int:
+    """Decimals worth printing: the error keeps one digit, or two where the first is 1 or 2."""
+    exponent = math.floor(math.log10(std_error))
+    return -exponent + (1 if std_error / 10.0**exponent < 2.95 else 0)
+
+
+def _rounded(value: float, std_error: float) -> tuple[str, str]:
+    """Value and standard error as text, rounded to what the error justifies; an unknown error is ""."""
+    if not (math.isfinite(value) and math.isfinite(std_error) and std_error > 0.0):
+        return f"{value:.6g}", "0" if std_error == 0.0 else ""
+    decimals = _decimals(std_error)
+    largest = max(abs(value), std_error)
+    if -2 <= decimals <= 8 and largest < 1e7:
+        places = max(decimals, 0)
+        return f"{round(value, decimals):.{places}f}", f"{round(std_error, decimals):.{places}f}"
+    places = min(max(decimals + math.floor(math.log10(largest)), 0), 15)
+    return f"{value:.{places}e}", f"{std_error:.1e}"
+
+
+def _plus_minus(value: float, std_error: float) -> str:
+    """``0.2166 ± 0.0003``; the value alone where there is no error."""
+    return " ± ".join(filter(None, _rounded(value, std_error)))
+
+
+def _number(value: Any, what: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ModelError(f"a parameter's {what} must be a number, but it is {value!r}") from None
+
+
+def _pair(value: Any, what: str, meaning: str) -> tuple[float, float]:
+    try:
+        first, second = value
+    except (TypeError, ValueError):
+        raise ModelError(f"a parameter's {what} must be a pair {meaning}, but it is {value!r}") from None
+    pair = (_number(first, what), _number(second, what))
+    if any(map(math.isnan, pair)):
+        raise ModelError(f"a parameter's {what} {pair} holds NaN: give a pair {meaning}")
+    return pair

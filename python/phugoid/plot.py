@@ -1,0 +1,279 @@
+"""Figures of time histories: the proof of match of a fit, and a simulated record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .errors import DataError, UnknownName, did_you_mean
+from .records import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["plot_fit", "plot_record"]
+
+# Okabe and Ito's palette, which colour-blind readers tell apart; points against a line also print in grey.
+_MEASURED = "#0072B2"
+_MODEL = "#D55E00"
+_STATE = "#009E73"
+_INPUT = "#000000"
+_RESIDUAL = "#4D4D4D"
+_BAND = "#DDDDDD"
+
+_STYLE: dict[Any, Any] = {
+    "font.size": 8.0,
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-4, 5),
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+}
+
+# Inches. The figure fits between the margins of an A4 page; its own margins are fixed, not found from the
+# labels, so that all time axes of a column are exactly as long.
+_WIDTH, _MAX_HEIGHT = 7.2, 10.2
+_OUTPUT, _STRIP, _INPUT_PANEL = 1.25, 0.42, 0.8  # heights
+_INNER_GAP, _GAP = 0.05, 0.16
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.78, 0.12, 0.56, 0.42
+_LABEL = 0.53  # from the axis to the middle of its label
+_LETTER = 0.58  # mean width of a letter, in units of the font's size
+_TWO_COLUMNS_FROM = 7
+
+
+def plot_fit(
+    fit: Any,
+    record: int | str = 0,
+    channels: Sequence[str] | None = None,
+    axes: Mapping[str, Axes] | None = None,
+) -> tuple[Figure, dict[str, Axes]]:
+    """Proof of match of one experiment: per output measured points, the model's line, the residual beneath.
+
+    fit       has .records (of `Record`), and if it can .parameters (``sigma_<output>`` gives the band of ±2σ)
+              and .model.name.
+    record    index or name of the experiment.
+    channels  the outputs, inputs and states to show; None: all outputs, then all inputs.
+    axes      name -> axes of your own to draw into; ``"<output> residual"`` takes the strip.
+
+    Returns the figure and the axes by name. Raises UnknownName for a channel or a record that is not there.
+    """
+    chosen = _choose(fit.records, record)
+    parameters = getattr(fit, "parameters", {})
+    sigma = {n: float(parameters[f"sigma_{n}"]) for n in chosen.outputs if f"sigma_{n}" in parameters}
+    model = getattr(getattr(fit, "model", None), "name", "")
+    title = f"{model}: {chosen.name}" if model else chosen.name
+    return _draw(chosen, channels, axes, sigma, title)
+
+
+def plot_record(
+    record: Record, channels: Sequence[str] | None = None, axes: Mapping[str, Axes] | None = None
+) -> tuple[Figure, dict[str, Axes]]:
+    """The time histories of one record, such as a simulation; measured points are drawn where there are any.
+
+    Parameters, return value and errors as for `plot_fit`.
+    """
+    return _draw(record, channels, axes, {}, record.name)
+
+
+def _choose(records: Sequence[Record], which: int | str) -> Record:
+    if isinstance(which, str):
+        for record in records:
+            if record.name == which:
+                return record
+        names = [record.name for record in records]
+        raise UnknownName(
+            f"there is no record '{which}'.{did_you_mean(which, names)} There are: {', '.join(names)}."
+        )
+    try:
+        return records[which]
+    except IndexError:
+        raise UnknownName(f"there is no record {which}: the fit has {len(records)}, counted from 0") from None
+
+
+def _draw(
+    record: Record,
+    channels: Sequence[str] | None,
+    axes: Mapping[str, Axes] | None,
+    sigma: Mapping[str, float],
+    title: str,
+) -> tuple[Figure, dict[str, Axes]]:
+    from matplotlib import rc_context
+
+    if isinstance(channels, str):
+        raise DataError(f"channels='{channels}' is text: give a list, such as channels=['{channels}']")
+    if channels is None:
+        everything = [*record.outputs, *(name for name in record.inputs if name not in record.outputs)]
+        channels = everything if axes is None else [n for n in axes if not n.endswith(" residual")]
+    known = [*record.outputs, *record.inputs, *record.states]
+    for name in channels:
+        if name not in known:
+            raise UnknownName(
+                f"record '{record.name}' has no channel '{name}'.{did_you_mean(name, known)} "
+                f"There are: {', '.join(dict.fromkeys(known))}."
+            )
+    if not channels:
+        raise DataError(f"record '{record.name}': there is no channel to plot")
+    if axes is not None and not axes:
+        raise DataError("axes={}: give at least one axis, or None for a new figure")
+    with rc_context(_STYLE):
+        if axes is None:
+            figure, panels = _layout(record, channels)
+        else:
+            panels = dict(axes)
+            figure = _figure_of(next(iter(panels.values())))
+        for name in channels:
+            if name in panels:
+                _draw_channel(panels[name], record, name)
+            if name in record.residuals and f"{name} residual" in panels:
+                _draw_residual(panels[f"{name} residual"], record, name, sigma.get(name))
+        if axes is None:
+            _finish(figure, panels, title)
+    return figure, panels
+
+
+def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, Axes]]:
+    """A new figure: outputs (and states) on top, down the columns, each over its strip; inputs below them."""
+    import matplotlib.pyplot as plt
+
+    upper = [name for name in channels if name in record.outputs or name not in record.inputs]
+    lower = [name for name in channels if name not in upper]
+    columns = 2 if len(upper) >= _TWO_COLUMNS_FROM else 1
+    upper_rows, lower_rows = math.ceil(len(upper) / columns), math.ceil(len(lower) / columns)
+    upper_block = [_OUTPUT, _INNER_GAP, _STRIP, _GAP] if record.residuals else [_OUTPUT, _GAP]
+    heights = upper_block * upper_rows + [_INPUT_PANEL, _GAP] * lower_rows
+    del heights[-1]
+    height = min(sum(heights) + _TOP + _BOTTOM, _MAX_HEIGHT)
+    figure = plt.figure(figsize=(_WIDTH, height))
+    width = (_WIDTH - columns * (_LEFT + _RIGHT)) / columns
+    grid = figure.add_gridspec(
+        len(heights),
+        columns,
+        height_ratios=heights,
+        hspace=0.0,
+        wspace=(_LEFT + _RIGHT) / width,
+        left=_LEFT / _WIDTH,
+        right=1.0 - _RIGHT / _WIDTH,
+        bottom=_BOTTOM / height,
+        top=1.0 - _TOP / height,
+    )
+    panels: dict[str, Axes] = {}
+    share: Axes | None = None
+    for i, name in enumerate(upper):
+        row, column = len(upper_block) * (i % upper_rows), i // upper_rows
+        last = row if name in record.residuals else row + len(upper_block) - 2
+        panels[name] = share = figure.add_subplot(grid[row : last + 1, column], sharex=share)
+        if name in record.residuals:
+            panels[f"{name} residual"] = figure.add_subplot(grid[row + 2, column], sharex=share)
+    for i, name in enumerate(lower):
+        row = len(upper_block) * upper_rows + 2 * (i // columns)
+        panels[name] = share = figure.add_subplot(grid[row, i % columns], sharex=share)
+    for axis in panels.values():
+        axis.yaxis.set_label_coords(-_LABEL / width, 0.5)
+    return figure, panels
+
+
+def _draw_channel(axis: Axes, record: Record, name: str) -> None:
+    many = record.n > 5000  # as vectors, so many points would make a PDF heavy
+    if name in record.outputs:
+        if name in record.measured:
+            size = 2.0 if record.n <= 1000 else 1.2
+            axis.plot(
+                record.t,
+                record.measured[name],
+                ".",
+                color=_MEASURED,
+                ms=size,
+                label="measured",
+                rasterized=many,
+            )
+        axis.plot(record.t, record.outputs[name], color=_MODEL, linewidth=1.0, label="model", rasterized=many)
+    elif name in record.inputs:
+        axis.plot(record.t, record.inputs[name], color=_INPUT, linewidth=0.8, label="input", rasterized=many)
+    else:
+        axis.plot(record.t, record.states[name], color=_STATE, linewidth=0.9, label="state", rasterized=many)
+    label = _label(name, record.units)
+    # The label must not reach into the panels above and below: two lines first, then smaller letters.
+    room = 72.0 * axis.get_position().height * float(_figure_of(axis).get_size_inches()[1]) / _LETTER
+    if len(label) * 8.0 > room:
+        label = label.replace(", ", ",\n")
+    longest = max(map(len, label.split("\n")))
+    axis.set_ylabel(_plain(label), fontsize=min(7.0 if "\n" in label else 8.0, max(room / longest, 4.5)))
+    axis.locator_params(axis="y", nbins=5)
+
+
+def _draw_residual(axis: Axes, record: Record, name: str, sigma: float | None) -> None:
+    residual = record.residuals[name]
+    if sigma is not None:
+        axis.axhspan(-2.0 * sigma, 2.0 * sigma, color=_BAND, linewidth=0.0, label="±2σ")
+    axis.axhline(0.0, color=_INPUT, linewidth=0.5)
+    many = record.n > 5000
+    axis.plot(record.t, residual, color=_RESIDUAL, linewidth=0.6, label="residual", rasterized=many)
+    # Symmetric about zero, so that a bias is seen at a glance.
+    largest = float(np.nanmax(np.abs(residual))) if not np.isnan(residual).all() else 0.0
+    limit = 1.08 * max(largest, 2.0 * (sigma or 0.0))
+    if limit > 0.0:
+        axis.set_ylim(-limit, limit)
+    axis.locator_params(axis="y", nbins=3)
+    axis.set_ylabel("resid.", fontsize=6.5)
+
+
+def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
+    """Time labels at the foot of each column only, a title, and one legend for all panels."""
+    lowest: dict[float, Axes] = {}
+    handles: dict[str, Any] = {}
+    for axis in panels.values():
+        axis.tick_params(labelbottom=False)
+        box = axis.get_position()
+        if box.x0 not in lowest or box.y0 < lowest[box.x0].get_position().y0:
+            lowest[box.x0] = axis
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    for axis in lowest.values():
+        axis.tick_params(labelbottom=True)
+        axis.set_xlabel("time, s")
+    next(iter(panels.values())).margins(x=0.01)
+    height = float(figure.get_size_inches()[1])
+    left = _LEFT / _WIDTH
+    figure.text(left, 1.0 - 0.08 / height, _plain(title), ha="left", va="top", fontsize=9.5)
+    order = [name for name in ("measured", "model", "state", "input", "residual", "±2σ") if name in handles]
+    figure.legend(
+        [handles[name] for name in order],
+        order,
+        loc="upper left",
+        bbox_to_anchor=(left, 1.0 - 0.26 / height),
+        ncols=len(order),
+        frameon=False,
+        borderpad=0.0,
+        borderaxespad=0.0,
+        columnspacing=1.6,
+        markerscale=2.5,
+    )
+
+
+def _figure_of(axis: Axes) -> Figure:
+    parent: Any = axis.figure
+    while parent is not parent.figure:  # a subfigure
+        parent = parent.figure
+    figure: Figure = parent
+    return figure
+
+
+def _label(name: str, units: Mapping[str, str]) -> str:
+    unit = units.get(name, "")
+    return name if unit in ("", "1", "-") else f"{name}, {unit}"
+
+
+def _plain(text: str) -> str:
+    """Names as given: matplotlib would take dollar signs for mathematics."""
+    return text.replace("$", r"\$")

@@ -1,0 +1,69 @@
+"""Time histories of one experiment as a fit or a simulation leaves them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Record"]
+
+_Array = NDArray[np.float64]
+
+
+def _no_times() -> _Array:
+    return np.empty(0)
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Record:
+    """Fitted or simulated time histories of one experiment; N samples, M mesh points.
+
+    name         the experiment's name.
+    t            (N,) time of the samples, s.
+    inputs       name -> (N,).
+    outputs      name -> (N,): what the model says.
+    states       name -> (N,): the states at the sample times.
+    measured     name -> (N,), NaN where missing; empty for a plain simulation.
+    residuals    name -> (N,): measured - outputs, NaN where missing.
+    mesh_t       (M,) time of the mesh points of the transcription, s.
+    mesh_states  name -> (M,): the states there.
+    units        name -> unit, for every kind of channel.
+    """
+
+    name: str
+    t: _Array
+    inputs: Mapping[str, _Array]
+    outputs: Mapping[str, _Array]
+    states: Mapping[str, _Array]
+    measured: Mapping[str, _Array] = field(default_factory=dict)
+    residuals: Mapping[str, _Array] = field(default_factory=dict)
+    mesh_t: _Array = field(default_factory=_no_times)
+    mesh_states: Mapping[str, _Array] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def n(self) -> int:
+        """Number of samples, N."""
+        return int(self.t.size)
+
+    def rms(self) -> dict[str, float]:
+        """Root mean square of each output's residuals, in its unit; NaN where no sample is present.
+
+        >>> y, z = np.array([1.0, np.nan, 3.0]), np.zeros(3)
+        >>> Record(name="run", t=z, inputs={}, outputs={"y": z}, states={}, residuals={"y": y}).rms()
+        {'y': 2.23606797749979}
+        """
+        present = {name: r[~np.isnan(r)] for name, r in self.residuals.items()}
+        return {n: float(np.sqrt(np.mean(r**2))) if r.size else float("nan") for n, r in present.items()}
+
+    def __repr__(self) -> str:
+        def names(group: Mapping[str, _Array]) -> str:
+            return " ".join(group) or "none"
+
+        return (
+            f"Record('{self.name}', {self.n} samples, {self.mesh_t.size} mesh points, "
+            f"inputs: {names(self.inputs)}, outputs: {names(self.outputs)}, states: {names(self.states)})"
+        )

@@ -1,0 +1,74 @@
+"""The fit in plain text: how the run went, the parameters, the noise, and how well each output is matched."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .parameters import estimates_table, text_table
+
+__all__ = ["fit_summary"]
+
+
+def fit_summary(fit: Any) -> str:
+    """An aligned table for the terminal.
+
+    ``fit`` needs the attributes model (with .name), parameters (`Estimates`; noise as ``sigma_<output>``),
+    status, message, iterations, log_likelihood, records (of `Record`), time (s) and transcription (a text).
+    """
+    outputs = list(dict.fromkeys(name for record in fit.records for name in record.outputs))
+    noise_names = {f"sigma_{name}" for name in outputs}
+    noise = [e for e in fit.parameters.values() if e.name in noise_names]
+    physical = [e for e in fit.parameters.values() if e.name not in noise_names]
+    parts = [_header(fit)]
+    if physical:
+        parts.append(estimates_table(physical))
+    if noise:
+        parts.append(estimates_table(noise, title="noise"))
+    if any(record.residuals for record in fit.records):
+        parts.append(_match_table(fit, outputs))
+    return "\n\n".join(parts)
+
+
+def _header(fit: Any) -> str:
+    samples = sum(record.n for record in fit.records)
+    mesh = sum(record.mesh_t.size for record in fit.records)
+    runs = f"{len(fit.records)} experiments, " if len(fit.records) > 1 else ""
+    entries = {
+        "status": f"{fit.status}: {fit.message}" if fit.message else str(fit.status),
+        "iterations": f"{fit.iterations} in {_duration(fit.time)}",
+        "log-likelihood": f"{fit.log_likelihood:.3f}",
+        "data": f"{runs}{samples} samples" + (f", {mesh} mesh points" if mesh else ""),
+        "transcription": str(fit.transcription),
+    }
+    width = max(map(len, entries))
+    lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
+    return "\n".join([str(fit.model.name), *lines])
+
+
+def _match_table(fit: Any, outputs: list[str]) -> str:
+    """Per output, over all experiments: σ, RMS of the residuals, R² = 1 - Σr²/Σ(z - mean z)², samples."""
+    rows = []
+    for name in outputs:
+        pairs = [(r.measured[name], r.residuals[name]) for r in fit.records if name in r.residuals]
+        measured = np.concatenate([m for m, _ in pairs]) if pairs else np.empty(0)
+        residual = np.concatenate([r for _, r in pairs]) if pairs else np.empty(0)
+        present = ~np.isnan(residual)
+        measured, residual = measured[present], residual[present]
+        rms = r2 = ""
+        if residual.size:
+            scatter = float(np.sum((measured - measured.mean()) ** 2))
+            rms = f"{math.sqrt(float(np.mean(residual**2))):.4g}"
+            r2 = f"{1.0 - float(np.sum(residual**2)) / scatter:.4f}" if scatter > 0.0 else ""
+        sigma = fit.parameters.get(f"sigma_{name}")
+        unit = next((r.units[name] for r in fit.records if name in r.units), "")
+        rows.append([name, "" if sigma is None else f"{sigma.value:.4g}", rms, unit, r2, str(residual.size)])
+    return text_table(["output", "σ", "RMS residual", "unit", "R²", "samples"], rows, "lrrlrr")
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 1.0:
+        return f"{1e3 * seconds:.0f} ms"
+    return f"{seconds:.1f} s" if seconds < 120.0 else f"{seconds / 60.0:.1f} min"

@@ -1,0 +1,135 @@
+//! Interpolation of sampled inputs at arbitrary times.
+//!
+//! What an input does between its samples is an assumption about the
+//! experiment, and a wrong one looks like a model error.
+
+use serde::{Deserialize, Serialize};
+
+/// How an input is interpolated between its samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Interpolation {
+    /// Straight lines between the samples.
+    Linear,
+    /// Cubic spline with continuous second derivative and not-a-knot ends, as
+    /// scipy's `CubicSpline` (de Boor, A Practical Guide to Splines, 1978):
+    /// the parabola through 3 samples, the line through 2.
+    Cubic,
+}
+
+/// Values at the times `at` of a signal sampled as `values` at the times `t`.
+///
+/// `t` increases strictly, at any spacing; `at` may be in any order. At a
+/// sample time the result is the sample, bit for bit. Outside `[t[0], t[N-1]]`
+/// the end values are held, for either kind: a polynomial continued past its
+/// data soon means nothing. NaN in `at` gives NaN. Missing (NaN)
+/// values are for the caller to reject or fill: one of them spoils its two
+/// neighbouring intervals if linear, and everything between samples if cubic.
+///
+/// # Panics
+/// If `t` is empty or its length is not that of `values`.
+///
+/// ```
+/// use phugoid::interpolate::{Interpolation, interpolate};
+///
+/// let (t, u) = ([0.0, 1.0, 3.0, 4.0], [0.0, 1.0, 9.0, 16.0]);
+/// assert_eq!(interpolate(Interpolation::Linear, &t, &u, &[2.0]), [5.0]);
+/// assert_eq!(interpolate(Interpolation::Cubic, &t, &u, &[2.0]), [4.0]);
+/// ```
+pub fn interpolate(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64]) -> Vec<f64> {
+    assert!(!t.is_empty(), "no samples to interpolate");
+    assert_eq!(t.len(), values.len(), "as many sample times as sample values are needed");
+    debug_assert!(t.windows(2).all(|pair| pair[0] < pair[1]), "sample times must increase strictly");
+    match kind {
+        Interpolation::Linear => each(t, values, at, |i, s| {
+            let slope = (values[i + 1] - values[i]) / (t[i + 1] - t[i]);
+            values[i] + slope * (s - t[i])
+        }),
+        Interpolation::Cubic => {
+            let slopes = spline_slopes(t, values);
+            each(t, values, at, |i, s| {
+                let h = t[i + 1] - t[i];
+                let secant = (values[i + 1] - values[i]) / h;
+                let bend = (slopes[i] + slopes[i + 1] - 2.0 * secant) / h;
+                let c2 = (secant - slopes[i]) / h - bend;
+                let c3 = bend / h;
+                let u = s - t[i];
+                values[i] + u * (slopes[i] + u * (c2 + u * c3))
+            })
+        }
+    }
+}
+
+/// Applies `inside(i, s)` to the times strictly between samples `i` and `i + 1`,
+/// and takes the samples themselves elsewhere.
+fn each(t: &[f64], values: &[f64], at: &[f64], inside: impl Fn(usize, f64) -> f64) -> Vec<f64> {
+    at.iter()
+        .map(|&s| {
+            if s.is_nan() {
+                return f64::NAN;
+            }
+            // Number of samples at or before `s`.
+            let n = t.partition_point(|&sample| sample <= s);
+            if n == 0 {
+                values[0]
+            } else if n == t.len() || t[n - 1] == s {
+                values[n - 1]
+            } else {
+                inside(n - 1, s)
+            }
+        })
+        .collect()
+}
+
+/// First derivatives at the samples of the not-a-knot cubic spline.
+fn spline_slopes(t: &[f64], values: &[f64]) -> Vec<f64> {
+    let n = t.len();
+    let h: Vec<f64> = t.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let secant: Vec<f64> = (values.windows(2).zip(&h)).map(|(pair, h)| (pair[1] - pair[0]) / h).collect();
+    match n {
+        1 => return vec![0.0],
+        2 => return vec![secant[0]; 2],
+        3 => {
+            // With one inner knot the not-a-knot conditions coincide; scipy
+            // takes the parabola.
+            let middle = (h[1] * secant[0] + h[0] * secant[1]) / (h[0] + h[1]);
+            return vec![2.0 * secant[0] - middle, middle, 2.0 * secant[1] - middle];
+        }
+        _ => {}
+    }
+
+    // Tridiagonal system: continuity of the second derivative at the inner
+    // knots, of the third at the second and the last but one. Elimination
+    // needs no pivoting: after the first row the inner ones are diagonally
+    // dominant, and the last pivot stays positive.
+    let row = |i: usize| {
+        if i == 0 {
+            let span = h[0] + h[1];
+            let right = ((h[0] + 2.0 * span) * h[1] * secant[0] + h[0] * h[0] * secant[1]) / span;
+            (0.0, h[1], span, right)
+        } else if i == n - 1 {
+            let (last, before) = (h[n - 2], h[n - 3]);
+            let span = last + before;
+            let right = (last * last * secant[n - 3] + (2.0 * span + last) * before * secant[n - 2]) / span;
+            (span, before, 0.0, right)
+        } else {
+            let right = 3.0 * (h[i] * secant[i - 1] + h[i - 1] * secant[i]);
+            (h[i], 2.0 * (h[i - 1] + h[i]), h[i - 1], right)
+        }
+    };
+    let mut slopes = vec![0.0; n];
+    let mut ratio = vec![0.0; n];
+    let (mut previous, mut previous_ratio) = (0.0, 0.0);
+    for i in 0..n {
+        let (lower, diagonal, upper, right) = row(i);
+        let pivot = diagonal - lower * previous_ratio;
+        previous = (right - lower * previous) / pivot;
+        previous_ratio = upper / pivot;
+        slopes[i] = previous;
+        ratio[i] = previous_ratio;
+    }
+    for i in (0..n - 1).rev() {
+        slopes[i] -= ratio[i] * slopes[i + 1];
+    }
+    slopes
+}

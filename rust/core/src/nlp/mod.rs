@@ -1,0 +1,67 @@
+//! The seam between a transcription and a solver: a nonlinear program with names.
+//!
+//! minimise φ(ξ) subject to c(ξ) = 0 and bounds on ξ. Derivatives are sparse triplets whose
+//! structure never changes; entries at one place add up.
+
+pub mod check;
+
+/// Rows and columns of sparse entries, 0-based.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Structure {
+    /// Row of each entry.
+    pub rows: Vec<u32>,
+    /// Column of each entry.
+    pub columns: Vec<u32>,
+}
+
+impl Structure {
+    /// Number of entries.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Whether there are no entries.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    pub(crate) fn push(&mut self, row: usize, column: usize) {
+        self.rows.push(row as u32);
+        self.columns.push(column as u32);
+    }
+}
+
+/// A function was not finite: in a line search a reason to step less, at the start an error.
+/// [`Nlp::explain`] says what happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NotFinite;
+
+/// A nonlinear program.
+pub trait Nlp: Sync {
+    /// Number of variables.
+    fn n(&self) -> usize;
+    /// Number of constraints, all of them c(ξ) = 0.
+    fn m(&self) -> usize;
+    /// Lower and upper bounds of the variables; infinite where there are none.
+    fn bounds(&self) -> (Vec<f64>, Vec<f64>);
+    /// φ(ξ).
+    fn objective(&self, xi: &[f64]) -> Result<f64, NotFinite>;
+    /// ∇φ(ξ).
+    fn gradient(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite>;
+    /// c(ξ).
+    fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite>;
+    /// Places of the entries of ∂c/∂ξ.
+    fn jacobian_structure(&self) -> &Structure;
+    /// Entries of ∂c/∂ξ.
+    fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite>;
+    /// Places of the entries of the lower triangle of the Hessian of the Lagrangian.
+    fn hessian_structure(&self) -> &Structure;
+    /// Entries of factor · ∇²φ + Σ λ_i ∇²c_i.
+    fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite>;
+    /// The user's name for a variable.
+    fn variable_name(&self, i: usize) -> String;
+    /// The user's name for a constraint.
+    fn constraint_name(&self, i: usize) -> String;
+    /// What is not finite at ξ, where and from what; `None` when everything is finite.
+    fn explain(&self, xi: &[f64]) -> Option<String>;
+}

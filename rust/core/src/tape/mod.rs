@@ -1,0 +1,118 @@
+//! Expressions compiled to a tape that works on lanes of points.
+//!
+//! One instruction handles a whole block of mesh points, one *lane* a point, so dispatch costs
+//! nothing and the loops vectorise. What depends on parameters alone is *uniform*: computed once a
+//! call as a scalar and broadcast. Registers are reused as soon as their value is dead, so that a
+//! block stays in the first-level cache.
+
+mod compile;
+mod eval;
+mod function;
+mod trace;
+
+pub use compile::Inputs;
+pub use eval::{Values, Workspace};
+pub use function::{Arguments, Function, Pattern};
+pub use trace::{Trace, trace};
+
+use crate::expr::{Lookup, Op};
+
+/// Lanes in a full block. Blocks are padded to a multiple of [`LANE_MULTIPLE`].
+pub const BLOCK: usize = 64;
+
+/// Block lengths are multiples of this, so that loops over lanes have no remainder.
+pub const LANE_MULTIPLE: usize = 8;
+
+/// Where a value is found after a run: one number for all lanes, or a register.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Operand {
+    /// A uniform slot.
+    Uniform(u16),
+    /// A register of lanes. The lane inputs are the first registers.
+    Lane(u16),
+}
+
+/// What an instruction on lanes does. `L` stands for a register, `U` for a uniform; the letters
+/// follow the operands a, b, c.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Code {
+    AddLL,
+    AddLU,
+    SubLL,
+    SubLU,
+    SubUL,
+    MulLL,
+    MulLU,
+    /// a·b + c
+    FmaLLL,
+    FmaLLU,
+    FmaLUL,
+    FmaLUU,
+    /// a·b − c
+    FmsLLL,
+    FmsLLU,
+    FmsLUL,
+    FmsLUU,
+    /// c − a·b
+    FnmaLLL,
+    FnmaLLU,
+    FnmaLUL,
+    FnmaLUU,
+    /// sine to `dst`, cosine to register `c`
+    SinCos,
+    /// uniform `a` to all lanes
+    Splat,
+    /// register a to the whole power held as an `i32` in the bits of b and c
+    PowI,
+    /// any other operation of the table, on registers
+    Apply(Op),
+    /// 1-D or 2-D table lookup, its index in c
+    Lookup1,
+    Lookup2,
+}
+
+/// One instruction on lanes; registers and uniforms by number. `dst` is never an operand.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Instruction {
+    code: Code,
+    dst: u16,
+    a: u16,
+    b: u16,
+    c: u16,
+}
+
+/// One instruction on uniforms.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum UniformInstruction {
+    Apply { op: Op, dst: u16, args: [u16; 3] },
+    Lookup { lookup: u16, dst: u16, args: [u16; 2] },
+}
+
+/// A compiled set of expressions. See the [module](self).
+#[derive(Clone, Debug)]
+pub struct Tape {
+    /// Lane inputs, the first registers.
+    pub(crate) n_lane_inputs: usize,
+    /// Uniform inputs, the first uniform slots.
+    pub(crate) n_uniform_inputs: usize,
+    pub(crate) n_registers: usize,
+    /// Initial uniform slots: inputs (to be filled), then constants, then results.
+    pub(crate) uniforms: Vec<f64>,
+    pub(crate) uniform_code: Vec<UniformInstruction>,
+    pub(crate) code: Vec<Instruction>,
+    pub(crate) lookups: Vec<Lookup>,
+    /// Where each output is found.
+    pub outputs: Vec<Operand>,
+}
+
+impl Tape {
+    /// Number of instructions on lanes: a measure of cost that does not depend on the machine.
+    pub fn instructions(&self) -> usize {
+        self.code.len()
+    }
+
+    /// Number of registers, lane inputs among them.
+    pub fn registers(&self) -> usize {
+        self.n_registers
+    }
+}

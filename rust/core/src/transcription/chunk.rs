@@ -1,0 +1,137 @@
+//! The unit of work: consecutive segments whose points fill one block of lanes.
+//!
+//! Lanes are laid out node by node, not point by point: lane(j, s) = j·(S+1) + s for node j of
+//! segment s. What a segment combines from its nodes then runs over contiguous lanes for all its
+//! segments at once, whatever the order of the rule. The end point of a chunk is the first of the
+//! next: it is evaluated in both, one point in about 64 more.
+
+use std::sync::Arc;
+
+use super::layout::Layout;
+use crate::mesh::{Between, Mesh, Rule};
+use crate::tape::{BLOCK, LANE_MULTIPLE};
+
+#[derive(Clone, Debug)]
+pub(super) struct Chunk {
+    pub(super) experiment: usize,
+    pub(super) rule: Arc<Rule>,
+    /// Lengths of the S segments, s.
+    pub(super) h: Vec<f64>,
+    /// Length of the segment before the first, where there is one in the experiment.
+    pub(super) h_before: Option<f64>,
+    /// Whether the last segment ends the experiment.
+    pub(super) last: bool,
+    /// Point of each lane, counted over all experiments. Spare lanes repeat a point.
+    pub(super) points: Vec<u32>,
+    /// First vector constraint.
+    pub(super) row: usize,
+    /// Samples between mesh points, their segment counted within the chunk.
+    pub(super) between: Vec<Tie>,
+    /// Those in the segment before the first: they weigh f at this chunk's first point.
+    pub(super) between_before: Vec<Tie>,
+    /// Data columns of the dynamics at each lane, column by column.
+    pub(super) data: Vec<f64>,
+    /// First entry of the Jacobian.
+    pub(super) jacobian: usize,
+    /// First entry of the Hessian.
+    pub(super) hessian: usize,
+}
+
+/// The constraint of a sample between mesh points.
+#[derive(Clone, Debug)]
+pub(super) struct Tie {
+    pub(super) segment: usize,
+    pub(super) node: usize,
+    pub(super) weights: Vec<f64>,
+    /// The sample's point, counted over all experiments.
+    pub(super) point: usize,
+    pub(super) row: usize,
+}
+
+impl Chunk {
+    /// Cuts the mesh of an experiment into chunks. `data` and the first entries are filled later.
+    pub(super) fn cut(experiment: usize, mesh: &Mesh, layout: &Layout) -> Vec<Chunk> {
+        let k = mesh.rule.order() - 1;
+        let size = (BLOCK / k).saturating_sub(1).max(1);
+        let (point0, row0) = (layout.first_point[experiment], layout.first_row(experiment));
+        let mut chunks: Vec<Chunk> = Vec::new();
+        let mut between = mesh.between.iter().peekable();
+        for (i, segments) in mesh.segments.chunks(size).enumerate() {
+            let (first, n) = (i * size, segments.len());
+            let mut chunk = Chunk {
+                experiment,
+                rule: mesh.rule.clone(),
+                h: segments.iter().map(|s| s.h).collect(),
+                h_before: first.checked_sub(1).map(|p| mesh.segments[p].h),
+                last: first + n == mesh.segments.len(),
+                points: Vec::new(),
+                row: row0 + first * k,
+                between: Vec::new(),
+                between_before: Vec::new(),
+                data: Vec::new(),
+                jacobian: 0,
+                hessian: 0,
+            };
+            for j in 0..k {
+                for s in 0..=n {
+                    // Only node 0 has an (S+1)-th place: the end point.
+                    let s = if j == 0 { s } else { s.min(n - 1) };
+                    chunk.points.push((point0 + segments[0].point + s * k + j) as u32);
+                }
+            }
+            let spare = *chunk.points.last().unwrap();
+            chunk.points.resize(chunk.points.len().next_multiple_of(LANE_MULTIPLE), spare);
+            while let Some(tie) = between.next_if(|b| b.segment < first + n) {
+                chunk.between.push(tied(tie, first, point0, row0));
+            }
+            if let Some(before) = chunks.last() {
+                let ties = before.between.iter().filter(|t| t.segment + 1 == before.segments());
+                chunk.between_before = ties.cloned().collect();
+            }
+            chunks.push(chunk);
+        }
+        chunks
+    }
+
+    /// Number of segments, S.
+    pub(super) fn segments(&self) -> usize {
+        self.h.len()
+    }
+
+    /// Number of lanes.
+    pub(super) fn lanes(&self) -> usize {
+        self.points.len()
+    }
+
+    /// First lane of node j; lanes of the S segments follow. The last node is the next segment's first.
+    #[inline(always)]
+    pub(super) fn lane(&self, j: usize) -> usize {
+        if j + 1 == self.rule.order() { 1 } else { j * (self.segments() + 1) }
+    }
+
+    /// Runs of lanes whose points belong to this chunk: the end point belongs to the next one.
+    pub(super) fn own(&self) -> impl Iterator<Item = std::ops::Range<usize>> + '_ {
+        let n = self.segments();
+        (0..self.rule.order() - 1).map(move |j| {
+            let start = j * (n + 1);
+            start..start + n + usize::from(j == 0 && self.last)
+        })
+    }
+
+    /// Number of points that belong to this chunk.
+    pub(super) fn n_own(&self) -> usize {
+        self.own().map(|r| r.len()).sum()
+    }
+}
+
+/// The vector constraint of the sample at point p of its experiment is number p − 1 within it, as
+/// for mesh points.
+fn tied(b: &Between, first_segment: usize, point0: usize, row0: usize) -> Tie {
+    Tie {
+        segment: b.segment - first_segment,
+        node: b.node,
+        weights: b.weights.clone(),
+        point: point0 + b.point,
+        row: row0 + b.point - 1,
+    }
+}

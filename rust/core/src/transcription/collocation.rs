@@ -1,0 +1,560 @@
+//! The collocation problem (Eq. oem_coll) as a nonlinear program.
+
+use std::cell::RefCell;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::chunk::Chunk;
+use super::defects::{self, Dynamics};
+use super::disjoint::Disjoint;
+use super::layout::{Layout, Place};
+use super::likelihood;
+use super::samples::Samples;
+use crate::error::Error;
+use crate::experiment::Experiment;
+use crate::expr::graph::Id;
+use crate::interpolate::interpolate;
+use crate::mesh::{Grid, Mesh};
+use crate::model::{Model, Parameter};
+use crate::nlp::{Nlp, NotFinite, Structure};
+use crate::noise::{Noise, Sample};
+use crate::tape::{Arguments, Function, Tape, Workspace, trace};
+
+/// How a problem is transcribed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Points of a segment, m: 2 is the trapezoid.
+    pub order: usize,
+    /// Division into segments, one an experiment, or one for all.
+    pub grid: Vec<Grid>,
+    /// Threads; 0 for as many as there are cores.
+    pub threads: usize,
+}
+
+impl Default for Settings {
+    /// Order 4, one segment between samples.
+    fn default() -> Self {
+        Settings { order: 4, grid: vec![Grid::Samples(1)], threads: 0 }
+    }
+}
+
+/// The collocation problem: −ℓ(θ, x) to be minimised under the defects.
+#[derive(Debug)]
+pub struct Collocation {
+    /// Where variables and constraints stand.
+    pub layout: Layout,
+    /// Model parameters, then noise parameters.
+    pub parameters: Vec<Parameter>,
+    /// Number of model parameters.
+    pub n_model_parameters: usize,
+    /// The noise model.
+    pub noise: Noise,
+    /// One mesh an experiment.
+    pub meshes: Vec<Mesh>,
+    /// Inputs at all points of each experiment: `inputs[experiment][channel][point]`.
+    pub inputs: Vec<Vec<Vec<f64>>>,
+    state_names: Vec<String>,
+    input_names: Vec<String>,
+    experiments: Vec<Experiment>,
+    dynamics: Dynamics,
+    likelihood: Function,
+    outputs: Function,
+    chunks: Vec<Chunk>,
+    samples: Vec<Samples>,
+    jacobian_structure: Structure,
+    hessian_structure: Structure,
+    /// Where the Hessian entries between parameters stand, for each pair of f, of ℓ and each prior.
+    pair_places: PairPlaces,
+    pool: Option<rayon::ThreadPool>,
+}
+
+#[derive(Clone, Debug, Default)]
+struct PairPlaces {
+    dynamics: Vec<usize>,
+    likelihood: Vec<usize>,
+    priors: Vec<(usize, usize)>,
+}
+
+/// Work smaller than this many blocks is done by the calling thread: waking others costs more.
+const PARALLEL_BLOCKS: usize = 48;
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+/// What a thread needs to evaluate a block.
+#[derive(Default)]
+struct Scratch {
+    workspace: Workspace,
+    weights: Vec<f64>,
+}
+
+impl Collocation {
+    /// Transcribes a problem.
+    ///
+    /// # Errors
+    /// When the model is incomplete, the data do not fit it, or an option is out of range.
+    pub fn new(
+        model: &Model,
+        experiments: &[Experiment],
+        noise: Noise,
+        settings: &Settings,
+    ) -> Result<Self, Error> {
+        let compiled = model.compile()?;
+        let output_names: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
+        let input_names: Vec<&str> = model.inputs.iter().map(|o| o.name.as_str()).collect();
+        if experiments.is_empty() {
+            return Err(Error::Data("no experiment was given; at least one is needed".into()));
+        }
+        experiments.iter().try_for_each(|e| e.check(&input_names, &output_names))?;
+        let meshes = meshes(experiments, settings)?;
+
+        let noise_parameters = noise.parameters(&output_names);
+        let n_theta = model.parameters.len() + noise_parameters.len();
+        let layout = Layout::new(n_theta, model.states.len(), &meshes);
+        let parameters: Vec<Parameter> = model.parameters.iter().cloned().chain(noise_parameters).collect();
+
+        // All functions of a point see all parameters, so that θ has one order everywhere.
+        let mut graph = compiled.graph.clone();
+        let noise_symbols: Vec<Id> = parameters[model.parameters.len()..]
+            .iter()
+            .map(|p| graph.symbol(&format!("1/{}", p.name)))
+            .collect();
+        let theta: Vec<Id> = compiled.parameters.iter().chain(&noise_symbols).copied().collect();
+        let arguments =
+            Arguments { data: compiled.data.clone(), states: compiled.states.clone(), parameters: theta };
+        let dynamics = Dynamics::new(Function::new(graph.clone(), &arguments, compiled.dynamics.clone()));
+        let outputs = Function::new(graph.clone(), &arguments, compiled.outputs.clone());
+
+        let missing = |c: usize| experiments.iter().any(|e| e.outputs[c].iter().any(|v| v.is_nan()));
+        let measured: Vec<Id> = output_names.iter().map(|n| graph.symbol(&format!("measured {n}"))).collect();
+        let present: Vec<Option<Id>> = (0..output_names.len())
+            .map(|c| missing(c).then(|| graph.symbol(&format!("{} present", output_names[c]))))
+            .collect();
+        let sample = Sample { outputs: &compiled.outputs, measured: &measured, present: &present };
+        let density = noise.log_density(&mut graph, &sample, &noise_symbols);
+        let mut with_samples = arguments.clone();
+        with_samples.data.extend(measured.iter().chain(present.iter().flatten()));
+        let likelihood = Function::new(graph, &with_samples, vec![density]);
+
+        let mut problem = Collocation {
+            layout,
+            n_model_parameters: model.parameters.len(),
+            parameters,
+            noise,
+            meshes,
+            inputs: Vec::new(),
+            state_names: model.states.iter().map(|s| s.name.clone()).collect(),
+            input_names: model.inputs.iter().map(|s| s.name.clone()).collect(),
+            experiments: experiments.to_vec(),
+            dynamics,
+            likelihood,
+            outputs,
+            chunks: Vec::new(),
+            samples: Vec::new(),
+            jacobian_structure: Structure::default(),
+            hessian_structure: Structure::default(),
+            pair_places: PairPlaces::default(),
+            pool: pool(settings.threads)?,
+        };
+        problem.place_data(&present);
+        problem.place_derivatives();
+        Ok(problem)
+    }
+
+    /// Fills chunks and blocks of samples with data in the order of their lanes.
+    fn place_data(&mut self, present: &[Option<Id>]) {
+        for (e, (experiment, mesh)) in self.experiments.iter().zip(&self.meshes).enumerate() {
+            let at_points = |channel: &Vec<f64>| {
+                interpolate(experiment.interpolation, &experiment.t, channel, &mesh.times)
+            };
+            let inputs: Vec<Vec<f64>> = experiment.inputs.iter().map(at_points).collect();
+            let first = self.layout.first_point[e] as u32;
+            for mut chunk in Chunk::cut(e, mesh, &self.layout) {
+                for column in std::iter::once(&mesh.times).chain(&inputs) {
+                    chunk.data.extend(chunk.points.iter().map(|&p| column[(p - first) as usize]));
+                }
+                self.chunks.push(chunk);
+            }
+            let mut columns = vec![experiment.t.clone()];
+            columns.extend(experiment.inputs.iter().cloned());
+            let filled = |c: &Vec<f64>| c.iter().map(|v| if v.is_nan() { 0.0 } else { *v }).collect();
+            columns.extend(experiment.outputs.iter().map(filled));
+            let flags = |c: &Vec<f64>| c.iter().map(|v| f64::from(u8::from(!v.is_nan()))).collect();
+            columns
+                .extend(experiment.outputs.iter().zip(present).filter(|c| c.1.is_some()).map(|c| flags(c.0)));
+            self.samples.extend(Samples::cut(e, mesh, &self.layout, &columns));
+            self.inputs.push(inputs);
+        }
+    }
+
+    /// Lays out the sparse entries of the Jacobian and the Hessian.
+    fn place_derivatives(&mut self) {
+        for chunk in &mut self.chunks {
+            chunk.jacobian = self.jacobian_structure.len();
+            self.dynamics.jacobian_structure(chunk, &self.layout, &mut self.jacobian_structure);
+            chunk.hessian = self.hessian_structure.len();
+            self.dynamics.hessian_structure(chunk, &self.layout, &mut self.hessian_structure);
+        }
+        for samples in &mut self.samples {
+            samples.hessian = self.hessian_structure.len();
+            likelihood::hessian_structure(
+                &self.likelihood,
+                samples,
+                &self.layout,
+                &mut self.hessian_structure,
+            );
+        }
+        let n_x = self.layout.n_x;
+        let mut places: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+        let structure = &mut self.hessian_structure;
+        let mut place = |pair: (usize, usize)| {
+            *places.entry(pair).or_insert_with(|| {
+                structure.push(pair.0, pair.1);
+                structure.len() - 1
+            })
+        };
+        self.pair_places.dynamics = self.dynamics.parameter_pairs().map(&mut place).collect();
+        let likelihood = self.likelihood.hessian_pattern.iter().filter(|(_, c)| *c >= n_x);
+        self.pair_places.likelihood = likelihood.map(|(r, c)| place((r - n_x, c - n_x))).collect();
+        let with_prior = (0..self.parameters.len()).filter(|&i| self.parameters[i].prior.is_some());
+        self.pair_places.priors = with_prior.map(|i| (i, place((i, i)))).collect();
+    }
+
+    fn theta<'a>(&self, xi: &'a [f64]) -> &'a [f64] {
+        &xi[..self.layout.n_theta]
+    }
+
+    fn uniforms(&self, tape: &Tape, xi: &[f64]) -> Vec<f64> {
+        let mut out = Vec::new();
+        tape.uniforms(self.theta(xi), &mut out);
+        out
+    }
+
+    /// Runs `work` on every item, in parallel where it pays. Results come in the order of items.
+    fn each<T: Sync, R: Send>(&self, items: &[T], work: impl Fn(&T, &mut Scratch) -> R + Sync) -> Vec<R> {
+        let one = |item: &T| SCRATCH.with(|s| work(item, &mut s.borrow_mut()));
+        let threads = self
+            .pool
+            .as_ref()
+            .map_or_else(rayon::current_num_threads, rayon::ThreadPool::current_num_threads);
+        if threads == 1 || items.len() < PARALLEL_BLOCKS {
+            return items.iter().map(one).collect();
+        }
+        let all = || items.par_iter().with_min_len(8).map(one).collect();
+        match &self.pool {
+            Some(pool) => pool.install(all),
+            None => all(),
+        }
+    }
+
+    fn dynamics_job<'a>(&'a self, chunk: &'a Chunk, xi: &'a [f64], uniforms: &'a [f64]) -> defects::Job<'a> {
+        defects::Job { dynamics: &self.dynamics, layout: &self.layout, chunk, xi, uniforms }
+    }
+
+    fn sample_job<'a>(
+        &'a self,
+        samples: &'a Samples,
+        xi: &'a [f64],
+        uniforms: &'a [f64],
+    ) -> likelihood::Job<'a> {
+        likelihood::Job { likelihood: &self.likelihood, layout: &self.layout, samples, xi, uniforms }
+    }
+
+    fn priors(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+        self.parameters.iter().enumerate().filter_map(|(i, p)| p.prior.map(|(mean, std)| (i, mean, std)))
+    }
+
+    /// Model outputs at the samples of an experiment: `[output][sample]`.
+    pub fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+        let tape = &self.outputs.value;
+        let uniforms = self.uniforms(tape, xi);
+        let mut out = vec![Vec::new(); tape.outputs.len()];
+        let mut workspace = Workspace::default();
+        for block in self.samples.iter().filter(|s| s.experiment == experiment) {
+            let n = block.points.len();
+            let registers = workspace.registers(tape, n);
+            let n_data = self.outputs.n_data * n;
+            registers[..n_data].copy_from_slice(&block.data[..n_data]);
+            defects::gather(xi, &self.layout, &block.points, &mut registers[n_data..]);
+            tape.run(registers, &uniforms, n);
+            for (channel, operand) in out.iter_mut().zip(&tape.outputs) {
+                let value = tape.read(*operand, registers, &uniforms, n);
+                channel.extend((0..block.n).map(|l| value.at(l)));
+            }
+        }
+        out
+    }
+
+    /// Instructions of the tapes (f, ∂f, ∂²f, ℓ, ∂ℓ, ∂²ℓ): a count that does not depend on the machine.
+    pub fn instructions(&self) -> [usize; 6] {
+        let (f, l) = (&self.dynamics.f, &self.likelihood);
+        [&f.value, &f.jacobian, &f.hessian, &l.value, &l.jacobian, &l.hessian].map(Tape::instructions)
+    }
+
+    fn describe(
+        &self,
+        what: &str,
+        function: &Function,
+        names: HashMap<Arc<str>, f64>,
+        roots: &[Id],
+        e: usize,
+        t: f64,
+    ) -> Option<String> {
+        let found = trace(&function.graph, roots, &names)?;
+        let mut text = format!(
+            "{what} not finite in experiment '{}' at t = {t} s: {} = {}",
+            self.experiments[e].name, found.expression, found.value
+        );
+        for (name, value) in &found.arguments {
+            if *name != value.to_string() {
+                text += &format!(", {name} = {value}");
+            }
+        }
+        let inputs: Vec<String> =
+            self.input_names.iter().map(|n| format!("{n} = {}", names[n.as_str()])).collect();
+        if !inputs.is_empty() {
+            text += &format!("; inputs {}", inputs.join(", "));
+        }
+        Some(text)
+    }
+
+    /// Values of all symbols at a point.
+    fn symbols_at(&self, xi: &[f64], e: usize, point: usize) -> HashMap<Arc<str>, f64> {
+        let mut names: HashMap<Arc<str>, f64> = HashMap::new();
+        for (i, p) in self.parameters.iter().enumerate() {
+            let name = if i < self.n_model_parameters { p.name.clone() } else { format!("1/{}", p.name) };
+            names.insert(name.into(), xi[i]);
+        }
+        names.insert(crate::model::TIME.into(), self.meshes[e].times[point]);
+        for (name, channel) in self.input_names.iter().zip(&self.inputs[e]) {
+            names.insert(name.as_str().into(), channel[point]);
+        }
+        let x = self.layout.state(self.layout.first_point[e] + point);
+        for (i, name) in self.state_names.iter().enumerate() {
+            names.insert(name.as_str().into(), xi[x + i]);
+        }
+        names
+    }
+
+    fn explain_variables(&self, xi: &[f64]) -> Option<String> {
+        let i = xi.iter().position(|v| !v.is_finite())?;
+        Some(format!("{} is {}", self.variable_name(i), xi[i]))
+    }
+
+    fn explain_dynamics(&self, xi: &[f64]) -> Option<String> {
+        let f = &self.dynamics.f;
+        for (e, mesh) in self.meshes.iter().enumerate() {
+            for (point, &t) in mesh.times[..mesh.n_mesh].iter().enumerate() {
+                let names = self.symbols_at(xi, e, point);
+                for (root, state) in f.roots.iter().zip(&self.state_names) {
+                    let what = format!("the equation of {state}' is");
+                    if let Some(text) = self.describe(&what, f, names.clone(), &[*root], e, t) {
+                        return Some(text);
+                    }
+                }
+            }
+        }
+        None
+    }
+
+    fn explain_outputs(&self, xi: &[f64]) -> Option<String> {
+        for (e, (mesh, experiment)) in self.meshes.iter().zip(&self.experiments).enumerate() {
+            for (&point, &t) in mesh.sample_points.iter().zip(&experiment.t) {
+                let names = self.symbols_at(xi, e, point);
+                let text = self.describe("an output is", &self.outputs, names, &self.outputs.roots, e, t);
+                if text.is_some() {
+                    return text;
+                }
+            }
+        }
+        None
+    }
+
+    /// Where values are finite but a derivative is not (a square root at 0, say).
+    fn explain_derivatives(&self, xi: &[f64]) -> Option<String> {
+        for (what, function) in [("a state equation", &self.dynamics.f), ("an output", &self.outputs)] {
+            let mut graph = (*function.graph).clone();
+            let names: Vec<String> = (self.state_names.iter().cloned())
+                .chain(self.parameters[..self.n_model_parameters].iter().map(|p| p.name.clone()))
+                .collect();
+            let symbols: Vec<Id> = names.iter().map(|n| graph.symbol(n)).collect();
+            let sparse = graph.jacobian(&function.roots, &symbols);
+            let function = Function { graph: Arc::new(graph), ..function.clone() };
+            for (e, mesh) in self.meshes.iter().enumerate() {
+                for (point, &t) in mesh.times.iter().enumerate() {
+                    let values = self.symbols_at(xi, e, point);
+                    for (&column, &root) in sparse.columns.iter().zip(&sparse.values) {
+                        let what = format!("the derivative of {what} with respect to {} is", names[column]);
+                        let text = self.describe(&what, &function, values.clone(), &[root], e, t);
+                        if text.is_some() {
+                            return text;
+                        }
+                    }
+                }
+            }
+        }
+        None
+    }
+}
+
+fn meshes(experiments: &[Experiment], settings: &Settings) -> Result<Vec<Mesh>, Error> {
+    let count = settings.grid.len();
+    if count != 1 && count != experiments.len() {
+        return Err(Error::Option(format!(
+            "{count} grids for {} experiments; give one, or one each",
+            experiments.len()
+        )));
+    }
+    let grid = |e: usize| &settings.grid[e.min(count - 1)];
+    experiments.iter().enumerate().map(|(e, x)| Mesh::new(settings.order, grid(e), &x.t)).collect()
+}
+
+fn pool(threads: usize) -> Result<Option<rayon::ThreadPool>, Error> {
+    if threads == 0 {
+        return Ok(None);
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map(Some).map_err(|e| Error::Option(format!("{threads} threads: {e}")))
+}
+
+fn finite(all: impl IntoIterator<Item = bool>) -> Result<(), NotFinite> {
+    if all.into_iter().all(|x| x) { Ok(()) } else { Err(NotFinite) }
+}
+
+impl Nlp for Collocation {
+    fn n(&self) -> usize {
+        self.layout.n()
+    }
+
+    fn m(&self) -> usize {
+        self.layout.m()
+    }
+
+    fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
+        let (mut lower, mut upper) = (vec![f64::NEG_INFINITY; self.n()], vec![f64::INFINITY; self.n()]);
+        for (i, p) in self.parameters.iter().enumerate() {
+            lower[i] = if p.fixed { p.start } else { p.lower.unwrap_or(f64::NEG_INFINITY) };
+            upper[i] = if p.fixed { p.start } else { p.upper.unwrap_or(f64::INFINITY) };
+        }
+        (lower, upper)
+    }
+
+    fn objective(&self, xi: &[f64]) -> Result<f64, NotFinite> {
+        let uniforms = self.uniforms(&self.likelihood.value, xi);
+        let parts = self.each(&self.samples, |s, scratch| {
+            self.sample_job(s, xi, &uniforms).objective(&mut scratch.workspace)
+        });
+        let priors = self.priors().map(|(i, mean, std)| 0.5 * ((xi[i] - mean) / std).powi(2));
+        let sum = parts.into_iter().chain(priors).sum::<f64>();
+        if sum.is_finite() { Ok(sum) } else { Err(NotFinite) }
+    }
+
+    fn gradient(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        out.fill(0.0);
+        let uniforms = self.uniforms(&self.likelihood.jacobian, xi);
+        let shared = Disjoint::new(&mut *out);
+        let parts = self.each(&self.samples, |s, scratch| {
+            let mut theta = vec![0.0; self.layout.n_theta];
+            let ok = self.sample_job(s, xi, &uniforms).gradient(&mut scratch.workspace, &shared, &mut theta);
+            (ok, theta)
+        });
+        for (_, theta) in &parts {
+            out.iter_mut().zip(theta).for_each(|(o, t)| *o += t);
+        }
+        for (i, mean, std) in self.priors() {
+            out[i] += (xi[i] - mean) / (std * std);
+        }
+        finite(parts.iter().map(|p| p.0))
+    }
+
+    fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        let uniforms = self.uniforms(&self.dynamics.f.value, xi);
+        let out = Disjoint::new(out);
+        finite(self.each(&self.chunks, |chunk, scratch| {
+            self.dynamics_job(chunk, xi, &uniforms).defects(&mut scratch.workspace, &out)
+        }))
+    }
+
+    fn jacobian_structure(&self) -> &Structure {
+        &self.jacobian_structure
+    }
+
+    fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        let uniforms = self.uniforms(&self.dynamics.f.jacobian, xi);
+        let total = self.jacobian_structure.len();
+        let out = Disjoint::new(out);
+        let starts: Vec<(usize, usize)> = (0..self.chunks.len())
+            .map(|i| (i, self.chunks.get(i + 1).map_or(total, |c| c.jacobian) - self.chunks[i].jacobian))
+            .collect();
+        finite(self.each(&starts, |&(i, len), scratch| {
+            self.dynamics_job(&self.chunks[i], xi, &uniforms).jacobian(&mut scratch.workspace, &out, len)
+        }))
+    }
+
+    fn hessian_structure(&self) -> &Structure {
+        &self.hessian_structure
+    }
+
+    fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        out.fill(0.0);
+        let shared = Disjoint::new(&mut *out);
+        let uniforms = self.uniforms(&self.dynamics.f.hessian, xi);
+        let of_dynamics = self.each(&self.chunks, |chunk, scratch| {
+            let mut pairs = vec![0.0; self.pair_places.dynamics.len()];
+            let job = self.dynamics_job(chunk, xi, &uniforms);
+            let ok = job.hessian(&mut scratch.workspace, lambda, &shared, &mut pairs, &mut scratch.weights);
+            (ok, pairs)
+        });
+        let uniforms = self.uniforms(&self.likelihood.hessian, xi);
+        let of_samples = self.each(&self.samples, |s, scratch| {
+            let mut pairs = vec![0.0; self.pair_places.likelihood.len()];
+            let ok = self.sample_job(s, xi, &uniforms).hessian(
+                &mut scratch.workspace,
+                factor,
+                &shared,
+                &mut pairs,
+            );
+            (ok, pairs)
+        });
+        for (parts, places) in
+            [(&of_dynamics, &self.pair_places.dynamics), (&of_samples, &self.pair_places.likelihood)]
+        {
+            for (_, pairs) in parts {
+                places.iter().zip(pairs).for_each(|(&at, v)| out[at] += v);
+            }
+        }
+        for &(i, at) in &self.pair_places.priors {
+            let (_, std) = self.parameters[i].prior.expect("listed for its prior");
+            out[at] += factor / (std * std);
+        }
+        finite(of_dynamics.iter().chain(&of_samples).map(|p| p.0))
+    }
+
+    fn variable_name(&self, i: usize) -> String {
+        match self.layout.place(i) {
+            Place::Parameter(p) if p < self.n_model_parameters => self.parameters[p].name.clone(),
+            Place::Parameter(p) => format!("1/{}", self.parameters[p].name),
+            Place::State { experiment, point, state } => {
+                let t = self.meshes[experiment].times[point];
+                format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)
+            }
+        }
+    }
+
+    fn constraint_name(&self, i: usize) -> String {
+        let (e, row, state) = self.layout.constraint(i);
+        let t = &self.meshes[e].times;
+        let name = &self.state_names[state];
+        format!("defect of {name} ending at t = {} s of '{}'", t[row + 1], self.experiments[e].name)
+    }
+
+    fn explain(&self, xi: &[f64]) -> Option<String> {
+        self.explain_variables(xi)
+            .or_else(|| self.explain_dynamics(xi))
+            .or_else(|| self.explain_outputs(xi))
+            .or_else(|| self.explain_derivatives(xi))
+    }
+}

@@ -1,0 +1,339 @@
+//! Defects (Eq. oem_coll_cxdot), their Jacobian, and their part of the Hessian of the Lagrangian.
+//!
+//! c_k = x_{k+1} − x_k − h Σ_j C[j,k] f(x_j, u_j, θ): f and its derivatives are evaluated once a
+//! point and combined within the segments of a chunk.
+
+use super::chunk::{Chunk, Tie};
+use super::disjoint::Disjoint;
+use super::layout::Layout;
+use crate::nlp::Structure;
+use crate::tape::{Function, Tape, Values, Workspace};
+
+/// Most segments in a chunk (order 2), and so the length of a temporary over segments.
+const SEGMENTS: usize = crate::tape::BLOCK;
+
+/// f compiled, with the order of the entries that it gives rise to.
+#[derive(Clone, Debug)]
+pub(super) struct Dynamics {
+    pub(super) f: Function,
+    /// Entries of ∂f/∂x, the diagonal always among them (it carries x_{k+1} − x_k).
+    state_entries: Vec<(usize, usize, Option<usize>)>,
+    /// Entries of ∂f/∂θ.
+    parameter_entries: Vec<(usize, usize, usize)>,
+}
+
+/// A chunk with all that evaluating it needs.
+pub(super) struct Job<'a> {
+    pub(super) dynamics: &'a Dynamics,
+    pub(super) layout: &'a Layout,
+    pub(super) chunk: &'a Chunk,
+    pub(super) xi: &'a [f64],
+    pub(super) uniforms: &'a [f64],
+}
+
+impl Dynamics {
+    pub(super) fn new(f: Function) -> Self {
+        let n_x = f.n_states;
+        let mut state_entries = Vec::new();
+        let mut parameter_entries = Vec::new();
+        for row in 0..n_x {
+            let mut has_diagonal = false;
+            for (k, (r, c)) in f.jacobian_pattern.iter().enumerate().filter(|e| e.1.0 == row) {
+                if c < n_x {
+                    has_diagonal |= c == r;
+                    state_entries.push((r, c, Some(k)));
+                } else {
+                    parameter_entries.push((r, c - n_x, k));
+                }
+            }
+            if !has_diagonal {
+                state_entries.push((row, row, None));
+            }
+        }
+        Dynamics { f, state_entries, parameter_entries }
+    }
+
+    /// Places of the Jacobian entries of a chunk, in the order in which [`Job::jacobian`] writes them.
+    pub(super) fn jacobian_structure(&self, chunk: &Chunk, layout: &Layout, out: &mut Structure) {
+        let (m, n) = (chunk.rule.order(), chunk.segments());
+        for k in 0..m - 1 {
+            let row = |s: usize, r: usize| (chunk.row + s * (m - 1) + k) * layout.n_x + r;
+            for &(r, c, entry) in &self.state_entries {
+                for j in nodes_of(entry, k, m) {
+                    for s in 0..n {
+                        let point = chunk.points[chunk.lane(j) + s] as usize;
+                        out.push(row(s, r), layout.state(point) + c);
+                    }
+                }
+            }
+            for &(r, p, _) in &self.parameter_entries {
+                (0..n).for_each(|s| out.push(row(s, r), p));
+            }
+        }
+        for tie in &chunk.between {
+            let point = |j: usize| chunk.points[chunk.lane(j) + tie.segment] as usize;
+            let row = |r: usize| tie.row * layout.n_x + r;
+            for r in 0..layout.n_x {
+                out.push(row(r), layout.state(tie.point) + r);
+                out.push(row(r), layout.state(point(tie.node)) + r);
+            }
+            for &(r, c, entry) in &self.state_entries {
+                if entry.is_some() {
+                    (0..m).for_each(|j| out.push(row(r), layout.state(point(j)) + c));
+                }
+            }
+            for &(r, p, _) in &self.parameter_entries {
+                out.push(row(r), p);
+            }
+        }
+    }
+
+    /// Number of entries of the Hessian that a chunk writes at its own points.
+    pub(super) fn hessian_entries(&self) -> usize {
+        self.f.hessian_pattern.iter().filter(|(_, c)| *c < self.f.n_states).count()
+    }
+
+    /// Places of the Hessian entries of a chunk; those between parameters are summed elsewhere.
+    pub(super) fn hessian_structure(&self, chunk: &Chunk, layout: &Layout, out: &mut Structure) {
+        let n_x = self.f.n_states;
+        for (a, b) in self.f.hessian_pattern.iter().filter(|(_, c)| *c < n_x) {
+            for lane in chunk.own().flatten() {
+                let x = layout.state(chunk.points[lane] as usize);
+                // θ comes before x, so an entry between them has the state for its row.
+                if a < n_x { out.push(x + a, x + b) } else { out.push(x + b, a - n_x) }
+            }
+        }
+    }
+
+    /// Pairs of parameters between which f has second derivatives, row ≥ column.
+    pub(super) fn parameter_pairs(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let n_x = self.f.n_states;
+        self.f.hessian_pattern.iter().filter(move |(_, c)| *c >= n_x).map(move |(r, c)| (r - n_x, c - n_x))
+    }
+}
+
+/// Nodes at which ∂f/∂x enters constraint k: all, or for a bare diagonal the two of x_{k+1} − x_k.
+fn nodes_of(entry: Option<usize>, k: usize, m: usize) -> std::ops::Range<usize> {
+    if entry.is_some() { 0..m } else { k..k + 2 }
+}
+
+/// out[s] −= h[s] · c · v[s]
+#[inline(always)]
+fn subtract(out: &mut [f64], h: &[f64], c: f64, v: Values<'_>, lane: usize) {
+    match v {
+        Values::Uniform(u) => out.iter_mut().zip(h).for_each(|(o, h)| *o -= h * (c * u)),
+        Values::Lanes(v) => {
+            let v = &v[lane..lane + h.len()];
+            out.iter_mut().zip(h).zip(v).for_each(|((o, h), v)| *o -= h * (c * v));
+        }
+    }
+}
+
+impl Job<'_> {
+    /// Gathers data, states and (for the Hessian) weights, and runs a tape.
+    fn run<'w>(&self, tape: &Tape, workspace: &'w mut Workspace, weights: Option<&[f64]>) -> &'w [f64] {
+        let n = self.chunk.lanes();
+        let registers = workspace.registers(tape, n);
+        let n_data = self.chunk.data.len();
+        registers[..n_data].copy_from_slice(&self.chunk.data);
+        gather(self.xi, self.layout, &self.chunk.points, &mut registers[n_data..]);
+        if let Some(weights) = weights {
+            let start = n_data + n * self.layout.n_x;
+            registers[start..start + weights.len()].copy_from_slice(weights);
+        }
+        tape.run(registers, self.uniforms, n);
+        registers
+    }
+
+    /// The defects of the chunk; whether all are finite.
+    pub(super) fn defects(&self, workspace: &mut Workspace, out: &Disjoint<'_>) -> bool {
+        let (chunk, n_x) = (self.chunk, self.layout.n_x);
+        let (m, n) = (chunk.rule.order(), chunk.segments());
+        let tape = &self.dynamics.f.value;
+        let registers = self.run(tape, workspace, None);
+        // SAFETY: the constraint rows of chunks do not overlap.
+        let rows = unsafe { out.part(chunk.row * n_x, n * (m - 1) * n_x) };
+        let states = &registers[chunk.data.len()..];
+        let lanes = chunk.lanes();
+        let mut finite = true;
+        for r in 0..n_x {
+            let f = tape.read(tape.outputs[r], registers, self.uniforms, lanes);
+            let x = &states[r * lanes..(r + 1) * lanes];
+            for k in 0..m - 1 {
+                let mut d = [0.0; SEGMENTS];
+                let d = &mut d[..n];
+                let (left, right) = (&x[chunk.lane(k)..][..n], &x[chunk.lane(k + 1)..][..n]);
+                d.iter_mut().zip(left).zip(right).for_each(|((d, a), b)| *d = b - a);
+                for j in 0..m {
+                    subtract(d, &chunk.h, chunk.rule.c(j, k), f, chunk.lane(j));
+                }
+                for (s, d) in d.iter().enumerate() {
+                    rows[(s * (m - 1) + k) * n_x + r] = *d;
+                    finite &= d.is_finite();
+                }
+            }
+            for tie in &chunk.between {
+                let row = tie.row * n_x + r;
+                // SAFETY: a tie belongs to one chunk.
+                let d = unsafe { &mut out.part(row, 1)[0] };
+                *d = self.xi[self.layout.state(tie.point) + r] - x[chunk.lane(tie.node) + tie.segment];
+                for j in 0..m {
+                    *d -= tie.weights[j] * f.at(chunk.lane(j) + tie.segment);
+                }
+                finite &= d.is_finite();
+            }
+        }
+        finite
+    }
+
+    /// Entries of the Jacobian of the chunk; whether all are finite.
+    pub(super) fn jacobian(&self, workspace: &mut Workspace, out: &Disjoint<'_>, len: usize) -> bool {
+        let chunk = self.chunk;
+        let (m, n) = (chunk.rule.order(), chunk.segments());
+        let tape = &self.dynamics.f.jacobian;
+        let registers = self.run(tape, workspace, None);
+        let lanes = chunk.lanes();
+        let value = |k: usize| tape.read(tape.outputs[k], registers, self.uniforms, lanes);
+        // SAFETY: the entries of chunks do not overlap.
+        let out = unsafe { out.part(chunk.jacobian, len) };
+        let mut runs = out[..].chunks_exact_mut(n);
+        let mut at = 0;
+        for k in 0..m - 1 {
+            for &(r, c, entry) in &self.dynamics.state_entries {
+                for j in nodes_of(entry, k, m) {
+                    let run = runs.next().expect("as many runs as in the structure");
+                    at += n;
+                    let step = if r != c { 0.0 } else { f64::from(j == k + 1) - f64::from(j == k) };
+                    run.fill(step);
+                    if let Some(entry) = entry {
+                        subtract(run, &chunk.h, chunk.rule.c(j, k), value(entry), chunk.lane(j));
+                    }
+                }
+            }
+            for &(_, _, entry) in &self.dynamics.parameter_entries {
+                let run = runs.next().expect("as many runs as in the structure");
+                at += n;
+                run.fill(0.0);
+                for j in 0..m {
+                    subtract(run, &chunk.h, chunk.rule.c(j, k), value(entry), chunk.lane(j));
+                }
+            }
+        }
+        let mut rest = out[at..].iter_mut();
+        for tie in &chunk.between {
+            self.tie_jacobian(tie, &value, &mut rest);
+        }
+        out.iter().all(|v| v.is_finite())
+    }
+
+    fn tie_jacobian<'v>(
+        &self,
+        tie: &Tie,
+        value: &impl Fn(usize) -> Values<'v>,
+        out: &mut std::slice::IterMut<'_, f64>,
+    ) {
+        let chunk = self.chunk;
+        let mut put = |v: f64| *out.next().expect("as many entries as in the structure") = v;
+        for _ in 0..self.layout.n_x {
+            put(1.0);
+            put(-1.0);
+        }
+        let lane = |j: usize| chunk.lane(j) + tie.segment;
+        for &(_, _, entry) in &self.dynamics.state_entries {
+            if let Some(entry) = entry {
+                (0..chunk.rule.order()).for_each(|j| put(-tie.weights[j] * value(entry).at(lane(j))));
+            }
+        }
+        for &(_, _, entry) in &self.dynamics.parameter_entries {
+            put((0..chunk.rule.order()).map(|j| -tie.weights[j] * value(entry).at(lane(j))).sum());
+        }
+    }
+
+    /// Weight of f at each own point in Σ λ_i c_i: w = −Σ_k h C[j,k] λ_k over the constraints that
+    /// the point enters. State by state, zero on lanes that are not the chunk's own.
+    fn weights(&self, lambda: &[f64], out: &mut [f64]) {
+        let (chunk, n_x) = (self.chunk, self.layout.n_x);
+        let (m, n, lanes) = (chunk.rule.order(), chunk.segments(), chunk.lanes());
+        let k = m - 1;
+        out.fill(0.0);
+        let multiplier = |row: usize, r: usize| lambda[row * n_x + r];
+        for r in 0..n_x {
+            let w = &mut out[r * lanes..(r + 1) * lanes];
+            for j in 0..m {
+                // The end point belongs to the next chunk, unless the experiment ends here.
+                let own = if j == k && !chunk.last { n - 1 } else { n };
+                for s in 0..own {
+                    let sum: f64 =
+                        (0..k).map(|i| chunk.rule.c(j, i) * multiplier(chunk.row + s * k + i, r)).sum();
+                    w[chunk.lane(j) + s] -= chunk.h[s] * sum;
+                }
+            }
+            if let Some(h) = chunk.h_before {
+                let sum: f64 = (0..k).map(|i| chunk.rule.c(k, i) * multiplier(chunk.row - k + i, r)).sum();
+                w[0] -= h * sum;
+            }
+            for tie in &chunk.between_before {
+                w[0] -= tie.weights[k] * multiplier(tie.row, r);
+            }
+            for tie in &chunk.between {
+                for j in 0..m {
+                    w[chunk.lane(j) + tie.segment] -= tie.weights[j] * multiplier(tie.row, r);
+                }
+            }
+        }
+    }
+
+    /// Entries of the Hessian of Σ λ_i c_i at the chunk's points, and sums between parameters.
+    pub(super) fn hessian(
+        &self,
+        workspace: &mut Workspace,
+        lambda: &[f64],
+        out: &Disjoint<'_>,
+        pairs: &mut [f64],
+        weights: &mut Vec<f64>,
+    ) -> bool {
+        let chunk = self.chunk;
+        let f = &self.dynamics.f;
+        let lanes = chunk.lanes();
+        weights.resize(lanes * self.layout.n_x, 0.0);
+        self.weights(lambda, weights);
+        // A single function needs no weight in its tape: it is applied below.
+        let single = (f.roots.len() == 1).then(|| weights.clone());
+        let registers = self.run(&f.hessian, workspace, single.is_none().then_some(&weights[..]));
+        let n_own = chunk.n_own();
+        // SAFETY: the entries of chunks do not overlap.
+        let out = unsafe { out.part(chunk.hessian, self.dynamics.hessian_entries() * n_own) };
+        let mut at = 0;
+        let mut pair = pairs.iter_mut();
+        let mut finite = true;
+        for (operand, (_, column)) in f.hessian.outputs.iter().zip(f.hessian_pattern.iter()) {
+            let value = f.hessian.read(*operand, registers, self.uniforms, lanes);
+            let weighted = |lane: usize| value.at(lane) * single.as_ref().map_or(1.0, |w| w[lane]);
+            if column < f.n_states {
+                for run in chunk.own() {
+                    for lane in run {
+                        out[at] = weighted(lane);
+                        finite &= out[at].is_finite();
+                        at += 1;
+                    }
+                }
+            } else {
+                let sum: f64 = chunk.own().flatten().map(weighted).sum();
+                finite &= sum.is_finite();
+                *pair.next().expect("as many pairs as in the pattern") += sum;
+            }
+        }
+        finite
+    }
+}
+
+/// States of the points of a block, state by state.
+pub(super) fn gather(xi: &[f64], layout: &Layout, points: &[u32], out: &mut [f64]) {
+    let n = points.len();
+    let states = &xi[layout.n_theta..];
+    for r in 0..layout.n_x {
+        for (o, &p) in out[r * n..(r + 1) * n].iter_mut().zip(points) {
+            *o = states[p as usize * layout.n_x + r];
+        }
+    }
+}

@@ -1,0 +1,87 @@
+//! Which variable and which constraint stands where, and what it is called.
+
+use crate::mesh::Mesh;
+
+/// What a variable or constraint of the problem is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// The i-th parameter, noise parameters after the model's.
+    Parameter(usize),
+    /// A state at a point of an experiment.
+    State {
+        /// Experiment.
+        experiment: usize,
+        /// Point within the experiment's mesh.
+        point: usize,
+        /// State.
+        state: usize,
+    },
+}
+
+/// Order of variables: ξ = [θ, x at the points of experiment 1, of experiment 2, ...]
+/// (Eq. collocation_decision), states of a point together. Constraints: one vector of n_x rows for
+/// every point but the first of each experiment, in the order of segments, then of the samples
+/// between mesh points.
+#[derive(Clone, Debug)]
+pub struct Layout {
+    /// Number of parameters, n_θ: the model's and the noise's.
+    pub n_theta: usize,
+    /// Number of states, n_x.
+    pub n_x: usize,
+    /// First point of each experiment, and the total at the end.
+    pub first_point: Vec<usize>,
+}
+
+impl Layout {
+    pub(super) fn new(n_theta: usize, n_x: usize, meshes: &[Mesh]) -> Self {
+        let mut first_point = vec![0];
+        for mesh in meshes {
+            first_point.push(first_point.last().unwrap() + mesh.len());
+        }
+        Layout { n_theta, n_x, first_point }
+    }
+
+    /// Number of points of all experiments.
+    pub fn points(&self) -> usize {
+        *self.first_point.last().unwrap()
+    }
+
+    /// Number of variables.
+    pub fn n(&self) -> usize {
+        self.n_theta + self.n_x * self.points()
+    }
+
+    /// Number of constraints.
+    pub fn m(&self) -> usize {
+        self.n_x * (self.points() - (self.first_point.len() - 1))
+    }
+
+    /// Index of the first state of a point (counted over all experiments).
+    #[inline(always)]
+    pub fn state(&self, point: usize) -> usize {
+        self.n_theta + point * self.n_x
+    }
+
+    /// First vector constraint of an experiment.
+    pub fn first_row(&self, experiment: usize) -> usize {
+        self.first_point[experiment] - experiment
+    }
+
+    /// What a variable is.
+    pub fn place(&self, i: usize) -> Place {
+        if i < self.n_theta {
+            return Place::Parameter(i);
+        }
+        let (point, state) = ((i - self.n_theta) / self.n_x, (i - self.n_theta) % self.n_x);
+        let experiment = self.first_point.partition_point(|&p| p <= point) - 1;
+        Place::State { experiment, point: point - self.first_point[experiment], state }
+    }
+
+    /// Experiment, vector constraint within it, and state of a constraint.
+    pub fn constraint(&self, i: usize) -> (usize, usize, usize) {
+        let (row, state) = (i / self.n_x, i % self.n_x);
+        let last = self.first_point.len() - 2;
+        let experiment = (0..=last).rev().find(|&e| self.first_row(e) <= row).unwrap_or(0);
+        (experiment, row - self.first_row(experiment), state)
+    }
+}

@@ -1,0 +1,12 @@
+//! From a model, experiments and a noise model to a nonlinear program.
+
+mod chunk;
+mod collocation;
+mod defects;
+mod disjoint;
+mod layout;
+mod likelihood;
+mod samples;
+
+pub use collocation::{Collocation, Settings};
+pub use layout::{Layout, Place};

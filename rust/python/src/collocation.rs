@@ -1,0 +1,250 @@
+//! The collocation problem.
+
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
+use phugoid::experiment::Experiment;
+use phugoid::interpolate::Interpolation;
+use phugoid::mesh::Grid;
+use phugoid::nlp::{Nlp, NotFinite, Structure, check::check_derivatives};
+use phugoid::noise::{Noise, Sigma};
+use phugoid::transcription::{Collocation, Settings};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use crate::errors::{named, raise};
+use crate::model::PyModel;
+
+/// A record as Python hands it over: name, times, inputs, outputs, interpolation.
+type Record<'py> = (
+    String,
+    PyReadonlyArray1<'py, f64>,
+    Vec<PyReadonlyArray1<'py, f64>>,
+    Vec<PyReadonlyArray1<'py, f64>>,
+    String,
+);
+
+/// σ of an output: (known, value or start, lower, upper).
+type SigmaSpec = (bool, f64, f64, f64);
+
+/// Segments: ("samples", n, None), ("uniform", n, None) or ("edges", 0, times).
+type GridSpec = (String, usize, Option<Vec<f64>>);
+
+/// The collocation problem on its own threads, without the interpreter lock.
+#[pyclass(name = "Collocation", module = "phugoid._core", frozen)]
+pub struct PyCollocation(Collocation);
+
+type Array<'py> = Bound<'py, PyArray1<f64>>;
+type Indices<'py> = (Bound<'py, PyArray1<u32>>, Bound<'py, PyArray1<u32>>);
+
+fn vector(v: &PyReadonlyArray1<'_, f64>) -> Vec<f64> {
+    v.as_array().to_vec()
+}
+
+fn indices<'py>(py: Python<'py>, s: &Structure) -> Indices<'py> {
+    (PyArray1::from_slice(py, &s.rows), PyArray1::from_slice(py, &s.columns))
+}
+
+fn grid((kind, n, edges): GridSpec) -> PyResult<Grid> {
+    match (kind.as_str(), edges) {
+        ("samples", _) => Ok(Grid::Samples(n)),
+        ("uniform", _) => Ok(Grid::Uniform(n)),
+        ("edges", Some(edges)) => Ok(Grid::Edges(edges)),
+        _ => Err(PyValueError::new_err(format!("unknown grid '{kind}'"))),
+    }
+}
+
+impl PyCollocation {
+    fn slice<'a>(&self, x: &'a PyReadonlyArray1<'_, f64>, n: usize, what: &str) -> PyResult<&'a [f64]> {
+        let x = x.as_slice().map_err(|_| PyValueError::new_err(format!("{what} must be contiguous")))?;
+        if x.len() != n {
+            return Err(PyValueError::new_err(format!("{what} has {} entries, the problem {n}", x.len())));
+        }
+        Ok(x)
+    }
+
+    /// Fills a new array outside the interpreter lock; `None` where something is not finite.
+    fn fill<'py>(
+        &self,
+        py: Python<'py>,
+        len: usize,
+        f: impl FnOnce(&Collocation, &mut [f64]) -> Result<(), NotFinite> + Send,
+    ) -> Option<Array<'py>> {
+        let array = PyArray1::<f64>::zeros(py, len, false);
+        // SAFETY: the array was made here and is seen by nobody else yet.
+        let out = unsafe { array.as_slice_mut().expect("a new array is contiguous") };
+        py.detach(|| f(&self.0, out)).ok().map(|()| array)
+    }
+}
+
+#[pymethods]
+impl PyCollocation {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        model: &PyModel,
+        experiments: Vec<Record<'_>>,
+        sigmas: Vec<SigmaSpec>,
+        order: usize,
+        grids: Vec<GridSpec>,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let records: Vec<Experiment> = experiments
+            .into_iter()
+            .map(|(name, t, inputs, outputs, kind)| Experiment {
+                name,
+                t: vector(&t),
+                inputs: inputs.iter().map(vector).collect(),
+                outputs: outputs.iter().map(vector).collect(),
+                interpolation: if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear },
+            })
+            .collect();
+        let sigma = |(known, value, lower, upper): SigmaSpec| {
+            if known { Sigma::Known(value) } else { Sigma::Unknown { start: value, lower, upper } }
+        };
+        let noise = Noise::Gaussian(sigmas.into_iter().map(sigma).collect());
+        let grid = grids.into_iter().map(grid).collect::<PyResult<_>>()?;
+        let settings = Settings { order, grid, threads };
+        let model = &model.0;
+        py.detach(|| Collocation::new(model, &records, noise, &settings)).map(PyCollocation).map_err(raise)
+    }
+
+    /// Number of variables.
+    #[getter]
+    fn n(&self) -> usize {
+        self.0.n()
+    }
+
+    /// Number of constraints.
+    #[getter]
+    fn m(&self) -> usize {
+        self.0.m()
+    }
+
+    /// Number of parameters, those of the noise among them.
+    #[getter]
+    fn n_theta(&self) -> usize {
+        self.0.layout.n_theta
+    }
+
+    /// First point of each experiment, and the total.
+    #[getter]
+    fn first_point(&self) -> Vec<usize> {
+        self.0.layout.first_point.clone()
+    }
+
+    /// Names of the noise parameters.
+    #[getter]
+    fn noise_parameters(&self) -> Vec<String> {
+        self.0.parameters[self.0.n_model_parameters..].iter().map(|p| p.name.clone()).collect()
+    }
+
+    /// Times of all points of an experiment; those after the mesh points are samples between them.
+    fn point_times<'py>(&self, py: Python<'py>, experiment: usize) -> Array<'py> {
+        PyArray1::from_slice(py, &self.0.meshes[experiment].times)
+    }
+
+    /// Number of mesh points of an experiment.
+    fn mesh_points(&self, experiment: usize) -> usize {
+        self.0.meshes[experiment].n_mesh
+    }
+
+    /// Point of each sample of an experiment.
+    fn sample_points(&self, experiment: usize) -> Vec<usize> {
+        self.0.meshes[experiment].sample_points.clone()
+    }
+
+    fn bounds<'py>(&self, py: Python<'py>) -> (Array<'py>, Array<'py>) {
+        let (lower, upper) = self.0.bounds();
+        (PyArray1::from_vec(py, lower), PyArray1::from_vec(py, upper))
+    }
+
+    /// φ = −ℓ; NaN where something is not finite.
+    fn objective(&self, py: Python<'_>, xi: PyReadonlyArray1<'_, f64>) -> PyResult<f64> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(py.detach(|| self.0.objective(xi)).unwrap_or(f64::NAN))
+    }
+
+    fn gradient<'py>(&self, py: Python<'py>, xi: PyReadonlyArray1<'py, f64>) -> PyResult<Option<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(self.fill(py, self.0.n(), |p, out| p.gradient(xi, out)))
+    }
+
+    fn constraints<'py>(
+        &self,
+        py: Python<'py>,
+        xi: PyReadonlyArray1<'py, f64>,
+    ) -> PyResult<Option<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(self.fill(py, self.0.m(), |p, out| p.constraints(xi, out)))
+    }
+
+    fn jacobian_structure<'py>(&self, py: Python<'py>) -> Indices<'py> {
+        indices(py, self.0.jacobian_structure())
+    }
+
+    fn jacobian<'py>(&self, py: Python<'py>, xi: PyReadonlyArray1<'py, f64>) -> PyResult<Option<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(self.fill(py, self.0.jacobian_structure().len(), |p, out| p.jacobian(xi, out)))
+    }
+
+    fn hessian_structure<'py>(&self, py: Python<'py>) -> Indices<'py> {
+        indices(py, self.0.hessian_structure())
+    }
+
+    fn hessian<'py>(
+        &self,
+        py: Python<'py>,
+        xi: PyReadonlyArray1<'py, f64>,
+        factor: f64,
+        multipliers: PyReadonlyArray1<'py, f64>,
+    ) -> PyResult<Option<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        let lambda = self.slice(&multipliers, self.0.m(), "the multipliers")?;
+        Ok(self.fill(py, self.0.hessian_structure().len(), |p, out| p.hessian(xi, factor, lambda, out)))
+    }
+
+    /// Model outputs at the samples of an experiment, one array an output.
+    fn outputs<'py>(
+        &self,
+        py: Python<'py>,
+        xi: PyReadonlyArray1<'py, f64>,
+        experiment: usize,
+    ) -> PyResult<Vec<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        let channels = py.detach(|| self.0.outputs_at_samples(xi, experiment));
+        Ok(channels.into_iter().map(|c| PyArray1::from_vec(py, c)).collect())
+    }
+
+    fn variable_name(&self, i: usize) -> String {
+        self.0.variable_name(i)
+    }
+
+    fn constraint_name(&self, i: usize) -> String {
+        self.0.constraint_name(i)
+    }
+
+    /// What is not finite at xi, where and from what.
+    fn explain(&self, py: Python<'_>, xi: PyReadonlyArray1<'_, f64>) -> PyResult<Option<String>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(py.detach(|| self.0.explain(xi)))
+    }
+
+    /// Entries of derivatives that differ from difference quotients: (entry, computed, difference).
+    fn check_derivatives(
+        &self,
+        xi: PyReadonlyArray1<'_, f64>,
+        multipliers: PyReadonlyArray1<'_, f64>,
+        columns: Vec<usize>,
+        tolerance: f64,
+    ) -> PyResult<Vec<(String, f64, f64)>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        let lambda = self.slice(&multipliers, self.0.m(), "the multipliers")?;
+        let wrong = check_derivatives(&self.0, xi, lambda, &columns, tolerance)
+            .map_err(|_| named("EvaluationError", self.0.explain(xi).unwrap_or_default()))?;
+        Ok(wrong.into_iter().map(|w| (w.entry, w.computed, w.difference)).collect())
+    }
+
+    /// Instructions on lanes of the tapes of f, ∂f, ∂²f, ℓ, ∂ℓ, ∂²ℓ.
+    fn instructions(&self) -> [usize; 6] {
+        self.0.instructions()
+    }
+}

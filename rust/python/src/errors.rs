@@ -1,0 +1,26 @@
+//! Errors of the core as the exceptions of `phugoid.errors`.
+
+use phugoid::error::Error;
+use pyo3::prelude::*;
+
+/// The Python exception for an error.
+pub fn raise(error: Error) -> PyErr {
+    let (class, text) = match error {
+        Error::Model(text) => ("ModelError", text),
+        Error::Data(text) => ("DataError", text),
+        Error::Option(text) => ("OptionError", text),
+        Error::Evaluation(text) => ("EvaluationError", text),
+    };
+    named(class, text)
+}
+
+/// An exception of `phugoid.errors` by name.
+pub fn named(class: &str, text: String) -> PyErr {
+    Python::attach(|py| {
+        let made = py.import("phugoid.errors").and_then(|m| m.getattr(class)).and_then(|c| c.call1((text,)));
+        match made {
+            Ok(exception) => PyErr::from_value(exception),
+            Err(error) => error,
+        }
+    })
+}

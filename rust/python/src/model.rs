@@ -1,0 +1,132 @@
+//! Models.
+
+use phugoid::model::{Model, Parameter};
+use pyo3::prelude::*;
+
+use crate::errors::raise;
+use crate::expr::{Operand, PyExpr};
+
+/// The core's model. `phugoid.Model` wraps it.
+#[pyclass(name = "Model", module = "phugoid._core")]
+#[derive(Clone)]
+pub struct PyModel(pub Model);
+
+type Named = (String, PyExpr, String, Option<String>);
+
+fn named(equations: &[phugoid::model::Equation]) -> Vec<Named> {
+    let one = |e: &phugoid::model::Equation| {
+        (e.name.clone(), PyExpr(e.expr.clone()), e.unit.clone(), e.source.clone())
+    };
+    equations.iter().map(one).collect()
+}
+
+#[pymethods]
+impl PyModel {
+    #[new]
+    fn new(name: &str) -> Self {
+        PyModel(Model::new(name))
+    }
+
+    #[getter]
+    fn name(&self) -> &str {
+        &self.0.name
+    }
+
+    fn state(&mut self, name: &str, unit: &str) -> PyResult<PyExpr> {
+        self.0.state(name, unit).map(PyExpr).map_err(raise)
+    }
+
+    fn input(&mut self, name: &str, unit: &str) -> PyResult<PyExpr> {
+        self.0.input(name, unit).map(PyExpr).map_err(raise)
+    }
+
+    #[pyo3(signature = (name, unit, start, lower, upper, prior, fixed))]
+    #[allow(clippy::too_many_arguments)] // the fields of one parameter, from one call in Python
+    fn parameter(
+        &mut self,
+        name: &str,
+        unit: &str,
+        start: f64,
+        lower: f64,
+        upper: f64,
+        prior: Option<(f64, f64)>,
+        fixed: bool,
+    ) -> PyResult<PyExpr> {
+        let bound = |b: f64| (!b.is_infinite()).then_some(b);
+        let parameter = Parameter {
+            unit: unit.to_owned(),
+            lower: bound(lower),
+            upper: bound(upper),
+            prior,
+            fixed,
+            ..Parameter::new(name, start)
+        };
+        self.0.parameter(parameter).map(PyExpr).map_err(raise)
+    }
+
+    fn quantity(&mut self, name: &str, expr: Operand, source: Option<String>) -> PyResult<PyExpr> {
+        self.0.quantity(name, expr.0, source).map(PyExpr).map_err(raise)
+    }
+
+    fn equation(&mut self, state: &str, expr: Operand, source: Option<String>) -> PyResult<()> {
+        self.0.equation(state, expr.0, source).map_err(raise)
+    }
+
+    fn output(&mut self, name: &str, expr: Operand, unit: &str, source: Option<String>) -> PyResult<()> {
+        self.0.output(name, expr.0, unit, source).map_err(raise)
+    }
+
+    fn check(&self) -> PyResult<()> {
+        self.0.check().map_err(raise)
+    }
+
+    /// Names and units.
+    #[getter]
+    fn states(&self) -> Vec<(String, String)> {
+        self.0.states.iter().map(|v| (v.name.clone(), v.unit.clone())).collect()
+    }
+
+    /// Names and units.
+    #[getter]
+    fn inputs(&self) -> Vec<(String, String)> {
+        self.0.inputs.iter().map(|v| (v.name.clone(), v.unit.clone())).collect()
+    }
+
+    /// Name, unit, start, lower and upper bound, prior, fixed.
+    #[getter]
+    #[allow(clippy::type_complexity)]
+    fn parameters(&self) -> Vec<(String, String, f64, f64, f64, Option<(f64, f64)>, bool)> {
+        let one = |p: &Parameter| {
+            let (lower, upper) = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
+            (p.name.clone(), p.unit.clone(), p.start, lower, upper, p.prior, p.fixed)
+        };
+        self.0.parameters.iter().map(one).collect()
+    }
+
+    /// Name, expression, unit and source.
+    #[getter]
+    fn quantities(&self) -> Vec<Named> {
+        named(&self.0.quantities)
+    }
+
+    /// Name, expression, unit and source.
+    #[getter]
+    fn dynamics(&self) -> Vec<Named> {
+        named(&self.0.dynamics)
+    }
+
+    /// Name, expression, unit and source.
+    #[getter]
+    fn outputs(&self) -> Vec<Named> {
+        named(&self.0.outputs)
+    }
+
+    fn to_json(&self) -> String {
+        self.0.to_json()
+    }
+
+    #[staticmethod]
+    fn from_json(text: &str) -> PyResult<Self> {
+        Model::from_json(text).map(PyModel).map_err(raise)
+    }
+}

@@ -1,0 +1,310 @@
+"""read: text tables in, experiments out, complaints with line and column; and the format of saved fits."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from phugoid import io
+from phugoid.errors import DataError
+from phugoid.experiment import read
+
+NAN = float("nan")
+SHARED = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Any:
+    """Writes a text file and gives its path."""
+
+    def write(text: str, name: str = "run1.csv") -> Path:
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def refusal(path: Path, **options: Any) -> str:
+    with pytest.raises(DataError) as caught:
+        read(path, **options)
+    return str(caught.value)
+
+
+def has(message: str, *parts: str) -> bool:
+    return all(part in message for part in parts)
+
+
+def test_columns_stay_undetermined_until_a_model_asks(table: Any) -> None:
+    e = read(table("t,de,q\n0,1,2\n0.1,3,4\n"))
+    assert (e.name, list(e.channels), dict(e.inputs), dict(e.outputs)) == ("run1", ["de", "q"], {}, {})
+    np.testing.assert_array_equal(e.t, [0.0, 0.1])
+    np.testing.assert_array_equal(e.input("de"), [1.0, 3.0])
+    np.testing.assert_array_equal(e.output("q"), [2.0, 4.0])
+
+
+def test_named_inputs_and_outputs_are_all_that_is_kept(table: Any) -> None:
+    e = read(table("t,de,mode,q\n0,1,AUTO,2\n1,3,MANUAL,4\n"), inputs=["de"], outputs=["q"])
+    assert (list(e.inputs), list(e.outputs), list(e.channels)) == (["de"], ["q"], [])
+
+
+def test_named_inputs_alone_leave_the_rest_open(table: Any) -> None:
+    e = read(table("t,de,q\n0,1,2\n1,3,4\n"), inputs=["de"])
+    assert list(e.inputs) == ["de"]
+    np.testing.assert_array_equal(e.output("q"), [2.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("t,de,q\n0,1,2\n1,3,4\n", "a.csv"),
+        ("t;de;q\n0;1;2\n1;3;4\n", "a.csv"),
+        ("t\tde\tq\n0\t1\t2\n1\t3\t4\n", "a.tsv"),
+        ("  t   de  q\n  0  1   2\n  1  3   4\n", "a.dat"),
+        ("t \tde \tq\n0.0 \t1 \t2\n1.0 \t3 \t4\n", "a.txt"),
+        ('"t", "de", "q"\n0, 1, 2\n1, 3, 4\n', "a.csv"),
+        ("\ufefft,de,q\r\n0,1,2\r\n1,3,4\r\n\r\n", "a.csv"),
+        ("# a comment\n\nt,de,q\n% another\n0,1,2\n1,3,4\n", "a.csv"),
+        ("# t de q\n0 1 2\n1 3 4\n", "a.txt"),
+    ],
+)
+def test_understands_the_layouts_in_use(table: Any, text: str, name: str) -> None:
+    e = read(table(text, name))
+    assert list(e.channels) == ["de", "q"]
+    np.testing.assert_array_equal(e.output("q"), [2.0, 4.0])
+
+
+def test_reads_gzip(tmp_path: Path) -> None:
+    path = tmp_path / "run7.csv.gz"
+    path.write_bytes(gzip.compress(b"t,q\n0,1\n1,2\n"))
+    e = read(path)
+    assert (e.name, e.n) == ("run7", 2)
+
+
+def test_delimiter_can_be_given(table: Any) -> None:
+    assert list(read(table("t|q\n0|1\n1|2\n"), delimiter="|").channels) == ["q"]
+
+
+def test_columns_name_a_file_without_header(table: Any) -> None:
+    e = read(table("0.0 1 2\n0.1 3 4\n", "a.asc"), columns=["T", "DE", "Q"], time="T", rename={"DE": "de"})
+    assert (list(e.channels), e.n) == (["de", "Q"], 2)
+
+
+def test_columns_replace_a_header(table: Any) -> None:
+    e = read(table("x,y\n0,1\n1,2\n"), columns=["t", "q"])
+    assert (list(e.channels), e.n) == (["q"], 2)
+
+
+@pytest.mark.parametrize("cell", ["", "NaN", "nan", "NA", "null"])
+def test_missing_cells_become_nan(table: Any, cell: str) -> None:
+    e = read(table(f"t,q,r\n0,1,5\n1,{cell},6\n2,3,7\n"))
+    np.testing.assert_array_equal(e.output("q"), [1.0, NAN, 3.0])
+
+
+def test_units_come_from_the_header(table: Any) -> None:
+    e = read(table("t [s],alpha (deg),V[m/s],Mach [-]\n0,1,2,0.3\n1,3,4,0.3\n"), units={"V": "kt"})
+    assert list(e.channels) == ["alpha", "V", "Mach"]
+    assert dict(e.units) == {"t": "s", "alpha": "deg", "V": "kt"}
+
+
+def test_units_come_from_a_row_of_their_own(table: Any) -> None:
+    e = read(table("t,alpha\n[s],deg\n0,1\n1,3\n"))
+    assert (dict(e.units), e.n) == ({"t": "s", "alpha": "deg"}, 2)
+
+
+def test_units_hold_where_blanks_delimit(table: Any) -> None:
+    assert dict(read(table("t [s]  q [rad/s]\n0 1\n1 2\n", "a.dat")).units) == {"t": "s", "q": "rad/s"}
+
+
+def test_an_index_in_brackets_is_no_unit(table: Any) -> None:
+    e = read(table("t,xyz[0],xyz[1]\n0,1,2\n1,3,4\n"))
+    assert (list(e.channels), dict(e.units)) == (["xyz[0]", "xyz[1]"], {})
+
+
+def test_latin_1_degree_sign(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes("t,alpha [°]\n0,1\n1,2\n".encode("latin-1"))
+    assert dict(read(path).units) == {"alpha": "°"}
+
+
+def test_rename_comes_before_selection_and_takes_units_along(table: Any) -> None:
+    path = table("TIME,DELV [rad],Q\n0,1,2\n1,3,4\n")
+    e = read(path, rename={"TIME": "t", "DELV": "de"}, inputs=["de"], outputs=["Q"])
+    assert (list(e.inputs), dict(e.units)) == (["de"], {"de": "rad"})
+
+
+def test_name_interpolation_and_window_are_passed_on(table: Any) -> None:
+    path = table("t,q\n0,1\n1,2\n2,3\n3,4\n")
+    e = read(path, name="climb", interpolation="cubic", window=(1.0, 3.0))
+    assert (e.name, e.interpolation, e.n) == ("climb", "cubic", 3)
+
+
+def test_absent_time_column(table: Any) -> None:
+    assert has(refusal(table("T,q\n0,1\n1,2\n")), "no time column 't'", "Did you mean 'T'?", "T, q", "time=")
+
+
+def test_absent_input_column(table: Any) -> None:
+    message = refusal(table("t,elevator,q\n0,1,2\n1,2,3\n"), inputs=["elevatr"])
+    assert has(message, "no column 'elevatr'", "Did you mean 'elevator'?", "elevator, q")
+
+
+def test_unknown_rename_key(table: Any) -> None:
+    message = refusal(table("t,alpha\n0,1\n1,2\n"), rename={"alfa": "a"})
+    assert has(message, "rename", "'alfa'", "Did you mean 'alpha'?")
+
+
+def test_rename_onto_a_taken_name(table: Any) -> None:
+    assert has(refusal(table("t,p,q\n0,1,2\n1,2,3\n"), rename={"p": "q"}), "two columns", "'q'")
+
+
+def test_two_columns_of_one_name(table: Any) -> None:
+    assert has(refusal(table("t,q,q\n0,1,2\n1,2,3\n")), "two columns are called 'q'", "columns=[...]")
+
+
+def test_text_for_a_list_of_names(table: Any) -> None:
+    assert has(refusal(table("t,de\n0,1\n1,2\n"), inputs="de"), "inputs=['de']")
+
+
+def test_header_missing(table: Any) -> None:
+    assert has(refusal(table("0,1,2\n1,2,3\n")), "line 1", "header is missing", "3 columns", "columns=[...]")
+
+
+@pytest.mark.parametrize(("row", "count"), [("1,2", 2), ("1,2,3,4", 4)])
+def test_row_of_wrong_length_names_its_line(table: Any, row: str, count: int) -> None:
+    message = refusal(table(f"# c\nt,a,b\n0,1,2\n{row}\n2,3,4\n"))
+    assert has(message, "line 4", f"{count} fields", "the header has 3")
+
+
+def test_wrong_number_of_column_names(table: Any) -> None:
+    message = refusal(table("0 1 2\n1 2 3\n", "a.asc"), columns=["t", "q"])
+    assert has(message, "line 1", "3 fields", "columns=[...] names 2")
+
+
+def test_text_cell_names_line_and_column(table: Any) -> None:
+    message = refusal(table("t,a,b\n0,1,2\n\n1,2,off\n"))
+    assert has(message, "run1.csv", "line 4", "column 'b'", "'off' is not a number")
+
+
+def test_decimal_comma_is_not_guessed(table: Any) -> None:
+    assert has(refusal(table("t;q\n0;1,5\n1;2,5\n")), "line 2", "'1,5'", "decimal comma")
+
+
+def test_gap_in_a_declared_input_is_refused(table: Any) -> None:
+    message = refusal(table("t,de,q\n0,1,2\n1,,3\n"), inputs=["de"])
+    assert has(message, "experiment 'run1', input 'de'", "sample 1 (t = 1 s)", "fill or cut")
+
+
+def test_absent_file_names_its_neighbour(table: Any) -> None:
+    path = table("t,q\n0,1\n1,2\n", "flight12.csv")
+    assert has(refusal(path.with_name("fligth12.csv")), "no such file", "Did you mean 'flight12.csv'?")
+
+
+@pytest.mark.parametrize(("text", "words"), [("", "is empty"), ("# c\n\n", "is empty"), ("t,q\n", "no rows")])
+def test_file_without_data(table: Any, text: str, words: str) -> None:
+    assert words in refusal(table(text))
+
+
+def test_binary_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    path.write_bytes(b"MATLAB 5.0 MAT-file\0\0\0")
+    assert has(refusal(path), "not a text table", "scipy.io.loadmat", "Experiment(")
+
+
+def test_gzip_cut_short(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv.gz"
+    path.write_bytes(gzip.compress(b"t,q\n0,1\n1,2\n")[:-6])
+    assert has(refusal(path), "gzip", "cut short")
+
+
+def test_real_flight_record() -> None:
+    path = SHARED / "hfb320_1_10.asc"
+    if not path.exists():
+        pytest.skip(
+            f"no {path.name}: put the published data into ../shared/data or name a folder in PHUGOID_DATA"
+        )
+    motion = ["V", "alpha", "theta", "q", "qdot", "ax", "az"]
+    rest = ["ay", "p", "r", "pdot", "rdot", "beta", "phi", "da", "dr"]
+    e = read(path, columns=["t", "de", "qbar", "T", *motion, *rest])
+    assert (e.n, round(float(e.t[-1]), 3), len(e.channels)) == (601, 60.0, 19)
+    e.check_for(["de", "T"], motion)
+
+
+PAYLOAD: dict[str, Any] = {
+    "model": {"name": "größe", "order": 4, "unstable": True, "prior": None},
+    "values": [0.1, 1 / 3, 5e-324, -1.7976931348623157e308],
+}
+
+
+def test_saved_payload_comes_back(tmp_path: Path) -> None:
+    path = tmp_path / "fit.json"
+    io.save_fit_dict(path, PAYLOAD)
+    assert io.load_fit_dict(path) == PAYLOAD
+    assert json.loads(path.read_text(encoding="utf-8"))["format"] == "phugoid-fit"
+
+
+def test_arrays_keep_every_bit_and_nan_and_infinity() -> None:
+    x = np.random.default_rng(0).standard_normal((3, 4))
+    x[1, 2], x[0, 0], x[2, 3] = NAN, math.inf, -math.inf
+    text = io.to_json({"x": x, "n": np.int64(3), "s": np.float64(NAN), "bounds": (-math.inf, 1.0)})
+    back = io.from_json(text)
+    np.testing.assert_array_equal(io.to_array(back["x"]), x)
+    assert back["x"][1][2] is None and back["n"] == 3 and back["s"] is None
+    assert math.isnan(io.to_float(back["s"]))
+    assert [io.to_float(b) for b in back["bounds"]] == [-math.inf, 1.0]
+
+
+def test_text_cut_short_is_refused() -> None:
+    text = io.to_json(PAYLOAD)
+    for end in (0, 1, len(text) // 2, len(text) - 1):
+        with pytest.raises(DataError, match=r"fit\.json: .*(cut short)"):
+            io.from_json(text[:end], source="fit.json")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"a": 1}', "not a fit saved by phugoid"),
+        ("[1, 2]", "not a fit saved by phugoid"),
+        ('{"format": "phugoid-fit", "version": 99}', "install a newer phugoid"),
+        ('{"format": "phugoid-fit"}', "version None"),
+    ],
+)
+def test_other_formats_and_versions_are_refused(text: str, words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        io.from_json(text)
+
+
+def test_what_json_cannot_hold_is_named_by_its_place() -> None:
+    with pytest.raises(DataError, match=r"'a\.b\[1\]': a complex"):
+        io.to_json({"a": {"b": [1, 2j]}})
+
+
+def test_failed_save_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "fit.json"
+    io.save_fit_dict(path, {"generation": 1})
+
+    def full_disk(fd: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full_disk)
+    with pytest.raises(DataError, match="No space left"):
+        io.save_fit_dict(path, {"generation": 2})
+    assert io.load_fit_dict(path) == {"generation": 1}
+    assert [p.name for p in tmp_path.iterdir()] == ["fit.json"]
+
+
+def test_save_into_an_absent_folder(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="there is no folder"):
+        io.save_fit_dict(tmp_path / "no" / "fit.json", {})
+
+
+def test_load_of_an_absent_file(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no such file"):
+        io.load_fit_dict(tmp_path / "fit.json")

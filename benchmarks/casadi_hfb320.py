@@ -3,7 +3,8 @@
 Segments of Legendre-Gauss-Lobatto points, one per sample interval (order 2 is the trapezoid), inputs linear
 between samples, the negative log-likelihood with its seven sigmas as variables; collocation-oem.tex, section
 'Collocation implementation'.  The model is an SX function mapped over the mesh, the problem is expanded to SX
-(CasADi is fastest so) and gives exact derivatives.
+(CasADi is fastest so) and gives exact derivatives.  At orders 3 and up Ipopt depends on start and scaling:
+from zero it mostly wanders or stops at a local optimum.
 
     python benchmarks/casadi_hfb320.py --order 2 --start zero --scaling paper gradient
 """
@@ -93,7 +94,7 @@ def solve(order=2, start="zero", scaling="paper", linear_pivot_order=None, case=
     split = [physical[: len(p_scale)], ca.reshape(physical[len(p_scale) :], 4, len(mesh))]
     scaled_defects = ca.vec(ca.diag(state_scale) @ defects)
     scaled_cost, scaled_defects = ca.Function("nlp", [p, x], [cost, scaled_defects])(*split)
-    options = {"tol": tol, "print_level": 0, "sb": "yes", "max_iter": 1000, "linear_solver": "mumps"}
+    options = {"tol": tol, "print_level": 0, "sb": "yes", "max_iter": 300, "linear_solver": "mumps"}
     options["nlp_scaling_method"] = "gradient-based" if scaling == "gradient" else "none"
     if linear_pivot_order is not None:
         options["mumps_pivot_order"] = linear_pivot_order

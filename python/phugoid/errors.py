@@ -12,6 +12,7 @@ __all__ = [
     "EvaluationError",
     "MissingDependency",
     "ModelError",
+    "OptionError",
     "PhugoidError",
     "SolverError",
     "UnknownName",
@@ -29,6 +30,10 @@ class ModelError(PhugoidError, ValueError):
 
 class DataError(PhugoidError, ValueError):
     """The measured data, or a file that holds them, cannot be used as they are."""
+
+
+class OptionError(PhugoidError, ValueError):
+    """An option is out of range, or two options contradict each other."""
 
 
 class EvaluationError(PhugoidError, ArithmeticError):

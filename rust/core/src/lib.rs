@@ -3,6 +3,7 @@
 #![warn(missing_docs)]
 
 pub mod error;
+pub mod evaluator;
 pub mod experiment;
 pub mod expr;
 pub mod interpolate;

@@ -252,7 +252,6 @@ impl Model {
         let mut known: HashSet<&str> = HashSet::from([TIME]);
         known.extend(self.states.iter().chain(&self.inputs).map(|v| v.name.as_str()));
         known.extend(self.parameters.iter().map(|p| p.name.as_str()));
-        let mut used: HashSet<Arc<str>> = HashSet::new();
         let kinds = [
             ("quantity", "", &self.quantities),
             ("equation of", "'", &self.dynamics),
@@ -260,6 +259,10 @@ impl Model {
         ];
         for (kind, prime, equations) in kinds {
             for equation in equations {
+                if let Some(number) = not_finite(&equation.expr) {
+                    let (name, place) = (&equation.name, equation.place());
+                    return fail(format!("{kind} {name}{prime}{place}: it holds the constant {number}"));
+                }
                 for symbol in equation.expr.symbols() {
                     if !known.contains(&*symbol) {
                         let hint = did_you_mean(&symbol, known.iter().copied());
@@ -268,13 +271,13 @@ impl Model {
                             "{kind} {name}{prime}{place}: symbol '{symbol}' is not declared in this model.{hint}"
                         ));
                     }
-                    used.insert(symbol);
                 }
                 if kind == "quantity" {
                     known.insert(&equation.name);
                 }
             }
         }
+        let used = self.used();
         for parameter in &self.parameters {
             if !used.contains(parameter.name.as_str()) {
                 return fail(format!(
@@ -284,6 +287,18 @@ impl Model {
             }
         }
         Ok(())
+    }
+
+    /// Symbols that dynamics and outputs depend on, through quantities too.
+    fn used(&self) -> HashSet<Arc<str>> {
+        let equations = self.dynamics.iter().chain(&self.outputs);
+        let mut used: HashSet<Arc<str>> = equations.flat_map(|e| e.expr.symbols()).collect();
+        for quantity in self.quantities.iter().rev() {
+            if used.contains(quantity.name.as_str()) {
+                used.extend(quantity.expr.symbols());
+            }
+        }
+        used
     }
 
     /// The model's expressions in one graph, quantities put in where they are used.
@@ -395,25 +410,34 @@ impl Model {
         if exprs.len() != nq + nd + ny {
             return Err(fail("the number of expressions is not the number of equations".into()));
         }
+        // Declared one by one, so that a damaged file fails as a wrong model does.
         let mut exprs = exprs.into_iter();
-        let mut load = |equations: Vec<SavedEquation>| -> Vec<Equation> {
-            let one = |(e, expr): (SavedEquation, Expr)| Equation {
-                name: e.name,
-                unit: e.unit,
-                expr,
-                source: e.source,
-            };
-            equations.into_iter().zip(exprs.by_ref()).map(one).collect()
-        };
-        let model = Model {
-            name: saved.name,
-            states: saved.states,
-            inputs: saved.inputs,
-            parameters: saved.parameters,
-            quantities: load(saved.quantities),
-            dynamics: load(saved.dynamics),
-            outputs: load(saved.outputs),
-        };
+        let mut model = Model::new(&saved.name);
+        for v in &saved.states {
+            model.state(&v.name, &v.unit)?;
+        }
+        for v in &saved.inputs {
+            model.input(&v.name, &v.unit)?;
+        }
+        for p in saved.parameters {
+            model.parameter(p)?;
+        }
+        for (e, expr) in saved.quantities.into_iter().zip(exprs.by_ref()) {
+            model.quantity(&e.name, expr, e.source)?;
+        }
+        for (e, expr) in saved.dynamics.into_iter().zip(exprs.by_ref()) {
+            model.equation(&e.name, expr, e.source)?;
+        }
+        for (e, expr) in saved.outputs.into_iter().zip(exprs) {
+            model.output(&e.name, expr, &e.unit, e.source)?;
+        }
         Ok(model)
     }
+}
+
+/// The first constant of an expression that is not finite.
+fn not_finite(expr: &Expr) -> Option<f64> {
+    let mut found = None;
+    expr.visit(|e| found = found.or(e.as_constant().filter(|c| !c.is_finite())));
+    found
 }

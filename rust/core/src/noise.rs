@@ -78,26 +78,48 @@ impl Noise {
     }
 
     /// ℓ_e of one sample, without the constant n_y/2 ln 2π.
-    pub fn log_density(&self, graph: &mut Graph, sample: &Sample<'_>, parameters: &[Id]) -> Id {
+    pub fn log_density(&self, graph: &mut Graph, sample: &Sample<'_>, parameters: &[Id]) -> Density {
         let Noise::Gaussian(sigmas) = self;
         let mut free = parameters.iter();
-        let mut sum = graph.zero();
+        let mut density = Density { residuals: Vec::new(), rest: graph.zero() };
         for (c, sigma) in sigmas.iter().enumerate() {
             let precision = match sigma {
                 Sigma::Known(value) => graph.constant(1.0 / value),
                 Sigma::Unknown { .. } => *free.next().expect("one parameter an unknown"),
             };
-            let residual = graph.sub(sample.measured[c], sample.outputs[c]);
-            let scaled = graph.mul(precision, residual);
-            let square = graph.mul(scaled, scaled);
-            let half = graph.constant(0.5);
-            let loss = graph.mul(half, square);
-            let log = graph.apply(Op::Log, &[precision]);
-            let mut term = graph.sub(log, loss);
+            let difference = graph.sub(sample.measured[c], sample.outputs[c]);
+            let mut residual = graph.mul(precision, difference);
+            let mut log = graph.apply(Op::Log, &[precision]);
             if let Some(present) = sample.present[c] {
-                term = graph.mul(present, term);
+                residual = graph.mul(present, residual);
+                log = graph.mul(present, log);
             }
-            sum = graph.add(sum, term);
+            density.residuals.push(residual);
+            density.rest = graph.add(density.rest, log);
+        }
+        density
+    }
+}
+
+/// A log-density as ℓ_e = rest − ½ Σ residual². What is left of its Hessian when the curvature of
+/// the residuals is dropped (Gauss-Newton) is never indefinite, as long as `rest` is concave.
+#[derive(Clone, Debug)]
+pub struct Density {
+    /// Residuals over their standard deviation.
+    pub residuals: Vec<Id>,
+    /// The part that depends on noise parameters alone.
+    pub rest: Id,
+}
+
+impl Density {
+    /// The log-density as one expression.
+    pub fn expression(&self, graph: &mut Graph) -> Id {
+        let half = graph.constant(0.5);
+        let mut sum = self.rest;
+        for &residual in &self.residuals {
+            let square = graph.mul(residual, residual);
+            let loss = graph.mul(half, square);
+            sum = graph.sub(sum, loss);
         }
         sum
     }

@@ -202,6 +202,17 @@ impl PyCollocation {
         Ok(self.fill(py, self.0.hessian_structure().len(), |p, out| p.hessian(xi, factor, lambda, out)))
     }
 
+    /// Entries, at the places of the Hessian, of its Gauss-Newton approximation.
+    fn gauss_newton<'py>(
+        &self,
+        py: Python<'py>,
+        xi: PyReadonlyArray1<'py, f64>,
+        factor: f64,
+    ) -> PyResult<Option<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(self.fill(py, self.0.hessian_structure().len(), |p, out| p.gauss_newton(xi, factor, out)))
+    }
+
     /// Model outputs at the samples of an experiment, one array an output.
     fn outputs<'py>(
         &self,

@@ -380,3 +380,11 @@ impl PyTable {
         self.0.name()
     }
 }
+
+/// Values of sampled channels at other times: `kind` is "linear" or "cubic".
+#[pyfunction]
+pub fn interpolate(kind: &str, t: Vec<f64>, values: Vec<f64>, at: Vec<f64>) -> Vec<f64> {
+    use phugoid::interpolate::{Interpolation, interpolate};
+    let kind = if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear };
+    interpolate(kind, &t, &values, &at)
+}

@@ -2,6 +2,7 @@
 
 mod collocation;
 mod errors;
+mod evaluator;
 mod expr;
 mod model;
 
@@ -14,9 +15,11 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<expr::PyTable>()?;
     m.add_class::<model::PyModel>()?;
     m.add_class::<collocation::PyCollocation>()?;
+    m.add_class::<evaluator::PyEvaluator>()?;
     m.add_function(wrap_pyfunction!(expr::apply, m)?)?;
     m.add_function(wrap_pyfunction!(expr::operations, m)?)?;
     m.add_function(wrap_pyfunction!(expr::load_expression, m)?)?;
     m.add_function(wrap_pyfunction!(expr::lgl, m)?)?;
+    m.add_function(wrap_pyfunction!(expr::interpolate, m)?)?;
     Ok(())
 }

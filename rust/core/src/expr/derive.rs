@@ -15,6 +15,14 @@ pub struct Sparse {
     pub values: Vec<Id>,
 }
 
+impl Sparse {
+    /// The entry at a place, where it is structurally nonzero.
+    pub fn find(&self, row: usize, column: usize) -> Option<Id> {
+        let at = self.rows.iter().zip(&self.columns).position(|(&r, &c)| (r, c) == (row, column))?;
+        Some(self.values[at])
+    }
+}
+
 impl Graph {
     /// Partial derivatives of one node with respect to its arguments; `None` where zero.
     fn partials(&mut self, id: Id) -> Vec<(Id, Option<Id>)> {

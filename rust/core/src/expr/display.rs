@@ -1,12 +1,12 @@
 //! Infix and LaTeX printing.
 
-use std::collections::HashMap;
 use std::fmt;
 
-use super::{Expr, Lookup, Node, Op};
+use super::{Expr, Node, Op};
 
 const SUM: u8 = 1;
 const PRODUCT: u8 = 2;
+const POWER: u8 = 3;
 const ATOM: u8 = 4;
 
 /// The two ways to print, as what differs between them.
@@ -23,7 +23,7 @@ struct Style {
 const INFIX: Style = Style {
     template: |op| op.entry().infix,
     symbol: str::to_owned,
-    number: |c| format!("{c}"),
+    number,
     open: "(",
     close: ")",
     delimits: false,
@@ -51,78 +51,115 @@ impl Expr {
     }
 }
 
-fn print(root: &Expr, style: &Style) -> String {
-    let mut done: HashMap<*const Node, (String, u8)> = HashMap::new();
-    root.visit(|e| {
-        let args: Vec<&(String, u8)> =
-            e.args().iter().map(|a| &done[&std::ptr::from_ref(a.node())]).collect();
-        let printed = match e.node() {
-            Node::Constant(c) if *c < 0.0 => ((style.number)(*c), PRODUCT),
-            Node::Constant(c) => ((style.number)(*c), ATOM),
-            Node::Symbol(name) => ((style.symbol)(name), ATOM),
-            Node::Apply(op, _) => apply(*op, &args, style),
-            Node::Lookup(lookup, _) => (print_lookup(lookup, &args, style), ATOM),
-        };
-        done.insert(std::ptr::from_ref(e.node()), printed);
-    });
-    done.remove(&std::ptr::from_ref(root.node())).map(|p| p.0).unwrap_or_default()
+/// What is left to print.
+enum Task<'a> {
+    Text(&'static str),
+    Expr(&'a Expr),
 }
 
-fn apply(op: Op, args: &[&(String, u8)], style: &Style) -> (String, u8) {
+/// Prints with an explicit stack into one text: sums of thousands of terms are deep trees.
+fn print(root: &Expr, style: &Style) -> String {
+    let mut out = String::new();
+    let mut stack = vec![Task::Expr(root)];
+    while let Some(task) = stack.pop() {
+        let expr = match task {
+            Task::Text(text) => {
+                out.push_str(text);
+                continue;
+            }
+            Task::Expr(expr) => expr,
+        };
+        let start = stack.len();
+        match expr.node() {
+            Node::Constant(c) => out.push_str(&(style.number)(*c)),
+            Node::Symbol(name) => out.push_str(&(style.symbol)(name)),
+            Node::Apply(op, args) => push_operation(*op, args, style, &mut stack),
+            Node::Lookup(lookup, args) => {
+                let name = (style.symbol)(lookup.table.name());
+                match lookup.order {
+                    [0, 0] => out.push_str(&name),
+                    [i, j] => out.push_str(&format!("D[{name}, {i}, {j}]")),
+                }
+                stack.push(Task::Text(style.open));
+                for (i, arg) in args.iter().enumerate() {
+                    stack.push(Task::Text(if i == 0 { "" } else { ", " }));
+                    stack.push(Task::Expr(arg));
+                }
+                stack.push(Task::Text(style.close));
+            }
+        }
+        stack[start..].reverse();
+    }
+    out
+}
+
+/// The template of an operation, cut at `{0}`, `{1}`, `{2}`; other braces stand for themselves.
+fn push_operation<'a>(op: Op, args: &'a [Expr], style: &Style, stack: &mut Vec<Task<'a>>) {
+    let mut rest = (style.template)(op);
+    let mut from = 0;
+    while let Some(at) = rest[from..].find('{').map(|at| from + at) {
+        let index = match rest.as_bytes()[at..] {
+            [_, digit @ b'0'..=b'2', b'}', ..] => usize::from(digit - b'0'),
+            _ => args.len(),
+        };
+        let Some(arg) = args.get(index) else {
+            from = at + 1;
+            continue;
+        };
+        stack.push(Task::Text(&rest[..at]));
+        let brackets = in_brackets(op, index, arg, style);
+        stack.extend(brackets.then_some(Task::Text(style.open)));
+        stack.push(Task::Expr(arg));
+        stack.extend(brackets.then_some(Task::Text(style.close)));
+        (rest, from) = (&rest[at + 3..], 0);
+    }
+    stack.push(Task::Text(rest));
+}
+
+/// How strongly the printed form of an expression holds together.
+fn precedence(expr: &Expr, style: &Style) -> u8 {
+    match expr.node() {
+        Node::Constant(c) if *c < 0.0 => PRODUCT,
+        // A fraction is an atom, an exponential a power; neither can be raised to a power as it is.
+        Node::Apply(Op::Div | Op::Recip | Op::Exp, _) if style.delimits => POWER,
+        Node::Apply(op, _) => op.entry().precedence,
+        _ => ATOM,
+    }
+}
+
+/// Whether the i-th argument of an operation needs brackets.
+fn in_brackets(op: Op, i: usize, arg: &Expr, style: &Style) -> bool {
     let entry = op.entry();
     let quotient = matches!(op, Op::Div | Op::Recip);
-    let printed: Vec<String> = args
-        .iter()
-        .enumerate()
-        .map(|(i, (text, precedence))| {
-            let delimited =
-                entry.precedence == ATOM || (style.delimits && (quotient || (op == Op::Pow && i == 1)));
-            // The right side of −, / and the base of a power bind tighter than the operation.
-            let strict = i == 1 && !entry.commutative
-                || (op == Op::Pow && i == 0)
-                || matches!(op, Op::Neg | Op::Recip)
-                || entry.precedence == 0;
-            let needs = precedence < &entry.precedence || (strict && precedence == &entry.precedence);
-            // A sign at the start of a right operand reads as two operators.
-            let signed = i == 1 && text.starts_with('-') && entry.precedence >= SUM;
-            if !delimited && (needs || signed) {
-                format!("{}{text}{}", style.open, style.close)
-            } else {
-                text.clone()
-            }
-        })
-        .collect();
-    let precedence = if style.delimits && quotient { ATOM } else { entry.precedence };
-    (fill((style.template)(op), &printed), precedence)
-}
-
-fn print_lookup(lookup: &Lookup, args: &[&(String, u8)], style: &Style) -> String {
-    let mut name = (style.symbol)(lookup.table.name());
-    if lookup.order != [0, 0] {
-        name = format!("D[{name}, {}, {}]", lookup.order[0], lookup.order[1]);
+    if entry.precedence == ATOM || (style.delimits && (quotient || (op == Op::Pow && i == 1))) {
+        return false;
     }
-    let args: Vec<&str> = args.iter().map(|a| a.0.as_str()).collect();
-    format!("{name}{}{}{}", style.open, args.join(", "), style.close)
+    // The right side of −, / and the base of a power bind tighter than the operation.
+    let strict = i == 1 && !entry.commutative
+        || (op == Op::Pow && i == 0)
+        || matches!(op, Op::Neg | Op::Recip)
+        || entry.precedence == 0;
+    let inner = precedence(arg, style);
+    inner < entry.precedence
+        || (strict && inner == entry.precedence)
+        // A sign at the start of a right operand reads as two operators.
+        || (i == 1 && entry.precedence >= SUM && starts_with_sign(arg, style))
 }
 
-/// Fills `{0}`, `{1}`, `{2}` of a template in one pass (the arguments hold braces themselves).
-fn fill(template: &str, args: &[String]) -> String {
-    let mut out = String::new();
-    let mut rest = template;
-    while let Some(at) = rest.find('{') {
-        out.push_str(&rest[..at]);
-        let tail = &rest[at..];
-        let index =
-            tail.as_bytes().get(1).filter(|d| d.is_ascii_digit() && tail.as_bytes().get(2) == Some(&b'}'));
-        if let Some(digit) = index {
-            out.push_str(&args[(digit - b'0') as usize]);
-            rest = &tail[3..];
-        } else {
-            out.push('{');
-            rest = &tail[1..];
+fn starts_with_sign(expr: &Expr, style: &Style) -> bool {
+    let mut expr = expr;
+    loop {
+        match expr.node() {
+            Node::Constant(c) => return *c < 0.0,
+            Node::Apply(Op::Neg, _) => return true,
+            Node::Apply(op, args)
+                if (style.template)(*op).starts_with("{0}") && !in_brackets(*op, 0, &args[0], style) =>
+            {
+                expr = &args[0];
+            }
+            _ => return false,
         }
     }
-    out + rest
 }
 
 const GREEK: &[&str] = &[
@@ -141,6 +178,11 @@ fn latex_symbol(name: &str) -> String {
         head.to_owned()
     };
     if tail.is_empty() { head } else { format!("{head}_{{{}}}", latex_symbol(tail)) }
+}
+
+/// The shortest text that reads back as the number.
+fn number(c: f64) -> String {
+    if c == 0.0 || (1e-5..1e16).contains(&c.abs()) || !c.is_finite() { format!("{c}") } else { format!("{c:e}") }
 }
 
 fn latex_number(c: f64) -> String {

@@ -41,6 +41,8 @@ pub struct Graph {
     symbols: Vec<Arc<str>>,
     symbol_ids: HashMap<Arc<str>, u32>,
     lookups: Vec<Lookup>,
+    /// Whether each node is a sum of terms that are each switched: where(c, x, 0).
+    switched: Vec<bool>,
 }
 
 impl Graph {
@@ -104,6 +106,14 @@ impl Graph {
             return id;
         }
         let id = Id(u32::try_from(self.items.len()).expect("fewer than 2^32 nodes"));
+        let switched = match item {
+            Item::Apply(Op::Where, x) => {
+                self.as_constant(x[1]) == Some(0.0) || self.as_constant(x[2]) == Some(0.0)
+            }
+            Item::Apply(Op::Add | Op::Sub, x) => self.switched[x[0].index()] && self.switched[x[1].index()],
+            _ => false,
+        };
+        self.switched.push(switched);
         self.items.push(item);
         self.interned.insert(item, id);
         id
@@ -188,8 +198,11 @@ impl Graph {
     fn intern_apply(&mut self, op: Op, args: &[Id]) -> Id {
         let mut full = [args[0]; 3];
         full[..args.len()].copy_from_slice(args);
-        if op.entry().commutative && full[0] > full[1] {
+        // One order for the same operands; constants go first.
+        let place = |a: Id| (self.as_constant(a).is_none(), a);
+        if op.entry().commutative && place(full[0]) > place(full[1]) {
             full.swap(0, 1);
+            full[2] = full[0];
         }
         self.intern(Item::Apply(op, full))
     }
@@ -227,6 +240,10 @@ impl Graph {
             let two = self.constant(2.0);
             return self.mul(two, a);
         }
+        if let Some((condition, yes, no)) = self.same_switch(a, b) {
+            let (yes, no) = (self.add(yes[0], yes[1]), self.add(no[0], no[1]));
+            return self.select(condition, yes, no);
+        }
         self.intern_apply(Op::Add, &[a, b])
     }
 
@@ -247,7 +264,24 @@ impl Graph {
         if let Some(x) = self.negated(b) {
             return self.add(a, x);
         }
+        if let Some((condition, yes, no)) = self.same_switch(a, b) {
+            let (yes, no) = (self.sub(yes[0], yes[1]), self.sub(no[0], no[1]));
+            return self.select(condition, yes, no);
+        }
         self.intern_apply(Op::Sub, &[a, b])
+    }
+
+    /// For two terms that the same condition switches: the condition and both branches of each.
+    /// Their sum is then switched as one.
+    fn same_switch(&self, a: Id, b: Id) -> Option<(Id, [Id; 2], [Id; 2])> {
+        match (self.item(a), self.item(b)) {
+            (Item::Apply(Op::Where, x), Item::Apply(Op::Where, y))
+                if x[0] == y[0] && self.switched[a.index()] && self.switched[b.index()] =>
+            {
+                Some((x[0], [x[1], y[1]], [x[2], y[2]]))
+            }
+            _ => None,
+        }
     }
 
     /// −a
@@ -315,6 +349,15 @@ impl Graph {
                     let (on, off) = (self.mul(x[2], p), self.zero());
                     return self.select(x[0], off, on);
                 }
+            }
+        }
+        // The same for a sum of terms under several conditions, term by term.
+        for (s, p) in [(a, b), (b, a)] {
+            if let Item::Apply(op @ (Op::Add | Op::Sub), x) = self.item(s)
+                && self.switched[s.index()]
+            {
+                let (left, right) = (self.mul(x[0], p), self.mul(x[1], p));
+                return self.apply(op, &[left, right]);
             }
         }
         // c·x times y as c·(x·y), so that the product x·y is shared whatever the constant.
@@ -386,6 +429,9 @@ impl Graph {
 
     /// where(condition, yes, no)
     pub fn select(&mut self, condition: Id, yes: Id, no: Id) -> Id {
+        // Within a branch the same condition is known.
+        let yes = self.branch(condition, yes).map_or(yes, |x| x[1]);
+        let no = self.branch(condition, no).map_or(no, |x| x[2]);
         if yes == no {
             return yes;
         }
@@ -393,6 +439,14 @@ impl Graph {
             Some(0.0) => no,
             Some(_) => yes,
             None => self.intern_apply(Op::Where, &[condition, yes, no]),
+        }
+    }
+
+    /// The arguments of a `where` on this very condition.
+    fn branch(&self, condition: Id, a: Id) -> Option<[Id; 3]> {
+        match self.item(a) {
+            Item::Apply(Op::Where, x) if x[0] == condition => Some(x),
+            _ => None,
         }
     }
 

@@ -36,7 +36,8 @@ impl Lookup {
     /// The partial derivative with respect to the i-th argument.
     pub fn derivative(&self, i: usize) -> Lookup {
         let mut lookup = self.clone();
-        lookup.order[i] += 1;
+        // Saturating: all derivatives above the third are zero.
+        lookup.order[i] = lookup.order[i].saturating_add(1);
         lookup
     }
 

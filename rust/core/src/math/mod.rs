@@ -1,8 +1,33 @@
 //! Elementary functions that vectorise over lanes.
 //!
-//! Each function comes as a scalar, `sin(x)`, and over a slice,
-//! `sin_lanes(out, a)`; both give the same bits. The lane forms are plain
-//! loops, inlined, so that they take the instruction set of their caller.
+//! Each function comes as a scalar, `sin(x)`, and over slices,
+//! `sin_lanes(out, a)`; both give the same bits, NaN's aside, with every
+//! instruction set.
+//! Three rules make it so:
+//!
+//! - No branches: each case is computed and the right one selected, so that
+//!   the compiler turns a plain loop into vector code.
+//! - Products and sums are fused only where `mul_add` says so. With FMA in the
+//!   instruction set it is one instruction; without, a library call that rounds
+//!   alike but takes ten times as long.
+//! - The lane forms are plain loops, inlined, so that they take the
+//!   instruction set of their caller, which is where to write
+//!   `#[multiversion]`.
+//!
+//! The polynomials are minimax fits (Remez in mpmath, weighted for relative
+//! error, the coefficients rounded one by one and the rest refitted). The
+//! accuracies stated are the largest seen over tens of millions of arguments,
+//! against the same functions with 64-bit fractions (glibc's `sinl` and so on).
+
+mod exponential;
+mod hyperbolic;
+mod inverse;
+mod trigonometric;
+
+pub use exponential::{exp, exp_lanes, log, log_lanes, pow, pow_lanes};
+pub use hyperbolic::{asinh, asinh_lanes, cosh, cosh_lanes, sinh, sinh_lanes, tanh, tanh_lanes};
+pub use inverse::{acos, acos_lanes, asin, asin_lanes, atan, atan_lanes, atan2, atan2_lanes};
+pub use trigonometric::{cos, cos_lanes, sin, sin_cos, sin_cos_lanes, sin_lanes, tan, tan_lanes};
 
 /// Defines `$lanes(out, a)`, the loop of the scalar `$f` over a slice.
 macro_rules! unary_lanes {
@@ -32,55 +57,66 @@ macro_rules! binary_lanes {
     )*};
 }
 
-macro_rules! from_std {
-    ($($f:ident = $std:ident),* $(,)?) => {$(
-        #[doc = concat!("`", stringify!($f), "(x)`.")]
-        #[inline(always)]
-        pub fn $f(x: f64) -> f64 {
-            x.$std()
-        }
-    )*};
+use {binary_lanes, unary_lanes};
+
+/// The sign bit of an `f64`.
+const SIGN: u64 = 1 << 63;
+
+/// 1.5·2⁵². Added to a number below 2⁵¹ it rounds it to an integer, which
+/// then stands in the low bits of the sum. A conversion to `i64` would do the
+/// same, but vectorises with AVX-512 only.
+const ROUND: f64 = 6_755_399_441_055_744.0;
+
+/// π/2 in three parts of 53 bits each.
+const HALF_PI: [f64; 3] = [std::f64::consts::FRAC_PI_2, 6.123233995736766e-17, -1.4973849048591698e-33];
+
+/// The polynomial with coefficients `c`, lowest first, at `x`. The even powers
+/// and the odd ones are summed apart, by Horner's rule in x²: two short chains
+/// of dependent operations take less time than one long.
+#[inline(always)]
+fn polynomial<const N: usize>(x: f64, c: [f64; N]) -> f64 {
+    let square = x * x;
+    let mut sums = [c[N - 2], c[N - 1]];
+    for i in (0..N - 2).rev() {
+        let chain = (N - i) % 2;
+        sums[chain] = sums[chain].mul_add(square, c[i]);
+    }
+    let [even, odd] = if N.is_multiple_of(2) { sums } else { [sums[1], sums[0]] };
+    odd.mul_add(x, even)
 }
 
-from_std!(
-    sin = sin,
-    cos = cos,
-    tan = tan,
-    asin = asin,
-    acos = acos,
-    atan = atan,
-    exp = exp,
-    log = ln,
-    sinh = sinh,
-    cosh = cosh,
-    tanh = tanh,
-    asinh = asinh,
-    sqrt = sqrt,
-    abs = abs,
-);
-
-/// `(sin(x), cos(x))`.
+/// `big + small` and its rounding error, where |big| ≥ |small| or big = 0.
 #[inline(always)]
-pub fn sin_cos(x: f64) -> (f64, f64) {
-    (x.sin(), x.cos())
+fn two_sum(big: f64, small: f64) -> (f64, f64) {
+    let sum = big + small;
+    (sum, (big - sum) + small)
 }
 
-/// The angle of the point `(x, y)`.
+/// The quotient of two numbers each given as a sum, rounded and remainder.
 #[inline(always)]
-pub fn atan2(y: f64, x: f64) -> f64 {
-    y.atan2(x)
+fn divide(n: (f64, f64), d: (f64, f64)) -> (f64, f64) {
+    let reciprocal = 1.0 / d.0;
+    let q = n.0 * reciprocal;
+    let rest = (-q).mul_add(d.0, n.0) + (-q).mul_add(d.1, n.1);
+    (q, rest * reciprocal)
 }
 
-/// `x` to the real power `y`.
+/// `v`, negated where the top bit of `signs` is set.
 #[inline(always)]
-pub fn pow(x: f64, y: f64) -> f64 {
-    x.powf(y)
+fn flip(v: f64, signs: u64) -> f64 {
+    f64::from_bits(v.to_bits() ^ (signs & SIGN))
 }
 
-/// `x` to the integer power `n`.
+/// The square root, correctly rounded.
 #[inline(always)]
-pub fn powi(x: f64, n: i32) -> f64 {
-    x.powi(n)
+pub fn sqrt(x: f64) -> f64 {
+    x.sqrt()
+}
+
+/// The absolute value.
+#[inline(always)]
+pub fn abs(x: f64) -> f64 {
+    x.abs()
 }
 
 /// −1, 0 or 1 as `x` is negative, zero or positive; NaN for NaN.
@@ -107,38 +143,52 @@ pub fn max(x: f64, y: f64) -> f64 {
     if x.is_nan() || x > y { x } else { y }
 }
 
-unary_lanes!(
-    sin_lanes = sin,
-    cos_lanes = cos,
-    tan_lanes = tan,
-    asin_lanes = asin,
-    acos_lanes = acos,
-    atan_lanes = atan,
-    exp_lanes = exp,
-    log_lanes = log,
-    sinh_lanes = sinh,
-    cosh_lanes = cosh,
-    tanh_lanes = tanh,
-    asinh_lanes = asinh,
-    sqrt_lanes = sqrt,
-    abs_lanes = abs,
-    sign_lanes = sign,
-);
+unary_lanes!(sqrt_lanes = sqrt, abs_lanes = abs, sign_lanes = sign);
+binary_lanes!(min_lanes = min, max_lanes = max);
 
-binary_lanes!(atan2_lanes = atan2, pow_lanes = pow, min_lanes = min, max_lanes = max,);
-
-/// `sin[l], cos[l] = sin_cos(a[l])`; equal lengths.
+/// `x` to the integer power `n`, by repeated squaring; a negative power is
+/// the reciprocal of the positive one. The error stays below |`n`| ulp. Where the positive power overflows, the negative one is 0.
 #[inline(always)]
-pub fn sin_cos_lanes(sin: &mut [f64], cos: &mut [f64], a: &[f64]) {
-    for ((s, c), &x) in sin.iter_mut().zip(cos.iter_mut()).zip(a) {
-        (*s, *c) = sin_cos(x);
-    }
+pub fn powi(x: f64, n: i32) -> f64 {
+    powi_block([x], n)[0]
 }
 
 /// `out[l] = powi(a[l], n)`; equal lengths.
 #[inline(always)]
 pub fn powi_lanes(out: &mut [f64], a: &[f64], n: i32) {
-    for (o, &x) in out.iter_mut().zip(a) {
+    debug_assert_eq!(out.len(), a.len());
+    let (out_blocks, out_rest) = out.as_chunks_mut::<8>();
+    let (a_blocks, a_rest) = a.as_chunks::<8>();
+    for (o, &x) in out_blocks.iter_mut().zip(a_blocks) {
+        *o = powi_block(x, n);
+    }
+    for (o, &x) in out_rest.iter_mut().zip(a_rest) {
         *o = powi(x, n);
     }
+}
+
+/// Blocks put the loop over the lanes inside that over the bits of `n`, the
+/// order that vectorises.
+#[inline(always)]
+fn powi_block<const N: usize>(x: [f64; N], n: i32) -> [f64; N] {
+    let mut power = [1.0; N];
+    let mut square = x;
+    let mut bits = n.unsigned_abs();
+    while bits != 0 {
+        if bits & 1 == 1 {
+            for l in 0..N {
+                power[l] *= square[l];
+            }
+        }
+        for s in &mut square {
+            *s *= *s;
+        }
+        bits >>= 1;
+    }
+    if n < 0 {
+        for p in &mut power {
+            *p = 1.0 / *p;
+        }
+    }
+    power
 }

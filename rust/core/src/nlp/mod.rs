@@ -58,6 +58,9 @@ pub trait Nlp: Sync {
     fn hessian_structure(&self) -> &Structure;
     /// Entries of factor · ∇²φ + Σ λ_i ∇²c_i.
     fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite>;
+    /// Entries, at the same places, of factor times a positive semidefinite approximation of ∇²φ, the
+    /// constraints taken as linear: far from the solution a better guide than the exact Hessian.
+    fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite>;
     /// The user's name for a variable.
     fn variable_name(&self, i: usize) -> String;
     /// The user's name for a constraint.

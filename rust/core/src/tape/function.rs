@@ -55,6 +55,9 @@ pub struct Function {
     pub hessian: Tape,
     /// Local variables of each entry, row ≥ column.
     pub hessian_pattern: Pattern,
+    /// Entries of a Hessian without the curvature of residuals, where there are residuals; in the
+    /// order of [`Function::hessian_pattern`].
+    pub gauss_newton: Option<Tape>,
 }
 
 /// What the symbols of a function are.
@@ -108,6 +111,31 @@ impl Function {
             jacobian_pattern,
             hessian,
             hessian_pattern,
+            gauss_newton: None,
         }
+    }
+
+    /// A single function rest − ½ Σ residual², with its Gauss-Newton Hessian.
+    pub fn of_squares(mut graph: Graph, arguments: &Arguments, residuals: &[Id], rest: Id, root: Id) -> Function {
+        let variables: Vec<Id> = arguments.states.iter().chain(&arguments.parameters).copied().collect();
+        let slopes = graph.jacobian(residuals, &variables);
+        let curvature = graph.hessian(rest, &variables);
+        let full = graph.hessian(root, &variables);
+        let mut entries: Vec<Id> = Vec::with_capacity(full.values.len());
+        for (&a, &b) in full.rows.iter().zip(&full.columns) {
+            let own = curvature.rows.iter().zip(&curvature.columns).position(|(&r, &c)| (r, c) == (a, b));
+            let mut sum = own.map_or_else(|| graph.zero(), |k| curvature.values[k]);
+            for k in 0..residuals.len() {
+                if let (Some(x), Some(y)) = (slopes.find(k, a), slopes.find(k, b)) {
+                    let product = graph.mul(x, y);
+                    sum = graph.sub(sum, product);
+                }
+            }
+            entries.push(sum);
+        }
+        let lanes = arguments.data.iter().chain(&arguments.states).copied().collect();
+        let inputs = Inputs { lanes, uniforms: arguments.parameters.clone() };
+        let gauss_newton = Some(Tape::compile(&graph, &inputs, &entries));
+        Function { gauss_newton, ..Function::new(graph, arguments, vec![root]) }
     }
 }

@@ -137,7 +137,8 @@ impl Collocation {
         let density = noise.log_density(&mut graph, &sample, &noise_symbols);
         let mut with_samples = arguments.clone();
         with_samples.data.extend(measured.iter().chain(present.iter().flatten()));
-        let likelihood = Function::new(graph, &with_samples, vec![density]);
+        let root = density.expression(&mut graph);
+        let likelihood = Function::of_squares(graph, &with_samples, &density.residuals, density.rest, root);
 
         let mut problem = Collocation {
             layout,
@@ -292,6 +293,26 @@ impl Collocation {
     pub fn instructions(&self) -> [usize; 6] {
         let (f, l) = (&self.dynamics.f, &self.likelihood);
         [&f.value, &f.jacobian, &f.hessian, &l.value, &l.jacobian, &l.hessian].map(Tape::instructions)
+    }
+
+    /// Adds factor · ∇²φ, or what a tape takes for it, to the entries of samples, parameters and priors.
+    fn objective_hessian(&self, tape: &Tape, xi: &[f64], factor: f64, out: &mut [f64]) -> bool {
+        let uniforms = self.uniforms(tape, xi);
+        let shared = Disjoint::new(&mut *out);
+        let parts = self.each(&self.samples, |s, scratch| {
+            let mut pairs = vec![0.0; self.pair_places.likelihood.len()];
+            let job = self.sample_job(s, xi, &uniforms);
+            let ok = job.hessian(tape, &mut scratch.workspace, factor, &shared, &mut pairs);
+            (ok, pairs)
+        });
+        for (_, pairs) in &parts {
+            self.pair_places.likelihood.iter().zip(pairs).for_each(|(&at, v)| out[at] += v);
+        }
+        for &(i, at) in &self.pair_places.priors {
+            let (_, std) = self.parameters[i].prior.expect("listed for its prior");
+            out[at] += factor / (std * std);
+        }
+        parts.iter().all(|p| p.0)
     }
 
     fn describe(
@@ -502,35 +523,23 @@ impl Nlp for Collocation {
         out.fill(0.0);
         let shared = Disjoint::new(&mut *out);
         let uniforms = self.uniforms(&self.dynamics.f.hessian, xi);
-        let of_dynamics = self.each(&self.chunks, |chunk, scratch| {
+        let parts = self.each(&self.chunks, |chunk, scratch| {
             let mut pairs = vec![0.0; self.pair_places.dynamics.len()];
             let job = self.dynamics_job(chunk, xi, &uniforms);
             let ok = job.hessian(&mut scratch.workspace, lambda, &shared, &mut pairs, &mut scratch.weights);
             (ok, pairs)
         });
-        let uniforms = self.uniforms(&self.likelihood.hessian, xi);
-        let of_samples = self.each(&self.samples, |s, scratch| {
-            let mut pairs = vec![0.0; self.pair_places.likelihood.len()];
-            let ok = self.sample_job(s, xi, &uniforms).hessian(
-                &mut scratch.workspace,
-                factor,
-                &shared,
-                &mut pairs,
-            );
-            (ok, pairs)
-        });
-        for (parts, places) in
-            [(&of_dynamics, &self.pair_places.dynamics), (&of_samples, &self.pair_places.likelihood)]
-        {
-            for (_, pairs) in parts {
-                places.iter().zip(pairs).for_each(|(&at, v)| out[at] += v);
-            }
+        for (_, pairs) in &parts {
+            self.pair_places.dynamics.iter().zip(pairs).for_each(|(&at, v)| out[at] += v);
         }
-        for &(i, at) in &self.pair_places.priors {
-            let (_, std) = self.parameters[i].prior.expect("listed for its prior");
-            out[at] += factor / (std * std);
-        }
-        finite(of_dynamics.iter().chain(&of_samples).map(|p| p.0))
+        let ok = self.objective_hessian(&self.likelihood.hessian, xi, factor, out);
+        finite(parts.iter().map(|p| p.0).chain([ok]))
+    }
+
+    fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
+        out.fill(0.0);
+        let tape = self.likelihood.gauss_newton.as_ref().unwrap_or(&self.likelihood.hessian);
+        finite([self.objective_hessian(tape, xi, factor, out)])
     }
 
     fn variable_name(&self, i: usize) -> String {

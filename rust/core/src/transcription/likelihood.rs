@@ -82,15 +82,17 @@ impl Job<'_> {
         finite
     }
 
-    /// Entries of factor · ∇²φ at the samples' points, and sums between parameters.
+    /// Entries of factor · ∇²φ, by the tape of it or of an approximation, at the samples' points, and
+    /// sums between parameters.
     pub(super) fn hessian(
         &self,
+        tape: &Tape,
         workspace: &mut Workspace,
         factor: f64,
         out: &Disjoint<'_>,
         pairs: &mut [f64],
     ) -> bool {
-        let (tape, n_x) = (&self.likelihood.hessian, self.layout.n_x);
+        let n_x = self.layout.n_x;
         let lanes = self.samples.points.len();
         let registers = self.run(tape, workspace);
         // SAFETY: the entries of blocks do not overlap.

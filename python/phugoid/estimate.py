@@ -1,0 +1,125 @@
+"""From a model and data to a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _core
+from .errors import DataError, ModelError, OptionError
+from .experiment import Experiment
+from .guess import check_names, parameter_start, spread, state_start
+from .model import Model
+from .noise import Gaussian
+from .progress import Progress
+from .result import Fit, make_fit
+from .solvers import Ipopt, Iteration, Solution
+from .solvers.scaling import scale
+from .transcription import Collocation
+
+__all__ = ["estimate"]
+
+_Array = NDArray[np.float64]
+
+
+def estimate(
+    model: Model,
+    data: Experiment | Sequence[Experiment],
+    *,
+    transcription: Collocation | None = None,
+    noise: Gaussian | None = None,
+    start: Mapping[str, Any] | Fit | None = None,
+    solver: Ipopt | None = None,
+    progress: bool | Callable[[Iteration], None] = False,
+) -> Fit:
+    """The maximum-likelihood estimate of a model's parameters from measured data (Eq. ml_loglike of the paper).
+
+    ``data``: one experiment or several with shared parameters. Initial states are free.
+    ``start``: values by name of parameters, of ``sigma_<output>`` and of states (a number or one value a sample),
+    or a fit to go on from. Parameters not named start as declared, standard deviations at the spread of the
+    measurements, states as measured where an output measures them and else at 0.
+    ``noise``: instead of the model's own. ``progress``: True prints the iterations; a function is called with each.
+
+    Ctrl-C ends the run and returns the best point so far, with status "interrupted".
+
+    Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model is not
+    finite at the start. Not to converge is a status of the fit, not an error.
+    """
+    experiments = _experiments(data)
+    if not isinstance(model, Model):
+        raise ModelError(f"estimate: the first argument is a Model, not a {type(model).__name__}")
+    model.check()
+    transcription = transcription or Collocation()
+    noise = noise or model.noise_model
+    solver = solver or Ipopt()
+    for what, value, kind in (("transcription", transcription, Collocation), ("noise", noise, Gaussian)):
+        if not isinstance(value, kind):
+            raise OptionError(f"estimate: {what} is a {kind.__name__}, not a {type(value).__name__}")
+
+    known = [name for name, value in noise.sigma.items() if isinstance(value, (int, float))]
+    for experiment in experiments:
+        experiment.check_for(model.input_names, model.output_names, known)
+
+    warm = start if isinstance(start, Fit) else None
+    given: Mapping[str, Any] = warm.as_start() if warm else dict(start or {})  # type: ignore[arg-type]
+    check_names(model, given)
+    parameters = parameter_start(model, given)
+    spreads = {name: spread(experiments, name) for name in model.output_names}
+    sigmas = noise.resolve(model.output_names, spreads, given)
+
+    problem = transcription.problem(model, experiments, sigmas)
+    xi = starting_point(problem, model, experiments, parameters, sigmas, given, warm)
+    samples = sum(e.n for e in experiments) * len(model.output_names)
+    scaling = scale(problem, xi, len(model.state_names), samples)
+    with Progress.of(progress, model.name) as watch:
+        solution = solver.solve(problem, xi, scaling, _warm(warm, problem, xi), watch)
+    args = (scaling.variables, scaling.constraints)
+    return make_fit(model, experiments, noise, transcription, problem, solution, *args)
+
+
+def starting_point(
+    problem: _core.Collocation,
+    model: Model,
+    experiments: Sequence[Experiment],
+    parameters: Mapping[str, float],
+    sigmas: Sequence[tuple[bool, float, float, float]],
+    given: Mapping[str, Any],
+    warm: Fit | None = None,
+) -> _Array:
+    """The decision variables to start from: parameters, 1/sigma, states at all points."""
+    roots = [1 / value for is_known, value, _, _ in sigmas if not is_known]
+    parts = [np.array([*parameters.values(), *roots])]
+    for i, experiment in enumerate(experiments):
+        times = problem.point_times(i)
+        states = state_start(model, experiment, times, parameters, given)
+        if warm is not None and i < len(warm.records):
+            record = warm.records[i]
+            for k, name in enumerate(model.state_names):
+                if name in record.mesh_states:
+                    path = record.mesh_states[name]
+                    states[k] = _core.interpolate("cubic", record.mesh_t.tolist(), path.tolist(), times.tolist())
+        parts.append(states.T.ravel())
+    return np.concatenate(parts)
+
+
+def _warm(fit: Fit | None, problem: _core.Collocation, xi: _Array) -> Solution | None:
+    """The solution of an earlier fit, where the problem has the same size: its multipliers serve again."""
+    if fit is None or fit.solution is None or fit.solution.xi.size != xi.size:
+        return None
+    return fit.solution if fit.solution.multipliers.size == problem.m else None
+
+
+def _experiments(data: Any) -> list[Experiment]:
+    experiments = [data] if isinstance(data, Experiment) else list(data) if isinstance(data, (list, tuple)) else None
+    if experiments is None or not all(isinstance(e, Experiment) for e in experiments):
+        raise DataError("estimate: data is an Experiment or a list of them; make one with ph.read or ph.Experiment")
+    if not experiments:
+        raise DataError("estimate: the list of experiments is empty")
+    names = [e.name for e in experiments]
+    if len(set(names)) < len(names):
+        twice = next(n for n in names if names.count(n) > 1)
+        raise DataError(f"estimate: two experiments are called '{twice}'; give each a name of its own")
+    return experiments

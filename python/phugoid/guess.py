@@ -1,0 +1,111 @@
+"""Where an estimation starts: parameters as declared, states as measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _core
+from ._core import Expr
+from .errors import DataError, ModelError, did_you_mean
+from .experiment import Experiment
+from .model import Model
+
+__all__ = ["check_names", "measured_states", "parameter_start", "state_start"]
+
+_Array = NDArray[np.float64]
+
+
+def check_names(model: Model, start: Mapping[str, Any]) -> None:
+    """Raises ModelError for a start that names nothing: not a parameter, a sigma or a state."""
+    known = [*model.parameter_names, *(f"sigma_{n}" for n in model.output_names), *model.state_names]
+    for name in start:
+        if name not in known:
+            raise ModelError(f"start: '{name}' is no parameter, sigma or state.{did_you_mean(name, known)}")
+
+
+def parameter_start(model: Model, start: Mapping[str, Any]) -> dict[str, float]:
+    """Starting values of the model's parameters: as declared, or as given."""
+    values: dict[str, float] = {}
+    for name, p in model.declared_parameters.items():
+        value = float(start.get(name, p.start))
+        if not np.isfinite(value):
+            raise ModelError(f"start: '{name}' is {value}, not a finite number")
+        if not p.bounds[0] <= value <= p.bounds[1]:
+            raise ModelError(f"start: '{name}' = {value} lies outside its bounds {p.bounds}; move one of them")
+        if p.fixed and value != p.start:
+            raise ModelError(f"start: '{name}' is fixed at {p.start} and cannot start at {value}")
+        values[name] = value
+    return values
+
+
+def measured_states(model: Model, parameters: Mapping[str, float]) -> dict[str, tuple[str, float, float]]:
+    """For each state that an output measures: the output, offset and slope, z = offset + slope * x.
+
+    An output measures a state where it depends on no other state, input or time, and on this one linearly
+    (``q + bias``, ``scale*alpha``), with the parameters at their start.
+    """
+    found: dict[str, tuple[str, float, float]] = {}
+    varying = {*model.state_names, *model.input_names, "time"}
+    for output, expression in model.output_expressions().items():
+        e = Expr(expression)
+        names = varying.intersection(e.symbols)
+        if len(names) != 1:
+            continue
+        (state,) = names
+        if state not in model.state_names or state in found:
+            continue
+        slope = e.diff(state)
+        if varying.intersection(slope.symbols):
+            continue
+        numbers = {**parameters, state: 0.0}
+        b = slope.evaluate({n: numbers[n] for n in slope.symbols})
+        a = e.evaluate({n: numbers[n] for n in e.symbols})
+        if np.isfinite(a) and np.isfinite(b) and b != 0:
+            found[state] = (output, a, b)
+    return found
+
+
+def state_start(
+    model: Model, experiment: Experiment, times: _Array, parameters: Mapping[str, float], start: Mapping[str, Any]
+) -> _Array:
+    """Starting states at mesh points, shape (n_x, points).
+
+    In order of preference: given in ``start`` (a number, or an array over the samples); measured; zero.
+    """
+    measured = measured_states(model, parameters)
+    states = np.zeros((len(model.state_names), times.size))
+    for i, name in enumerate(model.state_names):
+        if name in start:
+            states[i] = _given(name, start[name], experiment, times)
+        elif name in measured:
+            output, a, b = measured[name]
+            z = experiment.output(output)
+            present = np.isfinite(z)
+            values = (z[present] - a) / b
+            states[i] = _core.interpolate("linear", experiment.t[present].tolist(), values.tolist(), times.tolist())
+    return states
+
+
+def _given(name: str, value: Any, experiment: Experiment, times: _Array) -> _Array:
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim == 0:
+        array = np.full(experiment.n, float(array))
+    if array.shape != (experiment.n,):
+        raise DataError(
+            f"start: state '{name}' has shape {array.shape}; give a number or one value a sample ({experiment.n})"
+        )
+    if not np.isfinite(array).all():
+        i = int(np.flatnonzero(~np.isfinite(array))[0])
+        raise DataError(f"start: state '{name}' is {array[i]} at sample {i} (t = {experiment.t[i]} s)")
+    return np.array(_core.interpolate("linear", experiment.t.tolist(), array.tolist(), times.tolist()))
+
+
+def spread(experiments: Sequence[Experiment], output: str) -> float:
+    """Standard deviation of the measurements of an output over all experiments: the scale of its noise."""
+    values = np.concatenate([e.output(output) for e in experiments])
+    values = values[np.isfinite(values)]
+    return float(values.std()) or 1.0

@@ -1,0 +1,246 @@
+"""The user's model: states, inputs, parameters, quantities, state equations and outputs."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from . import _core
+from ._core import Expr
+from .errors import ModelError
+from .noise import Gaussian, Sigma
+from .parameters import Parameter
+
+__all__ = ["Model"]
+
+_PACKAGE = os.path.dirname(os.path.abspath(__file__))
+
+
+def _source() -> str | None:
+    """``file:line`` of the user's call: the innermost frame outside this package."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        if not os.path.abspath(frame.f_code.co_filename).startswith(_PACKAGE):
+            return f"{os.path.basename(frame.f_code.co_filename)}:{frame.f_lineno}"
+        if frame.f_back is None:
+            break
+        frame = frame.f_back
+    return None
+
+
+def _declared(kind: str, names: tuple[str, ...], units: Mapping[str, Any]) -> dict[str, Any]:
+    """Names from ``"a b"`` or ``"a", "b"`` (without value) and from ``a=..., b=...``."""
+    found: dict[str, Any] = {}
+    for text in names:
+        if not isinstance(text, str):
+            raise ModelError(f"{kind}: names are text, as in {kind}('a b') or {kind}(a='m/s'), not {text!r}")
+        found.update(dict.fromkeys(text.replace(",", " ").split()))
+    found.update(units)
+    if not found:
+        raise ModelError(f"{kind}: no names were given")
+    return found
+
+
+class Model:
+    """A model of ordinary differential equations: x' = f(x, u, theta), y = g(x, u, theta).
+
+    (Eqs. state_dynamics and output_equations of the paper.) Declare states, inputs and parameters, then give the
+    dynamics and the outputs:
+
+    >>> m = Model("first-order lag")
+    >>> x, = m.states(x="m")
+    >>> u, = m.inputs(u="m")
+    >>> T, = m.parameters(T=Parameter(1.0, bounds=(0.01, 100), unit="s"))
+    >>> m.dynamics(x=(u - x)/T)
+    >>> m.outputs(x=x)
+    """
+
+    def __init__(self, name: str = "model") -> None:
+        self._core = _core.Model(str(name))
+        self._noise = Gaussian()
+
+    @property
+    def name(self) -> str:
+        """Title."""
+        return self._core.name
+
+    def states(self, *names: str, **units: str) -> tuple[Expr, ...]:
+        """Declares states, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
+        declared = _declared("states", names, units)
+        return tuple(self._core.state(n, u or "") for n, u in declared.items())
+
+    def inputs(self, *names: str, **units: str) -> tuple[Expr, ...]:
+        """Declares inputs, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
+        declared = _declared("inputs", names, units)
+        return tuple(self._core.input(n, u or "") for n, u in declared.items())
+
+    def parameters(self, *names: str, **parameters: Parameter | float) -> tuple[Expr, ...]:
+        """Declares unknown parameters: ``"a b"`` (start 0), ``a=start`` or ``a=Parameter(...)``.
+
+        Returns their symbols in order.
+        """
+        declared = _declared("parameters", names, parameters)
+        symbols = []
+        for name, value in declared.items():
+            try:
+                p = value if isinstance(value, Parameter) else Parameter(0.0 if value is None else value)
+            except (ModelError, TypeError) as error:
+                raise ModelError(f"parameter '{name}': {error}") from None
+            low, high = p.bounds
+            symbols.append(self._core.parameter(name, p.unit, p.start, low, high, p.prior, p.fixed))
+        return tuple(symbols)
+
+    @property
+    def time(self) -> Expr:
+        """The symbol of time, s."""
+        return Expr.symbol("time")
+
+    def quantities(self, **expressions: Any) -> tuple[Expr, ...]:
+        """Names intermediate quantities; returns their symbols in order.
+
+        A term that is added to a quantity later enters wherever the quantity is used.
+        """
+        source = _source()
+        return tuple(self._each("quantity", expressions, lambda n, e: self._core.quantity(n, e, source)))
+
+    def dynamics(self, **expressions: Any) -> None:
+        """Gives state equations: ``dynamics(x=...)`` is x' = ... (per second)."""
+        source = _source()
+        self._each("dynamics", expressions, lambda n, e: self._core.equation(n, e, source))
+
+    def outputs(self, *args: Any, **expressions: Any) -> None:
+        """Declares what is measured: ``outputs(name=expression)`` or ``name=(expression, "unit")``."""
+        if args:
+            raise ModelError("outputs: give each output a name, as in outputs(q=q)")
+        source = _source()
+
+        def declare(name: str, value: Any) -> None:
+            expression, unit = value if isinstance(value, tuple) else (value, "")
+            self._core.output(name, expression, unit, source)
+
+        self._each("outputs", expressions, declare)
+
+    def _each(self, kind: str, expressions: Mapping[str, Any], act: Callable[[str, Any], Any]) -> list[Any]:
+        if not expressions:
+            raise ModelError(f"{kind}: no equations were given")
+        results = []
+        for name, expression in expressions.items():
+            try:
+                results.append(act(name, expression))
+            except TypeError as error:
+                raise ModelError(f"{kind} of '{name}' ({_source()}): {error}") from None
+        return results
+
+    def noise(self, *args: Gaussian, **sigma: float | Sigma) -> None:
+        """States what is known of the noise: ``noise(alpha=0.002)`` for a known standard deviation of an output,
+        ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, or a whole noise model."""
+        if args and sigma or len(args) > 1:
+            raise ModelError("noise: give a noise model or standard deviations by output, not both")
+        self._noise = args[0] if args else Gaussian({**self._noise.sigma, **sigma})
+
+    @property
+    def noise_model(self) -> Gaussian:
+        """The noise model, unless `estimate` is given another."""
+        return self._noise
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states, in order."""
+        return tuple(name for name, _ in self._core.states)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs, in order."""
+        return tuple(name for name, _ in self._core.inputs)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs, in order."""
+        return tuple(name for name, *_ in self._core.outputs)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return tuple(name for name, *_ in self._core.parameters)
+
+    @property
+    def declared_parameters(self) -> dict[str, Parameter]:
+        """The parameters as declared."""
+        return {
+            name: Parameter(start, (low, high), unit, prior, fixed)
+            for name, unit, start, low, high, prior, fixed in self._core.parameters
+        }
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of states, inputs, parameters and outputs by name, where known."""
+        pairs = [*self._core.states, *self._core.inputs]
+        pairs += [(name, unit) for name, unit, *_ in self._core.parameters]
+        pairs += [(name, unit) for name, _, unit, _ in self._core.outputs]
+        return {name: unit for name, unit in pairs if unit}
+
+    @property
+    def equations(self) -> dict[str, Expr]:
+        """Right-hand sides by name: quantities, state equations (with a prime: ``q'``) and outputs (``y:q``)."""
+        found = {name: e for name, e, *_ in self._core.quantities}
+        found |= {f"{name}'": e for name, e, *_ in self._core.dynamics}
+        return found | {f"y:{name}": e for name, e, *_ in self._core.outputs}
+
+    def output_expressions(self) -> dict[str, Expr]:
+        """Outputs with all quantities put in."""
+        known: dict[str, Any] = {}
+        for name, e, *_ in self._core.quantities:
+            known[name] = e.substitute(known)
+        return {name: e.substitute(known) for name, e, *_ in self._core.outputs}
+
+    def check(self) -> None:
+        """Raises ModelError where the model is incomplete: a state without equation, an unknown symbol, ..."""
+        self._core.check()
+
+    def latex(self) -> str:
+        """The equations as a LaTeX ``aligned`` block."""
+        lines = [f"{Expr.symbol(n).latex()} &= {e.latex()}" for n, e, *_ in self._core.quantities]
+        lines += [rf"\dot{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in self._core.dynamics]
+        lines += [rf"\tilde{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in self._core.outputs]
+        return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+
+    def to_json(self) -> str:
+        """The model as text that `from_json`, and the Rust crate, read back exactly."""
+        return self._core.to_json()
+
+    @classmethod
+    def from_json(cls, text: str) -> Model:
+        """Reads `to_json`. Raises ModelError for other text."""
+        model = cls.__new__(cls)
+        model._core = _core.Model.from_json(text)
+        model._noise = Gaussian()
+        return model
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes `to_json` to a file."""
+        Path(path).write_text(self.to_json(), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Model:
+        """Reads a file that `save` wrote."""
+        return cls.from_json(Path(path).read_text(encoding="utf-8"))
+
+    def __getstate__(self) -> tuple[str, Gaussian]:
+        return self.to_json(), self._noise
+
+    def __setstate__(self, state: tuple[str, Gaussian]) -> None:
+        text, self._noise = state
+        self._core = _core.Model.from_json(text)
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.state_names)} states, {len(self.input_names)} inputs, {len(self.output_names)} outputs"
+        return f"<Model '{self.name}': {counts}, {len(self.parameter_names)} parameters>"
+
+    def __str__(self) -> str:
+        lines = [f"{name} = {e}" for name, e, *_ in self._core.quantities]
+        lines += [f"{name}' = {e}" for name, e, *_ in self._core.dynamics]
+        lines += [f"{name} (measured) = {e}" for name, e, *_ in self._core.outputs]
+        return "\n".join([self.name, *(f"  {line}" for line in lines)])

@@ -1,0 +1,78 @@
+"""What the measurement noise is assumed to be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from .errors import ModelError, did_you_mean
+
+__all__ = ["Gaussian", "Sigma"]
+
+
+@dataclass(frozen=True)
+class Sigma:
+    """An unknown standard deviation of the noise of one output, in the output's unit.
+
+    ``start`` None starts at the standard deviation of the measurements; ``bounds`` None allows 1e-9 to 1e6 times
+    that.
+    """
+
+    start: float | None = None
+    bounds: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.start is not None and not (self.start > 0 and math.isfinite(self.start)):
+            raise ModelError(f"a standard deviation starts at a positive number, not {self.start}")
+        if self.bounds is not None:
+            low, high = self.bounds
+            if not (0 < low < high):
+                raise ModelError(f"bounds of a standard deviation are positive and increase, not {self.bounds}")
+            if self.start is not None and not low <= self.start <= high:
+                raise ModelError(f"the start {self.start} of a standard deviation lies outside its bounds {self.bounds}")
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Independent Gaussian noise on each output (Eqs. pe_gaussian and r_diag of the paper).
+
+    ``sigma`` gives, by output name, a number (a known standard deviation) or a `Sigma` (an unknown one); outputs
+    not named have an unknown one.
+    """
+
+    sigma: Mapping[str, float | Sigma] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, value in self.sigma.items():
+            if not isinstance(value, Sigma) and not (value > 0 and math.isfinite(value)):
+                raise ModelError(f"noise of '{name}': a known standard deviation is a positive number, not {value}")
+
+    def resolve(
+        self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]
+    ) -> list[tuple[bool, float, float, float]]:
+        """For each output: known?, value or start, lower bound, upper bound.
+
+        ``spread`` is the standard deviation of the measurements, ``start`` holds starts by ``sigma_<output>``.
+        """
+        for name in self.sigma:
+            if name not in outputs:
+                raise ModelError(f"noise: '{name}' is not an output.{did_you_mean(name, outputs)}")
+        resolved = []
+        for name in outputs:
+            spec = self.sigma.get(name, Sigma())
+            given = start.get(f"sigma_{name}")
+            if not isinstance(spec, Sigma):
+                if given is not None:
+                    raise ModelError(f"sigma_{name} is known ({spec}) and cannot be given a start as well")
+                resolved.append((True, float(spec), float(spec), float(spec)))
+                continue
+            scale = spread[name]
+            low, high = spec.bounds or (1e-9 * scale, 1e6 * scale)
+            value = given if given is not None else (spec.start if spec.start is not None else scale)
+            if not (value > 0 and math.isfinite(value)):
+                raise ModelError(f"the start of sigma_{name} is a positive number, not {value}")
+            if spec.bounds is not None and not low <= value <= high:
+                raise ModelError(f"the start {value} of sigma_{name} lies outside its bounds {spec.bounds}")
+            resolved.append((False, float(value), float(min(low, value)), float(max(high, value))))
+        return resolved

@@ -1,0 +1,347 @@
+"""What an estimation gives back."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _core, io, plot, summary
+from .covariance import covariance
+from .errors import DataError
+from .experiment import Experiment
+from .model import Model
+from .noise import Gaussian, Sigma
+from .parameters import Estimate, Estimates
+from .records import Record
+from .solvers import Iteration, Solution
+from .transcription import Collocation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Fit", "load", "make_fit"]
+
+_Array = NDArray[np.float64]
+
+# A bound is active where the variable lies within this fraction of its size from it.
+_AT_BOUND = 1e-6
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit:
+    """The result of `estimate`.
+
+    parameters      by name, the standard deviations of the noise (``sigma_<output>``) among them.
+    initial_states  experiment -> state -> estimate of the state at the first sample.
+    log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi.
+    records         one an experiment: measured, outputs, residuals, states.
+    status          "converged", or what else happened; ``message`` says what to do.
+    warnings        what to beware of in the result, in words.
+    covariance      (n, n) of the parameters in their order; NaN where there is none.
+    """
+
+    model: Model
+    noise: Gaussian
+    transcription: Collocation
+    parameters: Estimates
+    initial_states: Mapping[str, Estimates]
+    covariance: _Array
+    log_likelihood: float
+    records: Sequence[Record]
+    status: str
+    message: str
+    iterations: int
+    time: float
+    warnings: tuple[str, ...] = ()
+    history: Sequence[Iteration] = ()
+    solution: Solution | None = field(default=None)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solver met its tolerances."""
+        return self.status == "converged"
+
+    def _only(self, what: str) -> Record:
+        if len(self.records) > 1:
+            names = ", ".join(f"'{r.name}'" for r in self.records)
+            raise DataError(f"the fit has {len(self.records)} experiments ({names}): use fit.records[i].{what}")
+        return self.records[0]
+
+    @property
+    def states(self) -> Mapping[str, _Array]:
+        """State -> (N,) at the samples, of the only experiment."""
+        return self._only("states").states
+
+    @property
+    def outputs(self) -> Mapping[str, _Array]:
+        """Output -> (N,) of the model, of the only experiment."""
+        return self._only("outputs").outputs
+
+    @property
+    def residuals(self) -> Mapping[str, _Array]:
+        """Output -> (N,) measured minus model, NaN where missing, of the only experiment."""
+        return self._only("residuals").residuals
+
+    def as_start(self) -> dict[str, float]:
+        """Parameters as start values of another estimation."""
+        known = {f"sigma_{n}" for n, value in self.noise.sigma.items() if not isinstance(value, Sigma)}
+        return {name: e.value for name, e in self.parameters.items() if name not in known}
+
+    def summary(self) -> str:
+        """The fit as a plain-text table."""
+        text = summary.fit_summary(self)
+        return text + "".join(f"\n\nWarning: {w}" for w in self.warnings)
+
+    def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+        """The proof-of-match figure of an experiment: measured points, model, residuals, inputs."""
+        return plot.plot_fit(self, record, channels)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the fit to a versioned JSON file, which `load` reads."""
+        io.save_fit_dict(path, _payload(self))
+
+    def __repr__(self) -> str:
+        return (
+            f"<Fit of '{self.model.name}': {self.status}, log-likelihood {self.log_likelihood:.6g}, "
+            f"{len(self.parameters)} parameters>"
+        )
+
+    def __str__(self) -> str:
+        return self.summary()
+
+
+def make_fit(
+    model: Model,
+    experiments: Sequence[Experiment],
+    noise: Gaussian,
+    transcription: Collocation,
+    problem: _core.Collocation,
+    solution: Solution,
+    scale: _Array,
+    rows: _Array,
+) -> Fit:
+    """The fit at a solution; ``scale`` and ``rows`` are the scaling of variables and constraints."""
+    xi = solution.xi
+    n_theta, n_x, n_model = problem.n_theta, len(model.state_names), len(model.parameter_names)
+    lower, upper = problem.bounds()
+    active = _active(xi[:n_theta], lower[:n_theta], upper[:n_theta], solution)
+    held = np.flatnonzero([a is not None for a in active])
+    firsts = [n_theta + n_x * point for point in problem.first_point[:-1]]
+    wanted = np.concatenate([np.setdiff1d(np.arange(n_theta), held), *(np.arange(f, f + n_x) for f in firsts)])
+
+    warnings: list[str] = []
+    full = np.full((problem.n, 1), np.nan)[:, 0]  # standard errors by variable
+    cov = np.full((n_theta, n_theta), np.nan)
+    block = covariance(problem, xi, solution.multipliers, scale, rows, wanted.astype(np.intp), held)
+    if block is None:
+        warnings.append("the standard errors could not be computed: the information matrix is singular")
+    else:
+        variance = np.diag(block)
+        full[wanted] = np.sqrt(np.where(variance > 0, variance, np.nan))
+        inner = wanted < n_theta
+        cov[np.ix_(wanted[inner], wanted[inner])] = block[np.ix_(inner, inner)]
+        negative = [problem.variable_name(int(i)) for i, v in zip(wanted, variance, strict=True) if v <= 0]
+        if negative:
+            warnings.append(f"not a proper maximum: no standard error for {', '.join(negative)}")
+
+    parameters = _model_estimates(model, xi, full, active)
+    jacobian = np.ones(n_theta)
+    for k, name in enumerate(problem.noise_parameters, start=n_model):
+        root = xi[k]
+        jacobian[k] = -1 / root**2  # sigma = 1/root
+        # A lower bound of the root is an upper bound of sigma.
+        side = {"lower": "upper", "upper": "lower", None: None, "fixed": None}[active[k]]
+        unit = model.units.get(name.removeprefix("sigma_"), "")
+        bounds = (1 / upper[k], 1 / lower[k] if lower[k] > 0 else np.inf)
+        parameters.append(Estimate(name, 1 / root, full[k] / root**2, unit, bounds=bounds, bounds_active=side))
+        if side == "lower":
+            warnings.append(f"{name} sits at its lower bound {1 / root:.3g}: the fit of this output is exact for all we know")
+    cov *= np.outer(jacobian, jacobian)
+
+    initial = {}
+    for experiment, first in zip(experiments, firsts, strict=True):
+        units = model.units
+        each = (Estimate(s, xi[first + i], full[first + i], units.get(s, "")) for i, s in enumerate(model.state_names))
+        initial[experiment.name] = Estimates(each)
+    records = [_record(model, e, problem, xi, i) for i, e in enumerate(experiments)]
+    estimates = Estimates(parameters)
+    warnings += _defect_warning(model, problem, xi, estimates, noise)
+    return Fit(
+        model=model,
+        noise=noise,
+        transcription=transcription,
+        parameters=estimates,
+        initial_states=initial,
+        covariance=cov,
+        log_likelihood=-problem.objective(xi) - _prior_terms(model, xi),
+        records=records,
+        status=solution.status,
+        message=solution.message,
+        iterations=solution.iterations,
+        time=solution.time,
+        warnings=tuple(warnings),
+        history=solution.history,
+        solution=solution,
+    )
+
+
+def _active(theta: _Array, lower: _Array, upper: _Array, solution: Solution) -> list[str | None]:
+    """For each parameter: "fixed", at its "lower" or "upper" bound, or None.
+
+    A bound is active where the variable is at it and its multiplier pushes against it.
+    """
+    found: list[str | None] = []
+    for i, value in enumerate(theta):
+        near = _AT_BOUND * max(abs(value), min(upper[i] - lower[i], 1.0))
+        if lower[i] == upper[i]:
+            found.append("fixed")
+        elif value - lower[i] <= near:
+            found.append("lower")
+        elif upper[i] - value <= near:
+            found.append("upper")
+        else:
+            found.append(None)
+    return found
+
+
+def _model_estimates(model: Model, xi: _Array, errors: _Array, active: Sequence[str | None]) -> list[Estimate]:
+    return [
+        Estimate(
+            name,
+            float(xi[i]),
+            float(errors[i]),
+            p.unit,
+            p.start,
+            p.bounds,
+            p.fixed,
+            None if active[i] in (None, "fixed") else active[i],  # type: ignore[arg-type]
+        )
+        for i, (name, p) in enumerate(model.declared_parameters.items())
+    ]
+
+
+def _record(model: Model, experiment: Experiment, problem: _core.Collocation, xi: _Array, index: int) -> Record:
+    n_theta, n_x = problem.n_theta, len(model.state_names)
+    first, end = problem.first_point[index : index + 2]
+    paths = xi[n_theta + n_x * first : n_theta + n_x * end].reshape(-1, n_x)
+    at = problem.sample_points(index)
+    mesh = problem.mesh_points(index)
+    outputs = dict(zip(model.output_names, problem.outputs(xi, index), strict=True))
+    measured = {name: experiment.output(name) for name in model.output_names}
+    return Record(
+        name=experiment.name,
+        t=experiment.t,
+        inputs={name: experiment.input(name) for name in model.input_names},
+        outputs=outputs,
+        states={name: paths[at, i] for i, name in enumerate(model.state_names)},
+        measured=measured,
+        residuals={name: measured[name] - outputs[name] for name in model.output_names},
+        mesh_t=problem.point_times(index)[:mesh],
+        mesh_states={name: paths[:mesh, i].copy() for i, name in enumerate(model.state_names)},
+        units=model.units,
+    )
+
+
+def _prior_terms(model: Model, xi: _Array) -> float:
+    """What priors add to the objective: not part of the likelihood."""
+    declared = model.declared_parameters.values()
+    return -sum(0.5 * ((xi[i] - p.prior[0]) / p.prior[1]) ** 2 for i, p in enumerate(declared) if p.prior)
+
+
+def _defect_warning(model: Model, problem: _core.Collocation, xi: _Array, estimates: Estimates, noise: Gaussian) -> list[str]:
+    """Defects add up along the path; unless they stay far below sigma, the likelihood is not that of a solution."""
+    defects = problem.constraints(xi)
+    if defects is None:
+        return ["the equations are not finite at the result"]
+    total = np.abs(defects.reshape(-1, len(model.state_names))).sum(axis=0)
+    found = []
+    for i, name in enumerate(model.state_names):
+        if name not in model.output_names:
+            continue
+        known = noise.sigma.get(name)
+        sigma = known if isinstance(known, (int, float)) else estimates[f"sigma_{name}"].value
+        if total[i] > 0.01 * sigma:
+            found.append(
+                f"the defects of {name} sum to {total[i]:.1e}, not far below sigma_{name} = {sigma:.1e}: "
+                "the state path is not a solution to that accuracy; tighten the solver's tolerance"
+            )
+    return found
+
+
+def _payload(fit: Fit) -> dict[str, Any]:
+    def estimates(group: Estimates) -> list[dict[str, Any]]:
+        return [{**vars(e), "bounds": list(e.bounds)} for e in group.values()]
+
+    t = fit.transcription
+    return {
+        "model": fit.model.to_json(),
+        "noise": {
+            name: {"known": s} if not isinstance(s, Sigma) else {"start": s.start, "bounds": list(s.bounds) if s.bounds else None}
+            for name, s in fit.noise.sigma.items()
+        },
+        "transcription": {"order": t.order, "substeps": t.substeps, "segments": _plain_segments(t.segments)},
+        "parameters": estimates(fit.parameters),
+        "initial_states": {name: estimates(group) for name, group in fit.initial_states.items()},
+        "covariance": fit.covariance,
+        "log_likelihood": fit.log_likelihood,
+        "records": [vars(r) for r in fit.records],
+        "status": fit.status,
+        "message": fit.message,
+        "iterations": fit.iterations,
+        "time": fit.time,
+        "warnings": list(fit.warnings),
+        "history": [vars(line) for line in fit.history],
+    }
+
+
+def _plain_segments(segments: Any) -> Any:
+    if segments is None or isinstance(segments, (int, np.integer)):
+        return segments
+    return [np.asarray(part).tolist() for part in segments]
+
+
+def load(path: str | os.PathLike[str]) -> Fit:
+    """Reads a fit that `Fit.save` wrote. Raises DataError for a missing, damaged or newer file."""
+    saved = io.load_fit_dict(path)
+
+    def estimates(group: list[dict[str, Any]]) -> Estimates:
+        numbers = ("value", "std_error", "start")
+        return Estimates(
+            Estimate(**{**e, **{k: io.to_float(e[k]) for k in numbers}, "bounds": tuple(map(io.to_float, e["bounds"]))})
+            for e in group
+        )
+
+    def record(saved: dict[str, Any]) -> Record:
+        groups = ("inputs", "outputs", "states", "measured", "residuals", "mesh_states")
+        arrays = {k: {n: io.to_array(v) for n, v in saved[k].items()} for k in groups}
+        times = {k: io.to_array(saved[k]) for k in ("t", "mesh_t")}
+        return Record(name=saved["name"], units=saved["units"], **times, **arrays)
+
+    def sigma(s: dict[str, Any]) -> float | Sigma:
+        return s["known"] if "known" in s else Sigma(s["start"], tuple(s["bounds"]) if s["bounds"] else None)
+
+    try:
+        return Fit(
+            model=Model.from_json(saved["model"]),
+            noise=Gaussian({name: sigma(s) for name, s in saved["noise"].items()}),
+            transcription=Collocation(**saved["transcription"]),
+            parameters=estimates(saved["parameters"]),
+            initial_states={name: estimates(group) for name, group in saved["initial_states"].items()},
+            covariance=io.to_array(saved["covariance"]),
+            log_likelihood=io.to_float(saved["log_likelihood"]),
+            records=[record(r) for r in saved["records"]],
+            status=saved["status"],
+            message=saved["message"],
+            iterations=saved["iterations"],
+            time=io.to_float(saved["time"]),
+            warnings=tuple(saved["warnings"]),
+            history=[Iteration(**line) for line in saved["history"]],
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{path}: is damaged ({type(error).__name__}: {error})") from error

@@ -1,0 +1,6 @@
+"""Solvers of the nonlinear program: what they take and what they give back."""
+
+from .ipopt import Ipopt
+from .solution import Iteration, Solution
+
+__all__ = ["Ipopt", "Iteration", "Solution"]

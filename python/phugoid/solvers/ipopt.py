@@ -1,0 +1,268 @@
+"""Ipopt, through cyipopt."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..errors import EvaluationError, MissingDependency, OptionError
+from .scaling import Scaling
+from .solution import HINTS, Iteration, Solution
+
+__all__ = ["Ipopt"]
+
+_Array = NDArray[np.float64]
+
+# The exact Hessian takes over once an iteration changes the log-likelihood by less than this (so the parameters by
+# a small part of their standard errors) and the scaled defects are below that.
+_NEAR = 1.0
+_NEAR_DEFECT = 1e-3
+
+# Ipopt's return codes, as statuses of ours.
+_STATUS = {
+    0: "converged",
+    1: "acceptable",
+    2: "infeasible",
+    3: "failed",  # search direction becomes too small
+    4: "diverging",
+    5: "interrupted",
+    6: "converged",  # feasible point of a square problem
+    -1: "iteration limit",
+    -2: "failed",  # restoration failed
+    -3: "failed",  # error in step computation
+    -4: "time limit",
+    -5: "time limit",
+    -13: "failed",  # invalid number detected
+}
+
+
+@dataclass(frozen=True)
+class Ipopt:
+    """The interior-point solver Ipopt with exact derivatives.
+
+    ``options`` reaches every option of Ipopt by its own name and has the last word. ``scaling`` False leaves
+    scaling to Ipopt (``nlp_scaling_method``). Needs the package cyipopt.
+    """
+
+    max_iterations: int = 1000
+    tolerance: float = 1e-9
+    time_limit: float | None = None
+    scaling: bool = True
+    gauss_newton: bool = True
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.max_iterations < 0:
+            raise OptionError(f"Ipopt: max_iterations is a number from 0, not {self.max_iterations}")
+        if not 0 < self.tolerance < 1:
+            raise OptionError(f"Ipopt: tolerance lies between 0 and 1, not at {self.tolerance}")
+        if self.time_limit is not None and not self.time_limit > 0:
+            raise OptionError(f"Ipopt: time_limit is a positive number of seconds, not {self.time_limit}")
+
+    def solve(
+        self,
+        problem: _core.Collocation,
+        xi: _Array,
+        scaling: Scaling,
+        warm: Solution | None = None,
+        watch: Callable[[Iteration], None] | None = None,
+    ) -> Solution:
+        """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration.
+
+        Raises EvaluationError where a function is not finite at the start, MissingDependency without cyipopt.
+        """
+        wrapper = load_cyipopt()
+        _check_start(problem, xi)
+        started = time.perf_counter()
+        callbacks = _Callbacks(problem, wrapper.CyIpoptEvaluationError, watch, near=not self.gauss_newton or warm is not None)
+        lower, upper = problem.bounds()
+        nlp = wrapper.Problem(
+            n=problem.n, m=problem.m, problem_obj=callbacks, lb=lower, ub=upper, cl=np.zeros(problem.m), cu=np.zeros(problem.m)
+        )
+        callbacks.nlp = nlp
+        self._configure(nlp, scaling, warm)
+        start = {"lagrange": warm.multipliers, "zl": warm.bound_multipliers[0], "zu": warm.bound_multipliers[1]} if warm else {}
+        with _interruptible(callbacks):
+            x, info = nlp.solve(xi, **start)
+        if callbacks.error is not None:
+            raise callbacks.error
+        status = "interrupted" if callbacks.stop else _STATUS.get(info["status"], "failed")
+        said = info["status_msg"]
+        said = (said.decode() if isinstance(said, bytes) else str(said)).strip().rstrip(".")
+        message = HINTS[status] if status == "converged" else f"{HINTS[status]} (Ipopt: {said})"
+        if status in ("failed", "infeasible"):
+            message += f"; {_worst_defect(problem, x, scaling)}"
+        return Solution(
+            xi=x,
+            multipliers=np.asarray(info["mult_g"]),
+            bound_multipliers=(np.asarray(info["mult_x_L"]), np.asarray(info["mult_x_U"])),
+            status=status,
+            message=message,
+            iterations=callbacks.history[-1].number if callbacks.history else 0,
+            time=time.perf_counter() - started,
+            history=callbacks.history,
+        )
+
+    def _configure(self, nlp: Any, scaling: Scaling, warm: Solution | None) -> None:
+        options: dict[str, Any] = {
+            "print_level": 0,
+            "sb": "yes",
+            "max_iter": self.max_iterations,
+            "tol": self.tolerance,
+            "linear_solver": "mumps",
+            # METIS: three times faster on these long and narrow problems than the default ordering.
+            "mumps_pivot_order": 5,
+            # Tiny steps at the end are rounding, not trouble.
+            "mu_strategy": "adaptive",
+        }
+        if self.time_limit is not None:
+            options["max_wall_time"] = float(self.time_limit)
+        if self.scaling:
+            options["nlp_scaling_method"] = "user-scaling"
+            nlp.set_problem_scaling(scaling.objective, scaling.variables, scaling.constraints)
+        if warm is not None:
+            options["warm_start_init_point"] = "yes"
+        options.update(self.options)
+        for name, value in options.items():
+            try:
+                nlp.add_option(name, value)
+            except TypeError:
+                if name == "max_wall_time":  # Ipopt before 3.14
+                    nlp.add_option("max_cpu_time", value)
+                    continue
+                raise OptionError(f"Ipopt has no option '{name}' that takes {value!r}") from None
+
+
+class _Callbacks:
+    """The program as cyipopt wants it, and what happened on the way."""
+
+    def __init__(self, problem: _core.Collocation, failure: type[Exception], watch: Callable[[Iteration], None] | None, near: bool):
+        self.problem = problem
+        self.failure = failure
+        self.watch = watch
+        self.history: list[Iteration] = []
+        self.stop = False
+        self.error: BaseException | None = None
+        self.nlp: Any = None
+        self.near = near
+        self._jacobian_structure = problem.jacobian_structure()
+        self._hessian_structure = problem.hessian_structure()
+
+    def _finite(self, values: _Array | None) -> _Array:
+        if values is None:
+            raise self.failure()
+        return values
+
+    def objective(self, x: _Array) -> float:
+        value = self.problem.objective(x)
+        if not math.isfinite(value):
+            raise self.failure()
+        return value
+
+    def gradient(self, x: _Array) -> _Array:
+        return self._finite(self.problem.gradient(x))
+
+    def constraints(self, x: _Array) -> _Array:
+        return self._finite(self.problem.constraints(x))
+
+    def jacobianstructure(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        return self._jacobian_structure
+
+    def jacobian(self, x: _Array) -> _Array:
+        return self._finite(self.problem.jacobian(x))
+
+    def hessianstructure(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        return self._hessian_structure
+
+    def hessian(self, x: _Array, lagrange: _Array, obj_factor: float) -> _Array:
+        if self.near:
+            return self._finite(self.problem.hessian(x, obj_factor, lagrange))
+        return self._finite(self.problem.gauss_newton(x, obj_factor))
+
+    def intermediate(self, alg_mod: int, iter_count: int, obj_value: float, inf_pr: float, inf_du: float, mu: float,
+                     d_norm: float, regularization_size: float, alpha_du: float, alpha_pr: float, ls_trials: int) -> bool:
+        line = Iteration(iter_count, -obj_value, inf_pr, inf_du, alpha_pr, ls_trials)
+        if not self.near and self.history:
+            change = abs(line.log_likelihood - self.history[-1].log_likelihood)
+            self.near = change < _NEAR and inf_pr < _NEAR_DEFECT
+        self.history.append(line)
+        try:
+            if self.watch is not None:
+                self.watch(line)
+        except KeyboardInterrupt:
+            self.stop = True
+        except Exception as error:  # an error of the user's callback must not vanish in C
+            self.error = error
+            return False
+        return not self.stop
+
+
+@contextmanager
+def _interruptible(callbacks: _Callbacks) -> Iterator[None]:
+    """Ctrl-C ends the run after the iteration in progress; the point reached is kept. A second one is as ever."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def on_interrupt(number: int, frame: Any) -> None:
+        callbacks.stop = True
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.signal(signal.SIGINT, on_interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _check_start(problem: _core.Collocation, xi: _Array) -> None:
+    fine = (
+        math.isfinite(problem.objective(xi))
+        and problem.constraints(xi) is not None
+        and problem.jacobian(xi) is not None
+        and problem.gradient(xi) is not None
+    )
+    if not fine:
+        what = problem.explain(xi) or "a function of the model is not finite"
+        raise EvaluationError(f"at the starting point, {what}; give other start values, or bounds")
+
+
+def _worst_defect(problem: _core.Collocation, xi: _Array, scaling: Scaling) -> str:
+    defects = problem.constraints(xi)
+    if defects is None:
+        return problem.explain(xi) or "a function of the model is not finite there"
+    worst = int(np.argmax(np.abs(defects) * scaling.constraints))
+    return f"the largest is the {problem.constraint_name(worst)}: {defects[worst]:.2e}"
+
+
+def load_cyipopt() -> Any:
+    """cyipopt's extension module, without the rest of cyipopt: that imports scipy.optimize, ten times as long.
+
+    Raises MissingDependency where cyipopt is not installed.
+    """
+    if "cyipopt" in sys.modules:
+        return importlib.import_module("cyipopt.ipopt_wrapper")
+    spec = importlib.util.find_spec("cyipopt")
+    if spec is None:
+        raise MissingDependency("the solver Ipopt needs cyipopt: pip install phugoid[ipopt] (see README)")
+    # The bare package: a path, with nothing executed. A later `import cyipopt` is the full one.
+    sys.modules["cyipopt"] = importlib.util.module_from_spec(spec)
+    try:
+        return importlib.import_module("cyipopt.ipopt_wrapper")
+    except ModuleNotFoundError:
+        return importlib.import_module("ipopt_wrapper")  # before 1.7
+    finally:
+        del sys.modules["cyipopt"]

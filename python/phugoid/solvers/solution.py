@@ -1,0 +1,54 @@
+"""What a solver gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["HINTS", "Iteration", "Solution"]
+
+HINTS = {
+    "converged": "a local optimum was found; other starts (or ph.multistart) tell whether it is the global one",
+    "acceptable": "stopped at an acceptable point: tolerances were not all met, often for want of precision; "
+    "check the standard errors",
+    "interrupted": "stopped by the user; this is the best point so far, and start=fit goes on from it",
+    "iteration limit": "not converged; allow more iterations, or go on with start=fit",
+    "time limit": "not converged; allow more time, or go on with start=fit",
+    "infeasible": "no state path satisfies the equations near here; look at start values, bounds and units",
+    "diverging": "the unknowns grow without limit; a parameter may be without influence: bound or fix it",
+    "failed": "the solver gave up; try other start values, bounds that keep functions finite, or another order",
+}
+"""For each status, what it means and what to do."""
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One line of the iteration table."""
+
+    number: int
+    log_likelihood: float
+    defect: float
+    """Largest scaled constraint violation."""
+    dual: float
+    """Largest scaled entry of the gradient of the Lagrangian."""
+    step: float
+    trials: int
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a solver ended."""
+
+    xi: NDArray[np.float64]
+    """Decision variables, shape (n,)."""
+    multipliers: NDArray[np.float64]
+    """Multipliers of the constraints, shape (m,)."""
+    bound_multipliers: tuple[NDArray[np.float64], NDArray[np.float64]]
+    """Multipliers of the lower and upper bounds, shape (n,) each."""
+    status: str
+    message: str
+    iterations: int
+    time: float
+    history: list[Iteration] = field(default_factory=list, repr=False)

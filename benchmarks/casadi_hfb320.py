@@ -3,8 +3,9 @@
 Segments of Legendre-Gauss-Lobatto points, one per sample interval (order 2 is the trapezoid), inputs linear
 between samples, the negative log-likelihood with its seven sigmas as variables; collocation-oem.tex, section
 'Collocation implementation'.  The model is an SX function mapped over the mesh, the problem is expanded to SX
-(CasADi is fastest so) and gives exact derivatives.  At orders 3 and up Ipopt depends on start and scaling:
-from zero it mostly wanders or stops at a local optimum.
+(CasADi is fastest so) and gives exact derivatives.  The paper's scaling is the robust one; Ipopt's own takes
+fewer iterations where it converges, but fails from many of the random starts.  From zero at orders 3 and 4
+neither reaches the optimum.
 
     python benchmarks/casadi_hfb320.py --order 2 --start zero --scaling paper gradient
 """

@@ -14,7 +14,7 @@ import pytest
 
 from phugoid import io
 from phugoid.errors import DataError
-from phugoid.experiment import read
+from phugoid.read import read
 
 NAN = float("nan")
 SHARED = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))

@@ -13,14 +13,14 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "lgl", "interpolate", "table", "error", "expr", "tape", "model", "experiment", "noise", "mesh",
-    "nlp", "transcription", "linalg", "solver", "diagnosis",
+    "math", "lgl", "interpolate", "table", "error", "expr", "tape", "model", "evaluator", "experiment", "noise",
+    "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis",
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "model", "experiment", "noise", "transcription", "guess",
-    "solvers", "records", "result", "summary", "plot", "io", "simulate", "estimate", "cli", "__init__",
-    "__main__",
+    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "guess",
+    "solvers", "progress", "records", "io", "plot", "summary", "covariance", "result", "simulate", "estimate",
+    "cli", "__init__", "__main__",
 ]
 # fmt: on
 

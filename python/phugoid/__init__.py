@@ -22,10 +22,11 @@ from .errors import (
     SolverError,
 )
 from .estimate import estimate
-from .experiment import Experiment, read
+from .experiment import Experiment
 from .model import Model
 from .noise import Gaussian, Sigma
 from .parameters import Estimate, Parameter
+from .read import read
 from .records import Record
 from .result import Fit, load
 from .simulate import simulate

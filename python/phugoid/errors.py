@@ -5,7 +5,7 @@ Each subclass is also the built-in exception that a reader would expect, so ``ex
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 __all__ = [
     "DataError",
@@ -17,6 +17,7 @@ __all__ = [
     "SolverError",
     "UnknownName",
     "did_you_mean",
+    "listing",
 ]
 
 
@@ -73,3 +74,12 @@ def did_you_mean(name: str, candidates: Iterable[str]) -> str:
         lowered.setdefault(candidate.lower(), candidate)
     near = get_close_matches(name.lower(), lowered, n=1)
     return f" Did you mean '{lowered[near[0]]}'?" if near else ""
+
+
+def listing(name: str, available: Collection[str]) -> str:
+    """The end of a message on a missing name: the nearest name, and what there is.
+
+    >>> listing("Q", ["q", "alpha"])
+    " Did you mean 'q'? There are: q, alpha."
+    """
+    return f"{did_you_mean(name, available)} There are: {', '.join(available) or 'none'}."

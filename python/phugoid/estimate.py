@@ -17,7 +17,6 @@ from .noise import Gaussian
 from .progress import Progress
 from .result import Fit, make_fit
 from .solvers import Ipopt, Iteration, Solution
-from .solvers.scaling import scale
 from .transcription import Collocation
 
 __all__ = ["estimate"]
@@ -73,11 +72,9 @@ def estimate(
     problem = transcription.problem(model, experiments, sigmas)
     xi = starting_point(problem, model, experiments, parameters, sigmas, given, warm)
     samples = sum(e.n for e in experiments) * len(model.output_names)
-    scaling = scale(problem, xi, len(model.state_names), samples)
     with Progress.of(progress, model.name) as watch:
-        solution = solver.solve(problem, xi, scaling, _warm(warm, problem, xi), watch)
-    args = (scaling.variables, scaling.constraints)
-    return make_fit(model, experiments, noise, transcription, problem, solution, *args)
+        solution = solver.solve(problem, xi, len(model.state_names), samples, _warm(warm, problem, xi), watch)
+    return make_fit(model, experiments, noise, transcription, problem, solution)
 
 
 def starting_point(

@@ -15,8 +15,8 @@ __all__ = ["Gaussian", "Sigma"]
 class Sigma:
     """An unknown standard deviation of the noise of one output, in the output's unit.
 
-    ``start`` None starts at the standard deviation of the measurements; ``bounds`` None allows 1e-9 to 1e6 times
-    that.
+    ``start`` None starts at the standard deviation of the measurements, and a larger start is lowered to it;
+    ``bounds`` None allows 1e-9 to 1e6 times that.
     """
 
     start: float | None = None
@@ -72,7 +72,12 @@ class Gaussian:
             value = given if given is not None else (spec.start if spec.start is not None else scale)
             if not (value > 0 and math.isfinite(value)):
                 raise ModelError(f"the start of sigma_{name} is a positive number, not {value}")
-            if spec.bounds is not None and not low <= value <= high:
+            if not low <= value <= high and spec.bounds is None:
+                low, high = min(low, value), max(high, value)
+            if not low <= value <= high:
                 raise ModelError(f"the start {value} of sigma_{name} lies outside its bounds {spec.bounds}")
-            resolved.append((False, float(value), float(min(low, value)), float(max(high, value))))
+            # No useful fit is worse than a constant. Beside others of its kind, an output with a start far above its
+            # spread would have no say in the first steps, and these can lead far away.
+            value = max(min(value, scale), low)
+            resolved.append((False, float(value), float(low), float(high)))
         return resolved

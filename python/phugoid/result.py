@@ -5,20 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _core, io, plot, summary
-from .covariance import covariance
+from .covariance import information
 from .errors import DataError
 from .experiment import Experiment
 from .model import Model
 from .noise import Gaussian, Sigma
 from .parameters import Estimate, Estimates
 from .records import Record
-from .solvers import Iteration, Solution
+from .solvers import HINTS, Iteration, Solution
 from .transcription import Collocation
 
 if TYPE_CHECKING:
@@ -28,9 +28,20 @@ if TYPE_CHECKING:
 __all__ = ["Fit", "load", "make_fit"]
 
 _Array = NDArray[np.float64]
+_Activity: TypeAlias = Literal["lower", "upper", "fixed"] | None  # of the bounds of a parameter
 
 # A bound is active where the variable lies within this fraction of its size from it.
 _AT_BOUND = 1e-6
+# A point is the optimum when the Newton step left is this small a part of every standard error.
+_CLOSE = 1e-3
+
+_BOUND: dict[_Activity, Literal["lower", "upper"] | None] = {
+    "lower": "lower",
+    "upper": "upper",
+    "fixed": None,
+    None: None,
+}
+_FLIPPED: dict[_Activity, Literal["lower", "upper"] | None] = {**_BOUND, "lower": "upper", "upper": "lower"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,10 +134,8 @@ def make_fit(
     transcription: Collocation,
     problem: _core.Collocation,
     solution: Solution,
-    scale: _Array,
-    rows: _Array,
 ) -> Fit:
-    """The fit at a solution; ``scale`` and ``rows`` are the scaling of variables and constraints."""
+    """The fit at a solution."""
     xi = solution.xi
     n_theta, n_x, n_model = problem.n_theta, len(model.state_names), len(model.parameter_names)
     lower, upper = problem.bounds()
@@ -138,17 +147,22 @@ def make_fit(
     warnings: list[str] = []
     full = np.full((problem.n, 1), np.nan)[:, 0]  # standard errors by variable
     cov = np.full((n_theta, n_theta), np.nan)
-    block = covariance(problem, xi, solution.multipliers, scale, rows, wanted.astype(np.intp), held)
-    if block is None:
+    status, message = solution.status, solution.message
+    found = information(problem, xi, solution.multipliers, solution.scaling, wanted.astype(np.intp), held)
+    if found is None:
         warnings.append("the standard errors could not be computed: the information matrix is singular")
     else:
-        variance = np.diag(block)
-        full[wanted] = np.sqrt(np.where(variance > 0, variance, np.nan))
+        variance = np.diag(found.covariance)
+        proper = variance > 0
+        full[wanted] = np.sqrt(np.where(proper, variance, np.nan))
         inner = wanted < n_theta
-        cov[np.ix_(wanted[inner], wanted[inner])] = block[np.ix_(inner, inner)]
-        negative = [problem.variable_name(int(i)) for i, v in zip(wanted, variance, strict=True) if v <= 0]
-        if negative:
-            warnings.append(f"not a proper maximum: no standard error for {', '.join(negative)}")
+        cov[np.ix_(wanted[inner], wanted[inner])] = found.covariance[np.ix_(inner, inner)]
+        if not proper.all():
+            names = [problem.variable_name(int(i)) for i in wanted[~proper]]
+            warnings.append(f"not a proper maximum: no standard error for {', '.join(names)}")
+        elif status == "acceptable" and np.all(np.abs(found.step) < _CLOSE * np.sqrt(variance)):
+            # Rounding kept the solver from its tolerance, but there is nowhere left to go.
+            status, message = "converged", HINTS["converged"]
 
     parameters = _model_estimates(model, xi, full, active)
     jacobian = np.ones(n_theta)
@@ -156,7 +170,7 @@ def make_fit(
         root = xi[k]
         jacobian[k] = -1 / root**2  # sigma = 1/root
         # A lower bound of the root is an upper bound of sigma.
-        side = {"lower": "upper", "upper": "lower", None: None, "fixed": None}[active[k]]
+        side = _FLIPPED[active[k]]
         unit = model.units.get(name.removeprefix("sigma_"), "")
         bounds = (1 / upper[k], 1 / lower[k] if lower[k] > 0 else np.inf)
         parameters.append(Estimate(name, 1 / root, full[k] / root**2, unit, bounds=bounds, bounds_active=side))
@@ -181,8 +195,8 @@ def make_fit(
         covariance=cov,
         log_likelihood=-problem.objective(xi) - _prior_terms(model, xi),
         records=records,
-        status=solution.status,
-        message=solution.message,
+        status=status,
+        message=message,
         iterations=solution.iterations,
         time=solution.time,
         warnings=tuple(warnings),
@@ -191,12 +205,12 @@ def make_fit(
     )
 
 
-def _active(theta: _Array, lower: _Array, upper: _Array, solution: Solution) -> list[str | None]:
+def _active(theta: _Array, lower: _Array, upper: _Array, solution: Solution) -> list[_Activity]:
     """For each parameter: "fixed", at its "lower" or "upper" bound, or None.
 
     A bound is active where the variable is at it and its multiplier pushes against it.
     """
-    found: list[str | None] = []
+    found: list[_Activity] = []
     for i, value in enumerate(theta):
         near = _AT_BOUND * max(abs(value), min(upper[i] - lower[i], 1.0))
         if lower[i] == upper[i]:
@@ -210,7 +224,7 @@ def _active(theta: _Array, lower: _Array, upper: _Array, solution: Solution) -> 
     return found
 
 
-def _model_estimates(model: Model, xi: _Array, errors: _Array, active: Sequence[str | None]) -> list[Estimate]:
+def _model_estimates(model: Model, xi: _Array, errors: _Array, active: Sequence[_Activity]) -> list[Estimate]:
     return [
         Estimate(
             name,
@@ -220,7 +234,7 @@ def _model_estimates(model: Model, xi: _Array, errors: _Array, active: Sequence[
             p.start,
             p.bounds,
             p.fixed,
-            None if active[i] in (None, "fixed") else active[i],  # type: ignore[arg-type]
+            _BOUND[active[i]],
         )
         for i, (name, p) in enumerate(model.declared_parameters.items())
     ]
@@ -251,7 +265,7 @@ def _record(model: Model, experiment: Experiment, problem: _core.Collocation, xi
 def _prior_terms(model: Model, xi: _Array) -> float:
     """What priors add to the objective: not part of the likelihood."""
     declared = model.declared_parameters.values()
-    return -sum(0.5 * ((xi[i] - p.prior[0]) / p.prior[1]) ** 2 for i, p in enumerate(declared) if p.prior)
+    return -sum(0.5 * ((float(xi[i]) - p.prior[0]) / p.prior[1]) ** 2 for i, p in enumerate(declared) if p.prior)
 
 
 def _defect_warning(model: Model, problem: _core.Collocation, xi: _Array, estimates: Estimates, noise: Gaussian) -> list[str]:
@@ -320,8 +334,8 @@ def load(path: str | os.PathLike[str]) -> Fit:
     def record(saved: dict[str, Any]) -> Record:
         groups = ("inputs", "outputs", "states", "measured", "residuals", "mesh_states")
         arrays = {k: {n: io.to_array(v) for n, v in saved[k].items()} for k in groups}
-        times = {k: io.to_array(saved[k]) for k in ("t", "mesh_t")}
-        return Record(name=saved["name"], units=saved["units"], **times, **arrays)
+        t, mesh_t = io.to_array(saved["t"]), io.to_array(saved["mesh_t"])
+        return Record(name=saved["name"], units=saved["units"], t=t, mesh_t=mesh_t, **arrays)
 
     def sigma(s: dict[str, Any]) -> float | Sigma:
         return s["known"] if "known" in s else Sigma(s["start"], tuple(s["bounds"]) if s["bounds"] else None)

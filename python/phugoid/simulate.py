@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -46,16 +46,17 @@ def simulate(
     inputs = [np.ascontiguousarray(data.input(name)) for name in model.input_names]
     x0 = _initial(model, values, parameters, data, initial or {})
 
-    if data.interpolation == "cubic":
+    if data.interpolation == "cubic" and inputs:
         from scipy.interpolate import CubicSpline
 
-        splines = [CubicSpline(t, u) for u in inputs]
-        at = lambda time: [float(s(time)) for s in splines]  # noqa: E731
+        at: Callable[[float], Any] = CubicSpline(t, np.column_stack(inputs))  # as the core's
     else:
-        at = lambda time: [float(np.interp(time, t, u)) for u in inputs]  # noqa: E731
+
+        def at(time: float) -> Any:
+            return [np.interp(time, t, u) for u in inputs]
 
     def rhs(time: float, x: Any) -> Any:
-        column = np.array([[time], *([v] for v in at(time)), *([v] for v in x)])
+        column = np.array([time, *at(time), *x])[:, np.newaxis]
         return evaluator.dynamics(theta, column)[:, 0]
 
     scale = np.maximum(np.abs(x0), 1e-3)
@@ -102,7 +103,7 @@ def _initial(
     for name in initial:
         if name not in model.state_names:
             raise ModelError(f"simulate: initial '{name}' is no state.{did_you_mean(name, model.state_names)}")
-    of_fit = source.initial_states.get(data.name, {}) if isinstance(source, Fit) else {}
+    of_fit: Mapping[str, Any] = source.initial_states.get(data.name, {}) if isinstance(source, Fit) else {}
     measured = measured_states(model, values)
     there = {*data.outputs, *data.channels}
     x0 = []

@@ -19,17 +19,27 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..errors import EvaluationError, MissingDependency, OptionError
-from .scaling import Scaling
+from .scaling import Scaling, scale_from_curvature, scale_from_data
 from .solution import HINTS, Iteration, Solution
 
 __all__ = ["Ipopt"]
 
 _Array = NDArray[np.float64]
 
+_WARM_PUSHES = (
+    "warm_start_bound_push",
+    "warm_start_bound_frac",
+    "warm_start_slack_bound_push",
+    "warm_start_slack_bound_frac",
+    "warm_start_mult_bound_push",
+)
+
 # The exact Hessian takes over once an iteration changes the log-likelihood by less than this (so the parameters by
 # a small part of their standard errors) and the scaled defects are below that.
 _NEAR = 1.0
 _NEAR_DEFECT = 1e-3
+# Scaled anew when a standard deviation has come down by this factor.
+_SMALLER = 100.0
 
 # Ipopt's return codes, as statuses of ours.
 _STATUS = {
@@ -54,7 +64,8 @@ class Ipopt:
     """The interior-point solver Ipopt with exact derivatives.
 
     ``options`` reaches every option of Ipopt by its own name and has the last word. ``scaling`` False leaves
-    scaling to Ipopt (``nlp_scaling_method``). Needs the package cyipopt.
+    scaling to Ipopt (``nlp_scaling_method``); ``gauss_newton`` False uses the exact Hessian from the start. Needs
+    the package cyipopt.
     """
 
     max_iterations: int = 1000
@@ -76,30 +87,39 @@ class Ipopt:
         self,
         problem: _core.Collocation,
         xi: _Array,
-        scaling: Scaling,
+        n_states: int,
+        samples: int,
         warm: Solution | None = None,
         watch: Callable[[Iteration], None] | None = None,
     ) -> Solution:
         """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration.
+
+        In stages, unless ``warm`` or ``gauss_newton`` False asks for the last alone: with the Gauss-Newton Hessian
+        until the log-likelihood hardly changes, then with the exact Hessian. Scaled by the data at first and by the
+        curvature of the log-likelihood from then on; scaled anew each time that a standard deviation has come down
+        far, or defects that are small beside the signal would be large beside the noise, and pass for a better fit.
 
         Raises EvaluationError where a function is not finite at the start, MissingDependency without cyipopt.
         """
         wrapper = load_cyipopt()
         _check_start(problem, xi)
         started = time.perf_counter()
-        callbacks = _Callbacks(problem, wrapper.CyIpoptEvaluationError, watch, near=not self.gauss_newton or warm is not None)
-        lower, upper = problem.bounds()
-        nlp = wrapper.Problem(
-            n=problem.n, m=problem.m, problem_obj=callbacks, lb=lower, ub=upper, cl=np.zeros(problem.m), cu=np.zeros(problem.m)
-        )
-        callbacks.nlp = nlp
-        self._configure(nlp, scaling, warm)
-        start = {"lagrange": warm.multipliers, "zl": warm.bound_multipliers[0], "zu": warm.bound_multipliers[1]} if warm else {}
-        with _interruptible(callbacks):
-            x, info = nlp.solve(xi, **start)
-        if callbacks.error is not None:
-            raise callbacks.error
-        status = "interrupted" if callbacks.stop else _STATUS.get(info["status"], "failed")
+        scaling = scale_from_data(problem, xi, n_states, samples)
+        run = _Callbacks(problem, wrapper.CyIpoptEvaluationError, watch)
+        x = xi
+        multipliers: Mapping[str, Any] | None = warm.multipliers_by_name() if warm else None
+        run.near = warm is not None or not self.gauss_newton
+        with _interruptible(run):
+            while True:
+                final = run.near
+                x, info = self._stage(wrapper, run, x, scaling, multipliers, started)
+                if final or not run.goes_on(info["status"]):
+                    break
+                scaling = scale_from_curvature(problem, x, scaling)
+                multipliers = info if run.near else None
+        if run.error is not None:
+            raise run.error
+        status = "interrupted" if run.stop else _STATUS.get(info["status"], "failed")
         said = info["status_msg"]
         said = (said.decode() if isinstance(said, bytes) else str(said)).strip().rstrip(".")
         message = HINTS[status] if status == "converged" else f"{HINTS[status]} (Ipopt: {said})"
@@ -109,32 +129,51 @@ class Ipopt:
             xi=x,
             multipliers=np.asarray(info["mult_g"]),
             bound_multipliers=(np.asarray(info["mult_x_L"]), np.asarray(info["mult_x_U"])),
+            scaling=scaling,
             status=status,
             message=message,
-            iterations=callbacks.history[-1].number if callbacks.history else 0,
+            iterations=len(run.history) and run.history[-1].number,
             time=time.perf_counter() - started,
-            history=callbacks.history,
+            history=run.history,
         )
 
-    def _configure(self, nlp: Any, scaling: Scaling, warm: Solution | None) -> None:
+    def _stage(
+        self, wrapper: Any, run: _Callbacks, xi: _Array, scaling: Scaling, multipliers: Mapping[str, Any] | None, started: float
+    ) -> tuple[_Array, dict[str, Any]]:
+        """One run of Ipopt."""
+        problem = run.problem
+        lower, upper = problem.bounds()
+        zeros = np.zeros(problem.m)
+        nlp = wrapper.Problem(n=problem.n, m=problem.m, problem_obj=run, lb=lower, ub=upper, cl=zeros, cu=zeros)
+        run.begin_stage(xi)
+        self._configure(nlp, scaling, multipliers is not None, run, started)
+        start = {}
+        if multipliers is not None:
+            start = {"lagrange": multipliers["mult_g"], "zl": multipliers["mult_x_L"], "zu": multipliers["mult_x_U"]}
+        x, info = nlp.solve(xi, **start)
+        return np.asarray(x), info
+
+    def _configure(self, nlp: Any, scaling: Scaling, warm: bool, run: _Callbacks, started: float) -> None:
         options: dict[str, Any] = {
             "print_level": 0,
             "sb": "yes",
-            "max_iter": self.max_iterations,
+            "max_iter": max(self.max_iterations - run.before, 0),
             "tol": self.tolerance,
             "linear_solver": "mumps",
             # METIS: three times faster on these long and narrow problems than the default ordering.
             "mumps_pivot_order": 5,
-            # Tiny steps at the end are rounding, not trouble.
-            "mu_strategy": "adaptive",
+            # The only inequalities are bounds far away: nothing is won by adapting the barrier.
+            "mu_strategy": "monotone",
         }
         if self.time_limit is not None:
-            options["max_wall_time"] = float(self.time_limit)
+            options["max_wall_time"] = max(self.time_limit - (time.perf_counter() - started), 1e-3)
         if self.scaling:
             options["nlp_scaling_method"] = "user-scaling"
             nlp.set_problem_scaling(scaling.objective, scaling.variables, scaling.constraints)
-        if warm is not None:
+        if warm:
             options["warm_start_init_point"] = "yes"
+            # The point is good: do not push it off its bounds, nor start the barrier over.
+            options.update(dict.fromkeys(_WARM_PUSHES, 1e-9), mu_init=1e-9)
         options.update(self.options)
         for name, value in options.items():
             try:
@@ -149,17 +188,41 @@ class Ipopt:
 class _Callbacks:
     """The program as cyipopt wants it, and what happened on the way."""
 
-    def __init__(self, problem: _core.Collocation, failure: type[Exception], watch: Callable[[Iteration], None] | None, near: bool):
+    def __init__(
+        self, problem: _core.Collocation, failure: type[Exception], watch: Callable[[Iteration], None] | None
+    ) -> None:
         self.problem = problem
         self.failure = failure
         self.watch = watch
         self.history: list[Iteration] = []
+        self.before = 0
+        """Iterations of earlier stages."""
+        self.near = False
+        """Whether the optimum is near and the exact Hessian in use."""
+        self.rescale = False
+        """Whether the noise has come down so far that the scaling no longer serves."""
         self.stop = False
         self.error: BaseException | None = None
-        self.nlp: Any = None
-        self.near = near
+        # 1/sigma of the outputs, in xi
+        self._roots = slice(problem.n_theta - len(problem.noise_parameters), problem.n_theta)
+        self._roots_at_start = np.empty(0)
+        self._latest = np.empty(0)
         self._jacobian_structure = problem.jacobian_structure()
         self._hessian_structure = problem.hessian_structure()
+
+    def begin_stage(self, xi: _Array) -> None:
+        """Iterations are counted on from the stage before."""
+        self.before = self.history[-1].number if self.history else 0
+        self.rescale = False
+        self._roots_at_start = xi[self._roots].copy()
+
+    def goes_on(self, code: int) -> bool:
+        """Whether another stage follows one that ended with Ipopt's ``code``."""
+        if self.stop or self.error is not None or _STATUS.get(code) in ("iteration limit", "time limit"):
+            return False
+        if not self.rescale:
+            self.near = True  # arrived, or stuck: the exact Hessian decides
+        return True
 
     def _finite(self, values: _Array | None) -> _Array:
         if values is None:
@@ -173,6 +236,7 @@ class _Callbacks:
         return value
 
     def gradient(self, x: _Array) -> _Array:
+        self._latest = x[self._roots].copy()  # Ipopt asks for the gradient at accepted points
         return self._finite(self.problem.gradient(x))
 
     def constraints(self, x: _Array) -> _Array:
@@ -194,10 +258,14 @@ class _Callbacks:
 
     def intermediate(self, alg_mod: int, iter_count: int, obj_value: float, inf_pr: float, inf_du: float, mu: float,
                      d_norm: float, regularization_size: float, alpha_du: float, alpha_pr: float, ls_trials: int) -> bool:
-        line = Iteration(iter_count, -obj_value, inf_pr, inf_du, alpha_pr, ls_trials)
+        if iter_count == 0 and self.before:
+            return not self.stop  # the last point of the stage before
+        line = Iteration(self.before + iter_count, -obj_value, inf_pr, inf_du, alpha_pr, ls_trials)
+        arrived = False
         if not self.near and self.history:
             change = abs(line.log_likelihood - self.history[-1].log_likelihood)
-            self.near = change < _NEAR and inf_pr < _NEAR_DEFECT
+            arrived = change < _NEAR and inf_pr < _NEAR_DEFECT
+            self.rescale = bool(np.any(self._latest > _SMALLER * self._roots_at_start))
         self.history.append(line)
         try:
             if self.watch is not None:
@@ -207,7 +275,8 @@ class _Callbacks:
         except Exception as error:  # an error of the user's callback must not vanish in C
             self.error = error
             return False
-        return not self.stop
+        self.near = self.near or (arrived and not self.rescale)
+        return not (self.stop or arrived or self.rescale)
 
 
 @contextmanager

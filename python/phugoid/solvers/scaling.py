@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 
-__all__ = ["Scaling", "scale"]
+__all__ = ["Scaling", "scale_from_curvature", "scale_from_data"]
 
 _Array = NDArray[np.float64]
 
@@ -23,43 +23,58 @@ class Scaling:
     objective: float
 
 
-def scale(problem: _core.Collocation, xi: _Array, n_states: int, samples: int) -> Scaling:
-    """Scaling at the starting point ``xi``.
+def scale_from_data(problem: _core.Collocation, xi: _Array, n_states: int, samples: int) -> Scaling:
+    """Scaling for the way to the optimum, at the starting point ``xi``.
 
     States by their spread along the starting path (the measurements, where they are measured); defects by the
-    spread of their state, so that a scaled defect is a fraction of what the state does; a parameter by the norm of
-    its column: the change that moves the defects and outputs by their own scale.
+    spread of their state, so that a scaled defect is a fraction of what the state does; a parameter by the root
+    mean square of its column of the scaled defects, and by its curvature.
     """
-    n_theta = problem.n_theta
-    states = xi[n_theta:].reshape(-1, n_states)
+    states = xi[problem.n_theta :].reshape(-1, n_states)
     spread = states.std(axis=0)
-    spread = np.where(spread > 0, spread, np.maximum(np.abs(states).max(axis=0), 0))
-    spread = np.where(spread > 0, spread, 1.0)
-
-    variables = np.ones(problem.n)
-    variables[n_theta:] = np.tile(1 / spread, len(states))
-    rows = problem.m // n_states
-    constraints = np.tile(1 / spread, rows)
-
-    objective = 1.0 / max(samples, 1)
-    variables[:n_theta] = _columns(problem, xi, constraints, objective)
-    return Scaling(variables, constraints, objective)
+    spread = np.where(spread > 0, spread, np.abs(states).max(axis=0))
+    units = 1 / np.where(spread > 0, spread, 1.0)
+    return _scaling(problem, xi, units, 1 / problem.m, 1.0 / max(samples, 1))
 
 
-def _columns(problem: _core.Collocation, xi: _Array, constraints: _Array, objective: float) -> _Array:
-    """For each parameter, the root of its diagonal entry in (scaled Jacobian)^T (scaled Jacobian) + |Hessian|."""
-    n = problem.n_theta
-    weight = np.zeros(n)
+def scale_from_curvature(problem: _core.Collocation, xi: _Array, first: Scaling) -> Scaling:
+    """Scaling for the last steps, near the optimum ``xi``: everything in units of its own uncertainty.
+
+    A state by the root of the mean curvature of the log-likelihood with respect to it, a parameter by the norm of
+    its column then. Gradients are then of order one whatever the noise: with noise eight orders below the signal,
+    any scaling by the signal leaves them beyond the reach of rounding. States that no output depends on keep the
+    units that they had.
+    """
+    n, n_theta = problem.n, problem.n_theta
+    n_states = problem.m // (problem.first_point[-1] - len(problem.first_point) + 1)
+    units = first.variables[n_theta : n_theta + n_states]
+    curvature = problem.gauss_newton(xi, 1.0)
+    if curvature is not None:
+        row, column = problem.hessian_structure()
+        diagonal = row == column
+        total = np.bincount(row[diagonal], curvature[diagonal], minlength=n)
+        mean = total[n_theta:].reshape(-1, n_states).mean(axis=0)
+        units = np.where(mean > 0, np.sqrt(np.maximum(mean, 0)), units)
+    return _scaling(problem, xi, units, 1.0, 1.0)
+
+
+def _scaling(problem: _core.Collocation, xi: _Array, units: _Array, column_weight: float, objective: float) -> Scaling:
+    """Scaling from factors for the states; ``column_weight`` multiplies the squared column norms."""
+    n_theta = problem.n_theta
+    constraints = np.tile(units, problem.m // units.size)
+    variables = np.concatenate([np.ones(n_theta), np.tile(units, (problem.n - n_theta) // units.size)])
+    weight = np.zeros(n_theta)
     values = problem.jacobian(xi)
     if values is not None:
         row, column = problem.jacobian_structure()
-        of_theta = column < n
+        of_theta = column < n_theta
         scaled = values[of_theta] * constraints[row[of_theta]]
-        weight += np.bincount(column[of_theta], scaled**2, minlength=n)
-    curvature = problem.hessian(xi, objective, np.zeros(problem.m))
+        weight += np.bincount(column[of_theta], scaled**2, minlength=n_theta) * column_weight
+    curvature = problem.gauss_newton(xi, objective)
     if curvature is not None:
         row, column = problem.hessian_structure()
-        diagonal = (row == column) & (row < n)
-        weight += np.abs(np.bincount(row[diagonal], curvature[diagonal], minlength=n))
-    # A column that is zero at the start says nothing; leave its parameter alone.
-    return np.where(weight > 0, np.sqrt(weight), 1.0)
+        diagonal = (row == column) & (row < n_theta)
+        weight += np.abs(np.bincount(row[diagonal], curvature[diagonal], minlength=n_theta))
+    # A column that is zero at the start says nothing; its parameter is left alone.
+    variables[:n_theta] = np.where(weight > 0, np.sqrt(weight), 1.0)
+    return Scaling(variables, constraints, objective)

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from .scaling import Scaling
+
 __all__ = ["HINTS", "Iteration", "Solution"]
 
 HINTS = {
@@ -47,8 +49,15 @@ class Solution:
     """Multipliers of the constraints, shape (m,)."""
     bound_multipliers: tuple[NDArray[np.float64], NDArray[np.float64]]
     """Multipliers of the lower and upper bounds, shape (n,) each."""
+    scaling: Scaling
+    """The last scaling."""
     status: str
     message: str
     iterations: int
     time: float
     history: list[Iteration] = field(default_factory=list, repr=False)
+
+    def multipliers_by_name(self) -> dict[str, NDArray[np.float64]]:
+        """The multipliers as Ipopt calls them."""
+        lower, upper = self.bound_multipliers
+        return {"mult_g": self.multipliers, "mult_x_L": lower, "mult_x_U": upper}

@@ -95,7 +95,8 @@ impl Mesh {
     /// The mesh of order m for sample times `t` (strictly increasing, at least two).
     ///
     /// # Errors
-    /// For an order below 2, no segments, or edges that do not span the record.
+    /// For an order below 2, no segments, edges that do not span the record, or samples so close that
+    /// they would share a point.
     pub fn new(order: usize, grid: &Grid, t: &[f64]) -> Result<Mesh, Error> {
         if !(2..=64).contains(&order) {
             return Err(Error::Option(format!("collocation order {order}: choose 2 (trapezoid) to 64")));
@@ -113,6 +114,14 @@ impl Mesh {
         let n_mesh = times.len();
         let mut mesh = Mesh { rule, segments, times, n_mesh, between: Vec::new(), sample_points: Vec::new() };
         mesh.place_samples(t);
+        // In time order, so that two samples at one point stand side by side.
+        if let Some(i) = mesh.sample_points.windows(2).position(|w| w[0] == w[1]) {
+            return Err(Error::Data(format!(
+                "the samples at {} s and {} s are closer than the mesh can tell; drop one of them",
+                t[i],
+                t[i + 1]
+            )));
+        }
         Ok(mesh)
     }
 

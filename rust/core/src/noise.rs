@@ -3,6 +3,7 @@
 //! The likelihood is one more function of a point, written with symbols and differentiated like
 //! the model. Another density is another way to write [`Noise::log_density`].
 
+use crate::error::Error;
 use crate::expr::Op;
 use crate::expr::graph::{Graph, Id};
 use crate::model::Parameter;
@@ -14,7 +15,7 @@ pub enum Sigma {
     Unknown {
         /// Starting value.
         start: f64,
-        /// Lower bound, positive.
+        /// Lower bound; 0 for none.
         lower: f64,
         /// Upper bound.
         upper: f64,
@@ -45,6 +46,32 @@ pub struct Sample<'a> {
 pub const SIGMA: &str = "sigma_";
 
 impl Noise {
+    /// Checks that there is one σ an output, each positive, its start within its bounds.
+    ///
+    /// # Errors
+    /// Names the output at fault.
+    pub fn check(&self, outputs: &[&str]) -> Result<(), Error> {
+        let Noise::Gaussian(sigmas) = self;
+        let (n, n_y) = (sigmas.len(), outputs.len());
+        if n != n_y {
+            return Err(Error::Option(format!("noise: {n} standard deviations for {n_y} outputs")));
+        }
+        for (name, sigma) in outputs.iter().zip(sigmas) {
+            let sound = match *sigma {
+                Sigma::Known(value) => value > 0.0 && value.is_finite(),
+                Sigma::Unknown { start, lower, upper } => {
+                    start > 0.0 && start.is_finite() && 0.0 <= lower && lower <= start && start <= upper
+                }
+            };
+            if !sound {
+                return Err(Error::Option(format!(
+                    "noise of output '{name}': {sigma:?} is not a positive standard deviation within its bounds"
+                )));
+            }
+        }
+        Ok(())
+    }
+
     /// The parameters of the noise, which the problem estimates beside the model's: for an unknown
     /// σ, the *precision root* 1/σ. −½(r/σ)² − ln σ is concave in 1/σ for every residual r, while
     /// in σ it turns its curvature at σ² = 3r²: from a start far too large, Newton's method in σ

@@ -1,4 +1,5 @@
 //! Products fused with sums, operands in lanes or the same on all, against plain arithmetic.
+#![allow(clippy::needless_range_loop)] // one index into several columns
 
 mod common;
 
@@ -39,7 +40,10 @@ fn check(product_is_used_again: bool) {
                 let [a, b, c] = [0, 1, 2].map(|i| columns[i][if is_uniform(i) { 0 } else { l }]);
                 let size = (a * b).abs() + c.abs();
                 let error = (found[0][l] - value(a * b, c)).abs();
-                assert!(error <= 2.0 * f64::EPSILON * size, "{name}, uniform {uniform:03b}, lane {l}: {error:e}");
+                assert!(
+                    error <= 2.0 * f64::EPSILON * size,
+                    "{name}, uniform {uniform:03b}, lane {l}: {error:e}"
+                );
                 if product_is_used_again {
                     assert_eq!(found[1][l], a * b, "{name}, uniform {uniform:03b}, lane {l}");
                 }
@@ -92,7 +96,14 @@ fn sine_and_cosine_of_one_angle_share_an_instruction() {
         let found = Run { lanes: vec![(x, &column)], uniforms: vec![] }.evaluate(&graph, &outputs, N);
         for (&output, found) in outputs.iter().zip(&found) {
             for (x, found) in column.iter().zip(found) {
-                assert_eq!(*found, if output == sin { (Op::Sin.entry().value)(&[*x]) } else { (Op::Cos.entry().value)(&[*x]) });
+                assert_eq!(
+                    *found,
+                    if output == sin {
+                        (Op::Sin.entry().value)(&[*x])
+                    } else {
+                        (Op::Cos.entry().value)(&[*x])
+                    }
+                );
             }
         }
     }

@@ -1,4 +1,5 @@
 //! Every operation of the table: its value on lanes and its first and second derivatives.
+#![allow(clippy::needless_range_loop)] // one index into several columns
 
 mod common;
 
@@ -91,7 +92,8 @@ fn lanes_and_uniforms_have_the_value_of_the_table() {
 
 #[test]
 fn special_arguments_have_the_value_of_the_table() {
-    let special = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 1e-300, 1e300, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
+    let special =
+        [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 1e-300, 1e300, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
     for entry in TABLE.iter().filter(|e| e.op != Op::Div) {
         let count = special.len().pow(entry.arity as u32);
         let column = |i: usize| -> Vec<f64> {
@@ -166,14 +168,11 @@ fn second_derivatives_agree_with_differences_of_the_first() {
     }
 }
 
+type Both<'a> = dyn Fn(usize, usize, &[f64]) -> (f64, f64) + 'a;
+
 /// Compares the derivative with respect to each argument with the slope of the function:
 /// `both(i, l, x)` is the derivative in argument i on lane l, and the function at x.
-fn compare(
-    entry: &Entry,
-    columns: &[Vec<f64>],
-    relative: f64,
-    both: &dyn Fn(usize, usize, &[f64]) -> (f64, f64),
-) {
+fn compare(entry: &Entry, columns: &[Vec<f64>], relative: f64, both: &Both) {
     for i in 0..entry.arity {
         if entry.op == Op::Where && i == 0 {
             continue; // piecewise constant, with a jump at 0

@@ -1,4 +1,5 @@
 //! Random expressions: values node by node, on a tape and simplified; derivatives by differences.
+#![allow(clippy::needless_range_loop)] // one index into several columns
 
 mod common;
 

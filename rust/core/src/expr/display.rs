@@ -182,7 +182,11 @@ fn latex_symbol(name: &str) -> String {
 
 /// The shortest text that reads back as the number.
 fn number(c: f64) -> String {
-    if c == 0.0 || (1e-5..1e16).contains(&c.abs()) || !c.is_finite() { format!("{c}") } else { format!("{c:e}") }
+    if c == 0.0 || (1e-5..1e16).contains(&c.abs()) || !c.is_finite() {
+        format!("{c}")
+    } else {
+        format!("{c:e}")
+    }
 }
 
 fn latex_number(c: f64) -> String {

@@ -116,6 +116,7 @@ const fn function(
     }
 }
 
+#[allow(clippy::too_many_arguments)] // one for each column of the table
 const fn operator(
     op: Op,
     name: &'static str,

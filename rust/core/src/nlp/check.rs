@@ -80,12 +80,12 @@ pub fn check_derivatives(
 
         let (up, down, mut column) = (lagrangian(&high)?, lagrangian(&low)?, vec![0.0; n]);
         let s = nlp.hessian_structure();
-        for k in 0..s.len() {
-            let (row, col) = (s.rows[k] as usize, s.columns[k] as usize);
+        for ((&row, &col), value) in s.rows.iter().zip(&s.columns).zip(&hessian) {
+            let (row, col) = (row as usize, col as usize);
             if col == j {
-                column[row] += hessian[k];
+                column[row] += value;
             } else if row == j {
-                column[col] += hessian[k];
+                column[col] += value;
             }
         }
         for i in 0..n {

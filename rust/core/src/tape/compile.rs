@@ -74,7 +74,6 @@ impl<'a> Compiler<'a> {
             code: Vec::new(),
             lane_inputs: inputs.lanes.clone(),
             tape: Tape {
-                n_lane_inputs: inputs.lanes.len(),
                 n_uniform_inputs: inputs.uniforms.len(),
                 n_registers: inputs.lanes.len(),
                 uniforms: vec![0.0; inputs.uniforms.len()],

@@ -13,7 +13,7 @@ pub struct Workspace {
 }
 
 impl Workspace {
-    /// Registers for a tape on `n` lanes. The first `n_lane_inputs` of them are the lane inputs,
+    /// Registers for a tape on `n` lanes. The first of them are the lane inputs,
     /// for the caller to fill before [`Tape::run`].
     pub fn registers(&mut self, tape: &Tape, n: usize) -> &mut [f64] {
         let size = tape.n_registers * n;

@@ -116,7 +116,13 @@ impl Function {
     }
 
     /// A single function rest − ½ Σ residual², with its Gauss-Newton Hessian.
-    pub fn of_squares(mut graph: Graph, arguments: &Arguments, residuals: &[Id], rest: Id, root: Id) -> Function {
+    pub fn of_squares(
+        mut graph: Graph,
+        arguments: &Arguments,
+        residuals: &[Id],
+        rest: Id,
+        root: Id,
+    ) -> Function {
         let variables: Vec<Id> = arguments.states.iter().chain(&arguments.parameters).copied().collect();
         let slopes = graph.jacobian(residuals, &variables);
         let curvature = graph.hessian(rest, &variables);

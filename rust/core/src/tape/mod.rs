@@ -91,8 +91,6 @@ pub(crate) enum UniformInstruction {
 /// A compiled set of expressions. See the [module](self).
 #[derive(Clone, Debug)]
 pub struct Tape {
-    /// Lane inputs, the first registers.
-    pub(crate) n_lane_inputs: usize,
     /// Uniform inputs, the first uniform slots.
     pub(crate) n_uniform_inputs: usize,
     pub(crate) n_registers: usize,

@@ -109,6 +109,7 @@ impl Collocation {
             return Err(Error::Data("no experiment was given; at least one is needed".into()));
         }
         experiments.iter().try_for_each(|e| e.check(&input_names, &output_names))?;
+        noise.check(&output_names)?;
         let meshes = meshes(experiments, settings)?;
 
         let noise_parameters = noise.parameters(&output_names);
@@ -319,12 +320,12 @@ impl Collocation {
         &self,
         what: &str,
         function: &Function,
-        names: HashMap<Arc<str>, f64>,
+        names: &HashMap<Arc<str>, f64>,
         roots: &[Id],
         e: usize,
         t: f64,
     ) -> Option<String> {
-        let found = trace(&function.graph, roots, &names)?;
+        let found = trace(&function.graph, roots, names)?;
         let mut text = format!(
             "{what} not finite in experiment '{}' at t = {t} s: {} = {}",
             self.experiments[e].name, found.expression, found.value
@@ -372,7 +373,7 @@ impl Collocation {
                 let names = self.symbols_at(xi, e, point);
                 for (root, state) in f.roots.iter().zip(&self.state_names) {
                     let what = format!("the equation of {state}' is");
-                    if let Some(text) = self.describe(&what, f, names.clone(), &[*root], e, t) {
+                    if let Some(text) = self.describe(&what, f, &names, &[*root], e, t) {
                         return Some(text);
                     }
                 }
@@ -385,7 +386,7 @@ impl Collocation {
         for (e, (mesh, experiment)) in self.meshes.iter().zip(&self.experiments).enumerate() {
             for (&point, &t) in mesh.sample_points.iter().zip(&experiment.t) {
                 let names = self.symbols_at(xi, e, point);
-                let text = self.describe("an output is", &self.outputs, names, &self.outputs.roots, e, t);
+                let text = self.describe("an output is", &self.outputs, &names, &self.outputs.roots, e, t);
                 if text.is_some() {
                     return text;
                 }
@@ -396,28 +397,52 @@ impl Collocation {
 
     /// Where values are finite but a derivative is not (a square root at 0, say).
     fn explain_derivatives(&self, xi: &[f64]) -> Option<String> {
-        for (what, function) in [("a state equation", &self.dynamics.f), ("an output", &self.outputs)] {
+        let names: Vec<&str> = (self.state_names.iter().map(String::as_str))
+            .chain(self.parameters[..self.n_model_parameters].iter().map(|p| p.name.as_str()))
+            .collect();
+        for is_output in [false, true] {
+            let (what, function) =
+                if is_output { ("an output", &self.outputs) } else { ("a state equation", &self.dynamics.f) };
             let mut graph = (*function.graph).clone();
-            let names: Vec<String> = (self.state_names.iter().cloned())
-                .chain(self.parameters[..self.n_model_parameters].iter().map(|p| p.name.clone()))
-                .collect();
             let symbols: Vec<Id> = names.iter().map(|n| graph.symbol(n)).collect();
-            let sparse = graph.jacobian(&function.roots, &symbols);
+            let first = graph.jacobian(&function.roots, &symbols);
+            let mut entries: Vec<(String, Id)> = (first.columns.iter().zip(&first.values))
+                .map(|(&c, &id)| (format!("the derivative of {what} with respect to {} is", names[c]), id))
+                .collect();
+            for &root in &function.roots {
+                let second = graph.hessian(root, &symbols);
+                for ((&a, &b), &id) in second.rows.iter().zip(&second.columns).zip(&second.values) {
+                    let (a, b) = (names[a], names[b]);
+                    entries.push((
+                        format!("the second derivative of {what} with respect to {a} and {b} is"),
+                        id,
+                    ));
+                }
+            }
+            let ids: Vec<Id> = entries.iter().map(|e| e.1).collect();
             let function = Function { graph: Arc::new(graph), ..function.clone() };
             for (e, mesh) in self.meshes.iter().enumerate() {
-                for (point, &t) in mesh.times.iter().enumerate() {
+                // f is evaluated at mesh points, g at samples.
+                let mesh_points: Vec<usize> = (0..mesh.n_mesh).collect();
+                for &point in if is_output { &mesh.sample_points } else { &mesh_points } {
                     let values = self.symbols_at(xi, e, point);
-                    for (&column, &root) in sparse.columns.iter().zip(&sparse.values) {
-                        let what = format!("the derivative of {what} with respect to {} is", names[column]);
-                        let text = self.describe(&what, &function, values.clone(), &[root], e, t);
-                        if text.is_some() {
-                            return text;
-                        }
+                    if trace(&function.graph, &ids, &values).is_none() {
+                        continue;
                     }
+                    let at = |(what, id): &(String, Id)| {
+                        self.describe(what, &function, &values, &[*id], e, mesh.times[point])
+                    };
+                    return entries.iter().find_map(at);
                 }
             }
         }
         None
+    }
+
+    /// A standard deviation that is not positive has no logarithm.
+    fn explain_noise(&self, xi: &[f64]) -> Option<String> {
+        let i = (self.n_model_parameters..self.layout.n_theta).find(|&i| xi[i] <= 0.0)?;
+        Some(format!("{} is {}; a standard deviation must be positive", self.variable_name(i), xi[i]))
     }
 }
 
@@ -562,6 +587,7 @@ impl Nlp for Collocation {
 
     fn explain(&self, xi: &[f64]) -> Option<String> {
         self.explain_variables(xi)
+            .or_else(|| self.explain_noise(xi))
             .or_else(|| self.explain_dynamics(xi))
             .or_else(|| self.explain_outputs(xi))
             .or_else(|| self.explain_derivatives(xi))

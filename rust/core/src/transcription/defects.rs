@@ -73,13 +73,10 @@ impl Dynamics {
         for tie in &chunk.between {
             let point = |j: usize| chunk.points[chunk.lane(j) + tie.segment] as usize;
             let row = |r: usize| tie.row * layout.n_x + r;
-            for r in 0..layout.n_x {
-                out.push(row(r), layout.state(tie.point) + r);
-                out.push(row(r), layout.state(point(tie.node)) + r);
-            }
+            (0..layout.n_x).for_each(|r| out.push(row(r), layout.state(tie.point) + r));
             for &(r, c, entry) in &self.state_entries {
-                if entry.is_some() {
-                    (0..m).for_each(|j| out.push(row(r), layout.state(point(j)) + c));
+                for j in tie.nodes_of(entry, m) {
+                    out.push(row(r), layout.state(point(j)) + c);
                 }
             }
             for &(r, p, _) in &self.parameter_entries {
@@ -115,6 +112,13 @@ impl Dynamics {
 /// Nodes at which ∂f/∂x enters constraint k: all, or for a bare diagonal the two of x_{k+1} − x_k.
 fn nodes_of(entry: Option<usize>, k: usize, m: usize) -> std::ops::Range<usize> {
     if entry.is_some() { 0..m } else { k..k + 2 }
+}
+
+impl Tie {
+    /// The same for the constraint of a sample: all, or for a bare diagonal the node on its left.
+    fn nodes_of(&self, entry: Option<usize>, m: usize) -> std::ops::Range<usize> {
+        if entry.is_some() { 0..m } else { self.node..self.node + 1 }
+    }
 }
 
 /// out[s] −= h[s] · c · v[s]
@@ -234,14 +238,12 @@ impl Job<'_> {
     ) {
         let chunk = self.chunk;
         let mut put = |v: f64| *out.next().expect("as many entries as in the structure") = v;
-        for _ in 0..self.layout.n_x {
-            put(1.0);
-            put(-1.0);
-        }
+        (0..self.layout.n_x).for_each(|_| put(1.0));
         let lane = |j: usize| chunk.lane(j) + tie.segment;
-        for &(_, _, entry) in &self.dynamics.state_entries {
-            if let Some(entry) = entry {
-                (0..chunk.rule.order()).for_each(|j| put(-tie.weights[j] * value(entry).at(lane(j))));
+        for &(r, c, entry) in &self.dynamics.state_entries {
+            for j in tie.nodes_of(entry, chunk.rule.order()) {
+                let step = f64::from(r == c && j == tie.node);
+                put(-step - entry.map_or(0.0, |entry| tie.weights[j] * value(entry).at(lane(j))));
             }
         }
         for &(_, _, entry) in &self.dynamics.parameter_entries {

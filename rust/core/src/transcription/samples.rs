@@ -8,8 +8,6 @@ use crate::tape::{BLOCK, LANE_MULTIPLE};
 #[derive(Clone, Debug)]
 pub(super) struct Samples {
     pub(super) experiment: usize,
-    /// First sample.
-    pub(super) first: usize,
     /// Number of samples; the lanes after them repeat the last.
     pub(super) n: usize,
     /// Point of each lane, counted over all experiments.
@@ -34,7 +32,7 @@ impl Samples {
                 data.extend((0..lanes).map(|l| column[first + lane(l)]));
             }
             let points = (0..lanes).map(|l| (point0 + points[lane(l)]) as u32).collect();
-            blocks.push(Samples { experiment, first, n, points, data, hessian: 0 });
+            blocks.push(Samples { experiment, n, points, data, hessian: 0 });
         }
         blocks
     }

@@ -2,6 +2,7 @@
 #![allow(dead_code)] // each test uses a part of it
 
 pub mod models;
+pub mod newton;
 pub mod parse;
 pub mod trees;
 

@@ -17,8 +17,9 @@ pub fn linear() -> Model {
     let mut m = Model::new("short period");
     let (w, q) = (m.state("w", "m/s").unwrap(), m.state("q", "rad/s").unwrap());
     let de = m.input("de", "rad").unwrap();
-    let [zw, zq, zde, mw, mq, mde] = [("Zw", -1.4), ("Zq", -1.5), ("Zde", -6.3), ("Mw", 0.2), ("Mq", -3.7), ("Mde", -12.8)]
-        .map(|(name, start)| m.parameter(Parameter::new(name, start)).unwrap());
+    let [zw, zq, zde, mw, mq, mde] =
+        [("Zw", -1.4), ("Zq", -1.5), ("Zde", -6.3), ("Mw", 0.2), ("Mq", -3.7), ("Mde", -12.8)]
+            .map(|(name, start)| m.parameter(Parameter::new(name, start)).unwrap());
     m.equation("w", &zw * &w + (44.57 + &zq) * &q + &zde * &de, None).unwrap();
     m.equation("q", &mw * &w + &mq * &q + &mde * &de, Some("aircraft.py:12".into())).unwrap();
     m.output("w", w.clone(), "", None).unwrap();
@@ -49,7 +50,8 @@ pub fn nonlinear() -> Model {
     let (alpha, q) = (m.state("alpha", "rad").unwrap(), m.state("q", "rad/s").unwrap());
     let (de, thrust) = (m.input("de", "rad").unwrap(), m.input("thrust", "N").unwrap());
     let cl0 = m.parameter(Parameter { prior: Some((0.2, 0.05)), ..Parameter::new("CL0", 0.3) }).unwrap();
-    let cla = m.parameter(Parameter { lower: Some(0.0), upper: Some(9.0), ..Parameter::new("CLa", 1.7) }).unwrap();
+    let cla =
+        m.parameter(Parameter { lower: Some(0.0), upper: Some(9.0), ..Parameter::new("CLa", 1.7) }).unwrap();
     let k = m.parameter(Parameter { fixed: true, ..Parameter::new("k", 0.4) }).unwrap();
     let cma = m.parameter(Parameter { prior: Some((-0.5, 0.3)), ..Parameter::new("Cma", -0.6) }).unwrap();
     let cmq = m.parameter(Parameter::new("Cmq", -0.9)).unwrap();
@@ -61,7 +63,8 @@ pub fn nonlinear() -> Model {
     let time = m.time();
     m.equation("alpha", &q - &cl * &v / (1.0 + &v * &v) + 0.1 * time.sin(), None).unwrap();
     m.equation("V", &thrust / &v - &cd * &v * &v - (&alpha - &k).sin(), None).unwrap();
-    let cm = &cma * &alpha + &cmq * &q * (0.3 * &alpha).exp() + lookup(&moment_table(), &[&alpha, &v]) + &de * &v;
+    let cm =
+        &cma * &alpha + &cmq * &q * (0.3 * &alpha).exp() + lookup(&moment_table(), &[&alpha, &v]) + &de * &v;
     m.equation("q", cm, None).unwrap();
     m.output("V", v.clone(), "", None).unwrap();
     m.output("alpha", &alpha + &bias * &v, "rad", None).unwrap();

@@ -22,7 +22,6 @@ STATE_SCALE = np.array([1e-2, 20.0, 20.0, 30.0])
 """Factors of the states and of their defects in the code behind the paper."""
 SIGMA_SCALE = 1 / np.array([0.2, 0.03, 0.002, 0.001, 0.025, 0.03, 0.03])
 LOWER = {"V": 2.0, "CD0": 0.0, "sigma_V": 1e-3} | dict.fromkeys(hfb.SIGMAS[1:], 1e-4)
-STARTS = {"zero": hfb.zero_start, "optimum": lambda: hfb.OPTIMUM}
 
 
 def lobatto(order):
@@ -69,13 +68,6 @@ def _model_functions():
     return ca.Function("f", [x, u, p], [ca.vertcat(*f)]), ca.Function("cost", [x, u, z, p], [cost])
 
 
-def start_parameters(start):
-    """Starting parameters from a mapping, a name in STARTS, or the number of a random start of the paper."""
-    if isinstance(start, dict):
-        return start
-    return STARTS[start]() if start in STARTS else hfb.random_start(int(start))
-
-
 def solve(order=2, start="zero", scaling="paper", linear_pivot_order=None, case=None, tol=1e-6):
     """Solve and return a dict of status, iterations, log-likelihood, parameters, and times in seconds.
 
@@ -109,17 +101,19 @@ def solve(order=2, start="zero", scaling="paper", linear_pivot_order=None, case=
     lower[: len(p_scale)] = [LOWER.get(name, -np.inf) for name in hfb.PARAMETERS]
     lower[len(p_scale) :: 4] = LOWER["V"]
     states = np.array([np.interp(mesh, case.t, z) for z in case.z.T[:4]])
-    parameters = start_parameters(start)
+    parameters = hfb.start_parameters(start)
     guess = np.concatenate([[parameters[name] for name in hfb.PARAMETERS], states.T.ravel()])
     solution = solver(x0=guess * scale, lbx=lower * scale, lbg=0, ubg=0)
     solved = time.perf_counter()
 
     stats = solver.stats()
+    calls = [stats.get(f"n_call_nlp_{name}", 0) for name in ("f", "grad_f", "g", "jac_g", "hess_l")]
     callbacks = sum(value for name, value in stats.items() if name.startswith("t_wall_nlp"))
     found = dict(zip(hfb.PARAMETERS, (np.array(solution["x"]).ravel() / scale).tolist(), strict=False))
     return {
         "status": stats["return_status"],
         "iterations": stats["iter_count"],
+        "evaluations": hfb.counts(*calls),
         "log_likelihood": -float(solution["f"]),
         "parameters": found,
         "largest_error": hfb.largest_error(found),

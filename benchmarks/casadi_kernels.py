@@ -22,7 +22,11 @@ def _nonzeros(matrix):
 
 
 def _point_functions():
-    """SX functions of a point: f; f, f_x, f_p; Hessian of factor * cost + weight' f.  I, stored as f_x."""
+    """SX functions of a point, and the places of what they return.
+
+    Functions: f; f, f_x, f_p; Hessian of factor * cost + weight' f.  I is stored with the pattern of f_x.
+    Places: (rows, columns) of f_x, f_p, the Hessian's rows of the states, its rows of the parameters.
+    """
     x, u, z = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("z", 7)
     p, weight, factor = ca.SX.sym("p", N_P), ca.SX.sym("weight", 4), ca.SX.sym("factor")
     named = dict(zip(hfb.PARAMETERS, ca.vertsplit(p), strict=True))
@@ -32,21 +36,22 @@ def _point_functions():
     cost = ca.sum1(ca.log(sigma)) + 0.5 * ca.sum1(((z - g) / sigma) ** 2)
 
     pattern = ca.jacobian(f, x).sparsity() + ca.Sparsity.diag(4)
-    jacobian_parts = [_nonzeros(ca.project(ca.jacobian(f, x), pattern)), _nonzeros(ca.jacobian(f, p))]
     hessian = ca.tril(ca.hessian(factor * cost + ca.dot(weight, f), ca.vertcat(p, x))[0])
-    hessian_parts = [_nonzeros(hessian[N_P:, :]), _nonzeros(hessian[:N_P, :N_P])]
+    jacobians = [ca.project(ca.jacobian(f, x), pattern), ca.jacobian(f, p)]
+    hessians = [hessian[N_P:, :], hessian[:N_P, :N_P]]
     options = {"cse": True}
-    return (
+    functions = (
         ca.Function("point_f", [x, p, u], [f], options),
-        ca.Function("point_jacobian", [x, p, u], [f, *jacobian_parts], options),
-        ca.Function("point_hessian", [x, p, u, z, weight, factor], hessian_parts, options),
-        _nonzeros(ca.project(ca.DM.eye(4), pattern)),
+        ca.Function("point_jacobian", [x, p, u], [f, *map(_nonzeros, jacobians)], options),
+        ca.Function("point_hessian", [x, p, u, z, weight, factor], [*map(_nonzeros, hessians)], options),
     )
+    places = [np.array(part.sparsity().get_triplet()) for part in jacobians + hessians]
+    return *functions, _nonzeros(ca.project(ca.DM.eye(4), pattern)), places
 
 
 def nlp_functions(n, step):
     """MX functions: defects, defects and Jacobian, Hessian of the trapezoid on `n` points, `step` s apart."""
-    point_f, point_jacobian, point_hessian, unit = _point_functions()
+    point_f, point_jacobian, point_hessian, unit, _ = _point_functions()
     x, u, z = ca.MX.sym("x", 4, n), ca.MX.sym("u", 2, n), ca.MX.sym("z", 7, n)
     p, multipliers, factor = ca.MX.sym("p", N_P), ca.MX.sym("multipliers", 4, n - 1), ca.MX.sym("factor")
 
@@ -67,6 +72,25 @@ def nlp_functions(n, step):
         ca.Function("defects_and_jacobian", [x, p, u], [defects(f_too), *jacobian]),
         ca.Function("lagrangian_hessian", [x, p, u, z, multipliers, factor], list(hessian)),
     )
+
+
+def places(n):
+    """Rows and columns of the entries of the Jacobian and of the Hessian, in the order returned."""
+    *_, (f_x, f_p, of_states, of_parameters) = _point_functions()
+    points = np.arange(n)[:, None]
+    segments, first_state = points[:-1], N_P
+    rows = 4 * segments + f_x[0]
+    left = (rows, first_state + 4 * segments + f_x[1])
+    right = (rows, left[1] + 4)
+    shared = (4 * segments + f_p[0], f_p[1] + 0 * segments)
+    row, column = of_states
+    own = (first_state + 4 * points + row, column + 4 * points * (column >= N_P))
+    return _joined(left, right, shared), _joined(own, of_parameters)
+
+
+def _joined(*parts):
+    """One pair of rows and columns from several."""
+    return tuple(np.concatenate([part[i].ravel() for part in parts]) for i in (0, 1))
 
 
 def compiled(functions, flags=("-O3", "-march=native")):

@@ -158,6 +158,18 @@ def zero_start():
     return dict.fromkeys(DERIVATIVES + BIASES, 0.0) | dict.fromkeys(SIGMAS, 1.0)
 
 
+def start_parameters(start):
+    """Starting parameters from a mapping, 'zero', 'optimum', or the number of a random start of the paper."""
+    if isinstance(start, dict):
+        return start
+    return {"zero": zero_start, "optimum": lambda: OPTIMUM}.get(start, lambda: random_start(int(start)))()
+
+
+def counts(objective, gradient, constraints, jacobian, hessian):
+    """Text of how often a solver called what."""
+    return f"{objective}/{gradient}/{constraints}/{jacobian}/{hessian}"
+
+
 def largest_error(parameters, names=DERIVATIVES):
     """Largest relative deviation from the published optimum over `names`."""
     return max(abs(parameters[name] / OPTIMUM[name] - 1) for name in names)

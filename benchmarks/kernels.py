@@ -3,151 +3,109 @@
 What is evaluated, for the trapezoid (LGL order 2) on N points, 4 states, the paper's 22 parameters:
 
 * defects: all 4 (N - 1) of them;
-* with Jacobian: the defects and every nonzero of their Jacobian, 35 per segment (12 and 12 for the states at
-  its two ends, 11 for the parameters);
+* defects and Jacobian: the defects and every nonzero of their Jacobian, 35 per segment (12 and 12 for the
+  states at its two ends, 11 for the parameters);
 * Hessian: every nonzero of the lower triangle of the Hessian of the Lagrangian, objective included (the
-  negative log-likelihood with its sigmas as variables): per point 9 among states and 46 between states and
-  parameters, and 85 among parameters, which are sums over the points.
+  negative log-likelihood with its seven noise parameters as variables): per point 9 among states and 46
+  between states and parameters, and 85 among parameters, which are sums over the points.
 
-Every peer starts from the decision variables and the multipliers and writes into arrays allocated before,
-where it allows that (CasADi does; opty allocates some).  Peers take turns, each long enough to be warm; times
-are medians over the rounds, divided by N.  The sums of squares of what the peers return are compared, so that
-one that computes something else is seen.
+Every peer starts from the decision variables and the multipliers.  CasADi writes into arrays allocated
+before; ours and opty's go through their Python bindings and return new numpy arrays, with what that costs.
+Ours has 1/sigma for sigma.  Peers take turns, each long enough to be warm; times are medians over the rounds,
+divided by N.  What the peers return is compared entry by entry before, see kernel_check.py.
 
-    python benchmarks/kernels.py [--points 601 100000] [--only casadi]
+    python benchmarks/kernels.py [--points 601 100000] [--only phugoid]
 """
 
 import argparse
 import time
-from dataclasses import dataclass
-from functools import cache
 
-import hfb320_case as hfb
 import numpy as np
+from kernel_peers import KINDS, OURS, PEERS, VM, C, make_mesh, ours
+from tables import attempt, console, show, times
 
-KINDS = ("defects", "with Jacobian", "Hessian")
-C, VM = "CasADi, generated C -O3 -march=native", "CasADi, virtual machine"
-OPTY = "opty, Cython (midpoint rule)"
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """Where the callbacks are evaluated: arrays over N points, the parameters and the multipliers."""
-
-    x: np.ndarray
-    u: np.ndarray
-    z: np.ndarray
-    p: np.ndarray
-    multipliers: np.ndarray
-    step: float
-
-    @property
-    def xi(self):
-        """Decision vector: the 22 parameters in the order of PARAMETERS, then the states point by point."""
-        return np.concatenate([self.p, self.x.ravel()])
-
-
-def make_mesh(n):
-    """The record of the case, repeated until there are `n` points; parameters at the published optimum."""
-    case = hfb.load_case()
-    index = np.arange(n) % len(case.t)
-    z = np.ascontiguousarray(case.z[index])
-    multipliers = np.random.default_rng(0).standard_normal((n - 1, 4))
-    p = np.array(list(hfb.OPTIMUM.values()))
-    return Mesh(z[:, :4].copy(), np.ascontiguousarray(case.u[index]), z, p, multipliers, case.step)
-
-
-@cache
-def _casadi_functions(n, step):
-    from casadi_kernels import nlp_functions
-
-    return nlp_functions(n, step)
-
-
-def casadi_kernels(mesh, flags=None):
-    """CasADi's three callbacks: by its virtual machine, or from C compiled with `flags`."""
-    from casadi_kernels import bind, compiled
-
-    functions = _casadi_functions(len(mesh.x), mesh.step)
-    arguments = [mesh.x, mesh.p, mesh.u, mesh.z, mesh.multipliers, 1.0]
-    functions = compiled(functions, flags) if flags else functions
-    return [bind(function, arguments[: function.n_in()]) for function in functions]
-
-
-def opty_kernels(mesh):
-    """opty's two callbacks (midpoint rule)."""
-    from opty_kernels import constraint_functions
-
-    return [*constraint_functions(mesh), None]
-
-
-PEERS = {
-    VM: casadi_kernels,
-    C: lambda mesh: casadi_kernels(mesh, ("-O3", "-march=native")),
-    "CasADi, generated C -O3": lambda mesh: casadi_kernels(mesh, ("-O3",)),
-    OPTY: opty_kernels,
-}
-"""Name -> function of a Mesh that returns callables without arguments, in the order of KINDS, each of which
-evaluates and returns a list of arrays; None where the peer has no such callback.  Ours are added here."""
+TOLERANCE = 1e-9
+"""Above this the values of two peers are said to differ."""
 
 
 def prepare(mesh, only=""):
-    """{(peer, kind): callable}; prints which peers are skipped and whose values differ from the first's."""
-    callables, squares = {}, {}
+    """{(peer, kind): callable}; prints which peers are skipped and how far values differ from the first's."""
+    from kernel_check import difference, matrices
+
+    callables, first = {}, None
     for name, factory in PEERS.items():
-        if only.lower() not in name.lower():
+        found = attempt(name, factory, mesh) if only.lower() in name.lower() else None
+        if found is None:
             continue
-        try:
-            callbacks = factory(mesh)
-        except Exception as error:  # a benchmark without one of its peers is still one
-            print(f"skipped {name}: {type(error).__name__}: {error}")
-            continue
-        for kind, callback in zip(KINDS, callbacks, strict=True):
-            if callback is None:
-                continue
-            callables[name, kind] = callback
-            square = sum(float(np.vdot(values, values)) for values in callback())
-            if name != OPTY and not np.isclose(square, squares.setdefault(kind, square), rtol=1e-9):
-                print(f"{name}: {kind}: sum of squares {square:.12g}, first peer's {squares[kind]:.12g}")
+        callbacks, places = found
+        callables |= {(name, kind): call for kind, call in zip(KINDS, callbacks, strict=True) if call}
+        if places is not None:
+            values = matrices(callbacks, places, mesh)
+            apart = difference(values, first := first or values)
+            if max(apart) > TOLERANCE:
+                console.print(f"{name}: differs from the first: {apart} (defects, Jacobian, Hessian)")
     return callables
 
 
 def measure(callables, rounds=9, target=0.05):
     """{key: seconds per call}: medians over rounds in each of which every callable fills about `target` s."""
-    times = {key: [] for key in callables}
+    found = {key: [] for key in callables}
     calls = dict.fromkeys(callables, 1)
     for _ in range(rounds + 1):
         for key, callback in callables.items():
             begin = time.perf_counter()
             for _ in range(calls[key]):
                 callback()
-            times[key].append((time.perf_counter() - begin) / calls[key])
-            calls[key] = max(1, int(target / times[key][-1]))
-    return {key: float(np.median(values[1:])) for key, values in times.items()}
+            found[key].append((time.perf_counter() - begin) / calls[key])
+            calls[key] = max(1, int(target / found[key][-1]))
+    return {key: float(np.median(values[1:])) for key, values in found.items()}
 
 
-def show(seconds, n):
-    """Print ns per point, and how many times faster than CasADi's C and its virtual machine."""
-    print(f"\nHFB-320, trapezoid, N = {n:,}: ns per mesh point (times faster than CasADi's C, its VM)")
-    print(f"{'':<40}" + "".join(f"{kind:>24}" for kind in KINDS))
-    for name in dict.fromkeys(peer for peer, _ in seconds):
-        cells = []
+def show_peers(found, n):
+    """Table of ns per point, and how many times faster than CasADi's C and its virtual machine."""
+    rows = []
+    for name in dict.fromkeys(peer for peer, _ in found):
+        row = [name]
         for kind in KINDS:
-            mine = seconds.get((name, kind))
-            bases = [seconds[base, kind] for base in (C, VM) if mine and (base, kind) in seconds]
-            ratios = ", ".join(f"{base / mine:.2f}" for base in bases)
-            cells.append(f"{1e9 * mine / n:8.1f}  ({ratios})" if mine else "-")
-        print(f"{name:<40}" + "".join(f"{cell:>24}" for cell in cells))
+            mine = found.get((name, kind))
+            ratios = [times(found.get((base, kind)), mine) for base in (C, VM)]
+            row += [f"{1e9 * mine / n:.1f}", *ratios] if mine else ["-"] * 3
+        rows.append(row)
+    columns = [column for kind in KINDS for column in (f"{kind}, ns", "vs C", "vs VM")]
+    show(
+        f"Callbacks on HFB-320, trapezoid, N = {n:,}: ns per mesh point", ["", *columns], rows,
+        f"vs C, vs VM: how many times faster than '{C}' and '{VM}'",
+    )  # fmt: skip
+
+
+def show_ours(n, rounds, target):
+    """Table of our callbacks one by one, and how many instructions a mesh point costs."""
+    calls = {(k, what): call for k in OURS for what, call in ours(n, k).apart().items()}
+    found = measure(calls, rounds, target)
+    rows = []
+    for what in dict.fromkeys(what for _, what in calls):
+        both = [found[k, what] for k in OURS]
+        rows.append([what, *(f"{1e6 * t:.1f}" for t in both), *(f"{1e9 * t / n:.1f}" for t in both)])
+    columns = [f"{unit}, {k} thread{'s' * (k > 1)}" for unit in ("µs a call", "ns a point") for k in OURS]
+    counts = ", ".join(f"{count} for {tape}" for tape, count in ours(n, 1).instructions().items())
+    show(f"Our callbacks apart, N = {n:,}", ["", *columns], rows, f"Instructions a mesh point: {counts}")
+
+
+def run(points=(601, 100_000), only="", rounds=9, target=0.05):
+    """Measure and print."""
+    for n in points:
+        show_peers(measure(prepare(make_mesh(n), only), rounds, target), n)
+        if any(only.lower() in name.lower() for name in OURS.values()):
+            attempt("our callbacks apart", show_ours, n, rounds, target)
 
 
 def main():
-    """Measure and print."""
+    """From the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--points", type=int, nargs="+", default=[601, 100_000])
     parser.add_argument("--only", default="", help="only the peers whose name contains this")
     arguments = parser.parse_args()
-    for n in arguments.points:
-        show(measure(prepare(make_mesh(n), arguments.only)), n)
+    run(arguments.points, arguments.only)
 
 
 if __name__ == "__main__":

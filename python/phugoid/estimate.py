@@ -54,9 +54,14 @@ def estimate(
     transcription = transcription or Collocation()
     noise = noise or model.noise_model
     solver = solver or Ipopt()
-    for what, value, kind in (("transcription", transcription, Collocation), ("noise", noise, Gaussian)):
+    options = {"transcription": (transcription, Collocation), "noise": (noise, Gaussian), "solver": (solver, Ipopt)}
+    for what, (value, kind) in options.items():
         if not isinstance(value, kind):
-            raise OptionError(f"estimate: {what} is a {kind.__name__}, not a {type(value).__name__}")
+            raise OptionError(f"estimate: {what} is a {kind.__name__}, not {value!r}")
+    if not isinstance(progress, bool) and not callable(progress):
+        raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
+    if not isinstance(start, (Mapping, Fit, type(None))):
+        raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
 
     known = [name for name, value in noise.sigma.items() if isinstance(value, (int, float))]
     for experiment in experiments:

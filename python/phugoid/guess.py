@@ -31,9 +31,13 @@ def parameter_start(model: Model, start: Mapping[str, Any]) -> dict[str, float]:
     """Starting values of the model's parameters: as declared, or as given."""
     values: dict[str, float] = {}
     for name, p in model.declared_parameters.items():
-        value = float(start.get(name, p.start))
+        given = start.get(name, p.start)
+        try:
+            value = float(given)
+        except (TypeError, ValueError):
+            value = float("nan")
         if not np.isfinite(value):
-            raise ModelError(f"start: '{name}' is {value}, not a finite number")
+            raise ModelError(f"start: '{name}' is {given!r}, not a finite number")
         if not p.bounds[0] <= value <= p.bounds[1]:
             raise ModelError(f"start: '{name}' = {value} lies outside its bounds {p.bounds}; move one of them")
         if p.fixed and value != p.start:
@@ -91,7 +95,10 @@ def state_start(
 
 
 def _given(name: str, value: Any, experiment: Experiment, times: _Array) -> _Array:
-    array = np.asarray(value, dtype=np.float64)
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise DataError(f"start: state '{name}' is {value!r}, not a number or one value a sample") from None
     if array.ndim == 0:
         array = np.full(experiment.n, float(array))
     if array.shape != (experiment.n,):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Callable, Mapping
@@ -33,15 +34,26 @@ def _source() -> str | None:
 
 def _declared(kind: str, names: tuple[str, ...], units: Mapping[str, Any]) -> dict[str, Any]:
     """Names from ``"a b"`` or ``"a", "b"`` (without value) and from ``a=..., b=...``."""
-    found: dict[str, Any] = {}
+    given: list[tuple[str, Any]] = []
     for text in names:
         if not isinstance(text, str):
             raise ModelError(f"{kind}: names are text, as in {kind}('a b') or {kind}(a='m/s'), not {text!r}")
-        found.update(dict.fromkeys(text.replace(",", " ").split()))
-    found.update(units)
-    if not found:
+        given += [(name, None) for name in text.replace(",", " ").split()]
+    given += units.items()
+    if not given:
         raise ModelError(f"{kind}: no names were given")
+    found = dict(given)
+    if len(found) < len(given):
+        listed = [name for name, _ in given]
+        raise ModelError(f"{kind}: '{next(n for n in listed if listed.count(n) > 1)}' is there twice")
     return found
+
+
+def _with_units(kind: str, declared: Mapping[str, Any]) -> dict[str, str]:
+    for name, unit in declared.items():
+        if not isinstance(unit, (str, type(None))):
+            raise ModelError(f"{kind}: the unit of '{name}' is text, not {unit!r}")
+    return {name: unit or "" for name, unit in declared.items()}
 
 
 class Model:
@@ -69,13 +81,13 @@ class Model:
 
     def states(self, *names: str, **units: str) -> tuple[Expr, ...]:
         """Declares states, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
-        declared = _declared("states", names, units)
-        return tuple(self._core.state(n, u or "") for n, u in declared.items())
+        declared = _with_units("states", _declared("states", names, units))
+        return tuple(self._core.state(n, u) for n, u in declared.items())
 
     def inputs(self, *names: str, **units: str) -> tuple[Expr, ...]:
         """Declares inputs, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
-        declared = _declared("inputs", names, units)
-        return tuple(self._core.input(n, u or "") for n, u in declared.items())
+        declared = _with_units("inputs", _declared("inputs", names, units))
+        return tuple(self._core.input(n, u) for n, u in declared.items())
 
     def parameters(self, *names: str, **parameters: Parameter | float) -> tuple[Expr, ...]:
         """Declares unknown parameters: ``"a b"`` (start 0), ``a=start`` or ``a=Parameter(...)``.
@@ -118,7 +130,7 @@ class Model:
         source = _source()
 
         def declare(name: str, value: Any) -> None:
-            expression, unit = value if isinstance(value, tuple) else (value, "")
+            expression, unit = value if isinstance(value, tuple) and len(value) == 2 else (value, "")
             self._core.output(name, expression, unit, source)
 
         self._each("outputs", expressions, declare)
@@ -139,6 +151,8 @@ class Model:
         ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, or a whole noise model."""
         if args and sigma or len(args) > 1:
             raise ModelError("noise: give a noise model or standard deviations by output, not both")
+        if args and not isinstance(args[0], Gaussian):
+            raise ModelError(f"noise: a noise model is a Gaussian, not {args[0]!r}; name outputs, as in noise(q=0.01)")
         self._noise = args[0] if args else Gaussian({**self._noise.sigma, **sigma})
 
     @property
@@ -208,15 +222,17 @@ class Model:
         return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
     def to_json(self) -> str:
-        """The model as text that `from_json`, and the Rust crate, read back exactly."""
-        return self._core.to_json()
+        """The model as text that `from_json`, and (but for the noise) the Rust crate, read back exactly."""
+        text = self._core.to_json()
+        noise = self._noise.to_dict()
+        return json.dumps({**json.loads(text), "noise": noise}) if noise else text
 
     @classmethod
     def from_json(cls, text: str) -> Model:
         """Reads `to_json`. Raises ModelError for other text."""
         model = cls.__new__(cls)
         model._core = _core.Model.from_json(text)
-        model._noise = Gaussian()
+        model._noise = Gaussian.from_dict(json.loads(text).get("noise", {}))
         return model
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -228,12 +244,8 @@ class Model:
         """Reads a file that `save` wrote."""
         return cls.from_json(Path(path).read_text(encoding="utf-8"))
 
-    def __getstate__(self) -> tuple[str, Gaussian]:
-        return self.to_json(), self._noise
-
-    def __setstate__(self, state: tuple[str, Gaussian]) -> None:
-        text, self._noise = state
-        self._core = _core.Model.from_json(text)
+    def __reduce__(self) -> Any:
+        return Model.from_json, (self.to_json(),)
 
     def __repr__(self) -> str:
         counts = f"{len(self.state_names)} states, {len(self.input_names)} inputs, {len(self.output_names)} outputs"

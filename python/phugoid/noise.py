@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from .errors import ModelError, did_you_mean
 
@@ -23,12 +24,16 @@ class Sigma:
     bounds: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        if self.start is not None and not (self.start > 0 and math.isfinite(self.start)):
-            raise ModelError(f"a standard deviation starts at a positive number, not {self.start}")
+        if self.start is not None and not _positive(self.start):
+            raise ModelError(f"a standard deviation starts at a positive number, not {self.start!r}")
         if self.bounds is not None:
-            low, high = self.bounds
-            if not (0 < low < high):
-                raise ModelError(f"bounds of a standard deviation are positive and increase, not {self.bounds}")
+            try:
+                low, high = self.bounds
+                sound = 0 < low < high
+            except (TypeError, ValueError):
+                sound = False
+            if not sound:
+                raise ModelError(f"bounds of a standard deviation are a positive pair that increases, not {self.bounds!r}")
             if self.start is not None and not low <= self.start <= high:
                 raise ModelError(f"the start {self.start} of a standard deviation lies outside its bounds {self.bounds}")
 
@@ -44,9 +49,35 @@ class Gaussian:
     sigma: Mapping[str, float | Sigma] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.sigma, Mapping):
+            raise ModelError(f"noise: give standard deviations by output, such as {{'q': 0.01}}, not {self.sigma!r}")
         for name, value in self.sigma.items():
-            if not isinstance(value, Sigma) and not (value > 0 and math.isfinite(value)):
-                raise ModelError(f"noise of '{name}': a known standard deviation is a positive number, not {value}")
+            if not isinstance(value, Sigma) and not _positive(value):
+                raise ModelError(
+                    f"noise of '{name}': a known standard deviation is a positive number, not {value!r}; "
+                    "an unknown one is a Sigma"
+                )
+        plain = {name: s if isinstance(s, Sigma) else float(s) for name, s in self.sigma.items()}
+        object.__setattr__(self, "sigma", plain)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it: output -> known value, or start and bounds."""
+
+        def plain(s: float | Sigma) -> dict[str, Any]:
+            if not isinstance(s, Sigma):
+                return {"known": s}
+            return {"start": s.start, "bounds": list(s.bounds) if s.bounds else None}
+
+        return {name: plain(s) for name, s in self.sigma.items()}
+
+    @staticmethod
+    def from_dict(saved: Mapping[str, Any]) -> Gaussian:
+        """Reads `to_dict`."""
+
+        def sigma(s: Mapping[str, Any]) -> float | Sigma:
+            return s["known"] if "known" in s else Sigma(s["start"], tuple(s["bounds"]) if s["bounds"] else None)
+
+        return Gaussian({name: sigma(s) for name, s in saved.items()})
 
     def resolve(
         self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]
@@ -69,9 +100,11 @@ class Gaussian:
                 continue
             scale = spread[name]
             low, high = spec.bounds or (1e-9 * scale, 1e6 * scale)
-            value = given if given is not None else (spec.start if spec.start is not None else scale)
-            if not (value > 0 and math.isfinite(value)):
-                raise ModelError(f"the start of sigma_{name} is a positive number, not {value}")
+            value = given if given is not None else spec.start
+            if value is None:
+                value = min(max(scale, low), high)
+            if not _positive(value):
+                raise ModelError(f"the start of sigma_{name} is a positive number, not {value!r}")
             if not low <= value <= high and spec.bounds is None:
                 low, high = min(low, value), max(high, value)
             if not low <= value <= high:
@@ -81,3 +114,10 @@ class Gaussian:
             value = max(min(value, scale), low)
             resolved.append((False, float(value), float(low), float(high)))
         return resolved
+
+
+def _positive(value: Any) -> bool:
+    try:
+        return value > 0 and math.isfinite(value)
+    except TypeError:
+        return False

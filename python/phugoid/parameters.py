@@ -96,6 +96,12 @@ class Estimate:
     fixed: bool = False
     bounds_active: Literal["lower", "upper"] | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("value", "std_error", "start"):  # numpy's numbers print otherwise
+            object.__setattr__(self, name, float(getattr(self, name)))
+        lower, upper = self.bounds
+        object.__setattr__(self, "bounds", (float(lower), float(upper)))
+
     @property
     def relative_std_error(self) -> float:
         """Standard error over the size of the value; NaN where there is no error or the value is zero."""

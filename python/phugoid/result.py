@@ -295,10 +295,7 @@ def _payload(fit: Fit) -> dict[str, Any]:
     t = fit.transcription
     return {
         "model": fit.model.to_json(),
-        "noise": {
-            name: {"known": s} if not isinstance(s, Sigma) else {"start": s.start, "bounds": list(s.bounds) if s.bounds else None}
-            for name, s in fit.noise.sigma.items()
-        },
+        "noise": fit.noise.to_dict(),
         "transcription": {"order": t.order, "substeps": t.substeps, "segments": _plain_segments(t.segments)},
         "parameters": estimates(fit.parameters),
         "initial_states": {name: estimates(group) for name, group in fit.initial_states.items()},
@@ -337,13 +334,10 @@ def load(path: str | os.PathLike[str]) -> Fit:
         t, mesh_t = io.to_array(saved["t"]), io.to_array(saved["mesh_t"])
         return Record(name=saved["name"], units=saved["units"], t=t, mesh_t=mesh_t, **arrays)
 
-    def sigma(s: dict[str, Any]) -> float | Sigma:
-        return s["known"] if "known" in s else Sigma(s["start"], tuple(s["bounds"]) if s["bounds"] else None)
-
     try:
         return Fit(
             model=Model.from_json(saved["model"]),
-            noise=Gaussian({name: sigma(s) for name, s in saved["noise"].items()}),
+            noise=Gaussian.from_dict(saved["noise"]),
             transcription=Collocation(**saved["transcription"]),
             parameters=estimates(saved["parameters"]),
             initial_states={name: estimates(group) for name, group in saved["initial_states"].items()},
@@ -357,5 +351,5 @@ def load(path: str | os.PathLike[str]) -> Fit:
             warnings=tuple(saved["warnings"]),
             history=[Iteration(**line) for line in saved["history"]],
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise DataError(f"{path}: is damaged ({type(error).__name__}: {error})") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -46,7 +47,7 @@ def _call(name: str, *args: Any) -> Any:
     Numbers alone give a number.
     """
     if any(isinstance(a, (np.ndarray, list, tuple)) for a in args):
-        return np.frompyfunc(lambda *each: _call(name, *each), len(args), 1)(*args)
+        return np.frompyfunc(lambda *each: _call(name, *each), len(args), 1)(*map(_boxed, args))
     result = _core.apply(name, *args)
     return result.constant if result.constant is not None else result
 
@@ -138,16 +139,25 @@ class Table:
     """
 
     def __init__(self, name: str, axes: Any, values: Any) -> None:
-        array = np.asarray(values, dtype=np.float64)
-        grid = [np.asarray(a, dtype=np.float64) for a in axes] if array.ndim == 2 else [np.asarray(axes, np.float64)]
+        try:
+            array = np.array(values, dtype=np.float64)
+            grid = [np.array(axis, dtype=np.float64) for axis in (axes if array.ndim == 2 else [axes])]
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"table '{name}': axes and values are arrays of numbers ({error})") from None
         expected = tuple(a.size for a in grid)
         if array.shape != expected or len(grid) > 2:
             raise ModelError(f"table '{name}': values have shape {array.shape}, the axes ask for {expected}")
         second = grid[1].tolist() if len(grid) == 2 else None
         self._core = _core.Table(name, grid[0].tolist(), array.ravel().tolist(), second)
+        self._saved = (name, grid if second else grid[0], array)
         self.name = name
 
+    def __reduce__(self) -> Any:
+        return Table, self._saved
+
     def __call__(self, *args: Any) -> Any:
+        if any(isinstance(a, (np.ndarray, list, tuple)) for a in args):
+            return np.frompyfunc(self, len(args), 1)(*map(_boxed, args))
         result = self._core(*args)
         if result.symbols:
             return result
@@ -238,7 +248,7 @@ def _boxed(x: Any) -> Any:
 
 
 def from_sympy(expression: Any, names: Mapping[str, Any] | None = None) -> Any:
-    """A SymPy expression as one of ours.
+    """A SymPy expression as one of ours; a SymPy matrix as an array of them.
 
     ``names`` maps SymPy symbol names to expressions; others become symbols of the same name. Raises ModelError
     for a function that has no counterpart.
@@ -248,35 +258,27 @@ def from_sympy(expression: Any, names: Mapping[str, Any] | None = None) -> Any:
     def convert(e: Any) -> Any:
         if e.is_Symbol:
             return given.get(e.name, Expr.symbol(e.name))
-        if e.is_number and not e.args:
-            return float(e)
-        args = [convert(a) for a in e.args]
         name = type(e).__name__
-        if name == "Add":
-            total = args[0]
-            for a in args[1:]:
-                total = total + a
-            return total
-        if name == "Mul":
-            product = args[0]
-            for a in args[1:]:
-                product = product * a
-            return product
-        if name == "Pow":
-            return args[0] ** args[1]
+        if getattr(e, "is_number", False) and not e.args:
+            if not (e.is_real and e.is_finite):
+                raise ModelError(f"the SymPy expression {expression} holds {e}, which is no finite real number")
+            return float(e)
         if name == "Piecewise":
             return _piecewise(e, convert)
-        if name in ("Min", "Max"):
-            pick = minimum if name == "Min" else maximum
-            best = args[0]
-            for a in args[1:]:
-                best = pick(best, a)
-            return best
+        combine = _SYMPY_CHAINS.get(name)
+        if combine is not None:
+            return functools.reduce(combine, map(convert, e.args))
         function = _SYMPY.get(name)
         if function is None:
-            raise ModelError(f"SymPy's {name} has no counterpart in phugoid (in {e}).{did_you_mean(name, _SYMPY)}")
-        return function(*args)
+            known = [*_SYMPY, *_SYMPY_CHAINS]
+            raise ModelError(f"SymPy's {name} has no counterpart in phugoid (in {e}).{did_you_mean(name, known)}")
+        return function(*map(convert, e.args))
 
+    if hasattr(expression, "tolist"):
+        rows = [[convert(e) for e in row] for row in expression.tolist()]
+        return np.array(rows, dtype=object)
+    if not hasattr(expression, "is_Symbol"):
+        raise ModelError(f"from_sympy: {expression!r} is a {type(expression).__name__}, not a SymPy expression")
     return convert(expression)
 
 
@@ -290,10 +292,24 @@ def _piecewise(e: Any, convert: Callable[[Any], Any]) -> Any:
     return result
 
 
+# Operations of any number of arguments.
+_SYMPY_CHAINS: dict[str, Callable[[Any, Any], Any]] = {
+    "Add": lambda a, b: a + b,
+    "Mul": lambda a, b: a * b,
+    "Min": minimum,
+    "Max": maximum,
+    "And": lambda a, b: a & b,
+    "Or": lambda a, b: a | b,
+}
+
 _SYMPY: dict[str, Callable[..., Any]] = {
+    "Pow": lambda a, b: a**b,
     "sin": sin,
     "cos": cos,
     "tan": tan,
+    "cot": lambda a: 1 / tan(a),
+    "sec": lambda a: 1 / cos(a),
+    "csc": lambda a: 1 / sin(a),
     "asin": asin,
     "acos": acos,
     "atan": atan,
@@ -309,7 +325,5 @@ _SYMPY: dict[str, Callable[..., Any]] = {
     "LessThan": lambda a, b: a <= b,
     "StrictGreaterThan": lambda a, b: a > b,
     "GreaterThan": lambda a, b: a >= b,
-    "And": lambda a, b: a & b,
-    "Or": lambda a, b: a | b,
     "Not": lambda a: ~a,
 }

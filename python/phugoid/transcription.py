@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,28 +36,41 @@ class Collocation:
     threads: int = 0
 
     def __post_init__(self) -> None:
-        if isinstance(self.order, bool) or not isinstance(self.order, int) or not 2 <= self.order <= 64:
+        if not _whole(self.order) or not 2 <= self.order <= 64:
             raise OptionError(f"Collocation: order is a whole number from 2 (trapezoid) to 64, not {self.order!r}")
-        if not isinstance(self.substeps, int) or self.substeps < 1:
+        if not _whole(self.substeps) or self.substeps < 1:
             raise OptionError(f"Collocation: substeps is a whole number from 1, not {self.substeps!r}")
         if self.segments is not None and self.substeps != 1:
             raise OptionError("Collocation: substeps divides sample intervals and segments replaces them; give one")
-        if isinstance(self.segments, int) and self.segments < 1:
-            raise OptionError(f"Collocation: at least 1 segment is needed, not {self.segments}")
-        if not isinstance(self.threads, int) or self.threads < 0:
+        if not _whole(self.threads) or self.threads < 0:
             raise OptionError(f"Collocation: threads is a whole number from 0, not {self.threads!r}")
+        for name in ("order", "substeps", "threads"):
+            object.__setattr__(self, name, int(getattr(self, name)))
+        object.__setattr__(self, "segments", _checked_segments(self.segments))
 
-    def grids(self, experiments: int) -> list[GridSpec]:
-        """The division into segments as the core takes it: one for all, or one an experiment."""
+    def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
+        """The division into segments as the core takes it: one for all, or one an experiment.
+
+        Raises OptionError for segment ends that do not fit the experiments.
+        """
         if self.segments is None:
             return [("samples", self.substeps, None)]
-        if isinstance(self.segments, (int, np.integer)):
-            return [("uniform", int(self.segments), None)]
-        parts = list(self.segments)  # type: ignore[arg-type]
-        if parts and np.ndim(parts[0]) == 0 and experiments > 1:
-            raise OptionError("Collocation: give the segment ends of each experiment, a list of lists")
-        lists = [parts] if np.ndim(parts[0]) == 0 else parts
-        return [("edges", 0, [float(t) for t in np.asarray(part)]) for part in lists]
+        if isinstance(self.segments, int):
+            return [("uniform", self.segments, None)]
+        lists: Any = self.segments if isinstance(self.segments[0], tuple) else (self.segments,)  # type: ignore[index]
+        if len(lists) != len(experiments):
+            raise OptionError(
+                f"Collocation: segments holds {len(lists)} list(s) of segment ends for {len(experiments)} "
+                "experiment(s): give each its own"
+            )
+        for edges, experiment in zip(lists, experiments, strict=True):
+            first, last = experiment.t[[0, -1]]
+            if not np.allclose([edges[0], edges[-1]], [first, last], rtol=0, atol=1e-9 * (last - first)):
+                raise OptionError(
+                    f"Collocation: the segments run from {edges[0]:g} to {edges[-1]:g} s, but experiment "
+                    f"'{experiment.name}' from {first:g} to {last:g} s: they must start and end alike"
+                )
+        return [("edges", 0, list(edges)) for edges in lists]
 
     def problem(
         self, model: Model, experiments: Sequence[Experiment], sigmas: list[tuple[bool, float, float, float]]
@@ -72,15 +87,49 @@ class Collocation:
             for e in experiments
         ]
         return _core.Collocation(
-            model._core, records, sigmas, self.order, self.grids(len(experiments)), self.threads
+            model._core, records, sigmas, self.order, self.grids(experiments), self.threads
         )
 
     def __str__(self) -> str:
         if self.segments is None:
             grid = "one segment" if self.substeps == 1 else f"{self.substeps} segments"
             grid += " between samples"
-        elif isinstance(self.segments, (int, np.integer)):
+        elif isinstance(self.segments, int):
             grid = f"{self.segments} equal segments"
         else:
             grid = "given segments"
         return f"collocation of order {self.order}, {grid}"
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def _checked_segments(segments: Any) -> Any:
+    """None, a number, the ends of one experiment's segments, or a tuple of such: plain, so that options compare."""
+    if segments is None:
+        return None
+    if _whole(segments):
+        if segments < 1:
+            raise OptionError(f"Collocation: at least 1 segment is needed, not {segments}")
+        return int(segments)
+    wrong = OptionError(f"Collocation: segments is a whole number or the times of segment ends, not {segments!r}")
+    if isinstance(segments, str) or not np.iterable(segments):
+        raise wrong
+    parts = list(segments)
+    if parts and all(np.ndim(part) == 1 for part in parts):
+        return tuple(_checked_ends(part, wrong) for part in parts)
+    return _checked_ends(parts, wrong)
+
+
+def _checked_ends(ends: Any, wrong: OptionError) -> tuple[float, ...]:
+    try:
+        array = np.array(ends, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise wrong from None
+    if array.ndim != 1 or array.size < 2 or not np.isfinite(array).all():
+        raise wrong
+    if not np.all(np.diff(array) > 0):
+        i = int(np.flatnonzero(np.diff(array) <= 0)[0]) + 1
+        raise OptionError(f"Collocation: segment ends increase, but number {i} ({array[i]:g} s) does not come after the last")
+    return tuple(array.tolist())

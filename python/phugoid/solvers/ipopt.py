@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -76,12 +77,15 @@ class Ipopt:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.max_iterations < 0:
-            raise OptionError(f"Ipopt: max_iterations is a number from 0, not {self.max_iterations}")
-        if not 0 < self.tolerance < 1:
-            raise OptionError(f"Ipopt: tolerance lies between 0 and 1, not at {self.tolerance}")
-        if self.time_limit is not None and not self.time_limit > 0:
-            raise OptionError(f"Ipopt: time_limit is a positive number of seconds, not {self.time_limit}")
+        whole = isinstance(self.max_iterations, Integral) and not isinstance(self.max_iterations, bool)
+        if not whole or self.max_iterations < 0:
+            raise OptionError(f"Ipopt: max_iterations is a whole number from 0, not {self.max_iterations!r}")
+        if not isinstance(self.tolerance, Real) or not 0 < self.tolerance < 1:
+            raise OptionError(f"Ipopt: tolerance is a number between 0 and 1, not {self.tolerance!r}")
+        if self.time_limit is not None and not (isinstance(self.time_limit, Real) and self.time_limit > 0):
+            raise OptionError(f"Ipopt: time_limit is a positive number of seconds, not {self.time_limit!r}")
+        if not isinstance(self.options, Mapping):
+            raise OptionError(f"Ipopt: options are values by name, such as {{'tol': 1e-8}}, not {self.options!r}")
 
     def solve(
         self,
@@ -164,6 +168,8 @@ class Ipopt:
             "mumps_pivot_order": 5,
             # The only inequalities are bounds far away: nothing is won by adapting the barrier.
             "mu_strategy": "monotone",
+            # Ipopt widens bounds a little; what comes back lies within the user's.
+            "honor_original_bounds": "yes",
         }
         if self.time_limit is not None:
             options["max_wall_time"] = max(self.time_limit - (time.perf_counter() - started), 1e-3)

@@ -13,6 +13,7 @@ pub mod mesh;
 pub mod model;
 pub mod nlp;
 pub mod noise;
+mod simd;
 pub mod table;
 pub mod tape;
 pub mod transcription;

@@ -326,15 +326,16 @@ impl Model {
         Ok(Compiled { graph, data, states, parameters, dynamics, outputs })
     }
 
-    /// The right-hand sides with quantities put in, as expressions: states, then outputs.
+    /// The right-hand sides with quantities put in, as expressions: f in the order of the states, then g.
     pub fn expanded(&self) -> (Vec<Expr>, Vec<Expr>) {
         let mut define: HashMap<Arc<str>, Expr> = HashMap::new();
         for quantity in &self.quantities {
             let expr = quantity.expr.substitute(&define);
             define.insert(quantity.name.as_str().into(), expr);
         }
-        let expand = |equations: &[Equation]| equations.iter().map(|e| e.expr.substitute(&define)).collect();
-        (expand(&self.dynamics), expand(&self.outputs))
+        let expand = |e: &Equation| e.expr.substitute(&define);
+        let dynamics = self.states.iter().filter_map(|s| self.dynamics_of(&s.name)).map(expand).collect();
+        (dynamics, self.outputs.iter().map(expand).collect())
     }
 }
 

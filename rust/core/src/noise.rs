@@ -137,17 +137,3 @@ pub struct Density {
     /// The part that depends on noise parameters alone.
     pub rest: Id,
 }
-
-impl Density {
-    /// The log-density as one expression.
-    pub fn expression(&self, graph: &mut Graph) -> Id {
-        let half = graph.constant(0.5);
-        let mut sum = self.rest;
-        for &residual in &self.residuals {
-            let square = graph.mul(residual, residual);
-            let loss = graph.mul(half, square);
-            sum = graph.sub(sum, loss);
-        }
-        sum
-    }
-}

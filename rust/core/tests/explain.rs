@@ -88,7 +88,7 @@ fn the_logarithm_of_a_negative_state() {
     let xi = point(&p, -0.4);
     assert!(failing(&p, &xi)[2]);
     explained(&p, &xi, &PLACE);
-    explained(&p, &xi, &["x'", "log(2*x - 1) = NaN", "2*x - 1 = -1.8"]);
+    explained(&p, &xi, &["the equation of x' is not finite", "log(2*x - 1) = NaN", "2*x - 1 = -1.8"]);
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn failure_of_an_output() {
     let xi = point(&p, 0.3);
     assert_eq!(failing(&p, &xi), [true, true, false, false, true]);
     explained(&p, &xi, &PLACE);
-    explained(&p, &xi, &["output", "sqrt(x - 0.5) = NaN"]);
+    explained(&p, &xi, &["an output is not finite", "sqrt(x - 0.5) = NaN"]);
 }
 
 #[test]

@@ -6,6 +6,7 @@ mod common;
 use common::{Random, Run};
 use phugoid::expr::Graph;
 use phugoid::expr::graph::Id;
+use phugoid::tape::{Inputs, Tape};
 
 const N: usize = 64;
 
@@ -35,6 +36,8 @@ fn check(product_is_used_again: bool) {
                 uniforms: choose(true).map(|i| (symbols[i], columns[i][0])).collect(),
             };
             let outputs = if product_is_used_again { vec![root, product] } else { vec![root] };
+            let inputs = Inputs { lanes: symbols.to_vec(), uniforms: vec![] };
+            assert_eq!(Tape::compile(&graph, &inputs, &outputs).instructions(), outputs.len(), "{name}");
             let found = run.evaluate(&graph, &outputs, N);
             for l in 0..N {
                 let [a, b, c] = [0, 1, 2].map(|i| columns[i][if is_uniform(i) { 0 } else { l }]);
@@ -85,7 +88,6 @@ fn a_sum_of_two_products_holds_both() {
 #[test]
 fn sine_and_cosine_of_one_angle_share_an_instruction() {
     use phugoid::expr::Op;
-    use phugoid::tape::{Inputs, Tape};
     let mut graph = Graph::new();
     let x = graph.symbol("x");
     let (sin, cos) = (graph.unary(Op::Sin, x), graph.unary(Op::Cos, x));

@@ -104,6 +104,19 @@ fn a_parameter_in_an_idle_quantity_is_not_used() {
     m.check().unwrap();
 }
 
+/// A parameter counts through any number of quantities.
+#[test]
+fn a_parameter_behind_several_quantities_is_used() {
+    let mut m = sound();
+    let friction = m.parameter(Parameter::new("friction", 0.0)).unwrap();
+    let mut drag = friction * Expr::symbol("v");
+    for name in ["first", "second", "third"] {
+        drag = m.quantity(name, drag + 1.0, None).unwrap();
+    }
+    m.output("drag", drag, "N", None).unwrap();
+    m.check().unwrap();
+}
+
 #[test]
 fn names_are_taken_once() {
     for name in ["x", "force", "stiffness", "pull"] {

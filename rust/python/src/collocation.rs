@@ -68,7 +68,8 @@ impl PyCollocation {
         len: usize,
         f: impl FnOnce(&Collocation, &mut [f64]) -> Result<(), NotFinite> + Send,
     ) -> Option<Array<'py>> {
-        let array = PyArray1::<f64>::zeros(py, len, false);
+        // SAFETY: every callback writes all entries of its output.
+        let array = unsafe { PyArray1::<f64>::new(py, len, false) };
         // SAFETY: the array was made here and is seen by nobody else yet.
         let out = unsafe { array.as_slice_mut().expect("a new array is contiguous") };
         py.detach(|| f(&self.0, out)).ok().map(|()| array)

@@ -1,6 +1,7 @@
 //! Symbolic expressions and tables.
 
 use std::collections::HashMap;
+use std::f64::consts::{LN_10, PI};
 use std::sync::Arc;
 
 use phugoid::expr::ops::TABLE;
@@ -33,22 +34,42 @@ impl<'a, 'py> FromPyObject<'a, 'py> for Operand {
             let kind = object.get_type().name().map_or_else(|_| "object".into(), |n| n.to_string());
             PyTypeError::new_err(format!("a {kind} is no expression and no number"))
         })?;
-        if !value.is_finite() {
-            return Err(named("ModelError", format!("the number {value} in an expression is not finite")));
-        }
         Ok(Operand(Expr::constant(value)))
     }
 }
 
-fn two(op: Op, a: Expr, b: Expr) -> PyExpr {
-    PyExpr(Expr::apply(op, vec![a, b]))
+impl Operand {
+    /// The expression, unless it is a number that is not finite. Checked here and not when it is
+    /// extracted: Python drops the error of an operator's operand.
+    fn finite(self) -> PyResult<Expr> {
+        match self.0.as_constant() {
+            Some(c) if !c.is_finite() => {
+                Err(named("ModelError", format!("the number {c} in an expression is not finite")))
+            }
+            _ => Ok(self.0),
+        }
+    }
+}
+
+fn two(op: Op, a: impl Into<Operand>, b: impl Into<Operand>) -> PyResult<PyExpr> {
+    Ok(PyExpr(Expr::apply(op, vec![a.into().finite()?, b.into().finite()?])))
+}
+
+fn no_modulo(modulo: Option<Py<PyAny>>) -> PyResult<()> {
+    modulo.map_or(Ok(()), |_| Err(PyTypeError::new_err("pow() of an expression takes no modulus")))
+}
+
+impl From<&PyExpr> for Operand {
+    fn from(expr: &PyExpr) -> Self {
+        Operand(expr.0.clone())
+    }
 }
 
 #[pymethods]
 impl PyExpr {
     #[new]
-    fn new(value: Operand) -> Self {
-        PyExpr(value.0)
+    fn new(value: Operand) -> PyResult<Self> {
+        value.finite().map(PyExpr)
     }
 
     /// The symbol of a name.
@@ -57,38 +78,40 @@ impl PyExpr {
         PyExpr(Expr::symbol(name))
     }
 
-    fn __add__(&self, other: Operand) -> Self {
-        two(Op::Add, self.0.clone(), other.0)
+    fn __add__(&self, other: Operand) -> PyResult<Self> {
+        two(Op::Add, self, other)
     }
-    fn __radd__(&self, other: Operand) -> Self {
-        two(Op::Add, other.0, self.0.clone())
+    fn __radd__(&self, other: Operand) -> PyResult<Self> {
+        two(Op::Add, other, self)
     }
-    fn __sub__(&self, other: Operand) -> Self {
-        two(Op::Sub, self.0.clone(), other.0)
+    fn __sub__(&self, other: Operand) -> PyResult<Self> {
+        two(Op::Sub, self, other)
     }
-    fn __rsub__(&self, other: Operand) -> Self {
-        two(Op::Sub, other.0, self.0.clone())
+    fn __rsub__(&self, other: Operand) -> PyResult<Self> {
+        two(Op::Sub, other, self)
     }
-    fn __mul__(&self, other: Operand) -> Self {
-        two(Op::Mul, self.0.clone(), other.0)
+    fn __mul__(&self, other: Operand) -> PyResult<Self> {
+        two(Op::Mul, self, other)
     }
-    fn __rmul__(&self, other: Operand) -> Self {
-        two(Op::Mul, other.0, self.0.clone())
+    fn __rmul__(&self, other: Operand) -> PyResult<Self> {
+        two(Op::Mul, other, self)
     }
     fn __truediv__(&self, other: Operand) -> PyResult<Self> {
         if other.0.as_constant() == Some(0.0) {
             return Err(named("ModelError", format!("division of {} by zero", self.0)));
         }
-        Ok(two(Op::Div, self.0.clone(), other.0))
+        two(Op::Div, self, other)
     }
-    fn __rtruediv__(&self, other: Operand) -> Self {
-        two(Op::Div, other.0, self.0.clone())
+    fn __rtruediv__(&self, other: Operand) -> PyResult<Self> {
+        two(Op::Div, other, self)
     }
-    fn __pow__(&self, other: Operand, _modulo: Option<Py<PyAny>>) -> Self {
-        two(Op::Pow, self.0.clone(), other.0)
+    fn __pow__(&self, other: Operand, modulo: Option<Py<PyAny>>) -> PyResult<Self> {
+        no_modulo(modulo)?;
+        two(Op::Pow, self, other)
     }
-    fn __rpow__(&self, other: Operand, _modulo: Option<Py<PyAny>>) -> Self {
-        two(Op::Pow, other.0, self.0.clone())
+    fn __rpow__(&self, other: Operand, modulo: Option<Py<PyAny>>) -> PyResult<Self> {
+        no_modulo(modulo)?;
+        two(Op::Pow, other, self)
     }
     fn __neg__(&self) -> Self {
         PyExpr(-&self.0)
@@ -99,11 +122,11 @@ impl PyExpr {
     fn __abs__(&self) -> Self {
         PyExpr(self.0.abs())
     }
-    fn __and__(&self, other: Operand) -> Self {
-        two(Op::And, self.0.clone(), other.0)
+    fn __and__(&self, other: Operand) -> PyResult<Self> {
+        two(Op::And, self, other)
     }
-    fn __or__(&self, other: Operand) -> Self {
-        two(Op::Or, self.0.clone(), other.0)
+    fn __or__(&self, other: Operand) -> PyResult<Self> {
+        two(Op::Or, self, other)
     }
     fn __invert__(&self) -> Self {
         PyExpr(Expr::apply(Op::Not, vec![self.0.clone()]))
@@ -121,7 +144,7 @@ impl PyExpr {
             (CompareOp::Ne, b) => {
                 return Ok((!b.is_ok_and(|b| b.0 == a)).into_pyobject(py)?.to_owned().into_any().unbind());
             }
-            (_, b) => b?.0,
+            (_, b) => b?.finite()?,
         };
         let expr = match op {
             CompareOp::Lt => expr::lt(a, b),
@@ -139,16 +162,20 @@ impl PyExpr {
     fn __bool__(&self) -> PyResult<bool> {
         Err(PyTypeError::new_err(format!(
             "'{}' has no truth value before numbers are put in: write phugoid.where(condition, yes, no) \
-             for 'if', and & | ~ for 'and', 'or', 'not'",
+             for 'if', phugoid.minimum and phugoid.maximum for 'min' and 'max', and & | ~ for 'and', 'or', 'not'",
             self.0
         )))
     }
 
     fn __float__(&self) -> PyResult<f64> {
         let simple = self.0.simplified();
-        simple
-            .as_constant()
-            .ok_or_else(|| PyTypeError::new_err(format!("'{}' is not a number: it holds symbols", self.0)))
+        simple.as_constant().ok_or_else(|| {
+            PyTypeError::new_err(format!(
+                "'{}' is not a number: it holds symbols (functions of expressions are those of phugoid \
+                     and numpy, not of math)",
+                self.0
+            ))
+        })
     }
 
     fn __repr__(&self) -> String {
@@ -220,9 +247,10 @@ impl PyExpr {
     }
 
     /// The expression with symbols replaced by expressions or numbers.
-    fn substitute(&self, replace: HashMap<String, Operand>) -> PyExpr {
-        let replace = replace.into_iter().map(|(k, v)| (k.into(), v.0)).collect();
-        PyExpr(self.0.substitute(&replace))
+    fn substitute(&self, replace: HashMap<String, Operand>) -> PyResult<PyExpr> {
+        let replace =
+            replace.into_iter().map(|(k, v)| Ok((k.into(), v.finite()?))).collect::<PyResult<_>>()?;
+        Ok(PyExpr(self.0.substitute(&replace)))
     }
 
     /// The expression with constants folded.
@@ -261,11 +289,36 @@ macro_rules! named_methods {
             $(fn $name(&self) -> Self {
                 PyExpr(Expr::apply($op, vec![self.0.clone()]))
             })*
-            fn arctan2(&self, x: Operand) -> Self {
-                two(Op::Atan2, self.0.clone(), x.0)
+            fn arctan2(&self, x: Operand) -> PyResult<Self> {
+                two(Op::Atan2, self, x)
             }
             fn square(&self) -> Self {
-                two(Op::Mul, self.0.clone(), self.0.clone())
+                PyExpr(&self.0 * &self.0)
+            }
+            fn hypot(&self, other: Operand) -> PyResult<Self> {
+                let other = other.finite()?;
+                Ok(PyExpr((&self.0 * &self.0 + &other * &other).sqrt()))
+            }
+            fn log10(&self) -> Self {
+                PyExpr(self.0.log() / LN_10)
+            }
+            fn deg2rad(&self) -> Self {
+                PyExpr(&self.0 * (PI / 180.0))
+            }
+            fn radians(&self) -> Self {
+                self.deg2rad()
+            }
+            fn rad2deg(&self) -> Self {
+                PyExpr(&self.0 * (180.0 / PI))
+            }
+            fn degrees(&self) -> Self {
+                self.rad2deg()
+            }
+            /// `np.clip` of a single expression; `out` is always `None` there.
+            #[pyo3(signature = (low, high, out = None))]
+            fn clip(&self, low: Operand, high: Operand, out: Option<Py<PyAny>>) -> PyResult<Self> {
+                let _ = out;
+                two(Op::Min, &two(Op::Max, self, low)?, high)
             }
             fn conjugate(&self) -> Self {
                 self.clone()
@@ -307,7 +360,7 @@ pub fn apply(name: &str, args: Vec<Operand>) -> PyResult<PyExpr> {
             args.len()
         )));
     }
-    let args: Vec<Expr> = args.into_iter().map(|a| a.0).collect();
+    let args = args.into_iter().map(Operand::finite).collect::<PyResult<Vec<Expr>>>()?;
     let numbers: Option<Vec<f64>> = args.iter().map(Expr::as_constant).collect();
     if let Some(x) = numbers {
         let value = (op.entry().value)(&x);
@@ -322,6 +375,7 @@ pub fn apply(name: &str, args: Vec<Operand>) -> PyResult<PyExpr> {
 
 /// Name, arity and domain of every operation of the table.
 #[pyfunction]
+#[allow(clippy::type_complexity)] // one row of the table
 pub fn operations() -> Vec<(&'static str, usize, Vec<(f64, f64)>)> {
     TABLE.iter().map(|e| (e.name, e.arity, e.domain.to_vec())).collect()
 }
@@ -372,7 +426,8 @@ impl PyTable {
             return Err(PyTypeError::new_err(text));
         }
         let lookup = Lookup { table: self.0.clone(), order: [0, 0] };
-        Ok(PyExpr(Expr::lookup(lookup, args.into_iter().map(|a| a.0).collect())))
+        let args = args.into_iter().map(Operand::finite).collect::<PyResult<_>>()?;
+        Ok(PyExpr(Expr::lookup(lookup, args)))
     }
 
     #[getter]

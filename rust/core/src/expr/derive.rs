@@ -16,10 +16,14 @@ pub struct Sparse {
 }
 
 impl Sparse {
+    /// Which entry stands at a place, where it is structurally nonzero.
+    pub fn position(&self, row: usize, column: usize) -> Option<usize> {
+        self.rows.iter().zip(&self.columns).position(|(&r, &c)| (r, c) == (row, column))
+    }
+
     /// The entry at a place, where it is structurally nonzero.
     pub fn find(&self, row: usize, column: usize) -> Option<Id> {
-        let at = self.rows.iter().zip(&self.columns).position(|(&r, &c)| (r, c) == (row, column))?;
-        Some(self.values[at])
+        self.position(row, column).map(|at| self.values[at])
     }
 }
 

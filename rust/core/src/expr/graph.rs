@@ -374,6 +374,15 @@ impl Graph {
         self.intern_apply(Op::Mul, &[a, b])
     }
 
+    /// a · b of two nodes that are both wanted for themselves: nothing is taken out of them, so the
+    /// product costs one instruction.
+    pub fn product(&mut self, a: Id, b: Id) -> Id {
+        if self.as_constant(a).is_some() || self.as_constant(b).is_some() {
+            return self.mul(a, b);
+        }
+        self.intern_apply(Op::Mul, &[a, b])
+    }
+
     /// a / b, as a · (1/b): the reciprocal is shared by all quotients and derivatives.
     pub fn div(&mut self, a: Id, b: Id) -> Id {
         if let Some(id) = self.fold2(Op::Div, a, b) {
@@ -494,6 +503,27 @@ impl Graph {
             });
         }
         exprs[root.index()].clone().unwrap()
+    }
+
+    /// The roots with some nodes replaced by others.
+    pub fn replace(&mut self, roots: &[Id], old: &[Id], new: &[Id]) -> Vec<Id> {
+        let mut done: HashMap<Id, Id> = old.iter().copied().zip(new.iter().copied()).collect();
+        for id in self.reachable(roots) {
+            if done.contains_key(&id) {
+                continue;
+            }
+            let args: Vec<Id> = self.args(id).iter().map(|a| done[a]).collect();
+            let replaced = match self.item(id) {
+                Item::Constant(_) | Item::Symbol(_) => id,
+                Item::Apply(op, _) => self.apply(op, &args),
+                Item::Lookup(k, _) => {
+                    let lookup = self.lookups[k as usize].clone();
+                    self.lookup(&lookup, &args)
+                }
+            };
+            done.insert(id, replaced);
+        }
+        roots.iter().map(|r| done[r]).collect()
     }
 
     /// All nodes that the roots need, in evaluation order.

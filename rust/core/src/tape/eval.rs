@@ -1,26 +1,32 @@
 //! Running a tape on one block of lanes.
 
-use multiversion::multiversion;
-
 use super::{Code, Instruction, LANE_MULTIPLE, Operand, Tape, UniformInstruction};
 use crate::expr::{Lookup, Op};
 use crate::math;
+use crate::simd::kernel;
+
+/// A cache line. Registers start on one, so that no vector straddles two.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+struct Line([f64; LANE_MULTIPLE]);
 
 /// Memory for running tapes; grows to the largest tape and block that it has served.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
-    registers: Vec<f64>,
+    registers: Vec<Line>,
 }
 
 impl Workspace {
-    /// Registers for a tape on `n` lanes. The first of them are the lane inputs,
-    /// for the caller to fill before [`Tape::run`].
+    /// Registers for a tape on `n` lanes. The first of them are the lane inputs, for the caller to
+    /// fill before [`Tape::run`].
     pub fn registers(&mut self, tape: &Tape, n: usize) -> &mut [f64] {
-        let size = tape.n_registers * n;
-        if self.registers.len() < size {
-            self.registers.resize(size, 0.0);
+        let lines = (tape.n_registers * n).div_ceil(LANE_MULTIPLE);
+        if self.registers.len() < lines {
+            self.registers.resize(lines, Line([0.0; LANE_MULTIPLE]));
         }
-        &mut self.registers[..size]
+        let start = self.registers.as_mut_ptr().cast::<f64>();
+        // SAFETY: a Line is LANE_MULTIPLE numbers without padding, and so many are there.
+        unsafe { std::slice::from_raw_parts_mut(start, tape.n_registers * n) }
     }
 }
 
@@ -89,13 +95,14 @@ impl Values<'_> {
     }
 }
 
+// Each map reads its chunks into arrays, works on those, and stores the result: the compiler then
+// need not prove that lanes do not overlap, and uses one vector for a chunk.
+
 #[inline(always)]
 fn map1(d: &mut [f64], a: &[f64], f: impl Fn(f64) -> f64) {
     let (d, a) = (d.as_chunks_mut::<LANE_MULTIPLE>().0, a.as_chunks::<LANE_MULTIPLE>().0);
-    for (d, a) in d.iter_mut().zip(a) {
-        for l in 0..LANE_MULTIPLE {
-            d[l] = f(a[l]);
-        }
+    for (d, &a) in d.iter_mut().zip(a) {
+        *d = std::array::from_fn(|l| f(a[l]));
     }
 }
 
@@ -103,10 +110,8 @@ fn map1(d: &mut [f64], a: &[f64], f: impl Fn(f64) -> f64) {
 fn map2(d: &mut [f64], a: &[f64], b: &[f64], f: impl Fn(f64, f64) -> f64) {
     let (d, a) = (d.as_chunks_mut::<LANE_MULTIPLE>().0, a.as_chunks::<LANE_MULTIPLE>().0);
     let b = b.as_chunks::<LANE_MULTIPLE>().0;
-    for ((d, a), b) in d.iter_mut().zip(a).zip(b) {
-        for l in 0..LANE_MULTIPLE {
-            d[l] = f(a[l], b[l]);
-        }
+    for ((d, &a), &b) in d.iter_mut().zip(a).zip(b) {
+        *d = std::array::from_fn(|l| f(a[l], b[l]));
     }
 }
 
@@ -114,10 +119,8 @@ fn map2(d: &mut [f64], a: &[f64], b: &[f64], f: impl Fn(f64, f64) -> f64) {
 fn map3(d: &mut [f64], a: &[f64], b: &[f64], c: &[f64], f: impl Fn(f64, f64, f64) -> f64) {
     let (d, a) = (d.as_chunks_mut::<LANE_MULTIPLE>().0, a.as_chunks::<LANE_MULTIPLE>().0);
     let (b, c) = (b.as_chunks::<LANE_MULTIPLE>().0, c.as_chunks::<LANE_MULTIPLE>().0);
-    for (((d, a), b), c) in d.iter_mut().zip(a).zip(b).zip(c) {
-        for l in 0..LANE_MULTIPLE {
-            d[l] = f(a[l], b[l], c[l]);
-        }
+    for (((d, &a), &b), &c) in d.iter_mut().zip(a).zip(b).zip(c) {
+        *d = std::array::from_fn(|l| f(a[l], b[l], c[l]));
     }
 }
 
@@ -126,7 +129,7 @@ fn truth(x: bool) -> f64 {
     f64::from(u8::from(x))
 }
 
-#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx2+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+kernel! {
 fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms: &[f64], n: usize) {
     let base = registers.as_mut_ptr();
     // SAFETY (for both): the compiler numbers registers below `n_registers`, whose room `run` of
@@ -209,6 +212,7 @@ fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms
             Code::Apply(op) => apply(op, d, lane(i.a), lane(i.b), lane(i.c)),
         }
     }
+}
 }
 
 /// The loop over lanes of each operation of the table.

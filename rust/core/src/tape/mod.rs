@@ -8,6 +8,7 @@
 mod compile;
 mod eval;
 mod function;
+pub(crate) mod lanes;
 mod trace;
 
 pub use compile::Inputs;

@@ -51,7 +51,9 @@ impl Chunk {
     /// Cuts the mesh of an experiment into chunks. `data` and the first entries are filled later.
     pub(super) fn cut(experiment: usize, mesh: &Mesh, layout: &Layout) -> Vec<Chunk> {
         let k = mesh.rule.order() - 1;
-        let size = (BLOCK / k).saturating_sub(1).max(1);
+        // A multiple of eight segments where the order allows it: loops over segments then have no rest.
+        let most = (BLOCK / k).saturating_sub(1).max(1);
+        let size = if most >= LANE_MULTIPLE { most - most % LANE_MULTIPLE } else { most };
         let (point0, row0) = (layout.first_point[experiment], layout.first_row(experiment));
         let mut chunks: Vec<Chunk> = Vec::new();
         let mut between = mesh.between.iter().peekable();
@@ -105,6 +107,12 @@ impl Chunk {
     #[inline(always)]
     pub(super) fn lane(&self, j: usize) -> usize {
         if j + 1 == self.rule.order() { 1 } else { j * (self.segments() + 1) }
+    }
+
+    /// C[j,k] and first lane of every node j: what constraint k combines.
+    #[inline(always)]
+    pub(super) fn terms(&self, k: usize) -> impl Iterator<Item = (f64, usize)> + Clone + '_ {
+        (0..self.rule.order()).map(move |j| (self.rule.c(j, k), self.lane(j)))
     }
 
     /// Runs of lanes whose points belong to this chunk: the end point belongs to the next one.

@@ -72,6 +72,8 @@ pub struct Collocation {
 
 #[derive(Clone, Debug, Default)]
 struct PairPlaces {
+    /// The first of them; they are the last entries.
+    first: usize,
     dynamics: Vec<usize>,
     likelihood: Vec<usize>,
     priors: Vec<(usize, usize)>,
@@ -138,8 +140,7 @@ impl Collocation {
         let density = noise.log_density(&mut graph, &sample, &noise_symbols);
         let mut with_samples = arguments.clone();
         with_samples.data.extend(measured.iter().chain(present.iter().flatten()));
-        let root = density.expression(&mut graph);
-        let likelihood = Function::of_squares(graph, &with_samples, &density.residuals, density.rest, root);
+        let likelihood = Function::of_squares(graph, &with_samples, &density.residuals, density.rest);
 
         let mut problem = Collocation {
             layout,
@@ -211,6 +212,7 @@ impl Collocation {
         }
         let n_x = self.layout.n_x;
         let mut places: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+        self.pair_places.first = self.hessian_structure.len();
         let structure = &mut self.hessian_structure;
         let mut place = |pair: (usize, usize)| {
             *places.entry(pair).or_insert_with(|| {
@@ -545,7 +547,8 @@ impl Nlp for Collocation {
     }
 
     fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        out.fill(0.0);
+        // The others are written; those between parameters are added up.
+        out[self.pair_places.first..].fill(0.0);
         let shared = Disjoint::new(&mut *out);
         let uniforms = self.uniforms(&self.dynamics.f.hessian, xi);
         let parts = self.each(&self.chunks, |chunk, scratch| {

@@ -7,7 +7,9 @@ use super::chunk::{Chunk, Tie};
 use super::disjoint::Disjoint;
 use super::layout::Layout;
 use crate::nlp::Structure;
-use crate::tape::{Function, Tape, Values, Workspace};
+use crate::simd::kernel;
+use crate::tape::lanes::{all_finite, combination, load, scaled, sum};
+use crate::tape::{Function, LANE_MULTIPLE, Tape, Values, Workspace};
 
 /// Most segments in a chunk (order 2), and so the length of a temporary over segments.
 const SEGMENTS: usize = crate::tape::BLOCK;
@@ -121,18 +123,6 @@ impl Tie {
     }
 }
 
-/// out[s] −= h[s] · c · v[s]
-#[inline(always)]
-fn subtract(out: &mut [f64], h: &[f64], c: f64, v: Values<'_>, lane: usize) {
-    match v {
-        Values::Uniform(u) => out.iter_mut().zip(h).for_each(|(o, h)| *o -= h * (c * u)),
-        Values::Lanes(v) => {
-            let v = &v[lane..lane + h.len()];
-            out.iter_mut().zip(h).zip(v).for_each(|((o, h), v)| *o -= h * (c * v));
-        }
-    }
-}
-
 impl Job<'_> {
     /// Gathers data, states and (for the Hessian) weights, and runs a tape.
     fn run<'w>(&self, tape: &Tape, workspace: &'w mut Workspace, weights: Option<&[f64]>) -> &'w [f64] {
@@ -151,83 +141,34 @@ impl Job<'_> {
 
     /// The defects of the chunk; whether all are finite.
     pub(super) fn defects(&self, workspace: &mut Workspace, out: &Disjoint<'_>) -> bool {
-        let (chunk, n_x) = (self.chunk, self.layout.n_x);
-        let (m, n) = (chunk.rule.order(), chunk.segments());
-        let tape = &self.dynamics.f.value;
-        let registers = self.run(tape, workspace, None);
-        // SAFETY: the constraint rows of chunks do not overlap.
-        let rows = unsafe { out.part(chunk.row * n_x, n * (m - 1) * n_x) };
-        let states = &registers[chunk.data.len()..];
-        let lanes = chunk.lanes();
-        let mut finite = true;
-        for r in 0..n_x {
-            let f = tape.read(tape.outputs[r], registers, self.uniforms, lanes);
-            let x = &states[r * lanes..(r + 1) * lanes];
-            for k in 0..m - 1 {
-                let mut d = [0.0; SEGMENTS];
-                let d = &mut d[..n];
-                let (left, right) = (&x[chunk.lane(k)..][..n], &x[chunk.lane(k + 1)..][..n]);
-                d.iter_mut().zip(left).zip(right).for_each(|((d, a), b)| *d = b - a);
-                for j in 0..m {
-                    subtract(d, &chunk.h, chunk.rule.c(j, k), f, chunk.lane(j));
-                }
-                for (s, d) in d.iter().enumerate() {
-                    rows[(s * (m - 1) + k) * n_x + r] = *d;
-                    finite &= d.is_finite();
-                }
-            }
-            for tie in &chunk.between {
-                let row = tie.row * n_x + r;
-                // SAFETY: a tie belongs to one chunk.
-                let d = unsafe { &mut out.part(row, 1)[0] };
-                *d = self.xi[self.layout.state(tie.point) + r] - x[chunk.lane(tie.node) + tie.segment];
-                for j in 0..m {
-                    *d -= tie.weights[j] * f.at(chunk.lane(j) + tie.segment);
-                }
-                finite &= d.is_finite();
-            }
-        }
-        finite
+        let registers = self.run(&self.dynamics.f.value, workspace, None);
+        combine_defects(self, registers, out)
     }
 
     /// Entries of the Jacobian of the chunk; whether all are finite.
     pub(super) fn jacobian(&self, workspace: &mut Workspace, out: &Disjoint<'_>, len: usize) -> bool {
-        let chunk = self.chunk;
-        let (m, n) = (chunk.rule.order(), chunk.segments());
-        let tape = &self.dynamics.f.jacobian;
-        let registers = self.run(tape, workspace, None);
-        let lanes = chunk.lanes();
-        let value = |k: usize| tape.read(tape.outputs[k], registers, self.uniforms, lanes);
+        let registers = self.run(&self.dynamics.f.jacobian, workspace, None);
         // SAFETY: the entries of chunks do not overlap.
-        let out = unsafe { out.part(chunk.jacobian, len) };
-        let mut runs = out[..].chunks_exact_mut(n);
-        let mut at = 0;
-        for k in 0..m - 1 {
-            for &(r, c, entry) in &self.dynamics.state_entries {
-                for j in nodes_of(entry, k, m) {
-                    let run = runs.next().expect("as many runs as in the structure");
-                    at += n;
-                    let step = if r != c { 0.0 } else { f64::from(j == k + 1) - f64::from(j == k) };
-                    run.fill(step);
-                    if let Some(entry) = entry {
-                        subtract(run, &chunk.h, chunk.rule.c(j, k), value(entry), chunk.lane(j));
-                    }
-                }
-            }
-            for &(_, _, entry) in &self.dynamics.parameter_entries {
-                let run = runs.next().expect("as many runs as in the structure");
-                at += n;
-                run.fill(0.0);
-                for j in 0..m {
-                    subtract(run, &chunk.h, chunk.rule.c(j, k), value(entry), chunk.lane(j));
-                }
-            }
-        }
-        let mut rest = out[at..].iter_mut();
-        for tie in &chunk.between {
-            self.tie_jacobian(tie, &value, &mut rest);
-        }
-        out.iter().all(|v| v.is_finite())
+        let out = unsafe { out.part(self.chunk.jacobian, len) };
+        combine_jacobian(self, registers, out)
+    }
+
+    /// Entries of the Hessian of Σ λ_i c_i at the chunk's points, and sums between parameters.
+    pub(super) fn hessian(
+        &self,
+        workspace: &mut Workspace,
+        lambda: &[f64],
+        out: &Disjoint<'_>,
+        pairs: &mut [f64],
+        weights: &mut Vec<f64>,
+    ) -> bool {
+        weights.resize(self.chunk.lanes() * self.layout.n_x, 0.0);
+        weigh(self, lambda, weights);
+        let registers = self.run(&self.dynamics.f.hessian, workspace, Some(weights));
+        // SAFETY: the entries of chunks do not overlap.
+        let out =
+            unsafe { out.part(self.chunk.hessian, self.dynamics.hessian_entries() * self.chunk.n_own()) };
+        collect_hessian(self, registers, out, pairs)
     }
 
     fn tie_jacobian<'v>(
@@ -250,24 +191,167 @@ impl Job<'_> {
             put((0..chunk.rule.order()).map(|j| -tie.weights[j] * value(entry).at(lane(j))).sum());
         }
     }
+}
 
-    /// Weight of f at each own point in Σ λ_i c_i: w = −Σ_k h C[j,k] λ_k over the constraints that
-    /// the point enters. State by state, zero on lanes that are not the chunk's own.
-    fn weights(&self, lambda: &[f64], out: &mut [f64]) {
-        let (chunk, n_x) = (self.chunk, self.layout.n_x);
+kernel! {
+    /// c = x_{k+1} − x_k − h Σ_j C[j,k] f_j over the segments of a chunk.
+    fn combine_defects(job: &Job<'_>, registers: &[f64], out: &Disjoint<'_>) -> bool {
+        let (chunk, n_x) = (job.chunk, job.layout.n_x);
+        let (m, n, lanes) = (chunk.rule.order(), chunk.segments(), chunk.lanes());
+        // SAFETY: the constraint rows of chunks do not overlap.
+        let rows = unsafe { out.part(chunk.row * n_x, n * (m - 1) * n_x) };
+        let tape = &job.dynamics.f.value;
+        let states = &registers[chunk.data.len()..];
+        let mut finite = true;
+        for r in 0..n_x {
+            let f = tape.read(tape.outputs[r], registers, job.uniforms, lanes);
+            let x = &states[r * lanes..(r + 1) * lanes];
+            for k in 0..m - 1 {
+                let rows = &mut rows[k * n_x + r..];
+                let ends = (chunk.lane(k), chunk.lane(k + 1));
+                let stride = (m - 1) * n_x;
+                let row = DefectRow { chunk, f, x, k, ends, stride };
+                let whole = n - n % LANE_MULTIPLE;
+                for s in (0..whole).step_by(LANE_MULTIPLE) {
+                    finite &= row.write::<LANE_MULTIPLE>(rows, s);
+                }
+                for s in whole..n {
+                    finite &= row.write::<1>(rows, s);
+                }
+            }
+            for tie in &chunk.between {
+                // SAFETY: a tie belongs to one chunk.
+                let d = unsafe { &mut out.part(tie.row * n_x + r, 1)[0] };
+                *d = job.xi[job.layout.state(tie.point) + r] - x[chunk.lane(tie.node) + tie.segment];
+                for j in 0..m {
+                    *d -= tie.weights[j] * f.at(chunk.lane(j) + tie.segment);
+                }
+                finite &= d.is_finite();
+            }
+        }
+        finite
+    }
+}
+
+/// One state's constraint k of the segments of a chunk.
+struct DefectRow<'a> {
+    chunk: &'a Chunk,
+    f: Values<'a>,
+    x: &'a [f64],
+    k: usize,
+    /// First lanes of the two points between which the constraint stands.
+    ends: (usize, usize),
+    stride: usize,
+}
+
+impl DefectRow<'_> {
+    /// Writes the defects of W segments from s; whether they are finite.
+    #[inline(always)]
+    fn write<const W: usize>(&self, rows: &mut [f64], s: usize) -> bool {
+        let change: [f64; W] = combination(self.chunk.terms(self.k), self.f, s);
+        let (a, b): ([f64; W], [f64; W]) = (load(self.x, self.ends.0 + s), load(self.x, self.ends.1 + s));
+        let h: [f64; W] = load(&self.chunk.h, s);
+        let d: [f64; W] = std::array::from_fn(|l| h[l].mul_add(-change[l], b[l] - a[l]));
+        for (l, d) in d.iter().enumerate() {
+            rows[(s + l) * self.stride] = *d;
+        }
+        all_finite(&d)
+    }
+}
+
+kernel! {
+    /// The entries of ∂c/∂x and ∂c/∂θ over the segments of a chunk.
+    fn combine_jacobian(job: &Job<'_>, registers: &[f64], out: &mut [f64]) -> bool {
+        let (chunk, tape) = (job.chunk, &job.dynamics.f.jacobian);
+        let (m, n, lanes) = (chunk.rule.order(), chunk.segments(), chunk.lanes());
+        let value = |k: usize| tape.read(tape.outputs[k], registers, job.uniforms, lanes);
+        let mut runs = out.chunks_exact_mut(n);
+        let mut count = 0;
+        for k in 0..m - 1 {
+            for &(r, c, entry) in &job.dynamics.state_entries {
+                for j in nodes_of(entry, k, m) {
+                    let run = runs.next().expect("as many runs as in the structure");
+                    count += 1;
+                    let step = if r == c { f64::from(j == k + 1) - f64::from(j == k) } else { 0.0 };
+                    match entry {
+                        Some(e) => {
+                            let terms = std::iter::once((chunk.rule.c(j, k), chunk.lane(j)));
+                            write_entries(run, &chunk.h, step, terms, value(e));
+                        }
+                        None => run.fill(step),
+                    }
+                }
+            }
+            for &(_, _, entry) in &job.dynamics.parameter_entries {
+                let run = runs.next().expect("as many runs as in the structure");
+                count += 1;
+                write_entries(run, &chunk.h, 0.0, chunk.terms(k), value(entry));
+            }
+        }
+        let mut rest = out[count * n..].iter_mut();
+        for tie in &chunk.between {
+            job.tie_jacobian(tie, &value, &mut rest);
+        }
+        all_finite(out)
+    }
+}
+
+/// run[s] = step − h[s] Σ_j c_j v[lane_j + s]
+#[inline(always)]
+fn write_entries(
+    run: &mut [f64],
+    h: &[f64],
+    step: f64,
+    terms: impl Iterator<Item = (f64, usize)> + Clone,
+    v: Values<'_>,
+) {
+    #[inline(always)]
+    fn write<const W: usize>(
+        run: &mut [f64],
+        h: &[f64],
+        step: f64,
+        terms: impl Iterator<Item = (f64, usize)>,
+        v: Values<'_>,
+        s: usize,
+    ) {
+        let sum: [f64; W] = combination(terms, v, s);
+        let h: [f64; W] = load(h, s);
+        let out: [f64; W] = std::array::from_fn(|l| h[l].mul_add(-sum[l], step));
+        run[s..s + W].copy_from_slice(&out);
+    }
+    let (n, whole) = (run.len(), run.len() - run.len() % LANE_MULTIPLE);
+    for s in (0..whole).step_by(LANE_MULTIPLE) {
+        write::<LANE_MULTIPLE>(run, h, step, terms.clone(), v, s);
+    }
+    for s in whole..n {
+        write::<1>(run, h, step, terms.clone(), v, s);
+    }
+}
+
+kernel! {
+    /// Weight of f at each own point in Σ λ_i c_i: w = −Σ_k h C[j,k] λ_k over the constraints that the
+    /// point enters. State by state, zero on lanes that are not the chunk's own.
+    fn weigh(job: &Job<'_>, lambda: &[f64], out: &mut [f64]) {
+        let (chunk, n_x) = (job.chunk, job.layout.n_x);
         let (m, n, lanes) = (chunk.rule.order(), chunk.segments(), chunk.lanes());
         let k = m - 1;
         out.fill(0.0);
         let multiplier = |row: usize, r: usize| lambda[row * n_x + r];
         for r in 0..n_x {
             let w = &mut out[r * lanes..(r + 1) * lanes];
-            for j in 0..m {
-                // The end point belongs to the next chunk, unless the experiment ends here.
-                let own = if j == k && !chunk.last { n - 1 } else { n };
-                for s in 0..own {
-                    let sum: f64 =
-                        (0..k).map(|i| chunk.rule.c(j, i) * multiplier(chunk.row + s * k + i, r)).sum();
-                    w[chunk.lane(j) + s] -= chunk.h[s] * sum;
+            for i in 0..k {
+                // h λ of constraint i of every segment
+                let mut scaled = [0.0; SEGMENTS];
+                let from = &lambda[(chunk.row + i) * n_x + r..];
+                for ((v, h), l) in scaled.iter_mut().zip(&chunk.h).zip(from.iter().step_by(k * n_x)) {
+                    *v = h * l;
+                }
+                for j in 0..m {
+                    // The end point belongs to the next chunk, unless the experiment ends here.
+                    let own = if j == k && !chunk.last { n - 1 } else { n };
+                    let c = chunk.rule.c(j, i);
+                    let to = &mut w[chunk.lane(j)..][..own];
+                    to.iter_mut().zip(&scaled).for_each(|(w, v)| *w = c.mul_add(-v, *w));
                 }
             }
             if let Some(h) = chunk.h_before {
@@ -278,54 +362,40 @@ impl Job<'_> {
                 w[0] -= tie.weights[k] * multiplier(tie.row, r);
             }
             for tie in &chunk.between {
-                for j in 0..m {
+                // Of ties in the last segment, the end point's share is the next chunk's to add.
+                let own = if tie.segment + 1 == n && !chunk.last { k } else { m };
+                for j in 0..own {
                     w[chunk.lane(j) + tie.segment] -= tie.weights[j] * multiplier(tie.row, r);
                 }
             }
         }
     }
+}
 
-    /// Entries of the Hessian of Σ λ_i c_i at the chunk's points, and sums between parameters.
-    pub(super) fn hessian(
-        &self,
-        workspace: &mut Workspace,
-        lambda: &[f64],
-        out: &Disjoint<'_>,
-        pairs: &mut [f64],
-        weights: &mut Vec<f64>,
-    ) -> bool {
-        let chunk = self.chunk;
-        let f = &self.dynamics.f;
+kernel! {
+    /// Copies the entries at a chunk's own points, and sums those between parameters over them.
+    fn collect_hessian(job: &Job<'_>, registers: &[f64], out: &mut [f64], pairs: &mut [f64]) -> bool {
+        let (chunk, f) = (job.chunk, &job.dynamics.f);
         let lanes = chunk.lanes();
-        weights.resize(lanes * self.layout.n_x, 0.0);
-        self.weights(lambda, weights);
-        // A single function needs no weight in its tape: it is applied below.
-        let single = (f.roots.len() == 1).then(|| weights.clone());
-        let registers = self.run(&f.hessian, workspace, single.is_none().then_some(&weights[..]));
-        let n_own = chunk.n_own();
-        // SAFETY: the entries of chunks do not overlap.
-        let out = unsafe { out.part(chunk.hessian, self.dynamics.hessian_entries() * n_own) };
         let mut at = 0;
         let mut pair = pairs.iter_mut();
-        let mut finite = true;
-        for (operand, (_, column)) in f.hessian.outputs.iter().zip(f.hessian_pattern.iter()) {
-            let value = f.hessian.read(*operand, registers, self.uniforms, lanes);
-            let weighted = |lane: usize| value.at(lane) * single.as_ref().map_or(1.0, |w| w[lane]);
+        for (operand, &column) in f.hessian.outputs.iter().zip(&f.hessian_pattern.columns) {
+            let value = f.hessian.read(*operand, registers, job.uniforms, lanes);
             if column < f.n_states {
                 for run in chunk.own() {
-                    for lane in run {
-                        out[at] = weighted(lane);
-                        finite &= out[at].is_finite();
-                        at += 1;
-                    }
+                    scaled(&mut out[at..at + run.len()], 1.0, value, run.start);
+                    at += run.len();
                 }
             } else {
-                let sum: f64 = chunk.own().flatten().map(weighted).sum();
-                finite &= sum.is_finite();
-                *pair.next().expect("as many pairs as in the pattern") += sum;
+                // Weights, and so entries, are zero on lanes that are not the chunk's own.
+                let total = match value {
+                    Values::Uniform(u) => u * chunk.n_own() as f64,
+                    Values::Lanes(v) => sum(v),
+                };
+                *pair.next().expect("as many pairs as in the pattern") += total;
             }
         }
-        finite
+        all_finite(out) && all_finite(pairs)
     }
 }
 

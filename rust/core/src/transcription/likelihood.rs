@@ -7,7 +7,9 @@ use super::disjoint::Disjoint;
 use super::layout::Layout;
 use super::samples::Samples;
 use crate::nlp::Structure;
-use crate::tape::{Function, Tape, Workspace};
+use crate::simd::kernel;
+use crate::tape::lanes::{all_finite, scaled, sum};
+use crate::tape::{Function, Tape, Values, Workspace};
 
 /// A block of samples with all that evaluating it needs.
 pub(super) struct Job<'a> {
@@ -55,31 +57,22 @@ impl Job<'_> {
         let tape = &self.likelihood.value;
         let registers = self.run(tape, workspace);
         let value = tape.read(tape.outputs[0], registers, self.uniforms, self.samples.points.len());
-        -(0..self.samples.n).map(|l| value.at(l)).sum::<f64>()
+        -self.total(value)
+    }
+
+    /// Sum over the samples of the block.
+    #[inline(always)]
+    fn total(&self, value: Values<'_>) -> f64 {
+        match value {
+            Values::Uniform(u) => u * self.samples.n as f64,
+            Values::Lanes(v) => sum(&v[..self.samples.n]),
+        }
     }
 
     /// Writes the gradient with respect to states, and adds that with respect to parameters to `theta`.
     pub(super) fn gradient(&self, workspace: &mut Workspace, out: &Disjoint<'_>, theta: &mut [f64]) -> bool {
-        let (tape, n_x) = (&self.likelihood.jacobian, self.layout.n_x);
-        let lanes = self.samples.points.len();
-        let registers = self.run(tape, workspace);
-        let mut finite = true;
-        for (operand, column) in tape.outputs.iter().zip(&self.likelihood.jacobian_pattern.columns) {
-            let value = tape.read(*operand, registers, self.uniforms, lanes);
-            if *column < n_x {
-                for (l, &point) in self.samples.points[..self.samples.n].iter().enumerate() {
-                    let v = value.at(l);
-                    finite &= v.is_finite();
-                    // SAFETY: sample times are distinct, so a point has one sample at most.
-                    unsafe { out.part(self.layout.state(point as usize) + column, 1)[0] = -v };
-                }
-            } else {
-                let sum: f64 = (0..self.samples.n).map(|l| value.at(l)).sum();
-                finite &= sum.is_finite();
-                theta[column - n_x] -= sum;
-            }
-        }
-        finite
+        let registers = self.run(&self.likelihood.jacobian, workspace);
+        collect_gradient(self, registers, out, theta)
     }
 
     /// Entries of factor · ∇²φ, by the tape of it or of an approximation, at the samples' points, and
@@ -92,28 +85,56 @@ impl Job<'_> {
         out: &Disjoint<'_>,
         pairs: &mut [f64],
     ) -> bool {
-        let n_x = self.layout.n_x;
-        let lanes = self.samples.points.len();
         let registers = self.run(tape, workspace);
         // SAFETY: the entries of blocks do not overlap.
         let out =
             unsafe { out.part(self.samples.hessian, hessian_entries(self.likelihood) * self.samples.n) };
-        let mut runs = out.chunks_exact_mut(self.samples.n);
-        let mut pair = pairs.iter_mut();
-        let mut finite = true;
-        for (operand, (_, column)) in tape.outputs.iter().zip(self.likelihood.hessian_pattern.iter()) {
-            let value = tape.read(*operand, registers, self.uniforms, lanes);
-            if column < n_x {
-                for (l, o) in runs.next().expect("as many runs as in the structure").iter_mut().enumerate() {
-                    *o = -factor * value.at(l);
-                    finite &= o.is_finite();
-                }
-            } else {
-                let sum: f64 = (0..self.samples.n).map(|l| value.at(l)).sum();
-                finite &= sum.is_finite();
-                *pair.next().expect("as many pairs as in the pattern") -= factor * sum;
-            }
-        }
-        finite
+        collect_hessian(self, tape, registers, factor, out, pairs)
     }
+}
+
+kernel! {
+fn collect_gradient(job: &Job<'_>, registers: &[f64], out: &Disjoint<'_>, theta: &mut [f64]) -> bool {
+    let (tape, n_x) = (&job.likelihood.jacobian, job.layout.n_x);
+    let (lanes, samples) = (job.samples.points.len(), job.samples);
+    let mut finite = true;
+    for (operand, &column) in tape.outputs.iter().zip(&job.likelihood.jacobian_pattern.columns) {
+        let value = tape.read(*operand, registers, job.uniforms, lanes);
+        if column < n_x {
+            for (l, &point) in samples.points[..samples.n].iter().enumerate() {
+                let v = value.at(l);
+                finite &= v.is_finite();
+                // SAFETY: sample times are distinct, so a point has one sample at most.
+                unsafe { out.part(job.layout.state(point as usize) + column, 1)[0] = -v };
+            }
+        } else {
+            theta[column - n_x] -= job.total(value);
+        }
+    }
+    finite && all_finite(theta)
+}
+}
+
+kernel! {
+fn collect_hessian(
+    job: &Job<'_>,
+    tape: &Tape,
+    registers: &[f64],
+    factor: f64,
+    out: &mut [f64],
+    pairs: &mut [f64],
+) -> bool {
+    let lanes = job.samples.points.len();
+    let mut runs = out.chunks_exact_mut(job.samples.n);
+    let mut pair = pairs.iter_mut();
+    for (operand, &column) in tape.outputs.iter().zip(&job.likelihood.hessian_pattern.columns) {
+        let value = tape.read(*operand, registers, job.uniforms, lanes);
+        if column < job.layout.n_x {
+            scaled(runs.next().expect("as many runs as in the structure"), factor, value, 0);
+        } else {
+            *pair.next().expect("as many pairs as in the pattern") += factor * job.total(value);
+        }
+    }
+    all_finite(out) && all_finite(pairs)
+}
 }

@@ -1,6 +1,6 @@
 """Ours with Ipopt and MUMPS on HFB-320, from end to end: `ph.estimate`, its stages timed apart.
 
-    python benchmarks/phugoid_hfb320.py --order 2 4 --start zero 7
+python benchmarks/phugoid_hfb320.py --order 2 4 --start zero 7
 """
 
 import argparse
@@ -9,9 +9,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import hfb320_case as hfb
-from phugoid_model import experiment, model
-
 import phugoid as ph
+from phugoid_model import experiment, model
 
 CALLBACKS = ("objective", "gradient", "constraints", "jacobian", "hessian", "gauss_newton")
 

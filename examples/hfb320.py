@@ -15,13 +15,33 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from records import find
-
 import phugoid as ph
 from phugoid import cos, sin
+from records import find
 
 RECORD = "hfb320_1_10.asc"
-COLUMNS = "t de pdyn T V alpha theta q aq ax az ay p r pdot rdot beta phi da dr".split()
+COLUMNS = [
+    "t",
+    "de",
+    "pdyn",
+    "T",
+    "V",
+    "alpha",
+    "theta",
+    "q",
+    "aq",
+    "ax",
+    "az",
+    "ay",
+    "p",
+    "r",
+    "pdot",
+    "rdot",
+    "beta",
+    "phi",
+    "da",
+    "dr",
+]
 
 # The optimum published with the paper (trapezoid): what the simulated twin is made from.
 PUBLISHED = {

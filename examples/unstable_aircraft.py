@@ -13,12 +13,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import phugoid as ph
 from records import find
 
-import phugoid as ph
-
 RECORD = "unStabAC_sim.asc"
-COLUMNS = "t pilot w q de az".split()
+COLUMNS = ["t", "pilot", "w", "q", "de", "az"]
 PUBLISHED = {
     "Zw": -1.4266610873826133, "Zq": -1.5450850965346954, "Zde": -6.263202600623347,
     "Mw": 0.21660638419854875, "Mq": -3.7017914082981997, "Mde": -12.768768280554982,
@@ -42,7 +41,10 @@ def experiment(path: str | Path) -> ph.Experiment:
     data = ph.read(path, time="t", columns=COLUMNS)
     c = data.channels
     return ph.Experiment(
-        0.05 * np.arange(data.n), {"de": c["de"]}, {n: c[n] for n in ("w", "q", "az")}, name="unstable aircraft"
+        0.05 * np.arange(data.n),
+        {"de": c["de"]},
+        {n: c[n] for n in ("w", "q", "az")},
+        name="unstable aircraft",
     )
 
 

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
-
 import phugoid as ph
+import pytest
 from phugoid import (
     Collocation,
     DataError,

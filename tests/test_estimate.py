@@ -19,9 +19,8 @@ import pytest
 
 matplotlib.use("Agg")
 
-from matplotlib import pyplot as plt
-
 import phugoid as ph
+from matplotlib import pyplot as plt
 from phugoid import Collocation, DataError, Experiment, Fit, Gaussian, Ipopt, Model, Parameter, Sigma
 from phugoid.solvers import Iteration
 
@@ -37,9 +36,7 @@ def lag(**parameters: Any) -> Model:
     m = Model("lag")
     (x,) = m.states(x="m")
     (u,) = m.inputs(u="V")
-    tau, gain = m.parameters(
-        **{"tau": Parameter(0.5, bounds=(0.01, 10.0), unit="s"), "gain": 1.0, **parameters}
-    )
+    tau, gain = m.parameters(**{"tau": Parameter(0.5, bounds=(0.01, 10.0), unit="s"), "gain": 1.0, **parameters})
     m.dynamics(x=(gain * u - x) / tau)
     m.outputs(x=x)
     return m
@@ -57,7 +54,13 @@ def oscillator() -> Model:
 
 
 def record(
-    model: Model, truth: dict[str, float], t: np.ndarray, u: np.ndarray, sigma: float = 0.05, seed: int = 0, **options: Any
+    model: Model,
+    truth: dict[str, float],
+    t: np.ndarray,
+    u: np.ndarray,
+    sigma: float = 0.05,
+    seed: int = 0,
+    **options: Any,
 ) -> Experiment:
     """A simulated record: the output x with noise."""
     e = Experiment(t, {"u": u}, **{"name": "run", **options})
@@ -243,9 +246,7 @@ def test_linear_regression_is_exact() -> None:
     assert intercept.std_error == pytest.approx(sigma * np.sqrt(inverse[1, 1]), rel=1e-9)
     assert noise.std_error == pytest.approx(sigma / np.sqrt(2 * e.n), rel=1e-9)
     assert fit.log_likelihood == pytest.approx(-e.n * (np.log(sigma) + 0.5), rel=1e-12)
-    np.testing.assert_allclose(
-        fit.covariance, np.diag([slope.std_error**2, noise.std_error**2]), rtol=1e-9, atol=1e-12
-    )
+    np.testing.assert_allclose(fit.covariance, np.diag([slope.std_error**2, noise.std_error**2]), rtol=1e-9, atol=1e-12)
 
 
 def test_known_sigma_sets_the_standard_errors() -> None:

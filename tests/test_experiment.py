@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import pickle
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
 import pytest
-
 from phugoid.errors import DataError, PhugoidError, did_you_mean
 from phugoid.experiment import Experiment
 
@@ -264,12 +261,3 @@ def test_every_error_is_a_phugoid_error_and_a_value_error() -> None:
 def test_did_you_mean_ignores_case_and_keeps_silent_when_far() -> None:
     assert did_you_mean("ALPHA", ["alpha", "q"]) == " Did you mean 'alpha'?"
     assert did_you_mean("xyz", ["alpha", "q"]) == ""
-
-
-def test_importing_stays_light() -> None:
-    code = (
-        "import sys, phugoid.experiment, phugoid.summary, phugoid.plot, phugoid.io\n"
-        "print([m for m in ('scipy', 'pandas', 'matplotlib', 'rich') if m in sys.modules])"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "[]"

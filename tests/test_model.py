@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-
 import phugoid as ph
+import pytest
 from phugoid import Expr, Gaussian, Model, ModelError, Parameter, Sigma, Table, _core
 
 HERE = Path(__file__).name

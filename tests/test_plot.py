@@ -14,7 +14,6 @@ import pytest
 matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt
-
 from phugoid.errors import DataError, UnknownName
 from phugoid.parameters import Estimate, Estimates
 from phugoid.plot import plot_fit, plot_record
@@ -146,9 +145,7 @@ def test_record_is_chosen_by_index_or_name() -> None:
         assert "q" in plot_fit(fit(one, two), record=which)[1]
 
 
-@pytest.mark.parametrize(
-    ("which", "words"), [(2, "no record 2: the fit has 1"), ("run", "Did you mean 'run1'")]
-)
+@pytest.mark.parametrize(("which", "words"), [(2, "no record 2: the fit has 1"), ("run", "Did you mean 'run1'")])
 def test_unknown_record_is_refused(which: int | str, words: str) -> None:
     with pytest.raises(UnknownName, match=words):
         plot_fit(fit(record(["alpha"])), record=which)

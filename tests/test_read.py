@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from phugoid import io
 from phugoid.errors import DataError
 from phugoid.read import read
@@ -226,9 +225,7 @@ def test_gzip_cut_short(tmp_path: Path) -> None:
 def test_real_flight_record() -> None:
     path = SHARED / "hfb320_1_10.asc"
     if not path.exists():
-        pytest.skip(
-            f"no {path.name}: put the published data into ../shared/data or name a folder in PHUGOID_DATA"
-        )
+        pytest.skip(f"no {path.name}: put the published data into ../shared/data or name a folder in PHUGOID_DATA")
     motion = ["V", "alpha", "theta", "q", "qdot", "ax", "az"]
     rest = ["ay", "p", "r", "pdot", "rdot", "beta", "phi", "da", "dr"]
     e = read(path, columns=["t", "de", "qbar", "T", *motion, *rest])

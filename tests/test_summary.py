@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from phugoid.errors import ModelError, UnknownName
 from phugoid.parameters import Estimate, Estimates, Parameter, text_table
 from phugoid.records import Record
@@ -58,9 +57,7 @@ def test_parameter_refuses(options: dict[str, Any], words: str) -> None:
         (1.225, NAN, "kg/m³", "Mw = 1.225 kg/m³"),
     ],
 )
-def test_estimate_prints_the_digits_that_its_error_justifies(
-    value: float, error: float, unit: str, text: str
-) -> None:
+def test_estimate_prints_the_digits_that_its_error_justifies(value: float, error: float, unit: str, text: str) -> None:
     assert repr(Estimate("Mw", value, error, unit)) == text
 
 

@@ -61,9 +61,7 @@ def apt_install(packages: list[str]) -> None:
         raise RuntimeError(f"please install these packages, or their like: {' '.join(packages)}")
     env = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
     subprocess.run(["apt-get", "update", "-qq"], check=True, env=env)
-    subprocess.run(
-        ["apt-get", "install", "-qq", "-y", "--no-install-recommends", *packages], check=True, env=env
-    )
+    subprocess.run(["apt-get", "install", "-qq", "-y", "--no-install-recommends", *packages], check=True, env=env)
 
 
 def works() -> bool:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +46,6 @@ def information(
     vary.
     """
     from scipy.sparse import coo_matrix
-    from scipy.sparse.linalg import MatrixRankWarning, splu
 
     hessian = problem.hessian(xi, 1.0, multipliers)
     jacobian = problem.jacobian(xi)
@@ -52,13 +53,13 @@ def information(
     defects = problem.constraints(xi)
     if hessian is None or jacobian is None or gradient is None or defects is None:
         return None
-    n, m = problem.n, problem.m
-    free = np.ones(n, dtype=bool)
-    free[held] = False
-    size = int(free.sum())
+    n, m, n_theta = problem.n, problem.m, problem.n_theta
+    # States and constraints first, and parameters, which border them, last.
+    order = np.concatenate([np.arange(n_theta, n + m), np.arange(n_theta)])
+    kept = order[~np.isin(order, held)]
     place = np.full(n + m, -1)
-    place[:n][free] = np.arange(size)
-    place[n:] = size + np.arange(m)
+    place[kept] = np.arange(kept.size)
+    band = int(np.sum(kept >= n_theta))
 
     unit = 1 / scaling.variables  # variables in units in which they are of order 1
     hr, hc = (i.astype(np.intp) for i in problem.hessian_structure())
@@ -73,24 +74,50 @@ def information(
     column = np.concatenate([hc, hr[off], jc, jr + n])
     value = np.concatenate([h, h[off], j, j])
     keep = (place[row] >= 0) & (place[column] >= 0)
-    kkt = coo_matrix((value[keep], (place[row[keep]], place[column[keep]])), shape=(size + m, size + m)).tocsc()
+    shape = (kept.size, kept.size)
+    kkt = coo_matrix((value[keep], (place[row[keep]], place[column[keep]])), shape=shape).tocsc()
 
-    right = np.zeros((size + m, len(wanted) + 1))
+    right = np.zeros((kept.size, len(wanted) + 1))
     right[place[wanted], np.arange(len(wanted))] = 1.0
     slope = gradient + np.bincount(jc, jacobian * multipliers[jr], minlength=n)
-    right[:size, -1] = -(slope * unit / weight)[free]
-    right[size:, -1] = -defects * scaling.constraints
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", MatrixRankWarning)
-        try:
-            factor = splu(kkt)
-        except (RuntimeError, MatrixRankWarning):
-            return None
-    solved = factor.solve(right)
-    solved += factor.solve(right - kkt @ solved)  # one step of refinement
+    residual = np.concatenate([slope * unit / weight, defects * scaling.constraints])
+    right[:, -1] = -residual[kept]
+
+    solve = _bordered(kkt, band)
+    if solve is None:
+        return None
+    solved = solve(right)
+    solved += solve(right - kkt @ solved)  # one step of refinement
     if not np.isfinite(solved).all():
         return None
     at = place[wanted]
     block = solved[at, :-1] / weight
     block = 0.5 * (block + block.T)
     return Information(block * np.outer(unit[wanted], unit[wanted]), solved[at, -1] * unit[wanted])
+
+
+def _bordered(kkt: Any, band: int) -> Callable[[_Array], _Array] | None:
+    """Solves with the first ``band`` rows and columns as a sparse matrix and the rest as a dense border.
+
+    The border must stay out of the sparse factorisation: its full rows would serve as pivots and fill it.
+    """
+    from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
+    from scipy.sparse.linalg import MatrixRankWarning, splu
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", MatrixRankWarning)
+        warnings.simplefilter("error", LinAlgWarning)
+        try:
+            factor = splu(kkt[:band, :band], permc_spec="COLAMD")
+            side = kkt[:band, band:].toarray()
+            inner = factor.solve(side)
+            border = lu_factor(kkt[band:, band:].toarray() - side.T @ inner)
+        except (RuntimeError, ValueError, MatrixRankWarning, LinAlgWarning):
+            return None
+
+    def solve(right: _Array) -> _Array:
+        first = factor.solve(right[:band])
+        last = lu_solve(border, right[band:] - side.T @ first)
+        return np.vstack([first - inner @ last, last])
+
+    return solve

@@ -54,7 +54,11 @@ def estimate(
     transcription = transcription or Collocation()
     noise = noise or model.noise_model
     solver = solver or Ipopt()
-    options = {"transcription": (transcription, Collocation), "noise": (noise, Gaussian), "solver": (solver, Ipopt)}
+    options = {
+        "transcription": (transcription, Collocation),
+        "noise": (noise, Gaussian),
+        "solver": (solver, Ipopt),
+    }
     for what, (value, kind) in options.items():
         if not isinstance(value, kind):
             raise OptionError(f"estimate: {what} is a {kind.__name__}, not {value!r}")

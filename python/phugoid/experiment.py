@@ -58,8 +58,7 @@ class Experiment:
         self._name = str(name)
         if interpolation not in get_args(Interpolation):
             raise DataError(
-                f"experiment '{self._name}': interpolation '{interpolation}' is not known; "
-                "take 'linear' or 'cubic'"
+                f"experiment '{self._name}': interpolation '{interpolation}' is not known; take 'linear' or 'cubic'"
             )
         self._interpolation: Interpolation = interpolation
         self._t = self._checked_time(t)
@@ -239,9 +238,7 @@ class Experiment:
                 f"give it among the {kind}s too if the model uses it as an {kind}."
             )
         there = [*group, *self._channels]
-        raise DataError(
-            f"{self._absent(kind, name)}{listing(name, there)} Use .rename({{...}}) where names differ."
-        )
+        raise DataError(f"{self._absent(kind, name)}{listing(name, there)} Use .rename({{...}}) where names differ.")
 
     def _checked_time(self, t: ArrayLike) -> FloatArray:
         where = f"experiment '{self._name}', time"

@@ -74,7 +74,11 @@ def measured_states(model: Model, parameters: Mapping[str, float]) -> dict[str, 
 
 
 def state_start(
-    model: Model, experiment: Experiment, times: _Array, parameters: Mapping[str, float], start: Mapping[str, Any]
+    model: Model,
+    experiment: Experiment,
+    times: _Array,
+    parameters: Mapping[str, float],
+    start: Mapping[str, Any],
 ) -> _Array:
     """Starting states at mesh points, shape (n_x, points).
 

@@ -149,7 +149,7 @@ class Model:
     def noise(self, *args: Gaussian, **sigma: float | Sigma) -> None:
         """States what is known of the noise: ``noise(alpha=0.002)`` for a known standard deviation of an output,
         ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, or a whole noise model."""
-        if args and sigma or len(args) > 1:
+        if (args and sigma) or len(args) > 1:
             raise ModelError("noise: give a noise model or standard deviations by output, not both")
         if args and not isinstance(args[0], Gaussian):
             raise ModelError(f"noise: a noise model is a Gaussian, not {args[0]!r}; name outputs, as in noise(q=0.01)")

@@ -33,9 +33,13 @@ class Sigma:
             except (TypeError, ValueError):
                 sound = False
             if not sound:
-                raise ModelError(f"bounds of a standard deviation are a positive pair that increases, not {self.bounds!r}")
+                raise ModelError(
+                    f"bounds of a standard deviation are a positive pair that increases, not {self.bounds!r}"
+                )
             if self.start is not None and not low <= self.start <= high:
-                raise ModelError(f"the start {self.start} of a standard deviation lies outside its bounds {self.bounds}")
+                raise ModelError(
+                    f"the start {self.start} of a standard deviation lies outside its bounds {self.bounds}"
+                )
 
 
 @dataclass(frozen=True)

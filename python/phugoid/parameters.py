@@ -49,8 +49,7 @@ class Parameter:
             raise ModelError(f"a parameter's bounds ({lower:g}, {upper:g}) are reversed: give (lower, upper)")
         if lower == upper:
             raise ModelError(
-                f"a parameter's bounds ({lower:g}, {upper:g}) leave no room: "
-                f"use Parameter({lower:g}, fixed=True)"
+                f"a parameter's bounds ({lower:g}, {upper:g}) leave no room: use Parameter({lower:g}, fixed=True)"
             )
         if not lower <= start <= upper:
             raise ModelError(

@@ -92,9 +92,7 @@ def _choose(records: Sequence[Record], which: int | str) -> Record:
             if record.name == which:
                 return record
         names = [record.name for record in records]
-        raise UnknownName(
-            f"there is no record '{which}'.{did_you_mean(which, names)} There are: {', '.join(names)}."
-        )
+        raise UnknownName(f"there is no record '{which}'.{did_you_mean(which, names)} There are: {', '.join(names)}.")
     try:
         return records[which]
     except IndexError:

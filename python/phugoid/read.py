@@ -177,9 +177,7 @@ def _splitter(delimiter: str | None, sample: str) -> Any:
         if '"' in line:
             import csv
 
-            return [
-                cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-            ]
+            return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
         return [cell.strip() for cell in line.split(delimiter)]
 
     return split

@@ -175,7 +175,9 @@ def make_fit(
         bounds = (1 / upper[k], 1 / lower[k] if lower[k] > 0 else np.inf)
         parameters.append(Estimate(name, 1 / root, full[k] / root**2, unit, bounds=bounds, bounds_active=side))
         if side == "lower":
-            warnings.append(f"{name} sits at its lower bound {1 / root:.3g}: the fit of this output is exact for all we know")
+            warnings.append(
+                f"{name} sits at its lower bound {1 / root:.3g}: the fit of this output is exact for all we know"
+            )
     cov *= np.outer(jacobian, jacobian)
 
     initial = {}
@@ -268,7 +270,9 @@ def _prior_terms(model: Model, xi: _Array) -> float:
     return -sum(0.5 * ((float(xi[i]) - p.prior[0]) / p.prior[1]) ** 2 for i, p in enumerate(declared) if p.prior)
 
 
-def _defect_warning(model: Model, problem: _core.Collocation, xi: _Array, estimates: Estimates, noise: Gaussian) -> list[str]:
+def _defect_warning(
+    model: Model, problem: _core.Collocation, xi: _Array, estimates: Estimates, noise: Gaussian
+) -> list[str]:
     """Defects add up along the path; unless they stay far below sigma, the likelihood is not that of a solution."""
     defects = problem.constraints(xi)
     if defects is None:
@@ -324,7 +328,13 @@ def load(path: str | os.PathLike[str]) -> Fit:
     def estimates(group: list[dict[str, Any]]) -> Estimates:
         numbers = ("value", "std_error", "start")
         return Estimates(
-            Estimate(**{**e, **{k: io.to_float(e[k]) for k in numbers}, "bounds": tuple(map(io.to_float, e["bounds"]))})
+            Estimate(
+                **{
+                    **e,
+                    **{k: io.to_float(e[k]) for k in numbers},
+                    "bounds": tuple(map(io.to_float, e["bounds"])),
+                }
+            )
             for e in group
         )
 

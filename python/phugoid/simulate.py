@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from functools import partial
+from numbers import Real
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import _core
-from .errors import DataError, EvaluationError, ModelError, did_you_mean
+from .errors import DataError, EvaluationError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
 from .guess import measured_states
 from .model import Model
@@ -16,6 +19,10 @@ from .records import Record
 from .result import Fit
 
 __all__ = ["simulate"]
+
+_Array = NDArray[np.float64]
+
+_METHODS = ("RK45", "RK23", "DOP853", "Radau", "BDF", "LSODA")
 
 
 def simulate(
@@ -33,68 +40,138 @@ def simulate(
     not given are the fit's for this experiment, else as measured at the first sample that has a value, else 0.
     ``method`` and ``rtol`` are those of `scipy.integrate.solve_ivp`.
 
-    Raises ModelError for a missing or unknown parameter, DataError for missing inputs, EvaluationError where the
-    solution ceases to exist, with the time.
+    Raises ModelError for a missing or unknown parameter, DataError for missing inputs, OptionError for a wrong
+    method or tolerance, EvaluationError where the solution ceases to exist or an output is not finite, with the time.
     """
-    from scipy.integrate import solve_ivp
-
+    if not isinstance(model, Model):
+        raise ModelError(f"simulate: the first argument is a Model, not a {type(model).__name__}")
+    if not isinstance(data, Experiment):
+        raise DataError(f"simulate: data is one Experiment, not a {type(data).__name__}")
+    if method not in _METHODS:
+        raise OptionError(f"simulate: method is one of {', '.join(_METHODS)}, not {method!r}")
+    if not (isinstance(rtol, Real) and 0 < rtol < 1):
+        raise OptionError(f"simulate: rtol is a number between 0 and 1, not {rtol!r}")
+    model.check()
     data.check_for(model.input_names, [])
     values = _values(model, parameters)
-    theta = np.array(list(values.values()))
-    evaluator = _core.Evaluator(model._core)
-    t = np.ascontiguousarray(data.t)
-    inputs = [np.ascontiguousarray(data.input(name)) for name in model.input_names]
     x0 = _initial(model, values, parameters, data, initial or {})
-
-    if data.interpolation == "cubic" and inputs:
-        from scipy.interpolate import CubicSpline
-
-        at: Callable[[float], Any] = CubicSpline(t, np.column_stack(inputs))  # as the core's
-    else:
-
-        def at(time: float) -> Any:
-            return [np.interp(time, t, u) for u in inputs]
-
-    def rhs(time: float, x: Any) -> Any:
-        column = np.array([time, *at(time), *x])[:, np.newaxis]
-        return evaluator.dynamics(theta, column)[:, 0]
-
-    scale = np.maximum(np.abs(x0), 1e-3)
-    # A step never skips a sample interval: the inputs bend there.
-    step = float(np.diff(t).max())
-    with np.errstate(all="ignore"):
-        solution = solve_ivp(rhs, (t[0], t[-1]), x0, method, t_eval=t, rtol=rtol, atol=rtol * scale, max_step=step)
-    if not solution.success or not np.isfinite(solution.y).all():
-        reached = solution.t[-1] if solution.t.size else t[0]
-        raise EvaluationError(
-            f"experiment '{data.name}': the simulation of '{model.name}' ends at t = {reached:g} s of {t[-1]:g} s "
-            f"({solution.message}); the model may be unstable with these parameters"
-        )
-    y = evaluator.outputs(theta, np.vstack([t, *inputs, solution.y]))
+    flow = _Flow(model, values, data)
+    states = flow.path(x0, method, float(rtol))
+    y = flow.outputs(states)
     outputs = dict(zip(model.output_names, y, strict=True))
     there = {*data.outputs, *data.channels}
     measured = {n: data.output(n) for n in model.output_names if n in there}
     return Record(
         name=data.name,
-        t=t,
-        inputs=dict(zip(model.input_names, inputs, strict=True)),
+        t=data.t,
+        inputs={name: data.input(name) for name in model.input_names},
         outputs=outputs,
-        states=dict(zip(model.state_names, solution.y, strict=True)),
+        states=dict(zip(model.state_names, states, strict=True)),
         measured=measured,
         residuals={n: z - outputs[n] for n, z in measured.items()},
         units=model.units,
     )
 
 
+class _Flow:
+    """A model with numbers put in, over the inputs of an experiment."""
+
+    def __init__(self, model: Model, values: Mapping[str, float], data: Experiment) -> None:
+        self.model, self.data = model, data
+        self.theta = np.array(list(values.values()))
+        self.evaluator = _core.Evaluator(model._core)
+        self.t = data.t
+        self.inputs = np.array([data.input(name) for name in model.input_names]).reshape(-1, data.n)
+        if data.interpolation == "cubic":
+            from scipy.interpolate import CubicSpline
+
+            self.between: Any = CubicSpline(self.t, self.inputs, axis=1)  # as the core's
+        else:
+            self.between = None
+        self.bad: tuple[float, _Array, _Array] | None = None  # the last point where an equation was not finite
+
+    def at(self, k: int, time: float) -> _Array:
+        """Inputs at a time in the interval after sample ``k``."""
+        if time == self.t[k + 1]:
+            return np.asarray(self.inputs[:, k + 1])  # to the bit: a hair below zero may have no square root
+        if self.between is not None:
+            return np.asarray(self.between(time))
+        share = (time - self.t[k]) / (self.t[k + 1] - self.t[k])
+        return np.asarray(self.inputs[:, k] + share * (self.inputs[:, k + 1] - self.inputs[:, k]))
+
+    def rhs(self, k: int, time: float, x: _Array) -> _Array:
+        """x' in that interval."""
+        u = self.at(k, time)
+        slope = self.evaluator.dynamics(self.theta, np.concatenate([[time], u, x])[:, np.newaxis])[:, 0]
+        if not np.isfinite(slope).all() and np.isfinite(x).all():
+            self.bad = time, np.concatenate([x, u]), slope
+        return slope
+
+    def path(self, x0: _Array, method: str, rtol: float) -> _Array:
+        """States at the samples, shape (n_x, N).
+
+        Each interval by itself: inputs bend at the samples, which no integrator sees coming.
+        """
+        from scipy.integrate import solve_ivp
+
+        states = np.empty((x0.size, self.t.size))
+        states[:, 0] = x0
+        self.rhs(0, self.t[0], x0)
+        if self.bad is not None:  # the integrator would never return
+            raise self.failure(self.t[0])
+        atol = rtol * np.maximum(np.abs(x0), 1e-3)
+        step = None
+        with np.errstate(all="ignore"):
+            for k, (begin, end) in enumerate(zip(self.t[:-1], self.t[1:], strict=True)):
+                step = None if step is None else min(step, end - begin)
+                options = {"rtol": rtol, "atol": atol, "first_step": step}
+                solution = solve_ivp(partial(self.rhs, k), (begin, end), states[:, k], method, **options)
+                if not solution.success or not np.isfinite(solution.y[:, -1]).all():
+                    raise self.failure(solution.t[-1])
+                states[:, k + 1] = solution.y[:, -1]
+                step = float(np.diff(solution.t).max())
+        return states
+
+    def failure(self, reached: float) -> EvaluationError:
+        """Why there is no solution from a time on."""
+        text = (
+            f"experiment '{self.data.name}': the simulation of '{self.model.name}' ends at t = {reached:g} s "
+            f"of {self.t[-1]:g} s: "
+        )
+        if self.bad is None:
+            return EvaluationError(
+                f"{text}the solution grows without limit; the model may be unstable with these parameters"
+            )
+        time, point, slope = self.bad
+        state = self.model.state_names[int(np.flatnonzero(~np.isfinite(slope))[0])]
+        names = (*self.model.state_names, *self.model.input_names)
+        where = ", ".join(f"{n} = {v:.6g}" for n, v in zip(names, point, strict=True))
+        return EvaluationError(f"{text}the equation of {state}' is not finite at t = {time:.6g} s, {where}")
+
+    def outputs(self, states: _Array) -> _Array:
+        """Outputs at the samples, shape (n_y, N)."""
+        y = self.evaluator.outputs(self.theta, np.vstack([self.t, self.inputs, states]))
+        wrong = np.argwhere(~np.isfinite(y.T))
+        if wrong.size:
+            k, c = wrong[0]
+            raise EvaluationError(
+                f"experiment '{self.data.name}': the output '{self.model.output_names[c]}' of '{self.model.name}' "
+                f"is {y[c, k]} at t = {self.t[k]:g} s"
+            )
+        return y
+
+
 def _values(model: Model, parameters: Mapping[str, Any] | Fit) -> dict[str, float]:
     given = parameters.parameters if isinstance(parameters, Fit) else parameters
+    if not isinstance(given, Mapping):
+        raise ModelError(f"simulate: parameters are values by name, or a fit, not {given!r}")
     for name in given:
         if name not in model.parameter_names and not str(name).startswith("sigma_"):
             raise ModelError(f"simulate: '{name}' is no parameter.{did_you_mean(name, model.parameter_names)}")
     missing = [name for name in model.parameter_names if name not in given]
     if missing:
         raise ModelError(f"simulate: no value was given for {', '.join(missing)}")
-    return {name: float(given[name]) for name in model.parameter_names}
+    return {name: _finite(f"parameter '{name}'", given[name]) for name in model.parameter_names}
 
 
 def _initial(
@@ -109,7 +186,7 @@ def _initial(
     x0 = []
     for name in model.state_names:
         if name in initial:
-            x0.append(float(initial[name]))
+            x0.append(_finite(f"initial '{name}'", initial[name]))
         elif name in of_fit:
             x0.append(float(of_fit[name]))
         elif name in measured and measured[name][0] in there:
@@ -119,6 +196,14 @@ def _initial(
             x0.append((float(z[0]) - offset) / slope if z.size else 0.0)
         else:
             x0.append(0.0)
-    if not np.isfinite(x0).all():
-        raise DataError("simulate: initial states must be finite numbers")
     return np.array(x0)
+
+
+def _finite(what: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not np.isfinite(number):
+        raise ModelError(f"simulate: {what} is {value!r}, not a finite number")
+    return number

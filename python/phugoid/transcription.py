@@ -86,9 +86,7 @@ class Collocation:
             )
             for e in experiments
         ]
-        return _core.Collocation(
-            model._core, records, sigmas, self.order, self.grids(experiments), self.threads
-        )
+        return _core.Collocation(model._core, records, sigmas, self.order, self.grids(experiments), self.threads)
 
     def __str__(self) -> str:
         if self.segments is None:
@@ -131,5 +129,7 @@ def _checked_ends(ends: Any, wrong: OptionError) -> tuple[float, ...]:
         raise wrong
     if not np.all(np.diff(array) > 0):
         i = int(np.flatnonzero(np.diff(array) <= 0)[0]) + 1
-        raise OptionError(f"Collocation: segment ends increase, but number {i} ({array[i]:g} s) does not come after the last")
+        raise OptionError(
+            f"Collocation: segment ends increase, but number {i} ({array[i]:g} s) does not come after the last"
+        )
     return tuple(array.tolist())

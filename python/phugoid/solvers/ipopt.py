@@ -142,7 +142,13 @@ class Ipopt:
         )
 
     def _stage(
-        self, wrapper: Any, run: _Callbacks, xi: _Array, scaling: Scaling, multipliers: Mapping[str, Any] | None, started: float
+        self,
+        wrapper: Any,
+        run: _Callbacks,
+        xi: _Array,
+        scaling: Scaling,
+        multipliers: Mapping[str, Any] | None,
+        started: float,
     ) -> tuple[_Array, dict[str, Any]]:
         """One run of Ipopt."""
         problem = run.problem
@@ -153,7 +159,11 @@ class Ipopt:
         self._configure(nlp, scaling, multipliers is not None, run, started)
         start = {}
         if multipliers is not None:
-            start = {"lagrange": multipliers["mult_g"], "zl": multipliers["mult_x_L"], "zu": multipliers["mult_x_U"]}
+            start = {
+                "lagrange": multipliers["mult_g"],
+                "zl": multipliers["mult_x_L"],
+                "zu": multipliers["mult_x_U"],
+            }
         x, info = nlp.solve(xi, **start)
         return np.asarray(x), info
 
@@ -176,6 +186,9 @@ class Ipopt:
         if self.scaling:
             options["nlp_scaling_method"] = "user-scaling"
             nlp.set_problem_scaling(scaling.objective, scaling.variables, scaling.constraints)
+        if not run.near:
+            # Gauss-Newton needs no multipliers: their estimates would cost a factorisation.
+            options["constr_mult_init_max"] = 0.0
         if warm:
             options["warm_start_init_point"] = "yes"
             # The point is good: do not push it off its bounds, nor start the barrier over.
@@ -262,8 +275,20 @@ class _Callbacks:
             return self._finite(self.problem.hessian(x, obj_factor, lagrange))
         return self._finite(self.problem.gauss_newton(x, obj_factor))
 
-    def intermediate(self, alg_mod: int, iter_count: int, obj_value: float, inf_pr: float, inf_du: float, mu: float,
-                     d_norm: float, regularization_size: float, alpha_du: float, alpha_pr: float, ls_trials: int) -> bool:
+    def intermediate(
+        self,
+        alg_mod: int,
+        iter_count: int,
+        obj_value: float,
+        inf_pr: float,
+        inf_du: float,
+        mu: float,
+        d_norm: float,
+        regularization_size: float,
+        alpha_du: float,
+        alpha_pr: float,
+        ls_trials: int,
+    ) -> bool:
         if iter_count == 0 and self.before:
             return not self.stop  # the last point of the stage before
         line = Iteration(self.before + iter_count, -obj_value, inf_pr, inf_du, alpha_pr, ls_trials)

@@ -1,25 +1,30 @@
 """All benchmarks in one run: callbacks, time to solution, random starts and start-up, for us and for peers.
 
-    python benchmarks/compare.py [--quick] [--only kernels solution starts startup]
+    python benchmarks/compare.py [--quick] [--only kernels solution random_starts startup]
 
 Peers that are not installed are skipped, with the reason printed.  Each part is a program of its own, too.
+Linear algebra runs on one thread, for every peer alike, unless OMP_NUM_THREADS says otherwise: on these small
+matrices a second thread mostly waits, and times vary more.
 """
 
 import argparse
+import importlib
+import os
 
-import kernels
-import random_starts
-import solution
-import startup
 from tables import attempt, console
 
 PARTS = {
-    "kernels": (kernels.run, {}, {"points": (601,), "rounds": 5, "target": 0.02}),
-    "solution": (solution.run, {}, {"repeats": 2, "shooting": False}),
-    "starts": (random_starts.run, {}, {"ours": 10, "casadi": 3, "scipy": 1}),
-    "startup": (startup.run, {}, {"repeats": 3}),
+    "kernels": ({}, {"points": (601,), "rounds": 5, "target": 0.02}),
+    "solution": ({}, {"repeats": 2, "shooting": False}),
+    "random_starts": ({}, {"ours": 10, "casadi": 3, "scipy": 1}),
+    "startup": ({}, {"repeats": 3}),
 }
-"""Name -> function, its options, its options for --quick."""
+"""Name of a module -> options of its `run`, and those for --quick."""
+
+
+def run(name, options):
+    """Import and run a part."""
+    importlib.import_module(name).run(**options)
 
 
 def main():
@@ -28,10 +33,10 @@ def main():
     parser.add_argument("--quick", action="store_true", help="fewer repetitions and starts, no single shooting")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), help="parts to run")
     arguments = parser.parse_args()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy and Ipopt are loaded, so before that
     for name in arguments.only:
-        function, full, quick = PARTS[name]
-        console.rule(name)
-        attempt(name, lambda f=function, o=quick if arguments.quick else full: f(**o))
+        console.rule(name.replace("_", " "))
+        attempt(name, run, name, PARTS[name][arguments.quick])
 
 
 if __name__ == "__main__":

@@ -165,9 +165,9 @@ def start_parameters(start):
     return {"zero": zero_start, "optimum": lambda: OPTIMUM}.get(start, lambda: random_start(int(start)))()
 
 
-def counts(objective, gradient, constraints, jacobian, hessian):
+def counts(objective, gradient, constraints, jacobian, hessian, gauss_newton=0):
     """Text of how often a solver called what."""
-    return f"{objective}/{gradient}/{constraints}/{jacobian}/{hessian}"
+    return f"{objective}/{gradient}/{constraints}/{jacobian}/{hessian}{f'+{gauss_newton}g' * bool(gauss_newton)}"
 
 
 def largest_error(parameters, names=DERIVATIVES):

@@ -71,7 +71,7 @@ def show_peers(found, n):
             ratios = [times(found.get((base, kind)), mine) for base in (C, VM)]
             row += [f"{1e9 * mine / n:.1f}", *ratios] if mine else ["-"] * 3
         rows.append(row)
-    columns = [column for kind in KINDS for column in (f"{kind}, ns", "vs C", "vs VM")]
+    columns = [column for kind in KINDS for column in (kind, "vs C", "vs VM")]
     show(
         f"Callbacks on HFB-320, trapezoid, N = {n:,}: ns per mesh point", ["", *columns], rows,
         f"vs C, vs VM: how many times faster than '{C}' and '{VM}'",
@@ -86,7 +86,7 @@ def show_ours(n, rounds, target):
     for what in dict.fromkeys(what for _, what in calls):
         both = [found[k, what] for k in OURS]
         rows.append([what, *(f"{1e6 * t:.1f}" for t in both), *(f"{1e9 * t / n:.1f}" for t in both)])
-    columns = [f"{unit}, {k} thread{'s' * (k > 1)}" for unit in ("µs a call", "ns a point") for k in OURS]
+    columns = [f"{unit}, {k} thread{'s' * (k > 1)}" for unit in ("µs/call", "ns/point") for k in OURS]
     counts = ", ".join(f"{count} for {tape}" for tape, count in ours(n, 1).instructions().items())
     show(f"Our callbacks apart, N = {n:,}", ["", *columns], rows, f"Instructions a mesh point: {counts}")
 

@@ -9,8 +9,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import hfb320_case as hfb
-import phugoid as ph
 from phugoid_model import experiment, model
+
+import phugoid as ph
 
 CALLBACKS = ("objective", "gradient", "constraints", "jacobian", "hessian", "gauss_newton")
 
@@ -62,8 +63,7 @@ def solve(order=2, start="zero", sigmas=False, case=None, count=False):
     return {
         "status": fit.status,
         "iterations": fit.iterations,
-        "evaluations": hfb.counts(*(log["calls"].get(n, 0) for n in CALLBACKS[:-1])) if count else "",
-        "gauss_newton": log["calls"].get("gauss_newton"),
+        "evaluations": hfb.counts(*(log["calls"].get(n, 0) for n in CALLBACKS)) if count else "",
         "log_likelihood": fit.log_likelihood,
         "parameters": found,
         "largest_error": hfb.largest_error(found),

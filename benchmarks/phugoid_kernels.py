@@ -8,8 +8,9 @@ entry of the Hessian to which both the dynamics and the outputs contribute is re
 
 import hfb320_case as hfb
 import numpy as np
-import phugoid as ph
 from phugoid_model import experiment, model
+
+import phugoid as ph
 
 N_MODEL = len(hfb.DERIVATIVES + hfb.BIASES)
 TAPES = ("f", "first derivatives of f", "Hessian of f", "log-likelihood", "its gradient", "its Hessian")

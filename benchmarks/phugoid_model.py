@@ -1,6 +1,7 @@
 """HFB-320 as a model and an experiment of ours, from the same equations and arrays as the peers'."""
 
 import hfb320_case as hfb
+
 import phugoid as ph
 
 

@@ -13,6 +13,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 
 import hfb320_case as hfb
@@ -68,7 +69,7 @@ def once(paths):
     if done.returncode:
         raise RuntimeError(done.stderr.strip().split("\n")[-1])
     marks = json.loads(done.stdout.strip().split("\n")[-1])
-    return {what: end - begin for (_, begin), (what, end) in zip(marks, marks[1:], strict=False) if what}
+    return {what: end - begin for (_, begin), (what, end) in pairwise(marks) if what}
 
 
 def run(repeats=5):
@@ -88,7 +89,7 @@ def run(repeats=5):
         f"Start-up on HFB-320, {repeats} runs",
         ["", "fastest", "median"],
         [[name, seconds(min(values)), seconds(median(values))] for name, values in listed],
-        f"to iteration 0: {'within' if median(totals) < AIM else 'MISSES'} the aim of {seconds(AIM)} in the median",
+        f"From import to iteration 0: {'within' if median(totals) < AIM else 'MISSES'} the aim of {seconds(AIM)} in the median",
     )
 
 

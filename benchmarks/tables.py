@@ -1,18 +1,22 @@
 """Tables on the terminal, and peers that may be missing."""
 
+import statistics
 import sys
 
-import numpy as np
+from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-console = Console(width=None if sys.stdout.isatty() else 130, highlight=False)
+console = Console(width=None if sys.stdout.isatty() else 110, highlight=False)
 
 
 def show(title, columns, rows, note=""):
     """Print a table of text: the first column to the left, the others to the right; a note below."""
-    table = Table(title=title, title_justify="left", title_style="bold", caption=note, caption_justify="left")
+    table = Table(
+        title=title, title_justify="left", title_style="bold", caption=note, caption_justify="left",
+        box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
+    )  # fmt: skip
     for i, column in enumerate(columns):
         table.add_column(column, justify="right" if i else "left", no_wrap=not i)
     for row in rows:
@@ -43,4 +47,4 @@ def times(base, mine):
 
 def median(values):
     """Median as a plain float."""
-    return float(np.median(values))
+    return float(statistics.median(values))

@@ -15,9 +15,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from records import find
+
 import phugoid as ph
 from phugoid import cos, sin
-from records import find
 
 RECORD = "hfb320_1_10.asc"
 COLUMNS = [

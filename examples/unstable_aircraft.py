@@ -13,8 +13,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import phugoid as ph
 from records import find
+
+import phugoid as ph
 
 RECORD = "unStabAC_sim.asc"
 COLUMNS = ["t", "pilot", "w", "q", "de", "az"]

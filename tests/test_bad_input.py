@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import phugoid as ph
 import pytest
+
+import phugoid as ph
 from phugoid import (
     Collocation,
     DataError,

@@ -19,8 +19,9 @@ import pytest
 
 matplotlib.use("Agg")
 
-import phugoid as ph
 from matplotlib import pyplot as plt
+
+import phugoid as ph
 from phugoid import Collocation, DataError, Experiment, Fit, Gaussian, Ipopt, Model, Parameter, Sigma
 from phugoid.solvers import Iteration
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from phugoid.errors import DataError, PhugoidError, did_you_mean
 from phugoid.experiment import Experiment
 

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import phugoid as ph
 import pytest
+
+import phugoid as ph
 from phugoid import Expr, Gaussian, Model, ModelError, Parameter, Sigma, Table, _core
 
 HERE = Path(__file__).name

@@ -14,6 +14,7 @@ import pytest
 matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt
+
 from phugoid.errors import DataError, UnknownName
 from phugoid.parameters import Estimate, Estimates
 from phugoid.plot import plot_fit, plot_record

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from phugoid import io
 from phugoid.errors import DataError
 from phugoid.read import read

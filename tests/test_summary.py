@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from phugoid.errors import ModelError, UnknownName
 from phugoid.parameters import Estimate, Estimates, Parameter, text_table
 from phugoid.records import Record

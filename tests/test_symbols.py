@@ -12,11 +12,12 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
-import phugoid as ph
 import pytest
 import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+import phugoid as ph
 from phugoid import Expr, ModelError, Table, _core
 
 x, y, z = (Expr.symbol(name) for name in "xyz")

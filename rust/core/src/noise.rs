@@ -118,8 +118,11 @@ impl Noise {
             let mut residual = graph.mul(precision, difference);
             let mut log = graph.apply(Op::Log, &[precision]);
             if let Some(present) = sample.present[c] {
-                residual = graph.mul(present, residual);
-                log = graph.mul(present, log);
+                // Switched, not multiplied: an output that is not finite where nothing was measured
+                // must not spoil the sum.
+                let zero = graph.zero();
+                residual = graph.select(present, residual, zero);
+                log = graph.select(present, log, zero);
             }
             density.residuals.push(residual);
             density.rest = graph.add(density.rest, log);

@@ -22,7 +22,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 import phugoid as ph
-from phugoid import Collocation, DataError, Experiment, Fit, Gaussian, Ipopt, Model, Parameter, Sigma
+from phugoid import Collocation, DataError, Experiment, Fit, Gaussian, Ipopt, Model, Parameter, Sigma, estimate
 from phugoid.solvers import Iteration
 
 T = np.linspace(0.0, 10.0, 101)
@@ -357,8 +357,10 @@ def test_parameters_that_cannot_be_told_apart_are_named() -> None:
     m.dynamics(c=0.0)
     m.outputs(y=a * b * u + c)
     fit = ph.estimate(m, line_record())
-    assert any("a" in w and "b" in w for w in fit.warnings) or any("singular" in w for w in fit.warnings)
-    assert np.isnan(fit.parameters["a"].std_error) or fit.parameters["a"].std_error > 1e3
+    # Rounding decides on which side of singular the information matrix ends.
+    (warning,) = fit.warnings
+    assert warning.startswith("a, b cannot be told apart") or "no standard error for a, b" in warning
+    assert not fit.parameters["a"].std_error < 1e3
 
 
 def test_sigma_of_a_perfect_fit_is_said_to_sit_at_its_bound() -> None:
@@ -675,3 +677,21 @@ def test_damaged_file_is_refused(spoil: Callable[[str], str], tmp_path: Path, la
 def test_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="there is no such file"):
         ph.load(tmp_path / "nothing.json")
+
+
+def test_output_constant_in_one_experiment_is_fine_where_it_moves_in_another() -> None:
+    m = Model("two outputs")
+    (x,) = m.states("x")
+    (u,) = m.inputs("u")
+    (a,) = m.parameters("a")
+    m.dynamics(x=a * u - x)
+    m.outputs(x=x, y=2 * x)
+    t = np.linspace(0, 5, 60)
+    noise = np.random.default_rng(0).standard_normal((3, t.size))
+    path = 3 * (1 - np.exp(-t))
+    moving = {"x": path + 0.01 * noise[0], "y": 2 * path + 0.02 * noise[1]}
+    still = Experiment(t, {"u": 0 * t}, {"x": 0.01 * noise[2], "y": 0 * t}, name="still")
+    fit = estimate(m, [still, Experiment(t, {"u": 0 * t + 1}, moving, name="moving")])
+    assert fit.parameters["a"].value == pytest.approx(3, abs=4 * fit.parameters["a"].std_error)
+    with pytest.raises(DataError, match="'y'"):
+        estimate(m, still)

@@ -30,7 +30,7 @@ from .read import read
 from .records import Record
 from .result import Fit, load
 from .simulate import simulate
-from .solvers import Ipopt
+from .solvers import Ipopt, Iteration
 from .symbols import (
     Table,
     acos,
@@ -69,6 +69,7 @@ __all__ = [
     "Fit",
     "Gaussian",
     "Ipopt",
+    "Iteration",
     "MissingDependency",
     "Model",
     "ModelError",

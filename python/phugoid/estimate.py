@@ -69,7 +69,10 @@ def estimate(
 
     known = [name for name, value in noise.sigma.items() if isinstance(value, (int, float))]
     for experiment in experiments:
-        experiment.check_for(model.input_names, model.output_names, known)
+        # An output that stands still in this experiment may move in another, which then gives its sigma.
+        others = [e for e in experiments if e is not experiment]
+        elsewhere = [name for name in model.output_names if any(_moves(e, name) for e in others)]
+        experiment.check_for(model.input_names, model.output_names, [*known, *elsewhere])
 
     warm = start if isinstance(start, Fit) else None
     given: Mapping[str, Any] = warm.as_start() if warm else dict(start or {})  # type: ignore[arg-type]
@@ -116,6 +119,15 @@ def _warm(fit: Fit | None, problem: _core.Collocation, xi: _Array) -> Solution |
     if fit is None or fit.solution is None or fit.solution.xi.size != xi.size:
         return None
     return fit.solution if fit.solution.multipliers.size == problem.m else None
+
+
+def _moves(experiment: Experiment, output: str) -> bool:
+    """Whether an experiment has the output and it is not constant there."""
+    if output not in {*experiment.outputs, *experiment.channels}:
+        return False
+    values = experiment.output(output)
+    values = values[np.isfinite(values)]
+    return bool(values.size and np.ptp(values) > 0)
 
 
 def _experiments(data: Any) -> list[Experiment]:

@@ -32,6 +32,8 @@ _Activity: TypeAlias = Literal["lower", "upper", "fixed"] | None  # of the bound
 
 # A bound is active where the variable lies within this fraction of its size from it.
 _AT_BOUND = 1e-6
+# Parameters are confounded where their correlation matrix has an eigenvalue below this.
+_SINGULAR = 1e-12
 # A point is the optimum when the Newton step left is this small a part of every standard error.
 _CLOSE = 1e-3
 
@@ -159,10 +161,13 @@ def make_fit(
         cov[np.ix_(wanted[inner], wanted[inner])] = found.covariance[np.ix_(inner, inner)]
         if not proper.all():
             names = [problem.variable_name(int(i)) for i in wanted[~proper]]
-            warnings.append(f"not a proper maximum: no standard error for {', '.join(names)}")
+            warnings.append(
+                f"not a proper maximum: no standard error for {', '.join(names)}; the data may not tell them apart"
+            )
         elif status == "acceptable" and np.all(np.abs(found.step) < _CLOSE * np.sqrt(variance)):
             # Rounding kept the solver from its tolerance, but there is nowhere left to go.
             status, message = "converged", HINTS["converged"]
+        warnings += _confounded([*model.parameter_names, *problem.noise_parameters], cov)
 
     parameters = _model_estimates(model, xi, full, active)
     jacobian = np.ones(n_theta)
@@ -205,6 +210,25 @@ def make_fit(
         history=solution.history,
         solution=solution,
     )
+
+
+def _confounded(names: Sequence[str], cov: _Array) -> list[str]:
+    """Parameters of which the data determine a combination only: their correlation matrix is singular."""
+    known = np.flatnonzero(np.diag(cov) > 0)
+    deviation = np.sqrt(np.diag(cov)[known])
+    correlation = cov[np.ix_(known, known)] / np.outer(deviation, deviation)
+    found = []
+    for value, vector in zip(*_eigen(correlation), strict=True):
+        if value < _SINGULAR:
+            involved = ", ".join(names[int(k)] for k, part in zip(known, vector, strict=True) if abs(part) > 0.1)
+            found.append(f"{involved} cannot be told apart with these data: fix one of them, or give it a prior")
+    return found
+
+
+def _eigen(symmetric: _Array) -> tuple[_Array, _Array]:
+    """Eigenvalues, and eigenvectors as rows."""
+    values, vectors = np.linalg.eigh(symmetric)
+    return values, vectors.T
 
 
 def _active(theta: _Array, lower: _Array, upper: _Array, solution: Solution) -> list[_Activity]:

@@ -126,7 +126,9 @@ class Ipopt:
         status = "interrupted" if run.stop else _STATUS.get(info["status"], "failed")
         said = info["status_msg"]
         said = (said.decode() if isinstance(said, bytes) else str(said)).strip().rstrip(".")
-        message = HINTS[status] if status == "converged" else f"{HINTS[status]} (Ipopt: {said})"
+        message = HINTS[status]
+        if status in ("acceptable", "infeasible", "diverging", "failed"):
+            message += f" (Ipopt: {said})"
         if status in ("failed", "infeasible"):
             message += f"; {_worst_defect(problem, x, scaling)}"
         return Solution(

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::{Code, Instruction, Operand, Tape, UniformInstruction};
+use super::{Code, Instruction, Operand, Sink, Tape, UniformInstruction};
 use crate::expr::graph::{Graph, Id, Item};
 use crate::expr::{Lookup, Op};
 
@@ -22,16 +22,23 @@ impl Tape {
     /// When a symbol is no input (the model checks symbols before), or when more than 65,535
     /// registers or uniforms are needed.
     pub fn compile(graph: &Graph, inputs: &Inputs, outputs: &[Id]) -> Tape {
+        Tape::compile_into(graph, inputs, outputs, &vec![Sink::Keep; outputs.len()])
+    }
+
+    /// As [`Tape::compile`], with a sink for each output. What need not be kept does not occupy a
+    /// register until the end: a tape with many outputs then stays in the first-level cache.
+    pub fn compile_into(graph: &Graph, inputs: &Inputs, outputs: &[Id], sinks: &[Sink]) -> Tape {
         let mut compiler = Compiler::new(graph, inputs, outputs);
-        compiler.schedule(outputs);
-        compiler.finish(outputs)
+        compiler.schedule(outputs, sinks);
+        compiler.finish(outputs, sinks)
     }
 }
 
 /// An instruction before registers are assigned: nodes for operands.
 struct Virtual {
     code: Code,
-    dst: Id,
+    /// None for what goes to a sink.
+    dst: Option<Id>,
     second: Option<Id>,
     args: [Arg; 3],
 }
@@ -80,6 +87,7 @@ impl<'a> Compiler<'a> {
                 uniform_code: Vec::new(),
                 code: Vec::new(),
                 lookups: Vec::new(),
+                uniform_sinks: Vec::new(),
                 outputs: Vec::new(),
             },
         };
@@ -146,8 +154,8 @@ impl<'a> Compiler<'a> {
     }
 
     /// Depth-first from the outputs: a value is computed just before it is first needed.
-    fn schedule(&mut self, outputs: &[Id]) {
-        for &output in outputs {
+    fn schedule(&mut self, outputs: &[Id], sinks: &[Sink]) {
+        for (&output, sink) in outputs.iter().zip(sinks) {
             let mut stack = vec![(output, false)];
             while let Some((id, ready)) = stack.pop() {
                 if self.emitted[id.index()] || self.slots.contains_key(&id) {
@@ -160,6 +168,15 @@ impl<'a> Compiler<'a> {
                     let args = self.operands(id);
                     stack.extend(args.into_iter().rev().map(|a| (a, false)));
                 }
+            }
+            let (code, place) = match sink {
+                Sink::Keep => continue,
+                Sink::Sum(place) => (Code::Sum, *place),
+                Sink::Store(row) => (Code::Store, *row),
+            };
+            if !self.slots.contains_key(&output) {
+                let args = [Arg::Node(output), Arg::None, Arg::Raw(place)];
+                self.code.push(Virtual { code, dst: None, second: None, args });
             }
         }
     }
@@ -297,11 +314,11 @@ impl<'a> Compiler<'a> {
 
     fn push(&mut self, code: Code, dst: Id, second: Option<Id>, args: [Arg; 3]) {
         self.emitted[dst.index()] = true;
-        self.code.push(Virtual { code, dst, second, args });
+        self.code.push(Virtual { code, dst: Some(dst), second, args });
     }
 
     /// Assigns registers by a linear scan: a register is free after the last use of its value.
-    fn finish(mut self, outputs: &[Id]) -> Tape {
+    fn finish(mut self, outputs: &[Id], sinks: &[Sink]) -> Tape {
         let mut last_use: HashMap<Id, usize> = HashMap::new();
         for (at, v) in self.code.iter().enumerate() {
             for arg in v.args {
@@ -310,8 +327,10 @@ impl<'a> Compiler<'a> {
                 }
             }
         }
-        for &output in outputs {
-            last_use.insert(output, usize::MAX);
+        for (&output, sink) in outputs.iter().zip(sinks) {
+            if *sink == Sink::Keep {
+                last_use.insert(output, usize::MAX);
+            }
         }
         let mut registers: HashMap<Id, u16> = HashMap::new();
         for (i, &id) in self.lane_inputs.iter().enumerate() {
@@ -330,7 +349,7 @@ impl<'a> Compiler<'a> {
                 register
             };
             // The destination is taken before operands are freed: lanes never alias.
-            let dst = take(&mut registers, v.dst);
+            let dst = v.dst.map_or(0, |id| take(&mut registers, id));
             let second = v.second.map(|id| take(&mut registers, id));
             let resolve = |arg: Arg| match arg {
                 Arg::None => 0,
@@ -348,7 +367,7 @@ impl<'a> Compiler<'a> {
                     dead.push(registers[&id]);
                 }
             }
-            for id in [Some(v.dst), v.second].into_iter().flatten() {
+            for id in [v.dst, v.second].into_iter().flatten() {
                 if !last_use.contains_key(&id) {
                     dead.push(registers[&id]);
                 }
@@ -358,11 +377,16 @@ impl<'a> Compiler<'a> {
             free.extend(dead);
         }
         self.tape.n_registers = count;
+        let uniform = outputs.iter().zip(sinks).filter(|(_, sink)| **sink != Sink::Keep);
+        self.tape.uniform_sinks =
+            uniform.filter_map(|(id, &sink)| Some((sink, *self.slots.get(id)?))).collect();
         self.tape.outputs = outputs
             .iter()
-            .map(|id| match self.slots.get(id) {
+            .zip(sinks)
+            .map(|(id, sink)| match self.slots.get(id) {
                 Some(&slot) => Operand::Uniform(slot),
-                None => Operand::Lane(registers[id]),
+                None if *sink == Sink::Keep => Operand::Lane(registers[id]),
+                None => Operand::Sunk,
             })
             .collect();
         self.tape

@@ -1,6 +1,7 @@
 //! Running a tape on one block of lanes.
 
-use super::{Code, Instruction, LANE_MULTIPLE, Operand, Tape, UniformInstruction};
+use super::lanes::{scaled, sum};
+use super::{Code, Instruction, LANE_MULTIPLE, Operand, Sink, Tape, UniformInstruction};
 use crate::expr::{Lookup, Op};
 use crate::math;
 use crate::simd::kernel;
@@ -55,9 +56,25 @@ impl Tape {
     /// Runs on `n` lanes, a multiple of [`LANE_MULTIPLE`]. `registers` comes from
     /// [`Workspace::registers`], its lane inputs filled; `uniforms` from [`Tape::uniforms`].
     pub fn run(&self, registers: &mut [f64], uniforms: &[f64], n: usize) {
+        self.run_into(registers, uniforms, n, &mut Sinks::default());
+    }
+
+    /// As [`Tape::run`], for a tape with sinks. Outputs that are uniform go to their sinks as well.
+    pub fn run_into(&self, registers: &mut [f64], uniforms: &[f64], n: usize, sinks: &mut Sinks<'_>) {
         assert!(registers.len() >= self.n_registers * n && n.is_multiple_of(LANE_MULTIPLE));
         assert_eq!(uniforms.len(), self.uniforms.len());
-        run(&self.code, &self.lookups, registers, uniforms, n);
+        assert!(sinks.count <= n);
+        run(&self.code, &self.lookups, registers, uniforms, n, sinks);
+        for &(sink, slot) in &self.uniform_sinks {
+            let value = uniforms[slot as usize];
+            match sink {
+                Sink::Keep => {}
+                Sink::Sum(place) => sinks.sums[place as usize] += value * sinks.count as f64,
+                Sink::Store(row) => {
+                    sinks.rows[row as usize * sinks.count..][..sinks.count].fill(sinks.factor * value);
+                }
+            }
+        }
     }
 
     /// The values of an operand after a run: `n` lanes, or one number for all.
@@ -71,8 +88,22 @@ impl Tape {
         match operand {
             Operand::Uniform(u) => Values::Uniform(uniforms[u as usize]),
             Operand::Lane(r) => Values::Lanes(&registers[r as usize * n..(r as usize + 1) * n]),
+            Operand::Sunk => Values::Lanes(&[]),
         }
     }
+}
+
+/// Where a tape's outputs go.
+#[derive(Debug, Default)]
+pub struct Sinks<'a> {
+    /// Lanes that count, the first ones.
+    pub count: usize,
+    /// What stored values are multiplied by.
+    pub factor: f64,
+    /// Places of sums, to which they are added.
+    pub sums: &'a mut [f64],
+    /// Rows of `count` stored values.
+    pub rows: &'a mut [f64],
 }
 
 /// Values of an output over the lanes of a block.
@@ -130,13 +161,25 @@ fn truth(x: bool) -> f64 {
 }
 
 kernel! {
-fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms: &[f64], n: usize) {
+fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms: &[f64], n: usize, sinks: &mut Sinks<'_>) {
     let base = registers.as_mut_ptr();
     // SAFETY (for both): the compiler numbers registers below `n_registers`, whose room `run` of
     // Tape has checked, and never lets a destination be an operand, so the lanes do not alias.
     let lane = |r: u16| unsafe { std::slice::from_raw_parts(base.add(r as usize * n), n) };
     let lane_mut = |r: u16| unsafe { std::slice::from_raw_parts_mut(base.add(r as usize * n), n) };
     for i in code {
+        match i.code {
+            Code::Sum => {
+                sinks.sums[i.c as usize] += sum(&lane(i.a)[..sinks.count]);
+                continue;
+            }
+            Code::Store => {
+                let row = &mut sinks.rows[i.c as usize * sinks.count..][..sinks.count];
+                scaled(row, sinks.factor, Values::Lanes(lane(i.a)), 0);
+                continue;
+            }
+            _ => {}
+        }
         let d = lane_mut(i.dst);
         let uniform = |u: u16| uniforms[u as usize];
         match i.code {
@@ -210,6 +253,7 @@ fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms
                 lookup.table.eval2_lanes(lookup.order[0], lookup.order[1], d, lane(i.a), lane(i.b));
             }
             Code::Apply(op) => apply(op, d, lane(i.a), lane(i.b), lane(i.c)),
+            Code::Sum | Code::Store => unreachable!("handled above: they have no destination"),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Inputs, Tape};
+use super::{Inputs, Sink, Tape};
 use crate::expr::derive::Sparse;
 use crate::expr::graph::{Graph, Id};
 
@@ -90,7 +90,8 @@ impl Function {
     }
 
     /// A single function f = rest − ½ Σ residual², with Hessians of **−f**, which is what is minimised:
-    /// the exact one and Gauss-Newton's. Neither is weighted.
+    /// the exact one and Gauss-Newton's. Neither is weighted; both have sinks: entries with a state are
+    /// stored, those between parameters summed.
     ///
     /// −∇²f = −∇²rest + Σ ∇e ∇eᵀ + Σ e ∇²e: put together from the residuals e, it takes a third of the
     /// instructions of a second derivative of the whole.
@@ -131,8 +132,9 @@ impl Function {
             }
         }
         let inputs = arguments.inputs();
-        let gauss_newton = Some(Tape::compile(&graph, &inputs, &approximate));
-        let hessian = Tape::compile(&graph, &inputs, &exact);
+        let sinks = second_sinks(&second, arguments.states.len());
+        let gauss_newton = Some(Tape::compile_into(&graph, &inputs, &approximate, &sinks));
+        let hessian = Tape::compile_into(&graph, &inputs, &exact, &sinks);
 
         let half = graph.constant(0.5);
         let mut root = rest;
@@ -169,6 +171,19 @@ impl Function {
             gauss_newton: None,
         }
     }
+}
+
+/// Entries with a state are stored one row after the other, those between parameters summed.
+fn second_sinks(second: &Sparse, n_states: usize) -> Vec<Sink> {
+    let (mut rows, mut sums) = (0, 0);
+    let next = |count: &mut u16| {
+        *count += 1;
+        *count - 1
+    };
+    let sink = |&column: &usize| {
+        if column < n_states { Sink::Store(next(&mut rows)) } else { Sink::Sum(next(&mut sums)) }
+    };
+    second.columns.iter().map(sink).collect()
 }
 
 impl Arguments {

@@ -12,7 +12,7 @@ pub(crate) mod lanes;
 mod trace;
 
 pub use compile::Inputs;
-pub use eval::{Values, Workspace};
+pub use eval::{Sinks, Values, Workspace};
 pub use function::{Arguments, Function, Pattern};
 pub use trace::{Trace, trace};
 
@@ -31,6 +31,19 @@ pub enum Operand {
     Uniform(u16),
     /// A register of lanes. The lane inputs are the first registers.
     Lane(u16),
+    /// Nowhere: it went to its [`Sink`].
+    Sunk,
+}
+
+/// What becomes of an output.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sink {
+    /// It stays in its register, to be read after the run.
+    Keep,
+    /// Its sum over the lanes is added to this place, as soon as it is computed.
+    Sum(u16),
+    /// It is stored as this row, as soon as it is computed.
+    Store(u16),
 }
 
 /// What an instruction on lanes does. `L` stands for a register, `U` for a uniform; the letters
@@ -70,6 +83,10 @@ pub(crate) enum Code {
     /// 1-D or 2-D table lookup, its index in c
     Lookup1,
     Lookup2,
+    /// sum of register a to place c
+    Sum,
+    /// register a to row c
+    Store,
 }
 
 /// One instruction on lanes; registers and uniforms by number. `dst` is never an operand.
@@ -100,6 +117,8 @@ pub struct Tape {
     pub(crate) uniform_code: Vec<UniformInstruction>,
     pub(crate) code: Vec<Instruction>,
     pub(crate) lookups: Vec<Lookup>,
+    /// Sinks of uniform outputs, which no instruction on lanes serves.
+    pub(crate) uniform_sinks: Vec<(Sink, u16)>,
     /// Where each output is found.
     pub outputs: Vec<Operand>,
 }

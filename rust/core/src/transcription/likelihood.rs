@@ -8,8 +8,8 @@ use super::layout::Layout;
 use super::samples::Samples;
 use crate::nlp::Structure;
 use crate::simd::kernel;
-use crate::tape::lanes::{all_finite, scaled, sum};
-use crate::tape::{Function, Tape, Values, Workspace};
+use crate::tape::lanes::{all_finite, sum};
+use crate::tape::{Function, Sinks, Tape, Values, Workspace};
 
 /// A block of samples with all that evaluating it needs.
 pub(super) struct Job<'a> {
@@ -42,13 +42,18 @@ pub(super) fn hessian_structure(
 }
 
 impl Job<'_> {
-    fn run<'w>(&self, tape: &Tape, workspace: &'w mut Workspace) -> &'w [f64] {
-        let n = self.samples.points.len();
-        let registers = workspace.registers(tape, n);
+    /// Registers of a tape with data and states in place.
+    fn load<'w>(&self, tape: &Tape, workspace: &'w mut Workspace) -> &'w mut [f64] {
+        let registers = workspace.registers(tape, self.samples.points.len());
         let n_data = self.samples.data.len();
         registers[..n_data].copy_from_slice(&self.samples.data);
         gather(self.xi, self.layout, &self.samples.points, &mut registers[n_data..]);
-        tape.run(registers, self.uniforms, n);
+        registers
+    }
+
+    fn run<'w>(&self, tape: &Tape, workspace: &'w mut Workspace) -> &'w [f64] {
+        let registers = self.load(tape, workspace);
+        tape.run(registers, self.uniforms, self.samples.points.len());
         registers
     }
 
@@ -85,11 +90,16 @@ impl Job<'_> {
         out: &Disjoint<'_>,
         pairs: &mut [f64],
     ) -> bool {
-        let registers = self.run(tape, workspace);
+        let count = self.samples.n;
         // SAFETY: the entries of blocks do not overlap.
-        let out =
-            unsafe { out.part(self.samples.hessian, hessian_entries(self.likelihood) * self.samples.n) };
-        collect_hessian(self, tape, registers, factor, out, pairs)
+        let rows = unsafe { out.part(self.samples.hessian, hessian_entries(self.likelihood) * count) };
+        let lanes = self.samples.points.len();
+        let registers = self.load(tape, workspace);
+        let mut sinks = Sinks { count, factor, sums: &mut *pairs, rows: &mut *rows };
+        tape.run_into(registers, self.uniforms, lanes, &mut sinks);
+        let finite = all_finite(rows) && all_finite(pairs);
+        pairs.iter_mut().for_each(|p| *p *= factor);
+        finite
     }
 }
 
@@ -112,29 +122,5 @@ fn collect_gradient(job: &Job<'_>, registers: &[f64], out: &Disjoint<'_>, theta:
         }
     }
     finite && all_finite(theta)
-}
-}
-
-kernel! {
-fn collect_hessian(
-    job: &Job<'_>,
-    tape: &Tape,
-    registers: &[f64],
-    factor: f64,
-    out: &mut [f64],
-    pairs: &mut [f64],
-) -> bool {
-    let lanes = job.samples.points.len();
-    let mut runs = out.chunks_exact_mut(job.samples.n);
-    let mut pair = pairs.iter_mut();
-    for (operand, &column) in tape.outputs.iter().zip(&job.likelihood.hessian_pattern.columns) {
-        let value = tape.read(*operand, registers, job.uniforms, lanes);
-        if column < job.layout.n_x {
-            scaled(runs.next().expect("as many runs as in the structure"), factor, value, 0);
-        } else {
-            *pair.next().expect("as many pairs as in the pattern") += factor * job.total(value);
-        }
-    }
-    all_finite(out) && all_finite(pairs)
 }
 }

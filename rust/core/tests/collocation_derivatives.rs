@@ -11,6 +11,7 @@ use phugoid::model::Model;
 use phugoid::nlp::Nlp;
 use phugoid::nlp::check::check_derivatives;
 use phugoid::noise::Noise;
+use phugoid::transcription::segments_in_chunk;
 use phugoid::transcription::{Collocation, Settings};
 
 const ORDERS: [usize; 5] = [2, 3, 4, 5, 8];
@@ -120,22 +121,25 @@ fn known_standard_deviations() {
 #[test]
 fn boundaries_of_chunks() {
     let model = models::nonlinear();
-    // Between two and three chunks in the first record: of 63, 31, 20, 15, 8 or 1 segments each.
-    for (order, grid, samples) in [
-        (2, Grid::Samples(1), 150),
-        (2, Grid::Uniform(141), 60),
-        (3, Grid::Samples(1), 75),
-        (4, Grid::Samples(1), 50),
-        (4, Grid::Uniform(49), 70),
-        (5, Grid::Uniform(37), 30),
-        (8, Grid::Uniform(19), 30),
-        (8, Grid::Samples(1), 20),
-        (64, Grid::Uniform(3), 10),
+    for (order, samples, coinciding) in [
+        (2, 60, false),
+        (2, 0, true),
+        (3, 0, true),
+        (4, 0, true),
+        (4, 70, false),
+        (5, 30, false),
+        (8, 30, false),
+        (8, 0, true),
+        (64, 10, false),
     ] {
+        // Between two and three chunks in the first record.
+        let segments = 2 * segments_in_chunk(order) + 3;
+        let (grid, samples) =
+            if coinciding { (Grid::Samples(1), segments + 1) } else { (Grid::Uniform(segments), samples) };
         let problem = problem(&model, &[samples, 7], mixed_noise(&model), order, vec![grid.clone()]);
         // Parameters, and points about the ends of chunks and of experiments.
         let layout = &problem.layout;
-        let per_chunk = ((64 / (order - 1)) - 1).max(1) * (order - 1);
+        let per_chunk = segments_in_chunk(order) * (order - 1);
         let mut points = HashSet::new();
         for (e, mesh) in problem.meshes.iter().enumerate() {
             let first = layout.first_point[e];

@@ -10,7 +10,7 @@ use phugoid::transcription::{Collocation, Settings};
 /// Everything that the problem computes at a point, as bits.
 fn evaluate(order: usize, grid: Grid, threads: usize) -> Vec<Vec<u64>> {
     let model = nonlinear();
-    // More samples than 48 blocks of 64, in two records.
+    // Enough blocks of samples, in two records, that the work is divided.
     let records = [record(&model, "one", 3500, true, 1), record(&model, "two", 900, false, 2)];
     let settings = Settings { order, grid: vec![grid], threads };
     let p = Collocation::new(&model, &records, mixed_noise(&model), &settings).unwrap();

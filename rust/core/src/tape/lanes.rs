@@ -11,26 +11,27 @@ pub(crate) fn all_finite(v: &[f64]) -> bool {
     v.iter().fold(0, |bad, x| bad | u64::from(x.to_bits() & EXPONENT == EXPONENT)) == 0
 }
 
-/// The sum in a fixed order: 32 partial sums, so that it vectorises without waiting for one
-/// addition after the other, and yet never depends on the machine or the number of threads.
+type Vector = [f64; LANE_MULTIPLE];
+
+#[inline(always)]
+fn plus(a: Vector, b: Vector) -> Vector {
+    std::array::from_fn(|l| a[l] + b[l])
+}
+
+/// The sum in a fixed order: four vectors of partial sums, so that no addition waits for the one
+/// before it, and yet the result never depends on the machine or the number of threads.
 #[inline(always)]
 pub(crate) fn sum(v: &[f64]) -> f64 {
-    let (chunks, rest) = v.as_chunks::<32>();
-    let mut partial = [0.0; 32];
-    for chunk in chunks {
-        for l in 0..32 {
-            partial[l] += chunk[l];
-        }
+    let (vectors, rest) = v.as_chunks::<LANE_MULTIPLE>();
+    let (fours, single) = vectors.as_chunks::<4>();
+    let mut partial = [[0.0; LANE_MULTIPLE]; 4];
+    for &[a, b, c, d] in fours {
+        partial = [plus(partial[0], a), plus(partial[1], b), plus(partial[2], c), plus(partial[3], d)];
     }
-    let mut eight: [f64; 8] =
-        std::array::from_fn(|l| (partial[l] + partial[l + 8]) + (partial[l + 16] + partial[l + 24]));
-    let (chunks, rest) = rest.as_chunks::<8>();
-    for chunk in chunks {
-        for l in 0..8 {
-            eight[l] += chunk[l];
-        }
+    for &a in single {
+        partial[0] = plus(partial[0], a);
     }
-    let [a, b, c, d, e, f, g, h] = eight;
+    let [a, b, c, d, e, f, g, h] = plus(plus(partial[0], partial[1]), plus(partial[2], partial[3]));
     ((a + e) + (b + f)) + ((c + g) + (d + h)) + rest.iter().sum::<f64>()
 }
 
@@ -53,9 +54,7 @@ pub(crate) fn combination<const W: usize>(
             Values::Uniform(u) => [u; W],
             Values::Lanes(v) => load(v, lane + s),
         };
-        for l in 0..W {
-            sum[l] = c.mul_add(v[l], sum[l]);
-        }
+        sum = std::array::from_fn(|l| c.mul_add(v[l], sum[l]));
     }
     sum
 }

@@ -18,8 +18,9 @@ pub use trace::{Trace, trace};
 
 use crate::expr::{Lookup, Op};
 
-/// Lanes in a full block. Blocks are padded to a multiple of [`LANE_MULTIPLE`].
-pub const BLOCK: usize = 64;
+/// Lanes in a full block: measured best among 56 to 120 (no power of two, so that registers do not
+/// compete for the same cache sets). Blocks are padded to a multiple of [`LANE_MULTIPLE`].
+pub const BLOCK: usize = 120;
 
 /// Block lengths are multiples of this, so that loops over lanes have no remainder.
 pub const LANE_MULTIPLE: usize = 8;

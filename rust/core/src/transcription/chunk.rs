@@ -47,13 +47,18 @@ pub(super) struct Tie {
     pub(super) row: usize,
 }
 
+/// Segments of a full chunk: a multiple of eight where the order allows it, so that loops over
+/// segments have no rest.
+pub fn segments_in_chunk(order: usize) -> usize {
+    let most = (BLOCK / (order - 1)).saturating_sub(1).max(1);
+    if most >= LANE_MULTIPLE { most - most % LANE_MULTIPLE } else { most }
+}
+
 impl Chunk {
     /// Cuts the mesh of an experiment into chunks. `data` and the first entries are filled later.
     pub(super) fn cut(experiment: usize, mesh: &Mesh, layout: &Layout) -> Vec<Chunk> {
         let k = mesh.rule.order() - 1;
-        // A multiple of eight segments where the order allows it: loops over segments then have no rest.
-        let most = (BLOCK / k).saturating_sub(1).max(1);
-        let size = if most >= LANE_MULTIPLE { most - most % LANE_MULTIPLE } else { most };
+        let size = segments_in_chunk(mesh.rule.order());
         let (point0, row0) = (layout.first_point[experiment], layout.first_row(experiment));
         let mut chunks: Vec<Chunk> = Vec::new();
         let mut between = mesh.between.iter().peekable();

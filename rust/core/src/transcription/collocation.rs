@@ -80,7 +80,7 @@ struct PairPlaces {
 }
 
 /// Work smaller than this many blocks is done by the calling thread: waking others costs more.
-const PARALLEL_BLOCKS: usize = 48;
+const PARALLEL_BLOCKS: usize = 24;
 
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();

@@ -8,5 +8,6 @@ mod layout;
 mod likelihood;
 mod samples;
 
+pub use chunk::segments_in_chunk;
 pub use collocation::{Collocation, Settings};
 pub use layout::{Layout, Place};

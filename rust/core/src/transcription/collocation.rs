@@ -1,8 +1,7 @@
 //! The collocation problem (Eq. oem_coll) as a nonlinear program.
 
 use std::cell::RefCell;
-use std::collections::{BTreeMap, HashMap};
-use std::sync::Arc;
+use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
@@ -20,7 +19,7 @@ use crate::mesh::{Grid, Mesh};
 use crate::model::{Model, Parameter};
 use crate::nlp::{Nlp, NotFinite, Structure};
 use crate::noise::{Noise, Sample};
-use crate::tape::{Arguments, Function, Tape, Workspace, trace};
+use crate::tape::{Arguments, Function, Tape, Workspace};
 
 /// How a problem is transcribed.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,12 +54,12 @@ pub struct Collocation {
     pub meshes: Vec<Mesh>,
     /// Inputs at all points of each experiment: `inputs[experiment][channel][point]`.
     pub inputs: Vec<Vec<Vec<f64>>>,
-    state_names: Vec<String>,
-    input_names: Vec<String>,
-    experiments: Vec<Experiment>,
-    dynamics: Dynamics,
+    pub(super) state_names: Vec<String>,
+    pub(super) input_names: Vec<String>,
+    pub(super) experiments: Vec<Experiment>,
+    pub(super) dynamics: Dynamics,
     likelihood: Function,
-    outputs: Function,
+    pub(super) outputs: Function,
     chunks: Vec<Chunk>,
     samples: Vec<Samples>,
     jacobian_structure: Structure,
@@ -317,135 +316,6 @@ impl Collocation {
         }
         parts.iter().all(|p| p.0)
     }
-
-    fn describe(
-        &self,
-        what: &str,
-        function: &Function,
-        names: &HashMap<Arc<str>, f64>,
-        roots: &[Id],
-        e: usize,
-        t: f64,
-    ) -> Option<String> {
-        let found = trace(&function.graph, roots, names)?;
-        let mut text = format!(
-            "{what} not finite in experiment '{}' at t = {t} s: {} = {}",
-            self.experiments[e].name, found.expression, found.value
-        );
-        for (name, value) in &found.arguments {
-            if *name != value.to_string() {
-                text += &format!(", {name} = {value}");
-            }
-        }
-        let inputs: Vec<String> =
-            self.input_names.iter().map(|n| format!("{n} = {}", names[n.as_str()])).collect();
-        if !inputs.is_empty() {
-            text += &format!("; inputs {}", inputs.join(", "));
-        }
-        Some(text)
-    }
-
-    /// Values of all symbols at a point.
-    fn symbols_at(&self, xi: &[f64], e: usize, point: usize) -> HashMap<Arc<str>, f64> {
-        let mut names: HashMap<Arc<str>, f64> = HashMap::new();
-        for (i, p) in self.parameters.iter().enumerate() {
-            let name = if i < self.n_model_parameters { p.name.clone() } else { format!("1/{}", p.name) };
-            names.insert(name.into(), xi[i]);
-        }
-        names.insert(crate::model::TIME.into(), self.meshes[e].times[point]);
-        for (name, channel) in self.input_names.iter().zip(&self.inputs[e]) {
-            names.insert(name.as_str().into(), channel[point]);
-        }
-        let x = self.layout.state(self.layout.first_point[e] + point);
-        for (i, name) in self.state_names.iter().enumerate() {
-            names.insert(name.as_str().into(), xi[x + i]);
-        }
-        names
-    }
-
-    fn explain_variables(&self, xi: &[f64]) -> Option<String> {
-        let i = xi.iter().position(|v| !v.is_finite())?;
-        Some(format!("{} is {}", self.variable_name(i), xi[i]))
-    }
-
-    fn explain_dynamics(&self, xi: &[f64]) -> Option<String> {
-        let f = &self.dynamics.f;
-        for (e, mesh) in self.meshes.iter().enumerate() {
-            for (point, &t) in mesh.times[..mesh.n_mesh].iter().enumerate() {
-                let names = self.symbols_at(xi, e, point);
-                for (root, state) in f.roots.iter().zip(&self.state_names) {
-                    let what = format!("the equation of {state}' is");
-                    if let Some(text) = self.describe(&what, f, &names, &[*root], e, t) {
-                        return Some(text);
-                    }
-                }
-            }
-        }
-        None
-    }
-
-    fn explain_outputs(&self, xi: &[f64]) -> Option<String> {
-        for (e, (mesh, experiment)) in self.meshes.iter().zip(&self.experiments).enumerate() {
-            for (&point, &t) in mesh.sample_points.iter().zip(&experiment.t) {
-                let names = self.symbols_at(xi, e, point);
-                let text = self.describe("an output is", &self.outputs, &names, &self.outputs.roots, e, t);
-                if text.is_some() {
-                    return text;
-                }
-            }
-        }
-        None
-    }
-
-    /// Where values are finite but a derivative is not (a square root at 0, say).
-    fn explain_derivatives(&self, xi: &[f64]) -> Option<String> {
-        let names: Vec<&str> = (self.state_names.iter().map(String::as_str))
-            .chain(self.parameters[..self.n_model_parameters].iter().map(|p| p.name.as_str()))
-            .collect();
-        for is_output in [false, true] {
-            let (what, function) =
-                if is_output { ("an output", &self.outputs) } else { ("a state equation", &self.dynamics.f) };
-            let mut graph = (*function.graph).clone();
-            let symbols: Vec<Id> = names.iter().map(|n| graph.symbol(n)).collect();
-            let first = graph.jacobian(&function.roots, &symbols);
-            let mut entries: Vec<(String, Id)> = (first.columns.iter().zip(&first.values))
-                .map(|(&c, &id)| (format!("the derivative of {what} with respect to {} is", names[c]), id))
-                .collect();
-            for &root in &function.roots {
-                let second = graph.hessian(root, &symbols);
-                for ((&a, &b), &id) in second.rows.iter().zip(&second.columns).zip(&second.values) {
-                    let (a, b) = (names[a], names[b]);
-                    entries.push((
-                        format!("the second derivative of {what} with respect to {a} and {b} is"),
-                        id,
-                    ));
-                }
-            }
-            let ids: Vec<Id> = entries.iter().map(|e| e.1).collect();
-            let function = Function { graph: Arc::new(graph), ..function.clone() };
-            for (e, mesh) in self.meshes.iter().enumerate() {
-                // f is evaluated at mesh points, g at samples.
-                let mesh_points: Vec<usize> = (0..mesh.n_mesh).collect();
-                for &point in if is_output { &mesh.sample_points } else { &mesh_points } {
-                    let values = self.symbols_at(xi, e, point);
-                    if trace(&function.graph, &ids, &values).is_none() {
-                        continue;
-                    }
-                    let at = |(what, id): &(String, Id)| {
-                        self.describe(what, &function, &values, &[*id], e, mesh.times[point])
-                    };
-                    return entries.iter().find_map(at);
-                }
-            }
-        }
-        None
-    }
-
-    /// A standard deviation that is not positive has no logarithm.
-    fn explain_noise(&self, xi: &[f64]) -> Option<String> {
-        let i = (self.n_model_parameters..self.layout.n_theta).find(|&i| xi[i] <= 0.0)?;
-        Some(format!("{} is {}; a standard deviation must be positive", self.variable_name(i), xi[i]))
-    }
 }
 
 fn meshes(experiments: &[Experiment], settings: &Settings) -> Result<Vec<Mesh>, Error> {
@@ -589,10 +459,6 @@ impl Nlp for Collocation {
     }
 
     fn explain(&self, xi: &[f64]) -> Option<String> {
-        self.explain_variables(xi)
-            .or_else(|| self.explain_noise(xi))
-            .or_else(|| self.explain_dynamics(xi))
-            .or_else(|| self.explain_outputs(xi))
-            .or_else(|| self.explain_derivatives(xi))
+        self.why_not_finite(xi)
     }
 }

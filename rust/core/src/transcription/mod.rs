@@ -4,6 +4,7 @@ mod chunk;
 mod collocation;
 mod defects;
 mod disjoint;
+mod explain;
 mod layout;
 mod likelihood;
 mod samples;

@@ -14,6 +14,9 @@ sources := Cargo.toml $(wildcard Cargo.lock) pyproject.toml $(wildcard README.md
 
 activate := . $(VENV)/bin/activate &&
 export MPLBACKEND := Agg
+# The blocks that Ipopt's linear solver works on are tiny: more BLAS threads only get into each other's way.
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
 
 .PHONY: help test test-rust test-python demo bench lint format develop clean
 

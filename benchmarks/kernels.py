@@ -11,8 +11,9 @@ What is evaluated, for the trapezoid (LGL order 2) on N points, 4 states, the pa
 
 Every peer starts from the decision variables and the multipliers.  CasADi writes into arrays allocated
 before; ours and opty's go through their Python bindings and return new numpy arrays, with what that costs.
-Ours has 1/sigma for sigma.  Peers take turns, each long enough to be warm; times are medians over the rounds,
-divided by N.  What the peers return is compared entry by entry before, see kernel_check.py.
+Ours has 1/sigma for sigma.  Peers take turns, each long enough to be warm; times are those of the fastest
+round, which other work on the machine disturbs least, divided by N.  What the peers return is compared entry
+by entry before, see kernel_check.py.
 
     python benchmarks/kernels.py [--points 601 100000] [--only phugoid]
 """
@@ -20,7 +21,6 @@ divided by N.  What the peers return is compared entry by entry before, see kern
 import argparse
 import time
 
-import numpy as np
 from kernel_peers import KINDS, OURS, PEERS, VM, C, make_mesh, ours
 from tables import attempt, console, show, times
 
@@ -48,7 +48,7 @@ def prepare(mesh, only=""):
 
 
 def measure(callables, rounds=9, target=0.05):
-    """{key: seconds per call}: medians over rounds in each of which every callable fills about `target` s."""
+    """{key: seconds per call}: the fastest of rounds in each of which every callable fills about `target` s."""
     found = {key: [] for key in callables}
     calls = dict.fromkeys(callables, 1)
     for _ in range(rounds + 1):
@@ -58,7 +58,7 @@ def measure(callables, rounds=9, target=0.05):
                 callback()
             found[key].append((time.perf_counter() - begin) / calls[key])
             calls[key] = max(1, int(target / found[key][-1]))
-    return {key: float(np.median(values[1:])) for key, values in found.items()}
+    return {key: min(values[1:]) for key, values in found.items()}
 
 
 def show_peers(found, n):

@@ -1,7 +1,7 @@
 """How many of the paper's random starts reach the optimum on HFB-320, for us and for peers.
 
 A start succeeds where it ends within 0.01 in log-likelihood of what the same method reaches from the published
-optimum, and says that it has converged (scipy's and ours say it each in their way).
+optimum, and the solver says that it has converged (of single shooting only the former is asked).
 
     python benchmarks/random_starts.py [--ours 50] [--casadi 10] [--scipy 5]
 """

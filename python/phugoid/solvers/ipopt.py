@@ -353,13 +353,22 @@ def _worst_defect(problem: _core.Collocation, xi: _Array, scaling: Scaling) -> s
 def load_cyipopt() -> Any:
     """cyipopt's extension module, without the rest of cyipopt: that imports scipy.optimize, ten times as long.
 
-    Raises MissingDependency where cyipopt is not installed.
+    Raises MissingDependency where cyipopt is not installed or its Ipopt cannot be loaded.
     """
+    try:
+        return _extension()
+    except ImportError as error:
+        raise MissingDependency(
+            f"the solver Ipopt needs cyipopt ({error}): pip install phugoid[ipopt], or see README"
+        ) from error
+
+
+def _extension() -> Any:
     if "cyipopt" in sys.modules:
         return importlib.import_module("cyipopt.ipopt_wrapper")
     spec = importlib.util.find_spec("cyipopt")
     if spec is None:
-        raise MissingDependency("the solver Ipopt needs cyipopt: pip install phugoid[ipopt] (see README)")
+        raise ModuleNotFoundError("No module named 'cyipopt'")
     # The bare package: a path, with nothing executed. A later `import cyipopt` is the full one.
     sys.modules["cyipopt"] = importlib.util.module_from_spec(spec)
     try:

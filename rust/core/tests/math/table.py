@@ -4,6 +4,7 @@
 
 needs mpmath. One line each: function, x, y (0 where unused), result.
 """
+
 import random
 import struct
 from fractions import Fraction

@@ -65,13 +65,7 @@ pub(crate) fn scaled(out: &mut [f64], factor: f64, v: Values<'_>, lane: usize) {
     match v {
         Values::Uniform(u) => out.fill(factor * u),
         Values::Lanes(v) => {
-            let v = &v[lane..lane + out.len()];
-            let ((out, out_rest), (v, v_rest)) =
-                (out.as_chunks_mut::<LANE_MULTIPLE>(), v.as_chunks::<LANE_MULTIPLE>());
-            for (o, &v) in out.iter_mut().zip(v) {
-                *o = std::array::from_fn(|l| factor * v[l]);
-            }
-            for (o, v) in out_rest.iter_mut().zip(v_rest) {
+            for (o, v) in out.iter_mut().zip(&v[lane..]) {
                 *o = factor * v;
             }
         }

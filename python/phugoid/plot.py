@@ -224,6 +224,8 @@ def _draw_residual(axis: Axes, record: Record, name: str, sigma: float | None) -
         axis.set_ylim(-limit, limit)
     axis.locator_params(axis="y", nbins=3)
     axis.set_ylabel("resid.", fontsize=6.5)
+    # A common factor of the ticks belongs into the strip: above it, it would stand in the panel of the output.
+    axis.yaxis.get_offset_text().set(va="top", ha="left", size="small")
 
 
 def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:

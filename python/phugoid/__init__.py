@@ -19,7 +19,6 @@ from .errors import (
     ModelError,
     OptionError,
     PhugoidError,
-    SolverError,
 )
 from .estimate import estimate
 from .experiment import Experiment
@@ -78,7 +77,6 @@ __all__ = [
     "PhugoidError",
     "Record",
     "Sigma",
-    "SolverError",
     "Table",
     "__version__",
     "acos",

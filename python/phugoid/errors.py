@@ -14,7 +14,6 @@ __all__ = [
     "ModelError",
     "OptionError",
     "PhugoidError",
-    "SolverError",
     "UnknownName",
     "did_you_mean",
     "listing",
@@ -39,10 +38,6 @@ class OptionError(PhugoidError, ValueError):
 
 class EvaluationError(PhugoidError, ArithmeticError):
     """An equation gave NaN or infinity where a number is needed."""
-
-
-class SolverError(PhugoidError, RuntimeError):
-    """A solver could not be run. (Ending without convergence is a status of the fit, not an exception.)"""
 
 
 class MissingDependency(PhugoidError, ImportError):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from . import _core
 from .errors import DataError, ModelError, OptionError
-from .experiment import Experiment
+from .experiment import Experiment, moves
 from .guess import check_names, parameter_start, spread, state_start
 from .model import Model
 from .noise import Gaussian
@@ -67,12 +67,11 @@ def estimate(
     if not isinstance(start, (Mapping, Fit, type(None))):
         raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
 
-    known = [name for name, value in noise.sigma.items() if isinstance(value, (int, float))]
-    for experiment in experiments:
+    moving = [_moving(e, model.output_names) for e in experiments]
+    for i, experiment in enumerate(experiments):
         # An output that stands still in this experiment may move in another, which then gives its sigma.
-        others = [e for e in experiments if e is not experiment]
-        elsewhere = [name for name in model.output_names if any(_moves(e, name) for e in others)]
-        experiment.check_for(model.input_names, model.output_names, [*known, *elsewhere])
+        elsewhere = set().union(*moving[:i], *moving[i + 1 :])
+        experiment.check_for(model.input_names, model.output_names, {*noise.known, *elsewhere})
 
     warm = start if isinstance(start, Fit) else None
     given: Mapping[str, Any] = warm.as_start() if warm else dict(start or {})  # type: ignore[arg-type]
@@ -121,13 +120,10 @@ def _warm(fit: Fit | None, problem: _core.Collocation, xi: _Array) -> Solution |
     return fit.solution if fit.solution.multipliers.size == problem.m else None
 
 
-def _moves(experiment: Experiment, output: str) -> bool:
-    """Whether an experiment has the output and it is not constant there."""
-    if output not in {*experiment.outputs, *experiment.channels}:
-        return False
-    values = experiment.output(output)
-    values = values[np.isfinite(values)]
-    return bool(values.size and np.ptp(values) > 0)
+def _moving(experiment: Experiment, outputs: Sequence[str]) -> set[str]:
+    """The outputs that an experiment has and that are not constant there."""
+    there = {*experiment.outputs, *experiment.channels}
+    return {name for name in outputs if name in there and moves(experiment.output(name))}
 
 
 def _experiments(data: Any) -> list[Experiment]:

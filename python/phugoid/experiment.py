@@ -142,9 +142,8 @@ class Experiment:
         for name in model_outputs:
             values = self.output(name)
             self._check_output(name, values)
-            present = values[~np.isnan(values)]
-            rounding = 4.0 * np.finfo(np.float64).eps * np.abs(present).max()
-            if name not in known_sigma and np.ptp(present) <= rounding:
+            if name not in known_sigma and not moves(values):
+                present = values[~np.isnan(values)]
                 what = f"is {present[0]:g} throughout" if present.size > 1 else "has a single sample"
                 raise DataError(
                     f"{self._where('output', name)}: {what} (zero variance), so its σ cannot be estimated; "
@@ -296,6 +295,12 @@ class Experiment:
             raise DataError(f"{where}: {sample} is {values[bad[0]]}; mark a missing sample with NaN")
         if np.isnan(values).all():
             raise DataError(f"{where}: is NaN throughout; remove the output from model and data")
+
+
+def moves(values: FloatArray) -> bool:
+    """Whether the samples that are there differ by more than rounding."""
+    present = values[np.isfinite(values)]
+    return bool(present.size) and bool(np.ptp(present) > 4.0 * np.finfo(np.float64).eps * np.abs(present).max())
 
 
 def _sample(i: int | np.intp, t: FloatArray | None) -> str:

@@ -64,6 +64,11 @@ class Gaussian:
         plain = {name: s if isinstance(s, Sigma) else float(s) for name, s in self.sigma.items()}
         object.__setattr__(self, "sigma", plain)
 
+    @property
+    def known(self) -> dict[str, float]:
+        """The known standard deviations by output."""
+        return {name: s for name, s in self.sigma.items() if not isinstance(s, Sigma)}
+
     def to_dict(self) -> dict[str, Any]:
         """As JSON takes it: output -> known value, or start and bounds."""
 

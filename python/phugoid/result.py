@@ -15,7 +15,7 @@ from .covariance import information
 from .errors import DataError
 from .experiment import Experiment
 from .model import Model
-from .noise import Gaussian, Sigma
+from .noise import Gaussian
 from .parameters import Estimate, Estimates
 from .records import Record
 from .solvers import HINTS, Iteration, Solution
@@ -103,7 +103,7 @@ class Fit:
 
     def as_start(self) -> dict[str, float]:
         """Parameters as start values of another estimation."""
-        known = {f"sigma_{n}" for n, value in self.noise.sigma.items() if not isinstance(value, Sigma)}
+        known = {f"sigma_{n}" for n in self.noise.known}
         return {name: e.value for name, e in self.parameters.items() if name not in known}
 
     def summary(self) -> str:
@@ -306,8 +306,7 @@ def _defect_warning(
     for i, name in enumerate(model.state_names):
         if name not in model.output_names:
             continue
-        known = noise.sigma.get(name)
-        sigma = known if isinstance(known, (int, float)) else estimates[f"sigma_{name}"].value
+        sigma = noise.known[name] if name in noise.known else estimates[f"sigma_{name}"].value
         if total[i] > 0.01 * sigma:
             found.append(
                 f"the defects of {name} sum to {total[i]:.1e}, not far below sigma_{name} = {sigma:.1e}: "

@@ -45,8 +45,6 @@ pub struct Function {
     pub n_data: usize,
     /// Number of states.
     pub n_states: usize,
-    /// Number of parameters.
-    pub n_parameters: usize,
     /// Values.
     pub value: Tape,
     /// Entries of the Jacobian, in the order of [`Function::jacobian_pattern`].
@@ -162,7 +160,6 @@ impl Function {
             roots,
             n_data: arguments.data.len(),
             n_states: arguments.states.len(),
-            n_parameters: arguments.parameters.len(),
             value,
             jacobian,
             jacobian_pattern: Pattern { rows: first.rows, columns: first.columns },

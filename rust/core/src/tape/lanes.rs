@@ -35,7 +35,7 @@ pub(crate) fn sum(v: &[f64]) -> f64 {
     ((a + e) + (b + f)) + ((c + g) + (d + h)) + rest.iter().sum::<f64>()
 }
 
-/// `LANE_MULTIPLE` values from a place.
+/// W values from a place.
 #[inline(always)]
 pub(crate) fn load<const W: usize>(v: &[f64], at: usize) -> [f64; W] {
     *v[at..].first_chunk().expect("lanes enough")

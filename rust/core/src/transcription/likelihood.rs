@@ -104,23 +104,24 @@ impl Job<'_> {
 }
 
 kernel! {
-fn collect_gradient(job: &Job<'_>, registers: &[f64], out: &Disjoint<'_>, theta: &mut [f64]) -> bool {
-    let (tape, n_x) = (&job.likelihood.jacobian, job.layout.n_x);
-    let (lanes, samples) = (job.samples.points.len(), job.samples);
-    let mut finite = true;
-    for (operand, &column) in tape.outputs.iter().zip(&job.likelihood.jacobian_pattern.columns) {
-        let value = tape.read(*operand, registers, job.uniforms, lanes);
-        if column < n_x {
-            for (l, &point) in samples.points[..samples.n].iter().enumerate() {
-                let v = value.at(l);
-                finite &= v.is_finite();
-                // SAFETY: sample times are distinct, so a point has one sample at most.
-                unsafe { out.part(job.layout.state(point as usize) + column, 1)[0] = -v };
+    /// Writes −∂ℓ/∂x at the samples' points, and adds −∂ℓ/∂θ to `theta`; whether all are finite.
+    fn collect_gradient(job: &Job<'_>, registers: &[f64], out: &Disjoint<'_>, theta: &mut [f64]) -> bool {
+        let (tape, n_x) = (&job.likelihood.jacobian, job.layout.n_x);
+        let (lanes, samples) = (job.samples.points.len(), job.samples);
+        let mut finite = true;
+        for (operand, &column) in tape.outputs.iter().zip(&job.likelihood.jacobian_pattern.columns) {
+            let value = tape.read(*operand, registers, job.uniforms, lanes);
+            if column < n_x {
+                for (l, &point) in samples.points[..samples.n].iter().enumerate() {
+                    let v = value.at(l);
+                    finite &= v.is_finite();
+                    // SAFETY: sample times are distinct, so a point has one sample at most.
+                    unsafe { out.part(job.layout.state(point as usize) + column, 1)[0] = -v };
+                }
+            } else {
+                theta[column - n_x] -= job.total(value);
             }
-        } else {
-            theta[column - n_x] -= job.total(value);
         }
+        finite && all_finite(theta)
     }
-    finite && all_finite(theta)
-}
 }

@@ -23,7 +23,10 @@ from .errors import (
 from .estimate import estimate
 from .experiment import Experiment
 from .model import Model
+from .multistart import Multistart, multistart
 from .noise import Gaussian, Sigma
+from .optima import Optimum
+from .outcome import Outcome
 from .parameters import Estimate, Parameter
 from .read import read
 from .records import Record
@@ -72,7 +75,10 @@ __all__ = [
     "MissingDependency",
     "Model",
     "ModelError",
+    "Multistart",
+    "Optimum",
     "OptionError",
+    "Outcome",
     "Parameter",
     "PhugoidError",
     "Record",
@@ -92,6 +98,7 @@ __all__ = [
     "log",
     "maximum",
     "minimum",
+    "multistart",
     "read",
     "sign",
     "simulate",

@@ -104,6 +104,20 @@ impl Noise {
             .collect()
     }
 
+    /// The noise parameters that maximise the likelihood for the residuals as they are: σ is their root
+    /// mean square. `measured` counts the measurements of each output, `gradient` is that of −ℓ with
+    /// respect to the noise parameters `at`.
+    pub fn profile(&self, measured: &[usize], at: &[f64], gradient: &[f64], out: &mut [f64]) {
+        let Noise::Gaussian(sigmas) = self;
+        let unknown = sigmas.iter().zip(measured).filter(|s| matches!(s.0, Sigma::Unknown { .. }));
+        for (i, (_, &n)) in unknown.enumerate() {
+            // −ℓ = ½ S w² − N ln w, so its derivative S w − N/w gives the sum of squares S.
+            let n = n as f64;
+            let squares = (gradient[i] + n / at[i]) / at[i];
+            out[i] = if squares > 0.0 { (n / squares).sqrt() } else { f64::INFINITY };
+        }
+    }
+
     /// ℓ_e of one sample, without the constant n_y/2 ln 2π.
     pub fn log_density(&self, graph: &mut Graph, sample: &Sample<'_>, parameters: &[Id]) -> Density {
         let Noise::Gaussian(sigmas) = self;

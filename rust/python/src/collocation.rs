@@ -53,6 +53,11 @@ fn grid((kind, n, edges): GridSpec) -> PyResult<Grid> {
 }
 
 impl PyCollocation {
+    /// The problem itself.
+    pub fn inner(&self) -> &Collocation {
+        &self.0
+    }
+
     fn slice<'a>(&self, x: &'a PyReadonlyArray1<'_, f64>, n: usize, what: &str) -> PyResult<&'a [f64]> {
         let x = x.as_slice().map_err(|_| PyValueError::new_err(format!("{what} must be contiguous")))?;
         if x.len() != n {

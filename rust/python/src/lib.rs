@@ -5,6 +5,7 @@ mod errors;
 mod evaluator;
 mod expr;
 mod model;
+mod newton;
 
 use pyo3::prelude::*;
 
@@ -16,6 +17,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<model::PyModel>()?;
     m.add_class::<collocation::PyCollocation>()?;
     m.add_class::<evaluator::PyEvaluator>()?;
+    m.add_class::<newton::PySolution>()?;
+    m.add_function(wrap_pyfunction!(newton::newton, m)?)?;
     m.add_function(wrap_pyfunction!(expr::apply, m)?)?;
     m.add_function(wrap_pyfunction!(expr::operations, m)?)?;
     m.add_function(wrap_pyfunction!(expr::load_expression, m)?)?;

@@ -3,7 +3,12 @@
 //! minimise φ(ξ) subject to c(ξ) = 0 and bounds on ξ. Derivatives are sparse triplets whose
 //! structure never changes; entries at one place add up.
 
+mod chains;
 pub mod check;
+
+use std::ops::Range;
+
+pub use chains::{Chain, Chains, Tie};
 
 /// Rows and columns of sparse entries, 0-based.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -37,7 +42,7 @@ impl Structure {
 pub struct NotFinite;
 
 /// A nonlinear program.
-pub trait Nlp: Sync {
+pub trait Nlp: Send + Sync {
     /// Number of variables.
     fn n(&self) -> usize;
     /// Number of constraints, all of them c(ξ) = 0.
@@ -61,6 +66,16 @@ pub trait Nlp: Sync {
     /// Entries, at the same places, of factor times a positive semidefinite approximation of ∇²φ, the
     /// constraints taken as linear: far from the solution a better guide than the exact Hessian.
     fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite>;
+    /// The chains that variables and constraints form, where they do.
+    fn chains(&self) -> Option<&Chains> {
+        None
+    }
+    /// Variables for which φ has a closed minimum, the others given: standard deviations.
+    fn profiled(&self) -> Range<usize> {
+        0..0
+    }
+    /// Writes that minimum, within bounds, from ξ and the gradient there.
+    fn profile(&self, _xi: &[f64], _gradient: &[f64], _out: &mut [f64]) {}
     /// The user's name for a variable.
     fn variable_name(&self, i: usize) -> String;
     /// The user's name for a constraint.

@@ -2,6 +2,7 @@
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -17,7 +18,7 @@ use crate::expr::graph::Id;
 use crate::interpolate::interpolate;
 use crate::mesh::{Grid, Mesh};
 use crate::model::{Model, Parameter};
-use crate::nlp::{Nlp, NotFinite, Structure};
+use crate::nlp::{Chains, Nlp, NotFinite, Structure};
 use crate::noise::{Noise, Sample};
 use crate::tape::{Arguments, Function, Tape, Workspace};
 
@@ -66,6 +67,9 @@ pub struct Collocation {
     hessian_structure: Structure,
     /// Where the Hessian entries between parameters stand, for each pair of f, of ℓ and each prior.
     pair_places: PairPlaces,
+    chains: Chains,
+    /// Number of measurements of each output, all experiments together.
+    measured: Vec<usize>,
     pool: Option<rayon::ThreadPool>,
 }
 
@@ -159,10 +163,15 @@ impl Collocation {
             jacobian_structure: Structure::default(),
             hessian_structure: Structure::default(),
             pair_places: PairPlaces::default(),
+            chains: Chains::default(),
+            measured: (0..output_names.len())
+                .map(|c| experiments.iter().flat_map(|e| &e.outputs[c]).filter(|z| !z.is_nan()).count())
+                .collect(),
             pool: pool(settings.threads)?,
         };
         problem.place_data(&present);
         problem.place_derivatives();
+        problem.chains = problem.layout.chains(&problem.meshes);
         Ok(problem)
     }
 
@@ -438,6 +447,22 @@ impl Nlp for Collocation {
         out.fill(0.0);
         let tape = self.likelihood.gauss_newton.as_ref().unwrap_or(&self.likelihood.hessian);
         finite([self.objective_hessian(tape, xi, factor, out)])
+    }
+
+    fn chains(&self) -> Option<&Chains> {
+        Some(&self.chains)
+    }
+
+    fn profiled(&self) -> Range<usize> {
+        self.n_model_parameters..self.layout.n_theta
+    }
+
+    fn profile(&self, xi: &[f64], gradient: &[f64], out: &mut [f64]) {
+        let roots = self.profiled();
+        self.noise.profile(&self.measured, &xi[roots.clone()], &gradient[roots.clone()], out);
+        for (value, p) in out.iter_mut().zip(&self.parameters[roots]) {
+            *value = value.clamp(p.lower.unwrap_or(0.0), p.upper.unwrap_or(f64::INFINITY));
+        }
     }
 
     fn variable_name(&self, i: usize) -> String {

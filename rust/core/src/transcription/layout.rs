@@ -1,6 +1,7 @@
 //! Which variable and which constraint stands where, and what it is called.
 
-use crate::mesh::Mesh;
+use crate::mesh::{Between, Mesh};
+use crate::nlp::{Chain, Chains, Tie};
 
 /// What a variable or constraint of the problem is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -65,6 +66,27 @@ impl Layout {
     /// First vector constraint of an experiment.
     pub fn first_row(&self, experiment: usize) -> usize {
         self.first_point[experiment] - experiment
+    }
+
+    /// The same layout as the linear algebra sees it.
+    pub(super) fn chains(&self, meshes: &[Mesh]) -> Chains {
+        let chain = |(e, mesh): (usize, &Mesh)| {
+            let (first, row) = (self.first_point[e], self.first_row(e));
+            let tie = |b: &Between| Tie {
+                segment: b.segment,
+                variable: self.state(first + b.point),
+                row: (row + b.point - 1) * self.n_x,
+            };
+            Chain {
+                variable: self.state(first),
+                row: row * self.n_x,
+                segments: mesh.segments.len(),
+                points: mesh.rule.order() - 1,
+                ties: mesh.between.iter().map(tie).collect(),
+            }
+        };
+        let chains = meshes.iter().enumerate().map(chain).collect();
+        Chains { border: self.n_theta, n_x: self.n_x, chains }
     }
 
     /// What a variable is.

@@ -1,0 +1,111 @@
+//! Small dense matrices, row-major with a stride, and rows of whole vectors.
+
+/// to += a · from, over whole vectors of eight.
+#[inline(always)]
+pub(super) fn axpy(to: &mut [f64], a: f64, from: &[f64]) {
+    let (to, from) = (to.as_chunks_mut::<8>().0, from.as_chunks::<8>().0);
+    for (t, &f) in to.iter_mut().zip(from) {
+        *t = std::array::from_fn(|l| a.mul_add(f[l], t[l]));
+    }
+}
+
+/// Σ a·b over whole vectors of eight, in a fixed order.
+#[inline(always)]
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut sum = [0.0; 8];
+    for (&a, &b) in a.as_chunks::<8>().0.iter().zip(b.as_chunks::<8>().0) {
+        sum = std::array::from_fn(|l| a[l].mul_add(b[l], sum[l]));
+    }
+    let [a, b, c, d, e, f, g, h] = sum;
+    ((a + e) + (b + f)) + ((c + g) + (d + h))
+}
+
+/// Row `k` to read and row `i` to write, of a matrix with a stride.
+#[inline(always)]
+pub(super) fn two_rows(a: &mut [f64], stride: usize, k: usize, i: usize) -> (&[f64], &mut [f64]) {
+    if k < i {
+        let (low, high) = a.split_at_mut(i * stride);
+        (&low[k * stride..(k + 1) * stride], &mut high[..stride])
+    } else {
+        let (low, high) = a.split_at_mut(k * stride);
+        (&high[..stride], &mut low[i * stride..(i + 1) * stride])
+    }
+}
+
+/// Householder's QR of the first `k` columns of a (rows × columns); the reflections are applied to the
+/// other columns, and to `q` (rows × rows) if given, which then becomes Qᵀ q. R stands in the upper
+/// triangle, zeros below it.
+pub(super) fn triangularise(a: &mut [f64], rows: usize, columns: usize, k: usize, q: Option<&mut [f64]>) {
+    let mut q = q;
+    let mut v = [0.0; 64];
+    let mut long = Vec::new(); // for more than 32 states only
+    let v: &mut [f64] = if rows <= v.len() {
+        &mut v[..rows]
+    } else {
+        long.resize(rows, 0.0);
+        &mut long
+    };
+    for j in 0..k {
+        for (i, v) in v.iter_mut().enumerate().skip(j) {
+            *v = a[i * columns + j];
+        }
+        let norm = v[j..].iter().map(|x| x * x).sum::<f64>().sqrt();
+        if norm == 0.0 {
+            continue;
+        }
+        let head = if v[j] > 0.0 { -norm } else { norm };
+        v[j] -= head;
+        let square: f64 = v[j..].iter().map(|x| x * x).sum();
+        let reflect = |a: &mut [f64], stride: usize, first: usize| {
+            for c in first..stride {
+                let along: f64 = (j..rows).map(|i| v[i] * a[i * stride + c]).sum();
+                let factor = 2.0 * along / square;
+                (j..rows).for_each(|i| a[i * stride + c] -= factor * v[i]);
+            }
+        };
+        reflect(a, columns, j + 1);
+        if let Some(q) = q.as_deref_mut() {
+            reflect(q, rows, 0);
+        }
+        a[j * columns + j] = head;
+        (j + 1..rows).for_each(|i| a[i * columns + j] = 0.0);
+    }
+}
+
+/// Cholesky's factor L in the lower triangle, for a matrix with unit-like diagonal; the index at which
+/// a pivot falls to `tiny` or below.
+pub(super) fn cholesky(a: &mut [f64], n: usize, tiny: f64) -> Result<(), usize> {
+    for j in 0..n {
+        let (above, rest) = a.split_at_mut(j * n);
+        let row = &mut rest[..n];
+        for k in 0..j {
+            let other = &above[k * n..k * n + k];
+            let sum: f64 = row[..k].iter().zip(other).map(|(x, y)| x * y).sum();
+            row[k] = (row[k] - sum) / above[k * n + k];
+        }
+        let pivot = row[j] - row[..j].iter().map(|x| x * x).sum::<f64>();
+        if pivot.is_nan() || pivot <= tiny {
+            return Err(j);
+        }
+        row[j] = pivot.sqrt();
+    }
+    Ok(())
+}
+
+/// Solves L x = b in place.
+pub(super) fn forward(l: &[f64], n: usize, b: &mut [f64]) {
+    for i in 0..n {
+        let sum: f64 = l[i * n..i * n + i].iter().zip(&b[..i]).map(|(x, y)| x * y).sum();
+        b[i] = (b[i] - sum) / l[i * n + i];
+    }
+}
+
+/// Solves Lᵀ x = b in place.
+pub(super) fn backward(l: &[f64], n: usize, b: &mut [f64]) {
+    for i in (0..n).rev() {
+        b[i] /= l[i * n + i];
+        for k in 0..i {
+            b[k] -= l[i * n + k] * b[i];
+        }
+    }
+}

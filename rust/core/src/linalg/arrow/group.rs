@@ -1,0 +1,554 @@
+//! A group of consecutive segments: its interior is eliminated segment by segment.
+//!
+//! Segment s with own variables y determines them: M y = q − N x − B θ, x the last states of the
+//! segment before. With E = −M⁻¹[N B], y = E [x; θ] + M⁻¹q. So all points of a group are affine in
+//! the states at its start, a, and in θ: sensitivities Z. The group is then a *form*: a quadratic
+//! function of (a, b, θ), b the states at its end, with the one constraint b = X a + T θ + z.
+//!
+//! Nothing is lost this way as long as X stays small: errors grow with it. Where it passes
+//! [`GROWTH`], as in an unstable system it must, the group ends, and another begins.
+
+use std::ops::Range;
+
+use super::dense::{axpy, dot, two_rows};
+use super::plan::{ChainPlan, Shape};
+use crate::simd::kernel;
+
+/// Greatest sensitivity of the end of a group to its start, in units of the states.
+pub(super) const GROWTH: f64 = 100.0;
+
+/// A quadratic function ½vᵀQv of v = (a, b, θ), with n constraints C_a a + C_b b + C_θ θ = c.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Form {
+    /// n × (2n + dynamic), row-major.
+    pub c: Vec<f64>,
+    /// (2n + B)², row-major.
+    pub q: Vec<f64>,
+}
+
+/// The right-hand side of a form, and the solution.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Side {
+    /// c (n).
+    pub c: Vec<f64>,
+    /// What stands right of Q v + Cᵀ multiplier (2n + B).
+    pub p: Vec<f64>,
+    /// Multiplier of the constraint (n), after the solution is known.
+    pub multiplier: Vec<f64>,
+}
+
+impl Form {
+    pub fn new(shape: &Shape) -> Form {
+        let f = shape.form();
+        Form { c: vec![0.0; shape.n * (shape.n + shape.used())], q: vec![0.0; f * f] }
+    }
+}
+
+impl Side {
+    pub fn new(shape: &Shape) -> Side {
+        Side { c: vec![0.0; shape.n], p: vec![0.0; shape.form()], multiplier: vec![0.0; shape.n] }
+    }
+}
+
+/// Consecutive segments of a chain, with all that their elimination keeps.
+#[derive(Clone, Debug)]
+pub(super) struct Group {
+    pub segments: Range<usize>,
+    /// Own row, within the chain, of the first segment.
+    row: usize,
+    /// For each segment the rows of E (width), then those of M (d): factorised by LU.
+    panels: Vec<f64>,
+    panel_start: Vec<usize>,
+    pivots: Vec<u16>,
+    /// Hessian and couplings of each own point; of the chain's first point before them, in group 0.
+    records: Vec<f64>,
+    /// Points whose record is not zero.
+    active: Vec<bool>,
+    pub form: Form,
+    pub side: Side,
+    /// Own variables: particular solution, then solution.
+    y: Vec<f64>,
+    /// What the solution starts from: a and the dynamic θ, padded.
+    start: Vec<f64>,
+    z: Vec<f64>,
+    next: Vec<f64>,
+    bent: Vec<f64>,
+    square: Vec<f64>,
+    cross: Vec<f64>,
+    v: Vec<f64>,
+    at_end: Vec<f64>,
+    /// Segments before which the growth passed the limit, at the last factorisation.
+    pub splits: Vec<usize>,
+    /// Largest entry of X at the last factorisation.
+    pub growth: f64,
+}
+
+/// What a group needs from outside.
+#[derive(Clone, Copy)]
+pub(super) struct Context<'a> {
+    pub shape: &'a Shape,
+    pub plan: &'a ChainPlan,
+    /// 1/unit of each state.
+    pub units: &'a [f64],
+    /// What the columns of E are multiplied by (width): −unit of states, −1 for θ.
+    pub columns: &'a [f64],
+    /// What a record is multiplied by.
+    pub record: &'a [f64],
+}
+
+impl Group {
+    pub fn new(context: &Context<'_>, segments: Range<usize>) -> Group {
+        let (shape, plan) = (context.shape, context.plan);
+        let n = shape.n;
+        let row = plan.row(segments.start, n);
+        let rows = plan.row(segments.end, n) - row;
+        let mut panel_start = Vec::with_capacity(segments.len() + 1);
+        let mut size = 0;
+        for s in segments.clone() {
+            panel_start.push(size);
+            size += (plan.row(s + 1, n) - plan.row(s, n)) * (shape.width + plan.d);
+            size = size.next_multiple_of(8);
+        }
+        panel_start.push(size);
+        let first = usize::from(segments.start == 0);
+        let most = segments.clone().map(|s| plan.row(s + 1, n) - plan.row(s, n)).max().unwrap_or(0);
+        Group {
+            row,
+            panels: vec![0.0; size],
+            panel_start,
+            pivots: vec![0; segments.len() * plan.d],
+            records: vec![0.0; (rows / n + first) * shape.record()],
+            active: vec![false; rows / n + first],
+            form: Form::new(shape),
+            side: Side::new(shape),
+            y: vec![0.0; rows],
+            start: vec![0.0; shape.width],
+            z: vec![0.0; n * shape.width],
+            next: vec![0.0; most * shape.width],
+            bent: vec![0.0; n * shape.width],
+            square: vec![0.0; shape.used() * shape.width],
+            cross: vec![0.0; shape.used() * shape.coupling],
+            v: vec![0.0; rows],
+            at_end: vec![0.0; n],
+            splits: Vec::new(),
+            growth: 0.0,
+            segments,
+        }
+    }
+
+    /// Whether the chain starts here, so that its first point belongs to the group.
+    fn has_first(&self) -> bool {
+        self.segments.start == 0
+    }
+
+    /// Own rows of a segment, within the group.
+    #[inline(always)]
+    fn rows(&self, plan: &ChainPlan, n: usize, s: usize) -> Range<usize> {
+        plan.row(s, n) - self.row..plan.row(s + 1, n) - self.row
+    }
+
+    /// Eliminates the interior; an own row of the chain that depends on others where it cannot.
+    pub fn factorize(&mut self, context: &Context<'_>, hessian: &[f64], jacobian: &[f64]) -> Result<(), usize> {
+        self.splits.clear();
+        self.growth = 0.0;
+        factorize(self, context, hessian, jacobian)?;
+        self.make_form(context.shape);
+        Ok(())
+    }
+
+    /// Puts together the form from what the points have added up.
+    fn make_form(&mut self, shape: &Shape) {
+        let (n, used, width, f) = (shape.n, shape.used(), shape.width, shape.form());
+        let columns = n + used;
+        for i in 0..n {
+            let row = &mut self.form.c[i * columns..(i + 1) * columns];
+            let z = &self.z[i * width..i * width + used];
+            for (c, z) in row[..n].iter_mut().zip(&z[..n]) {
+                *c = -z;
+            }
+            row[n..2 * n].fill(0.0);
+            row[n + i] = 1.0;
+            for (c, z) in row[2 * n..].iter_mut().zip(&z[n..]) {
+                *c = -z;
+            }
+        }
+        let q = &mut self.form.q;
+        q.fill(0.0);
+        let place = |i: usize| if i < n { i } else { 2 * n + shape.dynamic[i - n] };
+        for i in 0..used {
+            let row = &mut q[place(i) * f..(place(i) + 1) * f];
+            for j in 0..used {
+                row[place(j)] += self.square[i * width + j];
+            }
+        }
+        for i in 0..used {
+            for (c, &b) in shape.coupled.iter().enumerate() {
+                let value = self.cross[i * shape.coupling + c];
+                q[place(i) * f + 2 * n + b] += value;
+                q[(2 * n + b) * f + place(i)] += value;
+            }
+        }
+    }
+
+    /// The right-hand side of the form for a right-hand side of the system: `p` and `q` hold those of
+    /// the chain's own variables and rows, `first` that of its first point; all in units.
+    pub fn reduce(&mut self, context: &Context<'_>, p: &[f64], q: &[f64], first: &[f64]) {
+        reduce(self, context, p, q, first);
+    }
+
+    /// Own variables and multipliers of the group once its start, θ and the constraint's multiplier are
+    /// known.
+    pub fn expand(&mut self, context: &Context<'_>, a: &[f64], theta: &[f64], p: &[f64], d: &mut [f64], lambda: &mut [f64]) {
+        expand(self, context, a, theta, p, d, lambda);
+    }
+
+    /// Own rows of the group, within the chain.
+    pub fn own(&self) -> Range<usize> {
+        self.row..self.row + self.y.len()
+    }
+}
+
+kernel! {
+    fn factorize(g: &mut Group, context: &Context<'_>, hessian: &[f64], jacobian: &[f64]) -> Result<(), usize> {
+        let (shape, plan) = (context.shape, context.plan);
+        let (n, width, d, used) = (shape.n, shape.width, plan.d, shape.used());
+        let record = shape.record();
+        restart(g, n, width);
+        g.square.fill(0.0);
+        g.cross.fill(0.0);
+        let first_point = usize::from(g.has_first());
+        if first_point > 0 {
+            g.active[0] = fill_record(&mut g.records[..record], plan.hessian.of(0), hessian, context.record);
+            if g.active[0] {
+                let (z, _) = g.z.split_at(n * width);
+                add_point(shape, &g.records[..record], z, &mut g.bent, &mut g.square, &mut g.cross);
+            }
+        }
+        let mut point = first_point;
+        let segments = g.segments.clone();
+        for (i, s) in segments.enumerate() {
+            let rows = plan.row(s + 1, n) - plan.row(s, n);
+            let panel = &mut g.panels[g.panel_start[i]..g.panel_start[i + 1]];
+            panel.fill(0.0);
+            for &(entry, place) in plan.jacobian.of(s) {
+                panel[place as usize] += jacobian[entry as usize];
+            }
+            let (e, m) = panel.split_at_mut(rows * width);
+            for (row, (e, m)) in e.chunks_exact_mut(width).zip(m.chunks_exact_mut(d)).enumerate() {
+                let unit = context.units[row % n];
+                for (e, c) in e.iter_mut().zip(context.columns) {
+                    *e *= unit * c;
+                }
+                for (j, m) in m.iter_mut().enumerate() {
+                    *m *= unit / context.units[j % n];
+                }
+            }
+            let pivots = &mut g.pivots[i * d..(i + 1) * d];
+            if let Err(row) = eliminate(m, e, rows, d, width, pivots) {
+                return Err(plan.row(s, n) + row);
+            }
+            // Sensitivities of the own points: Y = E_x Z + [0 E_θ].
+            for (y, e) in g.next[..rows * width].chunks_exact_mut(width).zip(e.chunks_exact(width)) {
+                y.copy_from_slice(e);
+                y[..n].fill(0.0);
+                for j in 0..n {
+                    axpy(y, e[j], &g.z[j * width..(j + 1) * width]);
+                }
+            }
+            for j in 0..rows / n {
+                let part = &mut g.records[point * record..(point + 1) * record];
+                let in_chain = 1 + g.row / n + point - first_point;
+                g.active[point] = fill_record(part, plan.hessian.of(in_chain), hessian, context.record);
+                if g.active[point] {
+                    let y = &g.next[j * n * width..(j + 1) * n * width];
+                    add_point(shape, part, y, &mut g.bent, &mut g.square, &mut g.cross);
+                }
+                point += 1;
+            }
+            g.z.copy_from_slice(&g.next[(d - n) * width..d * width]);
+            let growth = g.z.chunks_exact(width).flat_map(|row| &row[..n]).fold(0.0f64, |a, x| a.max(x.abs()));
+            if growth.is_nan() || g.z.chunks_exact(width).any(|row| row[..used].iter().any(|x| !x.is_finite())) {
+                return Err(plan.row(s, n));
+            }
+            g.growth = g.growth.max(growth);
+            if growth > GROWTH && s + 1 < g.segments.end {
+                g.splits.push(s + 1);
+                restart(g, n, width);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Sensitivities at the start of a group: [I 0].
+#[inline(always)]
+fn restart(g: &mut Group, n: usize, width: usize) {
+    g.z.fill(0.0);
+    (0..n).for_each(|i| g.z[i * width + i] = 1.0);
+}
+
+/// Gathers the Hessian of a point and its couplings; whether there is anything.
+#[inline(always)]
+fn fill_record(record: &mut [f64], items: &[(u32, u32)], hessian: &[f64], factors: &[f64]) -> bool {
+    record.fill(0.0);
+    for &(entry, place) in items {
+        record[place as usize] += hessian[entry as usize];
+    }
+    let mut any = 0;
+    for (r, f) in record.iter_mut().zip(factors) {
+        *r *= f;
+        any |= r.to_bits() << 1;
+    }
+    any != 0
+}
+
+/// Adds ZᵀHZ to `square` and Zᵀ K to `cross`.
+#[inline(always)]
+fn add_point(shape: &Shape, record: &[f64], z: &[f64], bent: &mut [f64], square: &mut [f64], cross: &mut [f64]) {
+    let (n, width, coupling) = (shape.n, shape.width, shape.coupling);
+    let (h, k) = record.split_at(shape.couplings());
+    bent.fill(0.0);
+    for (bent, h) in bent.chunks_exact_mut(width).zip(h.chunks_exact(n)) {
+        for (h, z) in h.iter().zip(z.chunks_exact(width)) {
+            axpy(bent, *h, z);
+        }
+    }
+    for (i, row) in square.chunks_exact_mut(width).enumerate() {
+        for r in 0..n {
+            axpy(row, z[r * width + i], &bent[r * width..(r + 1) * width]);
+        }
+    }
+    if coupling > 0 {
+        for (i, row) in cross.chunks_exact_mut(coupling).enumerate() {
+            for r in 0..n {
+                axpy(row, z[r * width + i], &k[r * coupling..(r + 1) * coupling]);
+            }
+        }
+    }
+}
+
+/// LU with row exchanges of the first d of `rows` rows of M, the rows after them (ties) eliminated
+/// along; then E = M⁻¹ e. The diagonal keeps the reciprocals of the pivots. The column that has no
+/// pivot where M is singular.
+#[inline(always)]
+fn eliminate(m: &mut [f64], e: &mut [f64], rows: usize, d: usize, width: usize, pivots: &mut [u16]) -> Result<(), usize> {
+    for k in 0..d {
+        let (mut best, mut size) = (k, m[k * d + k].abs());
+        for i in k + 1..d {
+            if m[i * d + k].abs() > size {
+                (best, size) = (i, m[i * d + k].abs());
+            }
+        }
+        pivots[k] = best as u16;
+        if !(size > 1e-280 && size.is_finite()) {
+            return Err(k);
+        }
+        if best != k {
+            (0..d).for_each(|j| m.swap(k * d + j, best * d + j));
+            (0..width).for_each(|j| e.swap(k * width + j, best * width + j));
+        }
+        let inverse = 1.0 / m[k * d + k];
+        m[k * d + k] = inverse;
+        for i in k + 1..rows {
+            let (from, to) = two_rows(m, d, k, i);
+            let l = to[k] * inverse;
+            if l == 0.0 {
+                continue;
+            }
+            to[k] = l;
+            for (t, f) in to[k + 1..].iter_mut().zip(&from[k + 1..]) {
+                *t = (-l).mul_add(*f, *t);
+            }
+            let (from, to) = two_rows(e, width, k, i);
+            axpy(to, -l, from);
+        }
+    }
+    for k in (0..d).rev() {
+        let inverse = m[k * d + k];
+        e[k * width..(k + 1) * width].iter_mut().for_each(|x| *x *= inverse);
+        for i in 0..k {
+            let u = m[i * d + k];
+            if u != 0.0 {
+                let (from, to) = two_rows(e, width, k, i);
+                axpy(to, -u, from);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// y = M⁻¹ y, ties along.
+#[inline(always)]
+fn solve(m: &[f64], rows: usize, d: usize, pivots: &[u16], y: &mut [f64]) {
+    for (k, &pivot) in pivots.iter().enumerate() {
+        y.swap(k, pivot as usize);
+    }
+    for k in 0..d {
+        let yk = y[k];
+        for i in k + 1..rows {
+            y[i] = (-m[i * d + k]).mul_add(yk, y[i]);
+        }
+    }
+    for k in (0..d).rev() {
+        y[k] *= m[k * d + k];
+        let yk = y[k];
+        for i in 0..k {
+            y[i] = (-m[i * d + k]).mul_add(yk, y[i]);
+        }
+    }
+}
+
+/// v = M⁻ᵀ v, ties along.
+#[inline(always)]
+fn solve_transposed(m: &[f64], rows: usize, d: usize, pivots: &[u16], v: &mut [f64]) {
+    for k in 0..d {
+        v[k] *= m[k * d + k];
+        let vk = v[k];
+        for j in k + 1..d {
+            v[j] = (-m[k * d + j]).mul_add(vk, v[j]);
+        }
+    }
+    for k in (0..d).rev() {
+        let mut sum = v[k];
+        for i in k + 1..rows {
+            sum = (-m[i * d + k]).mul_add(v[i], sum);
+        }
+        v[k] = sum;
+    }
+    for (k, &pivot) in pivots.iter().enumerate().rev() {
+        v.swap(k, pivot as usize);
+    }
+}
+
+kernel! {
+    fn reduce(g: &mut Group, context: &Context<'_>, p: &[f64], q: &[f64], first: &[f64]) {
+        let (shape, plan) = (context.shape, context.plan);
+        let (n, width, d) = (shape.n, shape.width, plan.d);
+        g.at_end.fill(0.0);
+        for (i, s) in g.segments.clone().enumerate() {
+            let own = g.rows(plan, n, s);
+            let (e, m) = g.panels[g.panel_start[i]..g.panel_start[i + 1]].split_at(own.len() * width);
+            let y = &mut g.y[own.clone()];
+            y.copy_from_slice(&q[g.row + own.start..g.row + own.end]);
+            solve(m, own.len(), d, &g.pivots[i * d..(i + 1) * d], y);
+            for (y, e) in y.iter_mut().zip(e.chunks_exact(width)) {
+                for (e, x) in e[..n].iter().zip(&g.at_end) {
+                    *y = e.mul_add(*x, *y);
+                }
+            }
+            g.at_end.copy_from_slice(&y[d - n..d]);
+        }
+        g.side.c.copy_from_slice(&g.at_end);
+        // Backwards: what the own points leave on the states before them, and on θ.
+        let (record, coupled) = (shape.record(), shape.couplings());
+        g.side.p.fill(0.0);
+        g.cross[..shape.coupling].fill(0.0);
+        g.bent[..width].fill(0.0);
+        let first_point = usize::from(g.has_first());
+        for (i, s) in g.segments.clone().enumerate().rev() {
+            let own = g.rows(plan, n, s);
+            let e = &g.panels[g.panel_start[i]..];
+            let v = &mut g.v[..own.len()];
+            v.copy_from_slice(&p[g.row + own.start..g.row + own.end]);
+            for j in 0..own.len() / n {
+                let point = first_point + own.start / n + j;
+                if g.active[point] {
+                    let r = &g.records[point * record..(point + 1) * record];
+                    let y = &g.y[own.start + j * n..][..n];
+                    less_curvature(r, n, y, &mut v[j * n..(j + 1) * n]);
+                    for (k, y) in r[coupled..].chunks_exact(shape.coupling.max(1)).zip(y) {
+                        axpy(&mut g.cross[..shape.coupling], -y, k);
+                    }
+                }
+            }
+            if s + 1 < g.segments.end {
+                v[d - n..d].iter_mut().zip(&g.bent[..n]).for_each(|(v, x)| *v += x);
+                g.bent[..n].fill(0.0);
+            }
+            for (v, e) in v.iter().zip(e.chunks_exact(width)) {
+                axpy(&mut g.bent[..width], *v, e);
+            }
+        }
+        if g.has_first() {
+            g.bent[..n].iter_mut().zip(first).for_each(|(b, p)| *b += p);
+        }
+        let (ends, theta) = g.side.p.split_at_mut(2 * n);
+        ends[..n].copy_from_slice(&g.bent[..n]);
+        for (x, &b) in g.bent[n..].iter().zip(&shape.dynamic) {
+            theta[b] += x;
+        }
+        for (x, &b) in g.cross.iter().zip(&shape.coupled) {
+            theta[b] += x;
+        }
+    }
+}
+
+/// v −= H y
+#[inline(always)]
+fn less_curvature(record: &[f64], n: usize, y: &[f64], v: &mut [f64]) {
+    for (v, h) in v.iter_mut().zip(record.chunks_exact(n)) {
+        for (h, y) in h.iter().zip(y) {
+            *v = (-h).mul_add(*y, *v);
+        }
+    }
+}
+
+kernel! {
+    fn expand(g: &mut Group, context: &Context<'_>, a: &[f64], theta: &[f64], p: &[f64], d_out: &mut [f64], lambda: &mut [f64]) {
+        let (shape, plan) = (context.shape, context.plan);
+        let (n, width, d) = (shape.n, shape.width, plan.d);
+        g.start.fill(0.0);
+        g.start[..n].copy_from_slice(a);
+        for (x, &b) in g.start[n..].iter_mut().zip(&shape.dynamic) {
+            *x = theta[b];
+        }
+        let coupling = shape.coupling;
+        g.cross[..coupling].fill(0.0);
+        for (x, &b) in g.cross.iter_mut().zip(&shape.coupled) {
+            *x = theta[b];
+        }
+        // The particular solution plus what a and θ make of it.
+        for (i, s) in g.segments.clone().enumerate() {
+            let own = g.rows(plan, n, s);
+            let e = &g.panels[g.panel_start[i]..];
+            for (r, (y, e)) in g.y[own.clone()].iter_mut().zip(e.chunks_exact(width)).enumerate() {
+                let more = dot(e, &g.start);
+                *y += more;
+                if (d - n..d).contains(&r) {
+                    g.at_end[r + n - d] = more;
+                }
+            }
+            g.start[..n].copy_from_slice(&g.at_end);
+        }
+        d_out.copy_from_slice(&g.y);
+        let (record, coupled) = (shape.record(), shape.couplings());
+        g.bent[..n].copy_from_slice(&g.side.multiplier);
+        let first_point = usize::from(g.has_first());
+        for (i, s) in g.segments.clone().enumerate().rev() {
+            let own = g.rows(plan, n, s);
+            let (e, m) = g.panels[g.panel_start[i]..g.panel_start[i + 1]].split_at(own.len() * width);
+            let v = &mut g.v[..own.len()];
+            v.copy_from_slice(&p[g.row + own.start..g.row + own.end]);
+            for j in 0..own.len() / n {
+                let point = first_point + own.start / n + j;
+                if g.active[point] {
+                    let r = &g.records[point * record..(point + 1) * record];
+                    let part = &mut v[j * n..(j + 1) * n];
+                    less_curvature(r, n, &g.y[own.start + j * n..][..n], part);
+                    for (k, v) in r[coupled..].chunks_exact(coupling.max(1)).zip(part) {
+                        *v -= dot(k, &g.cross[..coupling]);
+                    }
+                }
+            }
+            v[d - n..d].iter_mut().zip(&g.bent[..n]).for_each(|(v, x)| *v += x);
+            g.bent[..n].fill(0.0);
+            for (v, e) in v.iter().zip(e.chunks_exact(width)) {
+                for (b, e) in g.bent[..n].iter_mut().zip(e) {
+                    *b = v.mul_add(*e, *b);
+                }
+            }
+            solve_transposed(m, own.len(), d, &g.pivots[i * d..(i + 1) * d], v);
+            lambda[own].copy_from_slice(v);
+        }
+    }
+}

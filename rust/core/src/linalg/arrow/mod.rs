@@ -1,0 +1,561 @@
+//! The Newton system of chains of segments with a border, from the inside out.
+//!
+//! ```text
+//!   segments  →  groups  →  chains  →  border
+//!   LU of each    affine in    orthogonal      one small dense
+//!   segment       their start  elimination     Cholesky
+//! ```
+//!
+//! The constraints determine all states but n a chain, so the null space of A is small: it is spanned by
+//! those and the border. Everything else is elimination, and it is the elimination that must be stable.
+//! Within a [group] of segments the states follow from its first; this is condensing, as in single
+//! shooting, and as harmful where small changes grow, so a group ends where they have grown by
+//! [`group::GROWTH`]. Between groups orthogonal transformations are stable for any well-posed problem
+//! ([merge]). No step needs the Hessian to be positive, and the zero block is never touched. The reduced
+//! Hessian comes out explicitly ([root]): its inertia decides whether a step minimises, its inverse is
+//! the covariance of the parameters.
+//!
+//! Groups are independent and run in parallel, and so are merges of one level. Their division depends on
+//! the problem alone, and sums have a fixed order: results do not depend on the number of threads.
+
+mod dense;
+mod group;
+mod merge;
+mod plan;
+mod root;
+
+use rayon::prelude::*;
+
+use group::{Context, Form, Group, Side};
+use merge::Merge;
+use plan::{Plan, Shape};
+use root::{Border, Top};
+
+use super::{Curvature, KktSolver, Singular};
+use crate::nlp::{Chains, Structure};
+
+/// Most segments of a group.
+const GROUP: usize = 128;
+/// Least number of points for which waking other threads pays.
+const PARALLEL_POINTS: usize = 256;
+/// Residuals of a solution, relative to its terms, that are refined.
+const ROUGH: f64 = 1e-11;
+
+/// A group, or two merged.
+#[derive(Clone, Copy, Debug)]
+enum Node {
+    Group(usize),
+    Merge(usize, usize),
+}
+
+/// A chain: groups, and levels of merges up to one.
+#[derive(Debug)]
+struct Tree {
+    groups: Vec<Group>,
+    levels: Vec<Vec<(Node, Node, Merge)>>,
+    root: Node,
+    top: Top,
+    record: Vec<f64>,
+    /// Right-hand side and solution of own rows and variables, in units.
+    p: Vec<f64>,
+    q: Vec<f64>,
+    first: Vec<f64>,
+    d: Vec<f64>,
+    lambda: Vec<f64>,
+    /// States at the ends of groups; the first is that of the chain.
+    ends: Vec<f64>,
+}
+
+/// The factorisation. See the [module](self).
+#[derive(Debug)]
+pub struct ArrowKkt {
+    plan: Plan,
+    units: Vec<f64>,
+    columns: Vec<f64>,
+    trees: Vec<Tree>,
+    sizes: (usize, usize),
+    hessian_structure: Structure,
+    jacobian_structure: Structure,
+    hessian: Vec<f64>,
+    jacobian: Vec<f64>,
+    /// Reduced Hessian of the border without what the chains take off.
+    s: Vec<f64>,
+    diagonal: Vec<f64>,
+    eliminated: Vec<f64>,
+    border: Border,
+    held: Vec<bool>,
+    shift: f64,
+    theta: Vec<f64>,
+    weak: Vec<Vec<(usize, f64)>>,
+    /// Refinement.
+    rest: (Vec<f64>, Vec<f64>),
+    more: (Vec<f64>, Vec<f64>),
+    threads: usize,
+}
+
+impl ArrowKkt {
+    /// Plans the elimination for a structure; `units` are those of the n_x states: a step of that size
+    /// matters. `None` where the entries do not fit the chains.
+    pub fn new(chains: &Chains, hessian: &Structure, jacobian: &Structure, sizes: (usize, usize), units: &[f64]) -> Option<ArrowKkt> {
+        let plan = Plan::new(chains, hessian, jacobian, sizes.0, sizes.1)?;
+        let shape = &plan.shape;
+        let border = shape.border;
+        let mut columns = vec![0.0; shape.width];
+        columns[shape.n..shape.used()].fill(-1.0);
+        columns.iter_mut().zip(units).for_each(|(c, u)| *c = -u);
+        let mut arrow = ArrowKkt {
+            units: units.iter().map(|u| 1.0 / u).collect(),
+            columns,
+            trees: Vec::new(),
+            sizes,
+            hessian_structure: hessian.clone(),
+            jacobian_structure: jacobian.clone(),
+            hessian: vec![0.0; hessian.len()],
+            jacobian: vec![0.0; jacobian.len()],
+            s: vec![0.0; border * border],
+            diagonal: vec![0.0; border],
+            eliminated: vec![0.0; border * border],
+            border: Border::default(),
+            held: vec![false; border],
+            shift: 0.0,
+            theta: vec![0.0; border],
+            weak: Vec::new(),
+            rest: (vec![0.0; sizes.0], vec![0.0; sizes.1]),
+            more: (vec![0.0; sizes.0], vec![0.0; sizes.1]),
+            threads: 0,
+            plan,
+        };
+        for c in 0..arrow.plan.chains.len() {
+            let segments = arrow.plan.chains[c].chain.segments;
+            let count = segments.div_ceil(GROUP);
+            let ends: Vec<usize> = (0..=count).map(|g| g * segments / count).collect();
+            let tree = arrow.tree(c, &ends);
+            arrow.trees.push(tree);
+        }
+        Some(arrow)
+    }
+
+    /// A tree over groups between the given segments.
+    fn tree(&self, c: usize, ends: &[usize]) -> Tree {
+        let (shape, plan) = (&self.plan.shape, &self.plan.chains[c]);
+        let n = shape.n;
+        let mut record = vec![0.0; shape.record()];
+        for i in 0..n {
+            for j in 0..n {
+                record[i * n + j] = 1.0 / (self.units[i] * self.units[j]);
+            }
+            record[shape.couplings() + i * shape.coupling..][..shape.coupling].fill(1.0 / self.units[i]);
+        }
+        let context = Context { shape, plan, units: &self.units, columns: &self.columns, record: &record };
+        let groups: Vec<Group> = ends.windows(2).map(|w| Group::new(&context, w[0]..w[1])).collect();
+        let mut nodes: Vec<Node> = (0..groups.len()).map(Node::Group).collect();
+        let mut levels = Vec::new();
+        while nodes.len() > 1 {
+            let (mut level, mut next) = (Vec::new(), Vec::new());
+            for pair in nodes.chunks(2) {
+                next.push(match *pair {
+                    [left, right] => {
+                        let groups = span_of(&levels, left) + span_of(&levels, right);
+                        level.push((left, right, Merge::new(shape, groups)));
+                        Node::Merge(levels.len(), level.len() - 1)
+                    }
+                    [one] => one,
+                    _ => unreachable!("chunks of two"),
+                });
+            }
+            levels.push(level);
+            nodes = next;
+        }
+        let rows = plan.row(plan.chain.segments, n);
+        Tree {
+            root: nodes[0],
+            ends: vec![0.0; (groups.len() + 1) * n],
+            groups,
+            levels,
+            top: Top::new(shape),
+            record,
+            p: vec![0.0; rows],
+            q: vec![0.0; rows],
+            first: vec![0.0; n],
+            d: vec![0.0; rows],
+            lambda: vec![0.0; rows],
+        }
+    }
+
+    /// Ends groups where small changes have grown too far; whether there were any.
+    fn split(&mut self) -> bool {
+        let mut any = false;
+        for c in 0..self.trees.len() {
+            let groups = &self.trees[c].groups;
+            if groups.iter().all(|g| g.splits.is_empty()) {
+                continue;
+            }
+            any = true;
+            let mut ends = vec![0];
+            for group in groups {
+                ends.extend(&group.splits);
+                ends.push(group.segments.end);
+            }
+            self.trees[c] = self.tree(c, &ends);
+        }
+        any
+    }
+
+    /// Number of groups of all chains: more than the least where the system is unstable.
+    pub fn groups(&self) -> usize {
+        self.trees.iter().map(|t| t.groups.len()).sum()
+    }
+
+    fn eliminate(&mut self) -> Result<(), Singular> {
+        let (shape, sizes) = (&self.plan.shape, self.sizes);
+        let parallel = sizes.0 >= PARALLEL_POINTS * shape.n && self.threads != 1;
+        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
+            let context = Context { shape, plan, units: &self.units, columns: &self.columns, record: &tree.record };
+            let (hessian, jacobian) = (&self.hessian, &self.jacobian);
+            let done = if parallel {
+                let work = |g: &mut Group| g.factorize(&context, hessian, jacobian);
+                tree.groups.par_iter_mut().map(work).reduce(|| Ok(()), Result::and)
+            } else {
+                tree.groups.iter_mut().try_for_each(|g| g.factorize(&context, hessian, jacobian))
+            };
+            done.map_err(|row| Singular { row: global_row(plan, shape.n, row) })?;
+        }
+        Ok(())
+    }
+
+    fn merge(&mut self) -> Result<(), Singular> {
+        let shape = &self.plan.shape;
+        self.s.fill(0.0);
+        for &(entry, row, column) in &self.plan.border {
+            let (row, column, value) = (row as usize, column as usize, self.hessian[entry as usize]);
+            self.s[row * shape.border + column] += value;
+            if row != column {
+                self.s[column * shape.border + row] += value;
+            }
+        }
+        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
+            let singular = Singular { row: plan.chain.row };
+            for l in 0..tree.levels.len() {
+                let (done, level) = tree.levels.split_at_mut(l);
+                let form = |node: &Node| form_of(&tree.groups, done, *node);
+                let work = |(left, right, merge): &mut (Node, Node, Merge)| merge.factorize(shape, form(left), form(right));
+                let fine = if level[0].len() > 8 && self.threads != 1 {
+                    level[0].par_iter_mut().map(work).all(|x| x)
+                } else {
+                    level[0].iter_mut().map(work).fold(true, |a, b| a & b)
+                };
+                if !fine {
+                    return Err(singular);
+                }
+            }
+            if !tree.top.factorize(shape, form_of(&tree.groups, &tree.levels, tree.root)) {
+                return Err(singular);
+            }
+            tree.top.add_border(shape, &mut self.s);
+        }
+        for (i, d) in self.diagonal.iter_mut().enumerate() {
+            *d = self.s[i * shape.border + i];
+        }
+        if self.s.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(Singular { row: 0 }) }
+    }
+
+    /// One solution without refinement.
+    fn solve_once(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
+        let shape = &self.plan.shape;
+        let n = shape.n;
+        let parallel = self.sizes.0 >= PARALLEL_POINTS * n && self.threads != 1;
+        self.theta.copy_from_slice(&p[..shape.border]);
+        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
+            // Into units, and into the order of own rows.
+            let Tree { groups, levels, root, top, record, p: own_p, q: own_q, first, .. } = tree;
+            gather(plan, n, plan.chain.variable + n, |t| t.variable, p, own_p);
+            gather(plan, n, plan.chain.row, |t| t.row, q, own_q);
+            for (p, q) in own_p.chunks_exact_mut(n).zip(own_q.chunks_exact_mut(n)) {
+                p.iter_mut().zip(&self.units).for_each(|(p, u)| *p /= u);
+                q.iter_mut().zip(&self.units).for_each(|(q, u)| *q *= u);
+            }
+            for ((f, p), u) in first.iter_mut().zip(&p[plan.chain.variable..]).zip(&self.units) {
+                *f = p / u;
+            }
+            let context = Context { shape, plan, units: &self.units, columns: &self.columns, record };
+            let reduce = |g: &mut Group| g.reduce(&context, own_p, own_q, first);
+            if parallel { groups.par_iter_mut().for_each(reduce) } else { groups.iter_mut().for_each(reduce) }
+            for l in 0..levels.len() {
+                let (done, level) = levels.split_at_mut(l);
+                for (left, right, merge) in &mut level[0] {
+                    merge.reduce(shape, side_of(groups, done, *left), side_of(groups, done, *right));
+                }
+            }
+            top.reduce(shape, form_of(groups, levels, *root), side_of(groups, levels, *root), &mut self.theta);
+        }
+        self.theta.iter_mut().zip(&self.held).for_each(|(t, held)| if *held { *t = 0.0 });
+        self.border.solve(&mut self.theta);
+        d[..shape.border].copy_from_slice(&self.theta);
+        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
+            tree.expand(shape, plan, &self.theta, (&self.units, &self.columns), parallel);
+            scatter(plan, n, plan.chain.variable + n, |t| t.variable, &tree.d, d, |i, x| x / self.units[i]);
+            scatter(plan, n, plan.chain.row, |t| t.row, &tree.lambda, lambda, |i, x| x * self.units[i]);
+            for ((d, x), u) in d[plan.chain.variable..].iter_mut().zip(&tree.ends[..n]).zip(&self.units) {
+                *d = x / u;
+            }
+        }
+    }
+
+    /// What is left of the right-hand sides; the largest rest of a constraint relative to its terms.
+    fn residual(&mut self, p: &[f64], q: &[f64], d: &[f64], lambda: &[f64]) -> f64 {
+        let border = self.plan.shape.border;
+        let (rest_p, rest_q) = (&mut self.rest.0, &mut self.rest.1);
+        rest_p.copy_from_slice(p);
+        rest_q.copy_from_slice(q);
+        let size = &mut self.more.1; // of the terms of a constraint
+        size.iter_mut().zip(q).for_each(|(s, q)| *s = q.abs());
+        let s = &self.jacobian_structure;
+        for ((&r, &c), a) in s.rows.iter().zip(&s.columns).zip(&self.jacobian) {
+            let (r, c) = (r as usize, c as usize);
+            let term = a * d[c];
+            rest_q[r] -= term;
+            size[r] += term.abs();
+            rest_p[c] -= a * lambda[r];
+        }
+        let s = &self.hessian_structure;
+        for ((&r, &c), h) in s.rows.iter().zip(&s.columns).zip(&self.hessian) {
+            let (r, c) = (r as usize, c as usize);
+            rest_p[r] -= h * d[c];
+            if r != c {
+                rest_p[c] -= h * d[r];
+            }
+        }
+        for i in 0..border {
+            if self.held[i] {
+                rest_p[i] = 0.0;
+            }
+        }
+        let share = rest_q.iter().zip(size).map(|(r, s)| if *s > 0.0 { r.abs() / *s } else { 0.0 });
+        share.fold(0.0, f64::max)
+    }
+}
+
+impl Tree {
+    /// From the border's solution down to every point.
+    fn expand(&mut self, shape: &Shape, plan: &plan::ChainPlan, theta: &[f64], units: (&[f64], &[f64]), parallel: bool) {
+        let n = shape.n;
+        let Tree { groups, levels, root, top, record, p, d, lambda, ends, .. } = self;
+        match *root {
+            Node::Group(g) => {
+                let Group { form, side, .. } = &mut groups[g];
+                top.expand(shape, form, side, theta);
+            }
+            Node::Merge(l, i) => {
+                let Merge { form, side, .. } = &mut levels[l][i].2;
+                top.expand(shape, form, side, theta);
+            }
+        }
+        // Which groups a node spans follows from its place: from the left, each takes those it covers.
+        let last = groups.len();
+        ends[..n].copy_from_slice(&top.v[..n]);
+        ends[last * n..].copy_from_slice(&top.v[n..2 * n]);
+        descend(shape, groups, levels, *root, 0..last, ends, theta);
+        let context = Context { shape, plan, units: units.0, columns: units.1, record };
+        let work = |(g, group): (usize, &mut Group), d: &mut [f64], lambda: &mut [f64]| {
+            group.expand(&context, &ends[g * n..(g + 1) * n], theta, p, d, lambda);
+        };
+        let (mut d, mut lambda) = (&mut d[..], &mut lambda[..]);
+        let mut parts = Vec::with_capacity(groups.len());
+        for (g, group) in groups.iter_mut().enumerate() {
+            let rows = group.own().len();
+            let (d_now, d_rest) = d.split_at_mut(rows);
+            let (l_now, l_rest) = lambda.split_at_mut(rows);
+            (d, lambda) = (d_rest, l_rest);
+            parts.push((g, group, d_now, l_now));
+        }
+        if parallel {
+            parts.into_par_iter().for_each(|(g, group, d, l)| work((g, group), d, l));
+        } else {
+            parts.into_iter().for_each(|(g, group, d, l)| work((g, group), d, l));
+        }
+    }
+}
+
+/// States between groups and multipliers of their constraints, from a node's ends down.
+fn descend(
+    shape: &Shape,
+    groups: &mut [Group],
+    levels: &mut [Vec<(Node, Node, Merge)>],
+    node: Node,
+    span: std::ops::Range<usize>,
+    ends: &mut [f64],
+    theta: &[f64],
+) {
+    let Node::Merge(l, i) = node else { return };
+    let n = shape.n;
+    let (below, level) = levels.split_at_mut(l);
+    let (left, right, merge) = &mut level[0][i];
+    let (left, right) = (*left, *right);
+    let middle = span.start + span_of(below, left);
+    merge.v[..n].copy_from_slice(&ends[span.start * n..(span.start + 1) * n]);
+    merge.v[n..2 * n].copy_from_slice(&ends[span.end * n..(span.end + 1) * n]);
+    merge.v[2 * n..].copy_from_slice(theta);
+    merge.expand(shape, &mut ends[middle * n..(middle + 1) * n]);
+    side_mut(groups, below, left).multiplier.copy_from_slice(&merge.multipliers[..n]);
+    side_mut(groups, below, right).multiplier.copy_from_slice(&merge.multipliers[n..]);
+    descend(shape, groups, below, left, span.start..middle, ends, theta);
+    descend(shape, groups, below, right, middle..span.end, ends, theta);
+}
+
+/// Number of groups of a node.
+fn span_of(levels: &[Vec<(Node, Node, Merge)>], node: Node) -> usize {
+    match node {
+        Node::Group(_) => 1,
+        Node::Merge(l, i) => levels[l][i].2.groups,
+    }
+}
+
+fn form_of<'a>(groups: &'a [Group], levels: &'a [Vec<(Node, Node, Merge)>], node: Node) -> &'a Form {
+    match node {
+        Node::Group(g) => &groups[g].form,
+        Node::Merge(l, i) => &levels[l][i].2.form,
+    }
+}
+
+fn side_of<'a>(groups: &'a [Group], levels: &'a [Vec<(Node, Node, Merge)>], node: Node) -> &'a Side {
+    match node {
+        Node::Group(g) => &groups[g].side,
+        Node::Merge(l, i) => &levels[l][i].2.side,
+    }
+}
+
+fn side_mut<'a>(groups: &'a mut [Group], levels: &'a mut [Vec<(Node, Node, Merge)>], node: Node) -> &'a mut Side {
+    match node {
+        Node::Group(g) => &mut groups[g].side,
+        Node::Merge(l, i) => &mut levels[l][i].2.side,
+    }
+}
+
+/// From the order of the program to that of own rows.
+fn gather(plan: &plan::ChainPlan, n: usize, core: usize, tie: impl Fn(&crate::nlp::Tie) -> usize, from: &[f64], to: &mut [f64]) {
+    if plan.chain.ties.is_empty() {
+        to.copy_from_slice(&from[core..core + to.len()]);
+        return;
+    }
+    for s in 0..plan.chain.segments {
+        let row = plan.row(s, n);
+        to[row..row + plan.d].copy_from_slice(&from[core + s * plan.d..][..plan.d]);
+        for (i, t) in plan.ties_of(s).iter().enumerate() {
+            to[row + plan.d + i * n..][..n].copy_from_slice(&from[tie(t)..][..n]);
+        }
+    }
+}
+
+/// And back, each number passed through `f` with its component.
+fn scatter(
+    plan: &plan::ChainPlan,
+    n: usize,
+    core: usize,
+    tie: impl Fn(&crate::nlp::Tie) -> usize,
+    from: &[f64],
+    to: &mut [f64],
+    f: impl Fn(usize, f64) -> f64,
+) {
+    let put = |to: &mut [f64], from: &[f64]| {
+        for (to, from) in to.chunks_exact_mut(n).zip(from.chunks_exact(n)) {
+            to.iter_mut().zip(from).enumerate().for_each(|(i, (t, x))| *t = f(i, *x));
+        }
+    };
+    for s in 0..plan.chain.segments {
+        let row = plan.row(s, n);
+        put(&mut to[core + s * plan.d..][..plan.d], &from[row..row + plan.d]);
+        for (i, t) in plan.ties_of(s).iter().enumerate() {
+            put(&mut to[tie(t)..][..n], &from[row + plan.d + i * n..][..n]);
+        }
+    }
+}
+
+/// The program's constraint of an own row.
+fn global_row(plan: &plan::ChainPlan, n: usize, row: usize) -> usize {
+    let s = (0..plan.chain.segments).rev().find(|&s| plan.row(s, n) <= row).unwrap_or(0);
+    let i = row - plan.row(s, n);
+    if i < plan.d { plan.chain.row + s * plan.d + i } else { plan.ties_of(s)[(i - plan.d) / n].row + (i - plan.d) % n }
+}
+
+impl KktSolver for ArrowKkt {
+    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+        self.hessian.copy_from_slice(hessian);
+        self.jacobian.copy_from_slice(jacobian);
+        self.eliminate()?;
+        if self.split() {
+            self.eliminate()?;
+        }
+        self.merge()
+    }
+
+    fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {
+        let shape = &self.plan.shape;
+        self.weak.clear();
+        self.shift = shift;
+        self.held.copy_from_slice(&held[..shape.border]);
+        self.eliminated.copy_from_slice(&self.s);
+        let mut found = Curvature::default();
+        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
+            let before = self.weak.len();
+            let here = tree.top.eliminate(shape, shift, &mut self.eliminated, &mut self.weak);
+            found.negative += here.negative;
+            found.zero += here.zero;
+            // Ends of the chain as variables of the program.
+            let last = plan.chain.variable + plan.chain.segments * plan.d;
+            for direction in &mut self.weak[before..] {
+                for (i, _) in direction {
+                    *i = if *i < shape.n { plan.chain.variable + *i } else { last + *i - shape.n };
+                }
+            }
+        }
+        if !found.is_positive() {
+            return found;
+        }
+        self.border.factorize(&self.eliminated, &self.diagonal, &self.held, shift, &mut self.weak)
+    }
+
+    fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
+        self.solve_once(p, q, d, lambda);
+        if self.shift > 0.0 {
+            return; // the step is damped anyway
+        }
+        for _ in 0..2 {
+            if self.residual(p, q, d, lambda) <= ROUGH {
+                break;
+            }
+            let rest = std::mem::take(&mut self.rest);
+            let mut more = std::mem::take(&mut self.more);
+            self.solve_once(&rest.0, &rest.1, &mut more.0, &mut more.1);
+            d.iter_mut().zip(&more.0).for_each(|(d, x)| *d += x);
+            lambda.iter_mut().zip(&more.1).for_each(|(l, x)| *l += x);
+            (self.rest, self.more) = (rest, more);
+        }
+    }
+
+    fn weak_directions(&self) -> &[Vec<(usize, f64)>] {
+        &self.weak
+    }
+
+    fn sizes(&self) -> (usize, usize) {
+        self.sizes
+    }
+
+    fn flops(&self) -> u64 {
+        let shape = &self.plan.shape;
+        let (n, w, k, f) = (shape.n as u64, shape.used() as u64, shape.coupled.len() as u64, shape.form() as u64);
+        let segment = |plan: &plan::ChainPlan, s: usize| {
+            let (d, points) = (plan.d as u64, plan.points(s) as u64);
+            let rows = points * n;
+            let eliminate = 2 * d * d * d / 3 + 2 * (rows - d) * d * d + 2 * rows * d * w;
+            let follow = 2 * rows * n * w;
+            let form = points * (2 * n * n * w + 2 * n * w * w + 2 * n * w * k);
+            eliminate + follow + form
+        };
+        let merge = 8 * n * n * (3 * n + w) + 2 * n * n * (2 * n + w) + 4 * n * (2 * n + w) * f;
+        let top = 2 * f * 2 * n * f + 2 * f * f * n + f * f * f / 3;
+        self.plan.chains.iter().zip(&self.trees).fold(0, |sum, (plan, tree)| {
+            let segments: u64 = (0..plan.chain.segments).map(|s| segment(plan, s)).sum();
+            sum + segments + merge * (tree.groups.len() as u64 - 1) + top
+        })
+    }
+}

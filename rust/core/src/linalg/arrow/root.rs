@@ -1,0 +1,308 @@
+//! The top: what is left of each chain are its two ends; then one dense border.
+//!
+//! n constraints C_a a + C_b b + C_θ θ = c leave n of the 2n end states free: (a, b) = Z₂ u + Y θ + y,
+//! by an orthogonal decomposition of [C_a C_b]ᵀ. The reduced Hessian in (u of every chain, θ) is small
+//! and dense; its inertia is that of the whole.
+
+use nalgebra::{DMatrix, SymmetricEigen};
+
+use super::dense::{backward, cholesky, forward, triangularise};
+use super::group::{Form, Side};
+use super::plan::Shape;
+use crate::linalg::Curvature;
+
+/// Pivots of the reduced Hessian, its diagonal scaled to 1, at or below this are no curvature.
+const TINY: f64 = 1e-13;
+
+/// The top of one chain.
+#[derive(Clone, Debug)]
+pub(super) struct Top {
+    /// Columns (C_a C_b)ᵀ made triangular, 2n × n, and Zᵀ (2n × 2n): rows 0..n span the constraints.
+    r: Vec<f64>,
+    z: Vec<f64>,
+    /// (a, b) = F (u, θ): 2n × (n + B).
+    f: Vec<f64>,
+    /// Reduced Hessian in (u, θ): (n + B)².
+    reduced: Vec<f64>,
+    /// Factor of its (u, u) block with the shift, and L⁻¹ K_uθ.
+    l: Vec<f64>,
+    side: Vec<f64>,
+    scale: Vec<f64>,
+    /// Particular (a, b), and the right-hand side in (u, θ).
+    y: Vec<f64>,
+    p: Vec<f64>,
+    scratch: Vec<f64>,
+    /// Solution (a, b, θ).
+    pub v: Vec<f64>,
+}
+
+impl Top {
+    pub fn new(shape: &Shape) -> Top {
+        let (n, b) = (shape.n, shape.border);
+        Top {
+            r: vec![0.0; 2 * n * n],
+            z: vec![0.0; 4 * n * n],
+            f: vec![0.0; 2 * n * (n + b)],
+            reduced: vec![0.0; (n + b) * (n + b)],
+            l: vec![0.0; n * n],
+            side: vec![0.0; n * b],
+            scale: vec![0.0; n],
+            y: vec![0.0; 2 * n],
+            p: vec![0.0; n + b],
+            scratch: vec![0.0; (n + b) * (2 * n + b)],
+            v: vec![0.0; 2 * n + b],
+        }
+    }
+
+    /// The reduced Hessian of a form; whether its constraint determines what it should.
+    pub fn factorize(&mut self, shape: &Shape, form: &Form) -> bool {
+        let (n, border, full) = (shape.n, shape.border, shape.form());
+        let (nn, outer, width) = (2 * n, n + shape.used(), n + border);
+        for i in 0..nn {
+            for j in 0..n {
+                self.r[i * n + j] = form.c[j * outer + i];
+            }
+        }
+        self.z.fill(0.0);
+        (0..nn).for_each(|i| self.z[i * nn + i] = 1.0);
+        triangularise(&mut self.r, nn, n, n, Some(&mut self.z));
+        if (0..n).any(|i| self.r[i * n + i] == 0.0 || !self.r[i * n + i].is_finite()) {
+            return false;
+        }
+        // F = [Z₂ | −Z₁ R⁻ᵀ C_θ]
+        self.f.fill(0.0);
+        for i in 0..nn {
+            for j in 0..n {
+                self.f[i * width + j] = self.z[(n + j) * nn + i];
+            }
+        }
+        for (d, &b) in shape.dynamic.iter().enumerate() {
+            let t = &mut self.scratch[..n];
+            for i in 0..n {
+                let sum: f64 = (0..i).map(|k| self.r[k * n + i] * t[k]).sum();
+                t[i] = (form.c[i * outer + nn + d] - sum) / self.r[i * n + i];
+            }
+            for i in 0..nn {
+                self.f[i * width + n + b] = -(0..n).map(|k| self.z[k * nn + i] * t[k]).sum::<f64>();
+            }
+        }
+        // [F; I]ᵀ Q [F; I], first Q [F; I].
+        let (f, q) = (&self.f, &form.q);
+        let product = &mut self.scratch[..full * width];
+        for (row, q) in product.chunks_exact_mut(width).zip(q.chunks_exact(full)) {
+            row[..n].fill(0.0);
+            row[n..].copy_from_slice(&q[nn..]);
+            for (q, f) in q.iter().zip(f.chunks_exact(width)) {
+                row.iter_mut().zip(f).for_each(|(r, f)| *r += q * f);
+            }
+        }
+        self.reduced[..n * width].fill(0.0);
+        self.reduced[n * width..].copy_from_slice(&product[nn * width..]);
+        for (product, f) in product.chunks_exact(width).zip(f.chunks_exact(width)) {
+            for (row, f) in self.reduced.chunks_exact_mut(width).zip(f) {
+                row.iter_mut().zip(product).for_each(|(r, p)| *r += f * p);
+            }
+        }
+        true
+    }
+
+    /// Adds the part between border variables to a B × B matrix.
+    pub fn add_border(&self, shape: &Shape, to: &mut [f64]) {
+        let (n, border) = (shape.n, shape.border);
+        for (to, from) in to.chunks_exact_mut(border.max(1)).zip(self.reduced[n * (n + border)..].chunks_exact(n + border)) {
+            to.iter_mut().zip(&from[n..]).for_each(|(t, f)| *t += f);
+        }
+    }
+
+    /// Eliminates u: subtracts from the border what that leaves. The curvature of u where it is none.
+    pub fn eliminate(&mut self, shape: &Shape, shift: f64, border: &mut [f64], weak: &mut Vec<Vec<(usize, f64)>>) -> Curvature {
+        let (n, b) = (shape.n, shape.border);
+        let width = n + b;
+        for i in 0..n {
+            self.scale[i] = scale_of(self.reduced[i * width + i]);
+        }
+        for i in 0..n {
+            for j in 0..n {
+                self.l[i * n + j] = self.reduced[i * width + j] * self.scale[i] * self.scale[j];
+            }
+            self.l[i * n + i] += shift;
+        }
+        let before = self.l.clone();
+        if cholesky(&mut self.l, n, TINY).is_err() {
+            // In states at the ends: which of them do not matter.
+            let nn = 2 * n;
+            let (found, directions) = directions(&before, n);
+            for u in directions {
+                let mut part: Vec<(usize, f64)> = (0..nn)
+                    .map(|i| (i, (0..n).map(|j| self.z[(n + j) * nn + i] * self.scale[j] * u[j]).sum()))
+                    .collect();
+                part.sort_by(|x, y| y.1.abs().total_cmp(&x.1.abs()));
+                weak.push(part);
+            }
+            return found;
+        }
+        for j in 0..b {
+            let column = &mut self.scratch[..n];
+            for i in 0..n {
+                column[i] = self.reduced[i * width + n + j] * self.scale[i];
+            }
+            forward(&self.l, n, column);
+            for i in 0..n {
+                self.side[i * b + j] = column[i];
+            }
+        }
+        for row in self.side.chunks_exact(b.max(1)) {
+            for (to, s) in border.chunks_exact_mut(b.max(1)).zip(row) {
+                to.iter_mut().zip(row).for_each(|(t, r)| *t -= s * r);
+            }
+        }
+        Curvature::default()
+    }
+
+    /// Adds to the right-hand side of the border.
+    pub fn reduce(&mut self, shape: &Shape, form: &Form, side: &Side, border: &mut [f64]) {
+        let (n, b, full) = (shape.n, shape.border, shape.form());
+        let (nn, width) = (2 * n, n + b);
+        let t = &mut self.scratch[..n];
+        for i in 0..n {
+            let sum: f64 = (0..i).map(|k| self.r[k * n + i] * t[k]).sum();
+            t[i] = (side.c[i] - sum) / self.r[i * n + i];
+        }
+        for i in 0..nn {
+            self.y[i] = (0..n).map(|k| self.z[k * nn + i] * t[k]).sum();
+        }
+        // [F; I]ᵀ (p − Q [y; 0])
+        self.p[..n].fill(0.0);
+        for i in 0..full {
+            let q = &form.q[i * full..i * full + nn];
+            let rest = side.p[i] - q.iter().zip(&self.y).map(|(q, y)| q * y).sum::<f64>();
+            if i < nn {
+                let f = &self.f[i * width..(i + 1) * width];
+                self.p[..n].iter_mut().zip(f).for_each(|(p, f)| *p += f * rest);
+                border.iter_mut().zip(&f[n..]).for_each(|(p, f)| *p += f * rest);
+            } else {
+                border[i - nn] += rest;
+            }
+        }
+        let u = &mut self.p[..n];
+        u.iter_mut().zip(&self.scale).for_each(|(u, s)| *u *= s);
+        forward(&self.l, n, u);
+        for (u, row) in u.iter().zip(self.side.chunks_exact(b.max(1))) {
+            border.iter_mut().zip(row).for_each(|(p, s)| *p -= u * s);
+        }
+    }
+
+    /// The ends and the multiplier of the chain's constraint, θ known.
+    pub fn expand(&mut self, shape: &Shape, form: &Form, side: &mut Side, theta: &[f64]) {
+        let (n, b, full) = (shape.n, shape.border, shape.form());
+        let (nn, width) = (2 * n, n + b);
+        let u = &mut self.p[..n];
+        for (u, row) in u.iter_mut().zip(self.side.chunks_exact(b.max(1))) {
+            *u -= row.iter().zip(theta).map(|(s, t)| s * t).sum::<f64>();
+        }
+        backward(&self.l, n, u);
+        u.iter_mut().zip(&self.scale).for_each(|(u, s)| *u *= s);
+        for i in 0..nn {
+            let f = &self.f[i * width..(i + 1) * width];
+            let free: f64 = f[..n].iter().zip(&*u).map(|(f, u)| f * u).sum();
+            let along: f64 = f[n..].iter().zip(theta).map(|(f, t)| f * t).sum();
+            self.v[i] = self.y[i] + free + along;
+        }
+        self.v[nn..].copy_from_slice(theta);
+        // R σ = Z₁ᵀ (p − Q v) at the ends
+        let rest = &mut self.scratch[..nn];
+        for (i, r) in rest.iter_mut().enumerate() {
+            let q = &form.q[i * full..(i + 1) * full];
+            *r = side.p[i] - q.iter().zip(&self.v).map(|(q, v)| q * v).sum::<f64>();
+        }
+        for i in (0..n).rev() {
+            let along: f64 = self.z[i * nn..(i + 1) * nn].iter().zip(&*rest).map(|(z, r)| z * r).sum();
+            let sum: f64 = (i + 1..n).map(|k| self.r[i * n + k] * side.multiplier[k]).sum();
+            side.multiplier[i] = (along - sum) / self.r[i * n + i];
+        }
+    }
+}
+
+/// The dense border, factorised.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Border {
+    l: Vec<f64>,
+    scale: Vec<f64>,
+}
+
+impl Border {
+    /// Factorises a B × B matrix, with `shift` times the diagonal `of` added and some variables held.
+    pub fn factorize(&mut self, s: &[f64], of: &[f64], held: &[bool], shift: f64, weak: &mut Vec<Vec<(usize, f64)>>) -> Curvature {
+        let b = of.len();
+        self.scale.clear();
+        self.scale.extend(of.iter().map(|d| scale_of(*d)));
+        self.l.clear();
+        self.l.extend_from_slice(s);
+        for i in 0..b {
+            for j in 0..b {
+                let l = &mut self.l[i * b + j];
+                *l *= self.scale[i] * self.scale[j];
+                if held[i] || held[j] {
+                    *l = f64::from(u8::from(i == j));
+                }
+            }
+            if !held[i] {
+                self.l[i * b + i] += shift;
+            }
+        }
+        let before = self.l.clone();
+        if cholesky(&mut self.l, b, TINY).is_ok() {
+            return Curvature::default();
+        }
+        let (found, vectors) = directions(&before, b);
+        for v in vectors {
+            let mut part: Vec<(usize, f64)> = v.iter().copied().enumerate().collect();
+            part.sort_by(|x, y| y.1.abs().total_cmp(&x.1.abs()));
+            weak.push(part);
+        }
+        found
+    }
+
+    /// Solves in place.
+    pub fn solve(&self, p: &mut [f64]) {
+        let b = p.len();
+        p.iter_mut().zip(&self.scale).for_each(|(p, s)| *p *= s);
+        forward(&self.l, b, p);
+        backward(&self.l, b, p);
+        p.iter_mut().zip(&self.scale).for_each(|(p, s)| *p *= s);
+    }
+}
+
+/// What scales a diagonal entry to 1; 1 where there is none.
+fn scale_of(diagonal: f64) -> f64 {
+    let size = diagonal.abs();
+    if size > 1e-290 && size.is_finite() { 1.0 / size.sqrt() } else { 1.0 }
+}
+
+/// Inertia of a symmetric matrix, and the directions in which it has no positive curvature.
+fn directions(a: &[f64], n: usize) -> (Curvature, Vec<Vec<f64>>) {
+    if a.iter().any(|x| !x.is_finite()) {
+        return (Curvature { negative: 0, zero: n }, Vec::new());
+    }
+    let eigen = SymmetricEigen::new(DMatrix::from_row_slice(n, n, a));
+    let size = eigen.eigenvalues.amax().max(1.0);
+    let mut found = Curvature::default();
+    let mut vectors = Vec::new();
+    for (k, value) in eigen.eigenvalues.iter().enumerate() {
+        if *value < -TINY * size {
+            found.negative += 1;
+        } else if *value <= 4.0 * TINY * size {
+            found.zero += 1;
+        } else {
+            continue;
+        }
+        vectors.push(eigen.eigenvectors.column(k).iter().copied().collect());
+    }
+    // Cholesky said no: at least one is not positive.
+    if found == Curvature::default() {
+        found.zero = 1;
+        let least = eigen.eigenvalues.imin();
+        vectors.push(eigen.eigenvectors.column(least).iter().copied().collect());
+    }
+    (found, vectors)
+}

@@ -1,0 +1,77 @@
+//! Newton systems: the seam [`KktSolver`] and its implementations.
+
+pub mod arrow;
+
+/// A Newton system cannot be factorised: constraints that depend on each other, or numbers that are
+/// not finite.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Singular {
+    /// A constraint that depends on others.
+    pub row: usize,
+}
+
+/// The curvature of the Lagrangian along the constraints: of the *reduced* Hessian ZᵀHZ, Z a basis of
+/// the null space of A.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Curvature {
+    /// Number of its negative eigenvalues.
+    pub negative: usize,
+    /// Number of eigenvalues that are zero to working precision.
+    pub zero: usize,
+}
+
+impl Curvature {
+    /// Whether a step minimises: the KKT matrix has inertia (n, m, 0).
+    pub fn is_positive(self) -> bool {
+        self == Curvature::default()
+    }
+}
+
+/// How a Newton system is factorised:
+///
+/// ```text
+///   [ H + shift  Aᵀ ] [ d ]   [ p ]
+///   [ A          0  ] [ λ ] = [ q ]
+/// ```
+///
+/// with H and A given by the entries of the Nlp's structures (the lower triangle of H; entries at one
+/// place add up). The zero block stays zero: to regularise it would let the fit cheat on the equations.
+pub trait KktSolver: Send {
+    /// Takes new entries of H and A and eliminates what can be eliminated once and for all.
+    ///
+    /// # Errors
+    /// When A has not full rank, or something is not finite.
+    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular>;
+
+    /// Completes the factorisation with some variables held in place (d = 0 there) and `shift` ≥ 0 times
+    /// a positive diagonal, in units of the curvature, added to the reduced Hessian. May be called again
+    /// with others: what `factorize` did is used again. Only a positive curvature allows to solve.
+    fn finish(&mut self, held: &[bool], shift: f64) -> Curvature;
+
+    /// Solves for one right-hand side p (n), q (m), with refinement where it is needed.
+    fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]);
+
+    /// Directions of no curvature, or negative, found by the last `finish`: for each, variables and
+    /// their part in it (in units of the diagonal's root), the greatest first.
+    fn weak_directions(&self) -> &[Vec<(usize, f64)>];
+
+    /// The block of the inverse of the KKT matrix between some variables, row-major k × k: with H the
+    /// observed information, their covariance. Rows of held variables are zero.
+    fn covariance(&mut self, wanted: &[usize], out: &mut [f64]) {
+        let (n, m) = self.sizes();
+        let (mut p, q) = (vec![0.0; n], vec![0.0; m]);
+        let (mut d, mut lambda) = (vec![0.0; n], vec![0.0; m]);
+        for (row, &i) in out.chunks_exact_mut(wanted.len()).zip(wanted) {
+            p[i] = 1.0;
+            self.solve(&p, &q, &mut d, &mut lambda);
+            p[i] = 0.0;
+            row.iter_mut().zip(wanted).for_each(|(o, &j)| *o = d[j]);
+        }
+    }
+
+    /// Numbers of variables and constraints.
+    fn sizes(&self) -> (usize, usize);
+
+    /// Floating-point operations of one factorisation, counted.
+    fn flops(&self) -> u64;
+}

@@ -1,0 +1,433 @@
+//! Which variables the constraints determine, and from which others they follow.
+//!
+//! A has full rank, so some m of its columns, the *basis* B, are independent; the n − m variables of the
+//! other columns F are *free*. A sparse LU decomposition of Aᵀ with row exchanges finds a basis:
+//!
+//! ```text
+//!   Pᵀ Aᵀ Q = [ L ] U      B = Uᵀ Lᵀ      Z = [ −B⁻¹F ]    A Z = 0
+//!             [ M ]        F = Uᵀ Mᵀ          [   I   ]
+//! ```
+//!
+//! Of all variables that a constraint may determine the one with the largest coefficient is taken. This
+//! is what keeps Z small: in an unstable system, states at the end of a record are free and those before
+//! follow from them backwards, as errors then decay. (A fixed choice, say by structure, would let them
+//! grow without limit; to exchange only where pivots are tiny would let them grow by a little a step,
+//! thousands of steps.)
+//!
+//! Variables in a large part of the constraints, parameters, are kept out of the decomposition as long
+//! as the others have a basis, which then stays as sparse as it is without them.
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::sparse::SymbolicSparseColMatRef;
+use faer::sparse::linalg::amd;
+
+use super::rows::Rows;
+use crate::simd::kernel;
+
+/// A variable that stands in this many times as many constraints as the median is heavy.
+const HEAVY: usize = 8;
+/// Pivots below this part of their constraint's largest coefficient are none.
+const DEPENDENT: f64 = 1e-13;
+/// The same where heavy variables stand by to be taken instead.
+const POOR: f64 = 1e-8;
+
+/// Not yet determined, during elimination.
+const OPEN: u32 = u32::MAX;
+/// Kept out of it.
+const OUTSIDE: u32 = u32::MAX - 1;
+
+/// Columns of a sparse triangular factor.
+#[derive(Clone, Debug, Default)]
+struct Columns {
+    start: Vec<usize>,
+    index: Vec<u32>,
+    value: Vec<f64>,
+}
+
+impl Columns {
+    fn clear(&mut self) {
+        self.start.clear();
+        self.start.push(0);
+        self.index.clear();
+        self.value.clear();
+    }
+
+    #[inline(always)]
+    fn push(&mut self, index: u32, value: f64) {
+        self.index.push(index);
+        self.value.push(value);
+    }
+
+    fn end(&mut self) {
+        self.start.push(self.index.len());
+    }
+
+    #[inline(always)]
+    fn column(&self, j: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let range = self.start[j]..self.start[j + 1];
+        self.index[range.clone()].iter().map(|&i| i as usize).zip(self.value[range].iter().copied())
+    }
+}
+
+/// The basis and what the free variables do to it.
+#[derive(Clone, Debug)]
+pub(super) struct Basis {
+    n: usize,
+    m: usize,
+    /// Constraints in the order of elimination.
+    order: Vec<u32>,
+    heavy: Vec<u32>,
+    /// Columns of [L; M] below the pivots, by variable, and of U above the diagonal, by position.
+    lower: Columns,
+    upper: Columns,
+    diagonal: Vec<f64>,
+    /// The variable that each constraint determines, by position in the order.
+    pivot: Vec<u32>,
+    /// For each variable its position, or m + its number among the free ones.
+    place: Vec<u32>,
+    /// Free variables: first heavy ones that the decomposition does not know, `n_outside` of them.
+    free: Vec<u32>,
+    n_outside: usize,
+    /// −B⁻¹F by rows in the order of positions, each `stride` long.
+    z: Vec<f64>,
+    stride: usize,
+    work: Work,
+    /// Counted floating-point operations of the last decomposition, without Z.
+    operations: u64,
+}
+
+/// What the elimination of one constraint needs.
+#[derive(Clone, Debug, Default)]
+struct Work {
+    /// Its coefficients, by variable.
+    x: Vec<f64>,
+    mark: Vec<u32>,
+    /// Positions on the way, with how far their columns have been looked through; those done.
+    path: Vec<(u32, usize)>,
+    done: Vec<u32>,
+    /// Variables that may be determined.
+    open: Vec<u32>,
+    /// One number a position.
+    y: Vec<f64>,
+}
+
+impl Basis {
+    /// Orders constraints so that little fills in, whatever the exchanges: by minimum degree on A Aᵀ.
+    pub fn new(n: usize, a: &Rows) -> Basis {
+        let m = a.count();
+        let mut count = vec![0usize; n];
+        for i in 0..m {
+            a.columns(i).iter().for_each(|&c| count[c as usize] += 1);
+        }
+        let mut sorted: Vec<usize> = count.iter().copied().filter(|&c| c > 0).collect();
+        sorted.sort_unstable();
+        let most = sorted.get(sorted.len() / 2).map_or(0, |median| HEAVY * median);
+        let heavy: Vec<u32> = (0..n as u32).filter(|&v| count[v as usize] > most).collect();
+        Basis {
+            n,
+            m,
+            order: minimum_degree(n, a, |v| count[v] <= most),
+            heavy,
+            lower: Columns::default(),
+            upper: Columns::default(),
+            diagonal: Vec::with_capacity(m),
+            pivot: Vec::with_capacity(m),
+            place: vec![OPEN; n],
+            free: Vec::with_capacity(n.saturating_sub(m)),
+            n_outside: 0,
+            z: Vec::new(),
+            stride: 0,
+            work: Work { x: vec![0.0; n], mark: vec![0; n], y: vec![0.0; m], ..Work::default() },
+            operations: 0,
+        }
+    }
+
+    /// Finds a basis; a constraint that depends on others where there is none.
+    pub fn factorize(&mut self, a: &Rows) -> Result<(), usize> {
+        let outside = !self.heavy.is_empty() && self.eliminate(a, true).is_ok();
+        if !outside {
+            self.eliminate(a, false)?;
+        }
+        self.free.clear();
+        self.n_outside = if outside { self.heavy.len() } else { 0 };
+        self.free.extend(&self.heavy[..self.n_outside]);
+        self.free.extend((0..self.n as u32).filter(|&v| self.place[v as usize] == OPEN));
+        for (column, &v) in self.free.iter().enumerate() {
+            self.place[v as usize] = (self.m + column) as u32;
+        }
+        self.stride = self.free.len().next_multiple_of(8);
+        self.z.clear();
+        self.z.resize(self.m * self.stride, 0.0);
+        sensitivities(self, a);
+        Ok(())
+    }
+
+    /// The left-looking decomposition of Gilbert and Peierls (1988): constraint by constraint, what earlier
+    /// pivots do to it is found by a search through their columns, in time proportional to the arithmetic.
+    fn eliminate(&mut self, a: &Rows, keep_outside: bool) -> Result<(), usize> {
+        self.lower.clear();
+        self.upper.clear();
+        self.diagonal.clear();
+        self.pivot.clear();
+        self.place.fill(OPEN);
+        self.work.mark.fill(0);
+        self.operations = 0;
+        if keep_outside {
+            self.heavy.iter().for_each(|&v| self.place[v as usize] = OUTSIDE);
+        }
+        let poor = if keep_outside { POOR } else { DEPENDENT };
+        for j in 0..self.m {
+            let constraint = self.order[j] as usize;
+            let mut size = 0.0f64;
+            for (v, value) in a.row(constraint) {
+                size = size.max(value.abs());
+                if self.place[v] != OUTSIDE && value != 0.0 {
+                    self.visit(v, j as u32 + 1);
+                    self.work.x[v] = value;
+                }
+            }
+            let Work { x, done, open, .. } = &mut self.work;
+            // Each one before those that it reaches.
+            for &i in done.iter().rev() {
+                let of = std::mem::take(&mut x[self.pivot[i as usize] as usize]);
+                if of != 0.0 {
+                    self.upper.push(i, of);
+                    for (v, l) in self.lower.column(i as usize) {
+                        x[v] -= l * of;
+                    }
+                    let i = i as usize;
+                    self.operations += 2 * (self.lower.start[i + 1] - self.lower.start[i]) as u64;
+                }
+            }
+            self.upper.end();
+            let (mut best, mut largest) = (OPEN, 0.0);
+            for &v in open.iter() {
+                if x[v as usize].abs() > largest {
+                    (best, largest) = (v, x[v as usize].abs());
+                }
+            }
+            let determined = largest > poor * size && largest.is_finite();
+            if determined {
+                let pivot = std::mem::take(&mut x[best as usize]);
+                self.place[best as usize] = j as u32;
+                self.pivot.push(best);
+                self.diagonal.push(pivot);
+                for &v in open.iter() {
+                    if x[v as usize] != 0.0 {
+                        self.lower.push(v, x[v as usize] / pivot);
+                    }
+                }
+                self.operations += open.len() as u64;
+                self.lower.end();
+            }
+            open.iter().for_each(|&v| x[v as usize] = 0.0);
+            done.clear();
+            open.clear();
+            if !determined {
+                return Err(constraint);
+            }
+        }
+        Ok(())
+    }
+
+    /// Finds everything that a coefficient of variable `v` changes: pivots to `done`, in an order in which
+    /// each comes after those that it reaches; variables that are no pivots to `open`.
+    fn visit(&mut self, v: usize, stamp: u32) {
+        let Work { mark, path, done, open, .. } = &mut self.work;
+        if mark[v] == stamp {
+            return;
+        }
+        mark[v] = stamp;
+        if self.place[v] == OPEN {
+            open.push(v as u32);
+            return;
+        }
+        path.push((self.place[v], self.lower.start[self.place[v] as usize]));
+        while let Some((j, at)) = path.last_mut() {
+            if *at == self.lower.start[*j as usize + 1] {
+                done.push(*j);
+                path.pop();
+                continue;
+            }
+            let v = self.lower.index[*at] as usize;
+            *at += 1;
+            if mark[v] == stamp {
+                continue;
+            }
+            mark[v] = stamp;
+            match self.place[v] {
+                OPEN => open.push(v as u32),
+                i => path.push((i, self.lower.start[i as usize])),
+            }
+        }
+    }
+
+    /// Free variables.
+    pub fn free(&self) -> &[u32] {
+        &self.free
+    }
+
+    /// Variables that the constraints determine, by position.
+    pub fn pivots(&self) -> &[u32] {
+        &self.pivot
+    }
+
+    /// A variable's position in the basis, or its number among the free variables.
+    #[inline(always)]
+    pub fn place(&self, v: usize) -> Result<usize, usize> {
+        let place = self.place[v] as usize;
+        if place < self.m { Ok(place) } else { Err(place - self.m) }
+    }
+
+    /// The row of Z of a position, padded with zeros.
+    #[inline(always)]
+    pub fn z(&self, position: usize) -> &[f64] {
+        &self.z[position * self.stride..(position + 1) * self.stride]
+    }
+
+    /// Length of a row of Z.
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Counted floating-point operations of the last decomposition, and of Z.
+    pub fn operations(&self) -> u64 {
+        let entries = self.lower.index.len() + self.upper.index.len();
+        self.operations + 2 * (entries * self.free.len()) as u64
+    }
+
+    /// Completes d, whose free variables are given, so that A d = q.
+    pub fn complete(&mut self, a: &Rows, q: &[f64], d: &mut [f64]) {
+        let y = &mut self.work.y;
+        for j in 0..self.m {
+            let constraint = self.order[j] as usize;
+            let mut rest = q[constraint];
+            if self.n_outside > 0 {
+                for (v, value) in a.row(constraint) {
+                    if self.place[v] as usize >= self.m && (self.place[v] as usize) < self.m + self.n_outside {
+                        rest -= value * d[v];
+                    }
+                }
+            }
+            for (i, u) in self.upper.column(j) {
+                rest -= u * y[i];
+            }
+            y[j] = rest / self.diagonal[j];
+        }
+        for j in (0..self.m).rev() {
+            let mut value = y[j];
+            for (v, l) in self.lower.column(j) {
+                value -= l * d[v];
+            }
+            d[self.pivot[j] as usize] = value;
+        }
+    }
+
+    /// Finds λ so that g − Aᵀλ vanishes in the basis. What it is at free variables, Zᵀg, is left in g.
+    pub fn multipliers(&mut self, a: &Rows, g: &mut [f64], lambda: &mut [f64]) {
+        let y = &mut self.work.y;
+        for j in 0..self.m {
+            let value = g[self.pivot[j] as usize];
+            for (v, l) in self.lower.column(j) {
+                g[v] -= l * value;
+            }
+            y[j] = value;
+        }
+        for j in (0..self.m).rev() {
+            let value = y[j] / self.diagonal[j];
+            for (i, u) in self.upper.column(j) {
+                y[i] -= u * value;
+            }
+            let constraint = self.order[j] as usize;
+            lambda[constraint] = value;
+            if self.n_outside > 0 {
+                for (v, of) in a.row(constraint) {
+                    if self.place[v] as usize >= self.m && (self.place[v] as usize) < self.m + self.n_outside {
+                        g[v] -= of * value;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Constraints in an order of small degree; two are neighbours when they share a variable that counts.
+fn minimum_degree(n: usize, a: &Rows, counts: impl Fn(usize) -> bool) -> Vec<u32> {
+    let m = a.count();
+    let mut of_variable = vec![Vec::new(); n];
+    for i in 0..m {
+        for &v in a.columns(i) {
+            if counts(v as usize) {
+                of_variable[v as usize].push(i);
+            }
+        }
+    }
+    let (mut start, mut index, mut mark) = (vec![0], Vec::new(), vec![usize::MAX; m]);
+    for i in 0..m {
+        for &v in a.columns(i) {
+            for &other in &of_variable[v as usize] {
+                if mark[other] != i {
+                    mark[other] = i;
+                    index.push(other);
+                }
+            }
+        }
+        start.push(index.len());
+    }
+    let mut scratch = MemBuffer::new(amd::order_maybe_unsorted_scratch::<usize>(m, index.len()));
+    let (mut order, mut inverse) = (vec![0; m], vec![0; m]);
+    let graph = SymbolicSparseColMatRef::new_unsorted_checked(m, m, &start, None, &index);
+    let stack = MemStack::new(&mut scratch);
+    match amd::order_maybe_unsorted(&mut order, &mut inverse, graph, amd::Control::default(), stack) {
+        Ok(_) => order.into_iter().map(|i| i as u32).collect(),
+        // Too many entries to count: any order is right.
+        Err(_) => (0..m as u32).collect(),
+    }
+}
+
+kernel! {
+    /// Z = −B⁻¹F, all columns at once.
+    fn sensitivities(b: &mut Basis, a: &Rows) {
+        let (m, stride) = (b.m, b.stride);
+        let outside = b.n_outside.next_multiple_of(8);
+        if outside > 0 {
+            for j in 0..m {
+                let (before, row) = b.z.split_at_mut(j * stride);
+                let row = &mut row[..outside];
+                for (v, value) in a.row(b.order[j] as usize) {
+                    let place = b.place[v] as usize;
+                    if place >= m && place - m < b.n_outside {
+                        row[place - m] -= value;
+                    }
+                }
+                for (i, u) in b.upper.column(j) {
+                    axpy(row, -u, &before[i * stride..i * stride + outside]);
+                }
+                let divisor = b.diagonal[j];
+                row.iter_mut().for_each(|z| *z /= divisor);
+            }
+        }
+        for j in (0..m).rev() {
+            let (row, after) = b.z.split_at_mut((j + 1) * stride);
+            let row = &mut row[j * stride..];
+            for (v, l) in b.lower.column(j) {
+                match (b.place[v] as usize).checked_sub(m) {
+                    Some(column) => row[column] -= l,
+                    None => {
+                        let other = (b.place[v] as usize - j - 1) * stride;
+                        axpy(row, -l, &after[other..other + stride]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// to += a · from, over whole vectors of eight.
+#[inline(always)]
+pub(super) fn axpy(to: &mut [f64], a: f64, from: &[f64]) {
+    let (to, from) = (to.as_chunks_mut::<8>().0, from.as_chunks::<8>().0);
+    for (t, &f) in to.iter_mut().zip(from) {
+        *t = std::array::from_fn(|l| a.mul_add(f[l], t[l]));
+    }
+}

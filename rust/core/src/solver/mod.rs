@@ -1,0 +1,462 @@
+//! Newton's method for output-error problems: the loop.
+//!
+//! Two phases. *Gauss-Newton*: the Hessian from first derivatives of the residuals, standard deviations
+//! profiled (set to what the residuals say after each step, changed by at most [`TENFOLD`]). It is never
+//! indefinite and needs no multipliers, so it comes from anywhere, but its tail is linear. *Newton*: the
+//! exact Hessian of the Lagrangian in all unknowns as soon as a step promises less than [`NEAR`] in
+//! log-likelihood, quadratic to the end; where it is not positive along the constraints, the step is
+//! Gauss-Newton's again.
+//!
+//! Steps are globalised by the ℓ₁ merit function φ + ν Σ|c|, ν from the reduction that the quadratic
+//! model must promise (Byrd, Gilbert and Nocedal, 2000), with a second-order correction where a full
+//! step is refused (Nocedal and Wright, section 18.3). Bounds are met by an active set: the Newton
+//! system is factorised once, and variables are held and released in its small dense border.
+
+mod bounds;
+mod point;
+mod search;
+mod settings;
+mod start;
+mod status;
+mod units;
+
+use std::time::{Duration, Instant};
+
+pub use point::Evaluations;
+pub use settings::Settings;
+pub use status::Status;
+pub use units::state_units;
+
+use crate::linalg::arrow::ArrowKkt;
+use crate::linalg::{Curvature, KktSolver};
+use crate::nlp::{Nlp, NotFinite};
+use bounds::Active;
+use point::Point;
+use search::{Merit, Watchdog};
+
+/// Most by which a standard deviation changes in a step.
+const TENFOLD: f64 = 10.0;
+/// The exact Hessian takes over once a step promises less than this in log-likelihood.
+const NEAR: f64 = 1.0;
+/// Standard deviations have settled when the residuals ask for changes below this part of them.
+const SETTLED: f64 = 0.1;
+/// Size at which an unknown has grown without limit.
+const ENDLESS: f64 = 1e15;
+/// An end that meets this instead of the tolerance is acceptable, again a distance in standard errors.
+const CLOSE: f64 = 1e-3;
+/// Greatest shift of the reduced Hessian, in units of its diagonal, that is tried.
+const GREATEST_SHIFT: f64 = 1e8;
+
+/// One line of the iteration table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Iteration {
+    /// From 0, the start.
+    pub number: usize,
+    /// φ: minus the log-likelihood, priors included.
+    pub objective: f64,
+    /// Largest defect in units of its state.
+    pub defect: f64,
+    /// What the next step promised to gain, and defects to pretend, when this point was reached; NaN at
+    /// the start.
+    pub promise: f64,
+    /// Length of the step taken, 1 for a full one.
+    pub step: f64,
+    /// Points tried on the way.
+    pub trials: usize,
+    /// Shift of the reduced Hessian.
+    pub shift: f64,
+    /// Whether the Hessian was exact.
+    pub exact: bool,
+}
+
+/// Whether to go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Control {
+    /// On.
+    Continue,
+    /// The best point so far is the result.
+    Stop,
+}
+
+/// Where a run ended.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    /// Variables.
+    pub xi: Vec<f64>,
+    /// Multipliers of the constraints.
+    pub multipliers: Vec<f64>,
+    /// How it ended.
+    pub status: Status,
+    /// The status's hint, with names.
+    pub message: String,
+    /// φ there.
+    pub objective: f64,
+    /// Largest defect in units of its state.
+    pub defect: f64,
+    /// Number of iterations.
+    pub iterations: usize,
+    /// How often what was evaluated.
+    pub evaluations: Evaluations,
+    /// Counted floating-point operations of one factorisation.
+    pub flops: u64,
+    /// Time spent.
+    pub time: Duration,
+    /// Units of the states.
+    pub units: Vec<f64>,
+    /// The table.
+    pub history: Vec<Iteration>,
+}
+
+/// Minimises from `start`. `watch` sees each iteration and may end the run.
+///
+/// # Errors
+/// [`NotFinite`] when a function is not finite at the start ([`Nlp::explain`] says what); everything
+/// else is a [`Status`].
+pub fn solve(
+    nlp: &dyn Nlp,
+    start: &[f64],
+    multipliers: Option<&[f64]>,
+    settings: &Settings,
+    watch: &mut dyn FnMut(&Iteration) -> Control,
+) -> Result<Solution, NotFinite> {
+    let mut run = Run::new(nlp, start, multipliers, settings)?;
+    let status = run.go(watch);
+    Ok(run.finish(status))
+}
+
+/// Everything that the loop keeps: allocated once.
+struct Run<'a> {
+    nlp: &'a dyn Nlp,
+    settings: &'a Settings,
+    began: Instant,
+    kkt: Box<dyn KktSolver>,
+    bounds: (Vec<f64>, Vec<f64>),
+    units: Vec<f64>,
+    here: Point,
+    trial: Point,
+    gradient: Vec<f64>,
+    jacobian: Vec<f64>,
+    hessian: Vec<f64>,
+    lambda: Vec<f64>,
+    /// Newton step and new multipliers.
+    d: Vec<f64>,
+    next_lambda: Vec<f64>,
+    p: Vec<f64>,
+    q: Vec<f64>,
+    correction: (Vec<f64>, Vec<f64>),
+    active: Active,
+    merit: Merit,
+    watchdog: Watchdog,
+    profile: Vec<f64>,
+    /// Whether the exact Hessian is in use.
+    near: bool,
+    shift: f64,
+    count: Evaluations,
+    history: Vec<Iteration>,
+    detail: String,
+}
+
+/// What a step promises.
+#[derive(Clone, Copy, Debug)]
+struct Promise {
+    /// ∇φᵀd
+    slope: f64,
+    /// dᵀHd
+    curvature: f64,
+    /// Gain in φ if all goes as the model says, and what defects may pretend: distance from the end.
+    gain: f64,
+    /// What rounding leaves of that.
+    floor: f64,
+}
+
+impl<'a> Run<'a> {
+    fn new(nlp: &'a dyn Nlp, start: &[f64], multipliers: Option<&[f64]>, settings: &'a Settings) -> Result<Self, NotFinite> {
+        let (n, m) = (nlp.n(), nlp.m());
+        let bounds = nlp.bounds();
+        let units = state_units(nlp, start);
+        let arrow = nlp.chains().and_then(|chains| {
+            let units = &units[..chains.n_x];
+            ArrowKkt::new(chains, nlp.hessian_structure(), nlp.jacobian_structure(), (n, m), units)
+        });
+        let kkt: Box<dyn KktSolver> = match arrow {
+            Some(arrow) => Box::new(arrow),
+            None => panic!("no chains"),
+        };
+        let mut here = Point::new(start, m);
+        here.step(start, 0.0, &vec![0.0; n], &bounds);
+        let mut run = Run {
+            nlp,
+            settings,
+            began: Instant::now(),
+            kkt,
+            active: Active::new(&bounds),
+            bounds,
+            units,
+            watchdog: Watchdog::new(&here),
+            trial: here.clone(),
+            gradient: vec![0.0; n],
+            jacobian: vec![0.0; nlp.jacobian_structure().len()],
+            hessian: vec![0.0; nlp.hessian_structure().len()],
+            here,
+            lambda: multipliers.map_or_else(|| vec![0.0; m], <[f64]>::to_vec),
+            d: vec![0.0; n],
+            next_lambda: vec![0.0; m],
+            p: vec![0.0; n],
+            q: vec![0.0; m],
+            correction: (vec![0.0; n], vec![0.0; m]),
+            merit: Merit::default(),
+            profile: vec![0.0; nlp.profiled().len()],
+            near: !settings.gauss_newton || multipliers.is_some(),
+            shift: 0.0,
+            count: Evaluations::default(),
+            history: Vec::with_capacity(settings.max_iterations.min(1000) + 1),
+            detail: String::new(),
+        };
+        run.here.evaluate(nlp, &run.units, &mut run.count)?;
+        Ok(run)
+    }
+
+    fn go(&mut self, watch: &mut dyn FnMut(&Iteration) -> Control) -> Status {
+        if self.settings.regression {
+            self.regress();
+        }
+        let mut line = Iteration {
+            number: 0,
+            objective: self.here.objective,
+            defect: self.here.worst,
+            promise: f64::NAN,
+            step: 0.0,
+            trials: 0,
+            shift: 0.0,
+            exact: self.near,
+        };
+        loop {
+            self.history.push(line);
+            if watch(&line) == Control::Stop {
+                return Status::Interrupted;
+            }
+            if line.number >= self.settings.max_iterations {
+                return Status::IterationLimit;
+            }
+            if self.settings.time_limit.is_some_and(|limit| self.began.elapsed() >= limit) {
+                return Status::TimeLimit;
+            }
+            let promise = match self.newton_step() {
+                Ok(promise) => promise,
+                Err(status) => return status,
+            };
+            let done = promise.gain <= self.settings.tolerance.powi(2) + promise.floor;
+            if done && self.near {
+                // The last step costs nothing more than to see that it does no harm.
+                self.take_last_step();
+                return self.verdict();
+            }
+            let exact = self.near;
+            let searched = self.search(&promise);
+            if searched.is_none() {
+                if let Some(status) = self.stuck(&promise) {
+                    return status;
+                }
+            }
+            let (step, trials) = searched.unwrap_or((0.0, 0));
+            if !exact && step > 0.0 {
+                let settled = self.update_noise();
+                self.near = promise.gain < NEAR && step == 1.0 && settled;
+            }
+            if self.grown() {
+                return Status::Diverging;
+            }
+            line = Iteration {
+                number: line.number + 1,
+                objective: self.here.objective,
+                defect: self.here.worst,
+                promise: promise.gain,
+                step,
+                trials,
+                shift: self.shift,
+                exact,
+            };
+        }
+    }
+
+    /// Derivatives at the present point, the Newton system, and its solution.
+    fn newton_step(&mut self) -> Result<Promise, Status> {
+        let nlp = self.nlp;
+        self.count.gradient += 1;
+        self.count.jacobian += 1;
+        let mut fine = nlp.gradient(&self.here.xi, &mut self.gradient).is_ok();
+        fine &= nlp.jacobian(&self.here.xi, &mut self.jacobian).is_ok();
+        if !fine {
+            self.detail = self.nlp.explain(&self.here.xi).unwrap_or_default();
+            return Err(Status::Failed);
+        }
+        let exact = self.near;
+        if exact {
+            self.count.hessian += 1;
+            fine = nlp.hessian(&self.here.xi, 1.0, &self.lambda, &mut self.hessian).is_ok();
+            if !fine || !self.factorize()?.is_positive() {
+                // Far from the end after all, or on a ridge.
+                self.gauss_newton()?;
+            }
+        } else {
+            self.gauss_newton()?;
+        }
+        self.solve_with_bounds();
+        Ok(self.promise())
+    }
+
+    /// The Gauss-Newton system, shifted until it is positive.
+    fn gauss_newton(&mut self) -> Result<(), Status> {
+        self.count.gauss_newton += 1;
+        if self.nlp.gauss_newton(&self.here.xi, 1.0, &mut self.hessian).is_err() {
+            self.detail = self.nlp.explain(&self.here.xi).unwrap_or_default();
+            return Err(Status::Failed);
+        }
+        let mut found = self.factorize()?;
+        while !found.is_positive() {
+            self.shift = (self.shift * 100.0).max(1e-10);
+            if self.shift > GREATEST_SHIFT {
+                return Err(Status::Failed);
+            }
+            found = self.kkt.finish(self.active.held(), self.shift);
+        }
+        Ok(())
+    }
+
+    fn factorize(&mut self) -> Result<Curvature, Status> {
+        self.count.factorizations += 1;
+        if let Err(singular) = self.kkt.factorize(&self.hessian, &self.jacobian) {
+            self.detail = format!("the {} depends on others", self.nlp.constraint_name(singular.row));
+            return Err(Status::Infeasible);
+        }
+        let profiled = if self.near { 0..0 } else { self.nlp.profiled() };
+        self.active.begin(&self.here.xi, &self.bounds, &self.gradient, profiled);
+        Ok(self.kkt.finish(self.active.held(), self.shift))
+    }
+
+    /// What the step promises.
+    fn promise(&self) -> Promise {
+        let slope: f64 = self.gradient.iter().zip(&self.d).map(|(g, d)| g * d).sum();
+        let pull: f64 = self.next_lambda.iter().zip(&self.here.c).map(|(l, c)| l * c).sum();
+        let pretended: f64 = self.next_lambda.iter().zip(&self.here.c).map(|(l, c)| (l * c).abs()).sum();
+        // H d = −∇φ − Aᵀλ − z, and A d = −c.
+        let curvature = -slope + pull - self.active.pull(&self.d);
+        let border = self.nlp.chains().map_or(0, |c| c.border);
+        let own = self.here.xi[border..].iter();
+        let sizes: f64 = self.next_lambda.iter().zip(own).map(|(l, x)| (l * x).abs()).sum();
+        Promise { slope, curvature, gain: 0.5 * slope.abs() + pretended, floor: 8.0 * f64::EPSILON * sizes }
+    }
+
+    /// Standard deviations from the residuals, after a step; whether they had settled before.
+    fn update_noise(&mut self) -> bool {
+        let roots = self.nlp.profiled();
+        if roots.is_empty() {
+            return true;
+        }
+        self.count.gradient += 1;
+        if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() {
+            return false;
+        }
+        self.nlp.profile(&self.here.xi, &self.gradient, &mut self.profile);
+        let mut settled = true;
+        for (i, best) in roots.zip(&self.profile) {
+            let x = &mut self.here.xi[i];
+            settled &= (best / *x - 1.0).abs() < SETTLED;
+            *x = best.clamp(*x / TENFOLD, *x * TENFOLD);
+        }
+        // It was finite, and can only come down.
+        let _ = self.here.evaluate_objective(self.nlp, &mut self.count);
+        settled
+    }
+
+    /// Whether a parameter has grown without limit.
+    fn grown(&mut self) -> bool {
+        let border = self.nlp.chains().map_or(self.here.xi.len(), |c| c.border);
+        let own = self.nlp.profiled();
+        let far = (0..border).find(|i| !own.contains(i) && self.here.xi[*i].abs() > ENDLESS);
+        if let Some(i) = far {
+            self.detail = format!("{} = {:.1e}", self.nlp.variable_name(i), self.here.xi[i]);
+        }
+        far.is_some()
+    }
+
+    fn take_last_step(&mut self) {
+        self.trial.step(&self.here.xi, 1.0, &self.d, &self.bounds);
+        if self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_ok()
+            && self.trial.objective <= self.here.objective + 1e-6
+        {
+            self.here.copy(&self.trial);
+            self.lambda.copy_from_slice(&self.next_lambda);
+        }
+    }
+
+    /// Nothing is left to gain: is it an optimum?
+    fn verdict(&mut self) -> Status {
+        if self.shift > 0.0 {
+            let found = self.kkt.finish(self.active.held(), 0.0);
+            if !found.is_positive() {
+                self.detail = self.weak_names();
+                return if found.negative > 0 { Status::Failed } else { Status::Unidentifiable };
+            }
+        }
+        Status::Converged
+    }
+
+    /// Names of the variables in directions without curvature.
+    fn weak_names(&self) -> String {
+        let name = |direction: &Vec<(usize, f64)>| {
+            let most = direction.first().map_or(0.0, |x| x.1.abs());
+            let part = direction.iter().filter(|x| x.1.abs() > 0.1 * most).take(6);
+            part.map(|x| self.nlp.variable_name(x.0)).collect::<Vec<_>>().join(", ")
+        };
+        self.kkt.weak_directions().iter().map(name).collect::<Vec<_>>().join("; ")
+    }
+
+    /// No step helped: try a shorter, safer direction; give up when these are spent.
+    fn stuck(&mut self, promise: &Promise) -> Option<Status> {
+        if promise.gain <= CLOSE.powi(2) + promise.floor {
+            return Some(if self.shift == 0.0 { Status::Acceptable } else { self.verdict() });
+        }
+        if self.near && self.settings.gauss_newton {
+            self.near = false;
+            return None;
+        }
+        self.shift = (self.shift * 100.0).max(1e-4);
+        if self.shift > GREATEST_SHIFT {
+            let infeasible = self.here.worst > 1e-6;
+            return Some(if infeasible { Status::Infeasible } else { Status::Failed });
+        }
+        None
+    }
+
+    fn finish(mut self, status: Status) -> Solution {
+        let mut message = status.hint().to_owned();
+        if matches!(status, Status::Infeasible | Status::Failed) && self.detail.is_empty() {
+            self.detail = self.worst_defect();
+        }
+        if !self.detail.is_empty() {
+            message = format!("{message} ({})", self.detail);
+        }
+        Solution {
+            iterations: self.history.last().map_or(0, |l| l.number),
+            flops: self.kkt.flops(),
+            xi: self.here.xi,
+            multipliers: self.lambda,
+            status,
+            message,
+            objective: self.here.objective,
+            defect: self.here.worst,
+            evaluations: self.count,
+            time: self.began.elapsed(),
+            units: self.units,
+            history: self.history,
+        }
+    }
+
+    fn worst_defect(&self) -> String {
+        let rows = self.units.iter().cycle();
+        let worst = self.here.c.iter().zip(rows).map(|(c, u)| c.abs() / u).enumerate();
+        let Some((i, _)) = worst.max_by(|a, b| a.1.total_cmp(&b.1)) else { return String::new() };
+        format!("the largest is the {}: {:.2e}", self.nlp.constraint_name(i), self.here.c[i])
+    }
+}

@@ -1,0 +1,145 @@
+//! The line search on the ℓ₁ merit function, with second-order corrections.
+
+use super::point::Point;
+use super::{Promise, Run};
+
+/// Part of the promised decrease that must come true (Armijo).
+const ARMIJO: f64 = 1e-4;
+/// Part of the decrease of defects that the model must promise.
+const RHO: f64 = 0.1;
+/// Shortest step.
+const SHORTEST: f64 = 1e-7;
+/// Most second-order corrections of a step.
+const CORRECTIONS: usize = 3;
+
+/// Most full steps in a row without a lower merit function.
+const PATIENCE: usize = 8;
+
+/// φ + ν Σ|c| in units.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Merit {
+    nu: f64,
+}
+
+impl Merit {
+    /// Raises ν as far as the step needs to be a descent; lowers it slowly where it could be less.
+    fn update(&mut self, promise: &Promise, defect: f64) {
+        if defect <= 0.0 {
+            return;
+        }
+        let least = (promise.slope + 0.5 * promise.curvature.max(0.0)) / ((1.0 - RHO) * defect);
+        self.nu = if self.nu < least { 1.5 * least } else { (0.3 * self.nu).max(1.5 * least).max(0.0) };
+    }
+}
+
+/// Full steps on trust (Chamberlain, Powell, Lemarechal and Pedersen, 1982): the merit function may rise
+/// for some steps, as it does along curved constraints and on the way out of a bad valley, if it is
+/// lower in the end than where it began to rise; if not, the search goes back there.
+#[derive(Clone, Debug)]
+pub(super) struct Watchdog {
+    back: Point,
+    lambda: Vec<f64>,
+    /// Steps since the merit function was lowest; 0 where it is so now.
+    age: usize,
+    /// The next step must lower it.
+    strict: bool,
+}
+
+impl Watchdog {
+    pub fn new(here: &Point) -> Watchdog {
+        Watchdog { back: here.clone(), lambda: vec![0.0; here.c.len()], age: 0, strict: false }
+    }
+}
+
+impl Run<'_> {
+    /// Moves along the step; its length and the number of trials, or nothing where none helped.
+    pub(super) fn search(&mut self, promise: &Promise) -> Option<(f64, usize)> {
+        self.merit.update(promise, self.here.defect);
+        let nu = self.merit.nu;
+        let of = |p: &Point| nu.mul_add(p.defect, p.objective);
+        let slope = promise.slope - nu * self.here.defect;
+        let noise = 10.0 * f64::EPSILON * (of(&self.here).abs() + self.here.objective.abs()) + promise.floor;
+        let from = if self.watchdog.age > 0 { &self.watchdog.back } else { &self.here };
+        let merit = of(from);
+        let enough = |p: &Point, alpha: f64| of(p) <= merit + ARMIJO * alpha * slope.min(0.0) + noise;
+
+        self.trial.step(&self.here.xi, 1.0, &self.d, &self.bounds);
+        let mut trials = 1;
+        let fine = self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_ok();
+        if fine && enough(&self.trial, 1.0) {
+            return Some(self.accept(1.0, trials));
+        }
+        if fine && !self.watchdog.strict {
+            if self.watchdog.age == 0 {
+                self.watchdog.back.copy(&self.here);
+                self.watchdog.lambda.copy_from_slice(&self.lambda);
+            }
+            if self.watchdog.age < PATIENCE {
+                let age = self.watchdog.age + 1;
+                let taken = self.accept(1.0, trials);
+                self.watchdog.age = age;
+                return Some(taken);
+            }
+        }
+        if self.watchdog.age > 0 {
+            self.go_back();
+            return Some((0.0, trials));
+        }
+        if fine && self.trial.defect > 0.0 {
+            let mut defect = self.trial.defect;
+            for _ in 0..CORRECTIONS {
+                trials += 1;
+                self.correct();
+                if self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_err() {
+                    break;
+                }
+                if enough(&self.trial, 1.0) {
+                    return Some(self.accept(1.0, trials));
+                }
+                if self.trial.defect > 0.5 * defect {
+                    break;
+                }
+                defect = self.trial.defect;
+            }
+        }
+        let mut alpha = 0.5;
+        while alpha >= SHORTEST {
+            trials += 1;
+            self.trial.step(&self.here.xi, alpha, &self.d, &self.bounds);
+            let fine = self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_ok();
+            if fine && enough(&self.trial, alpha) {
+                return Some(self.accept(alpha, trials));
+            }
+            alpha *= 0.3;
+        }
+        None
+    }
+
+    /// Back to where the merit function was lowest; the next step must lower it.
+    pub(super) fn go_back(&mut self) {
+        self.here.copy(&self.watchdog.back);
+        self.lambda.copy_from_slice(&self.watchdog.lambda);
+        (self.watchdog.age, self.watchdog.strict) = (0, true);
+    }
+
+    /// From the trial point a step back to the constraints with the same factorisation.
+    fn correct(&mut self) {
+        self.p.fill(0.0);
+        self.q.iter_mut().zip(&self.trial.c).for_each(|(q, c)| *q = -c);
+        self.count.solutions += 1;
+        let (d, lambda) = (&mut self.correction.0, &mut self.correction.1);
+        self.kkt.solve(&self.p, &self.q, d, lambda);
+        for (i, x) in self.trial.xi.iter_mut().enumerate() {
+            *x = (*x + d[i]).clamp(self.bounds.0[i], self.bounds.1[i]);
+        }
+    }
+
+    fn accept(&mut self, alpha: f64, trials: usize) -> (f64, usize) {
+        std::mem::swap(&mut self.here, &mut self.trial);
+        (self.watchdog.age, self.watchdog.strict) = (0, false);
+        for (l, next) in self.lambda.iter_mut().zip(&self.next_lambda) {
+            *l += alpha * (next - *l);
+        }
+        (alpha, trials)
+    }
+}

@@ -1,0 +1,52 @@
+//! What the user may choose.
+
+use std::time::Duration;
+
+use crate::error::Error;
+
+/// Options of [`solve`](super::solve).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Most iterations.
+    pub max_iterations: usize,
+    /// How close the optimum must be: the log-likelihood that the next step promises to gain, and that
+    /// the defects could pretend, stay below the square of this. It is about the distance in standard
+    /// errors.
+    pub tolerance: f64,
+    /// Most time.
+    pub time_limit: Option<Duration>,
+    /// Whether to go by Gauss-Newton steps first, with standard deviations profiled; else the exact
+    /// Hessian from the start.
+    pub gauss_newton: bool,
+    /// Whether to start with a regression of the parameters on the states as they are: for states that
+    /// are measured.
+    pub regression: bool,
+    /// Whether multipliers come with the start.
+    pub warm: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings {
+            max_iterations: 200,
+            tolerance: 1e-5,
+            time_limit: None,
+            gauss_newton: true,
+            regression: false,
+            warm: false,
+        }
+    }
+}
+
+impl Settings {
+    /// Checks ranges.
+    ///
+    /// # Errors
+    /// Names the option at fault.
+    pub fn check(&self) -> Result<(), Error> {
+        if !(self.tolerance > 0.0 && self.tolerance < 1.0) {
+            return Err(Error::Option(format!("tolerance {}: a number between 0 and 1", self.tolerance)));
+        }
+        Ok(())
+    }
+}

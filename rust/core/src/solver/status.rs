@@ -1,0 +1,85 @@
+//! How a run ended, and what to do about it.
+
+use std::fmt;
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Status {
+    /// A local optimum.
+    Converged,
+    /// Near an optimum, but rounding or a stalled search left the tolerance unmet.
+    Acceptable,
+    /// Stopped from outside.
+    Interrupted,
+    /// Too many iterations.
+    IterationLimit,
+    /// Too much time.
+    TimeLimit,
+    /// The equations cannot be met near here.
+    Infeasible,
+    /// At an optimum, some parameters have no influence or trade off against each other.
+    Unidentifiable,
+    /// The unknowns grow without limit.
+    Diverging,
+    /// No step helps.
+    Failed,
+}
+
+impl Status {
+    /// All of them.
+    pub const ALL: [Status; 9] = [
+        Status::Converged,
+        Status::Acceptable,
+        Status::Interrupted,
+        Status::IterationLimit,
+        Status::TimeLimit,
+        Status::Infeasible,
+        Status::Unidentifiable,
+        Status::Diverging,
+        Status::Failed,
+    ];
+
+    /// What it means and what to do.
+    pub fn hint(self) -> &'static str {
+        match self {
+            Status::Converged => {
+                "a local optimum was found; other starts tell whether it is the global one"
+            }
+            Status::Acceptable => {
+                "stopped at an acceptable point: tolerances were not all met, often for want of precision; \
+                 check the standard errors"
+            }
+            Status::Interrupted => "stopped by the user; this is the best point so far, and may be gone on from",
+            Status::IterationLimit => "not converged; allow more iterations, or go on from here",
+            Status::TimeLimit => "not converged; allow more time, or go on from here",
+            Status::Infeasible => {
+                "no state path satisfies the equations near here; look at start values, bounds and units"
+            }
+            Status::Unidentifiable => {
+                "the data do not determine all parameters: fix some of those named, or give them priors"
+            }
+            Status::Diverging => {
+                "the unknowns grow without limit; a parameter may be without influence: bound or fix it"
+            }
+            Status::Failed => {
+                "the solver gave up; try other start values, bounds that keep functions finite, or another order"
+            }
+        }
+    }
+}
+
+impl fmt::Display for Status {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Status::Converged => "converged",
+            Status::Acceptable => "acceptable",
+            Status::Interrupted => "interrupted",
+            Status::IterationLimit => "iteration limit",
+            Status::TimeLimit => "time limit",
+            Status::Infeasible => "infeasible",
+            Status::Unidentifiable => "unidentifiable",
+            Status::Diverging => "diverging",
+            Status::Failed => "failed",
+        })
+    }
+}

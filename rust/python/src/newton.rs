@@ -1,0 +1,143 @@
+//! The Newton solver.
+
+use std::time::Duration;
+
+use numpy::{PyArray1, PyReadonlyArray1};
+use phugoid::solver::{Control, Iteration, Settings, Solution, solve};
+use pyo3::prelude::*;
+
+use crate::collocation::PyCollocation;
+use crate::errors::named;
+
+/// Where the solver ended.
+#[pyclass(name = "NewtonSolution", module = "phugoid._core", frozen)]
+pub struct PySolution(Solution);
+
+/// A line of the iteration table: number, log-likelihood, defect, promise, step, trials, shift, exact.
+type Line = (usize, f64, f64, f64, f64, usize, f64, bool);
+
+fn line(i: &Iteration) -> Line {
+    (i.number, -i.objective, i.defect, i.promise, i.step, i.trials, i.shift, i.exact)
+}
+
+#[pymethods]
+impl PySolution {
+    #[getter]
+    fn xi<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_slice(py, &self.0.xi)
+    }
+
+    #[getter]
+    fn multipliers<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_slice(py, &self.0.multipliers)
+    }
+
+    /// Units of the states, in which defects are measured.
+    #[getter]
+    fn units(&self) -> Vec<f64> {
+        self.0.units.clone()
+    }
+
+    #[getter]
+    fn status(&self) -> String {
+        self.0.status.to_string()
+    }
+
+    #[getter]
+    fn message(&self) -> &str {
+        &self.0.message
+    }
+
+    #[getter]
+    fn iterations(&self) -> usize {
+        self.0.iterations
+    }
+
+    /// Seconds.
+    #[getter]
+    fn time(&self) -> f64 {
+        self.0.time.as_secs_f64()
+    }
+
+    /// Counted floating-point operations of one factorisation.
+    #[getter]
+    fn flops(&self) -> u64 {
+        self.0.flops
+    }
+
+    #[getter]
+    fn history(&self) -> Vec<Line> {
+        self.0.history.iter().map(line).collect()
+    }
+
+    /// Calls of objective, gradient, constraints, Jacobian, Hessian, Gauss-Newton Hessian, then
+    /// factorisations and solutions of the Newton system.
+    #[getter]
+    fn evaluations(&self) -> [usize; 8] {
+        let e = self.0.evaluations;
+        [
+            e.objective,
+            e.gradient,
+            e.constraints,
+            e.jacobian,
+            e.hessian,
+            e.gauss_newton,
+            e.factorizations,
+            e.solutions,
+        ]
+    }
+}
+
+/// Minimises from xi without the interpreter lock. `watch` is called with each line of the table; a
+/// KeyboardInterrupt, from it or from Ctrl-C, ends the run with the best point so far.
+#[pyfunction]
+#[pyo3(signature = (problem, xi, multipliers, max_iterations, tolerance, time_limit, gauss_newton, regression, watch))]
+#[allow(clippy::too_many_arguments)] // options, all by name in Python
+pub fn newton(
+    py: Python<'_>,
+    problem: &PyCollocation,
+    xi: PyReadonlyArray1<'_, f64>,
+    multipliers: Option<PyReadonlyArray1<'_, f64>>,
+    max_iterations: usize,
+    tolerance: f64,
+    time_limit: Option<f64>,
+    gauss_newton: bool,
+    regression: bool,
+    watch: Option<Py<PyAny>>,
+) -> PyResult<PySolution> {
+    let nlp = problem.inner();
+    let xi = xi.as_slice()?.to_vec();
+    let multipliers = multipliers.map(|m| m.as_slice().map(<[f64]>::to_vec)).transpose()?;
+    let settings = Settings {
+        max_iterations,
+        tolerance,
+        time_limit: time_limit.map(Duration::from_secs_f64),
+        gauss_newton,
+        regression,
+        ..Settings::default()
+    };
+    let mut error: Option<PyErr> = None;
+    let mut each = |i: &Iteration| {
+        let said = Python::attach(|py| {
+            py.check_signals()?;
+            watch.as_ref().map_or(Ok(()), |w| w.call1(py, line(i)).map(|_| ()))
+        });
+        match said {
+            Ok(()) => Control::Continue,
+            Err(e) => {
+                error = Some(e);
+                Control::Stop
+            }
+        }
+    };
+    let solved = py.detach(|| solve(nlp, &xi, multipliers.as_deref(), &settings, &mut each));
+    let interrupt = |e: &PyErr| e.is_instance_of::<pyo3::exceptions::PyKeyboardInterrupt>(py);
+    if let Some(e) = error.filter(|e| !interrupt(e)) {
+        return Err(e);
+    }
+    solved.map(PySolution).map_err(|_| {
+        let what = py.detach(|| phugoid::nlp::Nlp::explain(nlp, &xi));
+        let what = what.unwrap_or_else(|| "a function of the model is not finite".into());
+        named("EvaluationError", format!("at the starting point, {what}; give other start values, or bounds"))
+    })
+}

@@ -317,7 +317,7 @@ def test_a_start_that_kills_its_worker_is_given_up_alone(kind: str, request: pyt
             executor.shutdown()
     killed = result.outcomes[guilty[0]]
     assert (killed.status, killed.start) == ("killed", guilty[1])
-    assert "its worker was lost 3 times, at last with no other start in flight" in killed.message
+    assert "its worker was lost each time that it ran, at last with no other start in flight" in killed.message
     assert [o for o in told(result) if o[0] != killed.index] == [o for o in reference() if o[0] != killed.index]
     assert "were run again" in result.warnings[0]
     assert f"killed: 1 start(s), number {killed.index}" in result.summary()
@@ -388,9 +388,16 @@ def interrupt_after(count: int) -> Callable[[Outcome], None]:
 
 @pytest.mark.parametrize("anywhere", [None, "threads", "pool"], indirect=True)
 def test_ctrl_c_returns_the_outcomes_so_far(anywhere: Executor | None) -> None:
-    threading.Timer(0.7, os.kill, (os.getpid(), signal.SIGINT)).start()
-    result = run(1000, executor=anywhere, solver=Slow(seconds=0.05))
+    seen: list[Outcome] = []
+
+    def watch(outcome: Outcome) -> None:
+        if not seen:
+            threading.Timer(0.12, os.kill, (os.getpid(), signal.SIGINT)).start()
+        seen.append(outcome)
+
+    result = run(1000, executor=anywhere, solver=Slow(seconds=0.05), progress=watch)
     assert result.status == "interrupted"
+    assert {o.index for o in seen} <= {o.index for o in result.outcomes}
     assert 1 <= len(result.outcomes) < 100
     assert all(o.converged for o in result.outcomes)
     assert result.n == 1000
@@ -428,6 +435,20 @@ def test_an_interrupted_run_goes_on_from_its_journal(anywhere: Executor | None, 
     assert told(third) == reference()
     assert runs.stat().st_size - before == 3
     assert len(lines(path)) == 1 + 6
+
+
+def test_a_run_that_is_killed_goes_on_from_its_journal(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+    script = f"""
+from test_multistart import *
+run(6, journal={str(path)!r}, progress=lambda outcome: outcome.index == 2 and os.kill(os.getpid(), signal.SIGKILL))
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parent)
+    assert done.returncode == -signal.SIGKILL
+    assert len(lines(path)) == 1 + 3
+    seen: list[Outcome] = []
+    assert told(run(6, journal=path, progress=seen.append)) == reference()
+    assert [o.index for o in seen] == [3, 4, 5]
 
 
 def test_a_journal_keeps_every_bit(tmp_path: Path) -> None:

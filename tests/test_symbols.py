@@ -644,6 +644,9 @@ def test_arithmetic_has_the_bits_of_python(tree: Tree, at: dict[str, float]) -> 
         expression = Expr(0) + build(tree, ARITHMETIC, {"x": x, "y": y})
     except ZeroDivisionError:  # among numbers alone
         return
+    except ph.ModelError as error:  # numbers alone that overflow are refused
+        assert "is not finite" in str(error)
+        return
     assert expression.evaluate(at) == expected or math.isnan(expected)
 
 

@@ -32,7 +32,7 @@ from .read import read
 from .records import Record
 from .result import Fit, load
 from .simulate import simulate
-from .solvers import Ipopt, Iteration
+from .solvers import Ipopt, Iteration, Newton
 from .symbols import (
     Table,
     acos,
@@ -77,6 +77,7 @@ __all__ = [
     "ModelError",
     "Multistart",
     "Optimum",
+    "Newton",
     "OptionError",
     "Outcome",
     "Parameter",

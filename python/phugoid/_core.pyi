@@ -1,4 +1,4 @@
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -9,12 +9,15 @@ __all__ = [
     "Evaluator",
     "Expr",
     "Model",
+    "NewtonSolution",
     "Table",
     "__version__",
     "apply",
+    "information",
     "interpolate",
     "lgl",
     "load_expression",
+    "newton",
     "operations",
 ]
 
@@ -160,6 +163,8 @@ class Collocation:
     @property
     def n_theta(self) -> int: ...
     @property
+    def n_states(self) -> int: ...
+    @property
     def first_point(self) -> list[int]: ...
     @property
     def noise_parameters(self) -> list[str]: ...
@@ -190,6 +195,43 @@ class Evaluator:
     def dynamics(self, parameters: _Array, columns: _Array) -> _Array: ...
     def outputs(self, parameters: _Array, columns: _Array) -> _Array: ...
 
+@final
+class NewtonSolution:
+    @property
+    def xi(self) -> _Array: ...
+    @property
+    def multipliers(self) -> _Array: ...
+    @property
+    def units(self) -> list[float]: ...
+    @property
+    def status(self) -> str: ...
+    @property
+    def message(self) -> str: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def time(self) -> float: ...
+    @property
+    def flops(self) -> int: ...
+    @property
+    def history(self) -> list[tuple[int, float, float, float, float, int, float, bool]]: ...
+    @property
+    def evaluations(self) -> list[int]: ...
+
+def newton(
+    problem: Collocation,
+    xi: _Array,
+    multipliers: _Array | None,
+    max_iterations: int,
+    tolerance: float,
+    time_limit: float | None,
+    gauss_newton: bool,
+    regression: bool,
+    watch: Callable[..., object] | None,
+) -> NewtonSolution: ...
+def information(
+    problem: Collocation, xi: _Array, multipliers: _Array, wanted: Sequence[int], held: Sequence[int]
+) -> tuple[_Array, _Array, list[list[int]], bool] | None: ...
 def apply(name: str, *args: _Operand) -> Expr: ...
 def operations() -> list[tuple[str, int, list[tuple[float, float]]]]: ...
 def load_expression(text: str) -> Expr: ...

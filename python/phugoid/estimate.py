@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from . import _core
 from .errors import DataError, ModelError, OptionError
 from .experiment import Experiment, moves
-from .guess import check_names, parameter_start, spread, state_start
+from .guess import check_names, measured_states, parameter_start, spread, state_start
 from .model import Model
 from .noise import Gaussian
 from .progress import Progress
 from .result import Fit, make_fit
-from .solvers import Ipopt, Iteration, Solution
+from .solvers import Ipopt, Iteration, Newton, Solution
 from .transcription import Collocation
 
 __all__ = ["estimate"]
@@ -31,7 +31,7 @@ def estimate(
     transcription: Collocation | None = None,
     noise: Gaussian | None = None,
     start: Mapping[str, Any] | Fit | None = None,
-    solver: Ipopt | None = None,
+    solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
 ) -> Fit:
     """The maximum-likelihood estimate of a model's parameters from measured data (Eq. ml_loglike of the paper).
@@ -40,7 +40,7 @@ def estimate(
     ``start``: values by name of parameters, of ``sigma_<output>`` and of states (a number or one value a sample),
     or a fit to go on from. Parameters not named start as declared, standard deviations at the spread of the
     measurements, states as measured where an output measures them and else at 0.
-    ``noise``: instead of the model's own. ``progress``: True prints the iterations; a function is called with each.
+    ``noise``: instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints the iterations; a function is called with each.
 
     Ctrl-C ends the run and returns the best point so far, with status "interrupted".
 
@@ -53,15 +53,16 @@ def estimate(
     model.check()
     transcription = transcription or Collocation()
     noise = noise or model.noise_model
-    solver = solver or Ipopt()
+    solver = solver or Newton()
     options = {
         "transcription": (transcription, Collocation),
         "noise": (noise, Gaussian),
-        "solver": (solver, Ipopt),
     }
     for what, (value, kind) in options.items():
         if not isinstance(value, kind):
             raise OptionError(f"estimate: {what} is a {kind.__name__}, not {value!r}")
+    if not isinstance(solver, (Newton, Ipopt)):
+        raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
     if not isinstance(progress, bool) and not callable(progress):
         raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
     if not isinstance(start, (Mapping, Fit, type(None))):
@@ -82,9 +83,9 @@ def estimate(
 
     problem = transcription.problem(model, experiments, sigmas)
     xi = starting_point(problem, model, experiments, parameters, sigmas, given, warm)
-    samples = sum(e.n for e in experiments) * len(model.output_names)
+    known = {*measured_states(model, parameters), *given}.issuperset(model.state_names)
     with Progress.of(progress, model.name) as watch:
-        solution = solver.solve(problem, xi, len(model.state_names), samples, _warm(warm, problem, xi), watch)
+        solution = solver.solve(problem, xi, _warm(warm, problem, xi), watch, states_known=known)
     return make_fit(model, experiments, noise, transcription, problem, solution)
 
 

@@ -69,10 +69,10 @@ class Journal:
             text = self.path.read_bytes() if self.path.exists() else b""
             lines, sound = self._whole_lines(text, first)
             self.outcomes = self._read(lines, header, starts)
-            self._file = open(self.path, "ab", buffering=0)  # noqa: SIM115
+            self._file = open(self.path, "ab")  # noqa: SIM115
             self._file.truncate(sound)
             if not lines:
-                self._file.write(first)
+                self._write(first)
         except OSError as error:
             raise DataError(f"journal {self.path}: cannot be read and written ({error.strerror})") from error
 
@@ -82,13 +82,17 @@ class Journal:
         # Arrays (paths of states) are told by their hash, as all of the start is.
         entry["start"] = {name: value for name, value in outcome.start.items() if np.ndim(value) == 0}
         try:
-            self._file.write(_line({**entry, "start_hash": _start_hash(outcome.start)}))
+            self._write(_line({**entry, "start_hash": _start_hash(outcome.start)}))
         except OSError as error:
             raise DataError(f"journal {self.path}: cannot be written ({error.strerror})") from error
 
     def close(self) -> None:
         """Closes the file."""
         self._file.close()
+
+    def _write(self, line: bytes) -> None:
+        self._file.write(line)
+        self._file.flush()
 
     def _whole_lines(self, text: bytes, first: bytes) -> tuple[list[bytes], int]:
         """The lines that are complete, and how many bytes they are."""

@@ -276,17 +276,19 @@ def multistart(
     a function (i, random) -> start, of the start's number and its own `numpy.random.Generator`.
     ``start``: values for all starts, of what they do not give themselves; as in `estimate`, but of a fit only the
     parameters.
-    ``transcription``, ``noise``, ``solver``: as in `estimate`.
+    ``transcription``, ``noise``, ``solver``: as in `estimate`, but that the default solver makes no regression on
+    the measured states first: it would lead all starts of a model linear in its parameters to one point.
     ``executor``: None runs in this process. Otherwise any `concurrent.futures.Executor`, such as a
     ProcessPoolExecutor, or ``client.get_executor()`` of a Dask client; a start runs on one thread there, unless
-    the transcription says how many. Threads of this process are rarely faster than one: take processes.
+    the transcription says how many. Take processes rather than threads: Python's lock is held for part of the work.
     ``journal``: a file to which each finished start is written. The same call with the same journal runs only what
     is missing (also after ``n`` was raised). One run at a time.
     ``progress``: True shows a bar; a function is called with each `Outcome` as it comes in.
 
     What goes wrong in a run is an outcome, not an error of the whole. If a worker dies, its starts run again, in a
     fresh pool where the old one is broken, or in this process where there can be none (a warning of the result says
-    so); a start that loses its worker three times, the last time running alone, is given up with status "killed".
+    so). A start that loses its worker time and again (three times in a pool), at last running alone, is given up with
+    status "killed".
     Ctrl-C returns the outcomes so far, with status "interrupted"; runs under way in an executor are not waited for.
 
     Raises ModelError, DataError or OptionError for what cannot be right, whatever the start, and DataError for a

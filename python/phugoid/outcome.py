@@ -13,6 +13,7 @@ from .experiment import Experiment
 from .model import Model
 from .noise import Gaussian
 from .result import Fit
+from .solvers import Newton
 from .transcription import Collocation
 
 __all__ = ["Outcome", "Problem"]
@@ -72,7 +73,8 @@ class Problem:
             transcription=self.transcription,
             noise=self.noise,
             start={**self.start, **start},
-            solver=self.solver,
+            # A regression would make one start of many.
+            solver=self.solver or Newton(regression=False),
         )
 
     def outcome(self, index: int, start: Mapping[str, Any]) -> Outcome:

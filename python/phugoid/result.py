@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _core, io, plot, summary
-from .covariance import information
 from .errors import DataError
 from .experiment import Experiment
 from .model import Model
@@ -150,21 +149,22 @@ def make_fit(
     full = np.full((problem.n, 1), np.nan)[:, 0]  # standard errors by variable
     cov = np.full((n_theta, n_theta), np.nan)
     status, message = solution.status, solution.message
-    found = information(problem, xi, solution.multipliers, solution.scaling, wanted.astype(np.intp), held)
+    found = _core.information(problem, xi, solution.multipliers, wanted.tolist(), held.tolist())
     if found is None:
         warnings.append("the standard errors could not be computed: the information matrix is singular")
     else:
-        variance = np.diag(found.covariance)
+        covariance, step, undetermined, saddle = found
+        variance = np.diag(covariance)
         proper = variance > 0
+        for group in undetermined:
+            names = [problem.variable_name(i) for i in group]
+            warnings.append(_undetermined(names))
         full[wanted] = np.sqrt(np.where(proper, variance, np.nan))
         inner = wanted < n_theta
-        cov[np.ix_(wanted[inner], wanted[inner])] = found.covariance[np.ix_(inner, inner)]
-        if not proper.all():
-            names = [problem.variable_name(int(i)) for i in wanted[~proper]]
-            warnings.append(
-                f"not a proper maximum: no standard error for {', '.join(names)}; the data may not tell them apart"
-            )
-        elif status == "acceptable" and np.all(np.abs(found.step) < _CLOSE * np.sqrt(variance)):
+        cov[np.ix_(wanted[inner], wanted[inner])] = covariance[np.ix_(inner, inner)]
+        if saddle:
+            warnings.append("not a proper maximum: the log-likelihood grows from here in some direction")
+        elif status == "acceptable" and np.all(np.abs(step[proper]) < _CLOSE * np.sqrt(variance[proper])):
             # Rounding kept the solver from its tolerance, but there is nowhere left to go.
             status, message = "converged", HINTS["converged"]
         warnings += _confounded([*model.parameter_names, *problem.noise_parameters], cov)
@@ -212,6 +212,13 @@ def make_fit(
     )
 
 
+def _undetermined(names: Sequence[str]) -> str:
+    """What to say of variables in a direction without curvature."""
+    if len(names) == 1:
+        return f"{names[0]} has no influence on the outputs with these data: fix it, or give it a prior"
+    return f"{', '.join(names)} cannot be told apart with these data: fix one of them, or give it a prior"
+
+
 def _confounded(names: Sequence[str], cov: _Array) -> list[str]:
     """Parameters of which the data determine a combination only: their correlation matrix is singular."""
     known = np.flatnonzero(np.diag(cov) > 0)
@@ -221,7 +228,7 @@ def _confounded(names: Sequence[str], cov: _Array) -> list[str]:
     for value, vector in zip(*_eigen(correlation), strict=True):
         if value < _SINGULAR:
             involved = ", ".join(names[int(k)] for k, part in zip(known, vector, strict=True) if abs(part) > 0.1)
-            found.append(f"{involved} cannot be told apart with these data: fix one of them, or give it a prior")
+            found.append(_undetermined(involved.split(", ")))
     return found
 
 

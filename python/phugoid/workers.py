@@ -175,7 +175,7 @@ class Crew:
         if len(self._flying) >= limit or any(t.deaths != deaths for t in self._flying.values()):
             return None
         waiting = self._waiting[deaths]
-        return waiting.popleft() if waiting else None if deaths else next(self._fresh, None)
+        return waiting.popleft() if waiting else next(self._fresh, None)
 
     def _workers(self) -> int:
         """How many starts the executor runs at a time."""
@@ -210,7 +210,7 @@ class Crew:
             raise error
         self._run_again.add(task.index)
         if task.deaths == _ALONE:
-            message = f"its worker was lost {_ALONE + 1} times, at last with no other start in flight"
+            message = "its worker was lost each time that it ran, at last with no other start in flight"
             return Outcome(task.index, task.start, "killed", f"{message} ({type(error).__name__}: {error})")
         # Dask has tried several times when it says so.
         task.deaths = _ALONE if type(error).__name__ == "KilledWorker" else task.deaths + 1
@@ -229,13 +229,13 @@ class Crew:
         try:
             fresh.submit(os.getpid).result(timeout=_STARTING)
         except Exception as error:
-            self._dismiss(wait=False)
             self._end(
                 f"a fresh pool breaks before it has any start to run: {type(error).__name__}; does the script start "
                 "its work under if __name__ == '__main__'?"
             )
 
     def _end(self, why: str) -> None:
+        self._dismiss(wait=False)
         self.executor, self._ended = None, why
 
     def _dismiss(self, wait: bool) -> None:

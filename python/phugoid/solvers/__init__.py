@@ -1,6 +1,7 @@
-"""Solvers of the nonlinear program: what they take and what they give back."""
+"""Solvers of the nonlinear program: ours, and Ipopt."""
 
 from .ipopt import Ipopt
+from .newton import Newton
 from .solution import HINTS, Iteration, Solution
 
-__all__ = ["HINTS", "Ipopt", "Iteration", "Solution"]
+__all__ = ["HINTS", "Ipopt", "Iteration", "Newton", "Solution"]

@@ -91,10 +91,9 @@ class Ipopt:
         self,
         problem: _core.Collocation,
         xi: _Array,
-        n_states: int,
-        samples: int,
         warm: Solution | None = None,
         watch: Callable[[Iteration], None] | None = None,
+        states_known: bool = False,
     ) -> Solution:
         """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration.
 
@@ -103,12 +102,14 @@ class Ipopt:
         curvature of the log-likelihood from then on; scaled anew each time that a standard deviation has come down
         far, or defects that are small beside the signal would be large beside the noise, and pass for a better fit.
 
+        ``states_known`` makes no difference.
+
         Raises EvaluationError where a function is not finite at the start, MissingDependency without cyipopt.
         """
         wrapper = load_cyipopt()
         _check_start(problem, xi)
         started = time.perf_counter()
-        scaling = scale_from_data(problem, xi, n_states, samples)
+        scaling = scale_from_data(problem, xi)
         run = _Callbacks(problem, wrapper.CyIpoptEvaluationError, watch)
         x = xi
         multipliers: Mapping[str, Any] | None = warm.multipliers_by_name() if warm else None
@@ -135,7 +136,6 @@ class Ipopt:
             xi=x,
             multipliers=np.asarray(info["mult_g"]),
             bound_multipliers=(np.asarray(info["mult_x_L"]), np.asarray(info["mult_x_U"])),
-            scaling=scaling,
             status=status,
             message=message,
             iterations=len(run.history) and run.history[-1].number,

@@ -23,18 +23,20 @@ class Scaling:
     objective: float
 
 
-def scale_from_data(problem: _core.Collocation, xi: _Array, n_states: int, samples: int) -> Scaling:
+def scale_from_data(problem: _core.Collocation, xi: _Array) -> Scaling:
     """Scaling for the way to the optimum, at the starting point ``xi``.
 
     States by their spread along the starting path (the measurements, where they are measured); defects by the
     spread of their state, so that a scaled defect is a fraction of what the state does; a parameter by the root
     mean square of its column of the scaled defects, and by its curvature.
     """
-    states = xi[problem.n_theta :].reshape(-1, n_states)
+    states = xi[problem.n_theta :].reshape(-1, problem.n_states)
+    size = np.abs(states).max(axis=0)
     spread = states.std(axis=0)
-    spread = np.where(spread > 0, spread, np.abs(states).max(axis=0))
+    spread = np.where(spread > 1e-12 * size, spread, size)  # that of a constant is rounding errors
     units = 1 / np.where(spread > 0, spread, 1.0)
-    return _scaling(problem, xi, units, 1 / problem.m, 1.0 / max(samples, 1))
+    outputs = [len(y) for e in range(len(problem.first_point) - 1) for y in problem.outputs(xi, e)]
+    return _scaling(problem, xi, units, 1 / problem.m, 1.0 / max(sum(outputs), 1))
 
 
 def scale_from_curvature(problem: _core.Collocation, xi: _Array, first: Scaling) -> Scaling:
@@ -45,8 +47,7 @@ def scale_from_curvature(problem: _core.Collocation, xi: _Array, first: Scaling)
     any scaling by the signal leaves them beyond the reach of rounding. States that no output depends on keep the
     units that they had.
     """
-    n, n_theta = problem.n, problem.n_theta
-    n_states = problem.m // (problem.first_point[-1] - len(problem.first_point) + 1)
+    n, n_theta, n_states = problem.n, problem.n_theta, problem.n_states
     units = first.variables[n_theta : n_theta + n_states]
     curvature = problem.gauss_newton(xi, 1.0)
     if curvature is not None:

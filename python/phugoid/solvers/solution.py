@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .scaling import Scaling
-
 __all__ = ["HINTS", "Iteration", "Solution"]
 
 HINTS = {
@@ -20,6 +18,7 @@ HINTS = {
     "time limit": "not converged; allow more time, or go on with start=fit",
     "infeasible": "no state path satisfies the equations near here; look at start values, bounds and units",
     "diverging": "the unknowns grow without limit; a parameter may be without influence: bound or fix it",
+    "unidentifiable": "the data do not determine all parameters: fix some of those named, or give them priors",
     "failed": "the solver gave up; try other start values, bounds that keep functions finite, or another order",
 }
 """For each status, what it means and what to do."""
@@ -34,7 +33,8 @@ class Iteration:
     defect: float
     """Largest scaled constraint violation."""
     dual: float
-    """Largest scaled entry of the gradient of the Lagrangian."""
+    """Distance from the optimum: of Ipopt the largest scaled entry of the gradient of the Lagrangian; of Newton
+    what the next step promises to gain in log-likelihood, half the square of the distance in standard errors."""
     step: float
     trials: int
 
@@ -49,13 +49,15 @@ class Solution:
     """Multipliers of the constraints, shape (m,)."""
     bound_multipliers: tuple[NDArray[np.float64], NDArray[np.float64]]
     """Multipliers of the lower and upper bounds, shape (n,) each."""
-    scaling: Scaling
-    """The last scaling."""
     status: str
     message: str
     iterations: int
     time: float
     history: list[Iteration] = field(default_factory=list, repr=False)
+    evaluations: dict[str, int] = field(default_factory=dict, repr=False)
+    """How often each function was evaluated and the Newton system solved, where the solver counts."""
+    flops: int = 0
+    """Floating-point operations of one factorisation, where the solver counts."""
 
     def multipliers_by_name(self) -> dict[str, NDArray[np.float64]]:
         """The multipliers as Ipopt calls them."""

@@ -2,6 +2,7 @@
 //! transcribed by Lobatto collocation.
 #![warn(missing_docs)]
 
+pub mod diagnosis;
 pub mod error;
 pub mod evaluator;
 pub mod experiment;

@@ -131,6 +131,12 @@ impl PyCollocation {
         self.0.layout.n_theta
     }
 
+    /// Number of states.
+    #[getter]
+    fn n_states(&self) -> usize {
+        self.0.layout.n_x
+    }
+
     /// First point of each experiment, and the total.
     #[getter]
     fn first_point(&self) -> Vec<usize> {

@@ -19,6 +19,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<evaluator::PyEvaluator>()?;
     m.add_class::<newton::PySolution>()?;
     m.add_function(wrap_pyfunction!(newton::newton, m)?)?;
+    m.add_function(wrap_pyfunction!(newton::information, m)?)?;
     m.add_function(wrap_pyfunction!(expr::apply, m)?)?;
     m.add_function(wrap_pyfunction!(expr::operations, m)?)?;
     m.add_function(wrap_pyfunction!(expr::load_expression, m)?)?;

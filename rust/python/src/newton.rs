@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use numpy::{PyArray1, PyReadonlyArray1};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1};
 use phugoid::solver::{Control, Iteration, Settings, Solution, solve};
 use pyo3::prelude::*;
 
@@ -86,6 +86,26 @@ impl PySolution {
             e.solutions,
         ]
     }
+}
+
+/// Covariance (k, k) of some variables, the Newton step (k,) that is left, groups of variables that the
+/// data do not determine, and whether the point is a saddle; `None` where something is not finite.
+#[pyfunction]
+#[allow(clippy::type_complexity)] // a tuple for Python
+pub fn information<'py>(
+    py: Python<'py>,
+    problem: &PyCollocation,
+    xi: PyReadonlyArray1<'py, f64>,
+    multipliers: PyReadonlyArray1<'py, f64>,
+    wanted: Vec<usize>,
+    held: Vec<usize>,
+) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Vec<Vec<usize>>, bool)>> {
+    let (nlp, xi, lambda) = (problem.inner(), xi.as_slice()?, multipliers.as_slice()?);
+    let Ok(found) = py.detach(|| phugoid::diagnosis::information(nlp, xi, lambda, &wanted, &held)) else {
+        return Ok(None);
+    };
+    let covariance = PyArray1::from_vec(py, found.covariance).reshape([wanted.len(), wanted.len()])?;
+    Ok(Some((covariance, PyArray1::from_vec(py, found.step), found.undetermined, found.saddle)))
 }
 
 /// Minimises from xi without the interpreter lock. `watch` is called with each line of the table; a

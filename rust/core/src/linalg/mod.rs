@@ -1,6 +1,10 @@
 //! Newton systems: the seam [`KktSolver`] and its implementations.
 
 pub mod arrow;
+mod choose;
+pub mod sparse;
+
+pub use choose::kkt_for;
 
 /// A Newton system cannot be factorised: constraints that depend on each other, or numbers that are
 /// not finite.
@@ -48,7 +52,11 @@ pub trait KktSolver: Send {
     /// with others: what `factorize` did is used again. Only a positive curvature allows to solve.
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature;
 
-    /// Solves for one right-hand side p (n), q (m), with refinement where it is needed.
+    /// Whether solutions are refined against the entries until only rounding is left. Without it they are
+    /// as good as the elimination, which is enough on the way.
+    fn set_refinement(&mut self, _on: bool) {}
+
+    /// Solves for one right-hand side p (n), q (m).
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]);
 
     /// Directions of no curvature, or negative, found by the last `finish`: for each, variables and

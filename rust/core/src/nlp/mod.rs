@@ -70,6 +70,10 @@ pub trait Nlp: Send + Sync {
     fn chains(&self) -> Option<&Chains> {
         None
     }
+    /// Threads that a solver may use beside; 0 for as many as there are cores.
+    fn threads(&self) -> usize {
+        0
+    }
     /// Variables for which φ has a closed minimum, the others given: standard deviations.
     fn profiled(&self) -> Range<usize> {
         0..0

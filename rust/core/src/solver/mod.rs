@@ -27,8 +27,7 @@ pub use settings::Settings;
 pub use status::Status;
 pub use units::state_units;
 
-use crate::linalg::arrow::ArrowKkt;
-use crate::linalg::{Curvature, KktSolver};
+use crate::linalg::{Curvature, KktSolver, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use bounds::Active;
 use point::Point;
@@ -37,7 +36,7 @@ use search::{Merit, Watchdog};
 /// Most by which a standard deviation changes in a step.
 const TENFOLD: f64 = 10.0;
 /// The exact Hessian takes over once a step promises less than this in log-likelihood.
-const NEAR: f64 = 1.0;
+const NEAR: f64 = 10.0;
 /// Standard deviations have settled when the residuals ask for changes below this part of them.
 const SETTLED: f64 = 0.1;
 /// Size at which an unknown has grown without limit.
@@ -56,8 +55,8 @@ pub struct Iteration {
     pub objective: f64,
     /// Largest defect in units of its state.
     pub defect: f64,
-    /// What the next step promised to gain, and defects to pretend, when this point was reached; NaN at
-    /// the start.
+    /// What the next step promises to gain in log-likelihood, and defects to pretend: half the square of
+    /// the distance from the optimum in standard errors. Infinite where there is no next step.
     pub promise: f64,
     /// Length of the step taken, 1 for a full one.
     pub step: f64,
@@ -120,7 +119,7 @@ pub fn solve(
     watch: &mut dyn FnMut(&Iteration) -> Control,
 ) -> Result<Solution, NotFinite> {
     let mut run = Run::new(nlp, start, multipliers, settings)?;
-    let status = run.go(watch);
+    let status = run.go(watch)?;
     Ok(run.finish(status))
 }
 
@@ -174,21 +173,13 @@ impl<'a> Run<'a> {
         let (n, m) = (nlp.n(), nlp.m());
         let bounds = nlp.bounds();
         let units = state_units(nlp, start);
-        let arrow = nlp.chains().and_then(|chains| {
-            let units = &units[..chains.n_x];
-            ArrowKkt::new(chains, nlp.hessian_structure(), nlp.jacobian_structure(), (n, m), units)
-        });
-        let kkt: Box<dyn KktSolver> = match arrow {
-            Some(arrow) => Box::new(arrow),
-            None => panic!("no chains"),
-        };
         let mut here = Point::new(start, m);
         here.step(start, 0.0, &vec![0.0; n], &bounds);
         let mut run = Run {
             nlp,
             settings,
             began: Instant::now(),
-            kkt,
+            kkt: kkt_for(nlp, &units),
             active: Active::new(&bounds),
             bounds,
             units,
@@ -216,7 +207,7 @@ impl<'a> Run<'a> {
         Ok(run)
     }
 
-    fn go(&mut self, watch: &mut dyn FnMut(&Iteration) -> Control) -> Status {
+    fn go(&mut self, watch: &mut dyn FnMut(&Iteration) -> Control) -> Result<Status, NotFinite> {
         if self.settings.regression {
             self.regress();
         }
@@ -224,38 +215,47 @@ impl<'a> Run<'a> {
             number: 0,
             objective: self.here.objective,
             defect: self.here.worst,
-            promise: f64::NAN,
+            promise: f64::INFINITY,
             step: 0.0,
             trials: 0,
             shift: 0.0,
             exact: self.near,
         };
+        let mut last_gain = f64::INFINITY;
         loop {
+            let promise = self.newton_step();
+            line.promise = promise.map_or(f64::INFINITY, |p| p.gain);
+            if promise.is_err() && self.history.is_empty() && self.detail.is_empty() {
+                return Err(NotFinite);
+            }
             self.history.push(line);
             if watch(&line) == Control::Stop {
-                return Status::Interrupted;
+                return Ok(Status::Interrupted);
             }
-            if line.number >= self.settings.max_iterations {
-                return Status::IterationLimit;
-            }
-            if self.settings.time_limit.is_some_and(|limit| self.began.elapsed() >= limit) {
-                return Status::TimeLimit;
-            }
-            let promise = match self.newton_step() {
+            let promise = match promise {
                 Ok(promise) => promise,
-                Err(status) => return status,
+                Err(status) => return Ok(status),
             };
-            let done = promise.gain <= self.settings.tolerance.powi(2) + promise.floor;
-            if done && self.near {
+            let exact = self.near;
+            // Below the floor only rounding keeps the promise up: it no longer falls from step to step.
+            let spent = promise.gain <= promise.floor && promise.gain > 0.1 * last_gain;
+            let done = promise.gain <= self.settings.tolerance.powi(2) || spent;
+            last_gain = if exact { promise.gain } else { f64::INFINITY };
+            if done && exact {
                 // The last step costs nothing more than to see that it does no harm.
                 self.take_last_step();
-                return self.verdict();
+                return Ok(self.verdict());
             }
-            let exact = self.near;
+            if line.number >= self.settings.max_iterations {
+                return Ok(Status::IterationLimit);
+            }
+            if self.settings.time_limit.is_some_and(|limit| self.began.elapsed() >= limit) {
+                return Ok(Status::TimeLimit);
+            }
             let searched = self.search(&promise);
             if searched.is_none() {
                 if let Some(status) = self.stuck(&promise) {
-                    return status;
+                    return Ok(status);
                 }
             }
             let (step, trials) = searched.unwrap_or((0.0, 0));
@@ -264,13 +264,13 @@ impl<'a> Run<'a> {
                 self.near = promise.gain < NEAR && step == 1.0 && settled;
             }
             if self.grown() {
-                return Status::Diverging;
+                return Ok(Status::Diverging);
             }
             line = Iteration {
                 number: line.number + 1,
                 objective: self.here.objective,
                 defect: self.here.worst,
-                promise: promise.gain,
+                promise: f64::INFINITY,
                 step,
                 trials,
                 shift: self.shift,
@@ -287,10 +287,10 @@ impl<'a> Run<'a> {
         let mut fine = nlp.gradient(&self.here.xi, &mut self.gradient).is_ok();
         fine &= nlp.jacobian(&self.here.xi, &mut self.jacobian).is_ok();
         if !fine {
-            self.detail = self.nlp.explain(&self.here.xi).unwrap_or_default();
-            return Err(Status::Failed);
+            return Err(self.not_finite());
         }
         let exact = self.near;
+        self.kkt.set_refinement(exact);
         if exact {
             self.count.hessian += 1;
             fine = nlp.hessian(&self.here.xi, 1.0, &self.lambda, &mut self.hessian).is_ok();
@@ -309,8 +309,7 @@ impl<'a> Run<'a> {
     fn gauss_newton(&mut self) -> Result<(), Status> {
         self.count.gauss_newton += 1;
         if self.nlp.gauss_newton(&self.here.xi, 1.0, &mut self.hessian).is_err() {
-            self.detail = self.nlp.explain(&self.here.xi).unwrap_or_default();
-            return Err(Status::Failed);
+            return Err(self.not_finite());
         }
         let mut found = self.factorize()?;
         while !found.is_positive() {
@@ -321,6 +320,14 @@ impl<'a> Run<'a> {
             found = self.kkt.finish(self.active.held(), self.shift);
         }
         Ok(())
+    }
+
+    /// A derivative is not finite at a point where the functions are. At the start that is an error.
+    fn not_finite(&mut self) -> Status {
+        if !self.history.is_empty() {
+            self.detail = self.nlp.explain(&self.here.xi).unwrap_or_else(|| "a derivative is not finite".into());
+        }
+        Status::Failed
     }
 
     fn factorize(&mut self) -> Result<Curvature, Status> {
@@ -406,8 +413,9 @@ impl<'a> Run<'a> {
     fn weak_names(&self) -> String {
         let name = |direction: &Vec<(usize, f64)>| {
             let most = direction.first().map_or(0.0, |x| x.1.abs());
-            let part = direction.iter().filter(|x| x.1.abs() > 0.1 * most).take(6);
-            part.map(|x| self.nlp.variable_name(x.0)).collect::<Vec<_>>().join(", ")
+            let mut part: Vec<usize> = direction.iter().filter(|x| x.1.abs() > 0.1 * most).map(|x| x.0).collect();
+            part.sort_unstable();
+            part.iter().take(6).map(|&i| self.nlp.variable_name(i)).collect::<Vec<_>>().join(", ")
         };
         self.kkt.weak_directions().iter().map(name).collect::<Vec<_>>().join("; ")
     }

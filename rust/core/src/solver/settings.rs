@@ -29,7 +29,7 @@ impl Default for Settings {
     fn default() -> Self {
         Settings {
             max_iterations: 200,
-            tolerance: 1e-5,
+            tolerance: 1e-4,
             time_limit: None,
             gauss_newton: true,
             regression: false,

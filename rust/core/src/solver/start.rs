@@ -1,8 +1,162 @@
-//! A regression before the first step.
+//! A regression before the first step: where the states are measured, the parameters that make defects
+//! and output residuals small at the states as they are (the equation-error method, with both the
+//! equations and the outputs). Noise in the states biases it, but it takes no iteration over
+//! trajectories and lands near enough for Newton's method to take over.
+
+use nalgebra::{DMatrix, DVector};
 
 use super::Run;
 
+/// Most passes: a model linear in its parameters needs three or so for the weights to settle.
+const PASSES: usize = 12;
+/// A pass that gains less than this part ends it.
+const ENOUGH: f64 = 1e-3;
+/// Weights of defects and outputs stay within this factor of what they start from: residuals that are
+/// zero because a measurement is the state say nothing.
+const RANGE: f64 = 1e6;
+/// Part of the diagonal that is added to it, so that parameters without influence stay where they are.
+const RIDGE: f64 = 1e-10;
+
 impl Run<'_> {
-    /// Regression of the parameters on defects and outputs, the states as they are.
-    pub(super) fn regress(&mut self) {}
+    /// Regression of the border variables on defects and outputs, the states held; the standard deviations
+    /// follow the residuals. Does nothing where it cannot improve.
+    pub(super) fn regress(&mut self) {
+        let Some(chains) = self.nlp.chains() else { return };
+        let (border, n_x) = (chains.border, chains.n_x);
+        let profiled = self.nlp.profiled();
+        let first: Vec<f64> = self.here.xi[profiled.clone()].to_vec();
+        let start = self.here.clone();
+        let free: Vec<usize> = (0..border)
+            .filter(|i| !profiled.contains(i) && self.bounds.0[*i] < self.bounds.1[*i])
+            .collect();
+        if free.is_empty() {
+            return;
+        }
+        let mut place = vec![usize::MAX; border];
+        free.iter().enumerate().for_each(|(k, &i)| place[i] = k);
+
+        let mut done = false;
+        for _ in 0..PASSES {
+            self.noise_of_outputs(&first);
+            let weights = self.weights_of_defects(n_x);
+            let Some(step) = self.regression_step(&free, &place, &weights) else { break };
+            let before = self.loss(&weights);
+            let mut alpha = 1.0_f64;
+            let mut gained = None;
+            while alpha > 0.05 {
+                self.trial.xi.copy_from_slice(&self.here.xi);
+                for (&i, d) in free.iter().zip(step.iter()) {
+                    let x = &mut self.trial.xi[i];
+                    *x = alpha.mul_add(*d, *x).clamp(self.bounds.0[i], self.bounds.1[i]);
+                }
+                if self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_ok() {
+                    std::mem::swap(&mut self.here, &mut self.trial);
+                    let after = self.loss(&weights);
+                    if after < before {
+                        gained = Some((before - after) / before.abs().max(1.0));
+                        break;
+                    }
+                    std::mem::swap(&mut self.here, &mut self.trial);
+                }
+                alpha *= 0.4;
+            }
+            match gained {
+                Some(part) => done |= part > 0.0,
+                None => break,
+            }
+            if gained.is_some_and(|part| part < ENOUGH) {
+                break;
+            }
+        }
+        if done {
+            self.noise_of_outputs(&first);
+        }
+        if !done || self.here.evaluate(self.nlp, &self.units, &mut self.count).is_err() {
+            self.here.copy(&start);
+        }
+        self.merit = super::Merit::default();
+    }
+
+    /// Standard deviations as the residuals say; those whose residuals are nothing keep their start.
+    fn noise_of_outputs(&mut self, first: &[f64]) {
+        let roots = self.nlp.profiled();
+        self.count.gradient += 1;
+        if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() {
+            return;
+        }
+        self.nlp.profile(&self.here.xi, &self.gradient, &mut self.profile);
+        for ((i, best), first) in roots.zip(&self.profile).zip(first) {
+            self.here.xi[i] = if *best < RANGE * first { *best } else { *first };
+        }
+    }
+
+    /// 1/σ² of the defects of each state.
+    fn weights_of_defects(&self, n_x: usize) -> Vec<f64> {
+        let count = (self.here.c.len() / n_x) as f64;
+        let weight = |i: usize| {
+            let squares: f64 = self.here.c.iter().skip(i).step_by(n_x).map(|c| c * c).sum();
+            1.0 / (squares / count).max((self.units[i] / RANGE).powi(2))
+        };
+        (0..n_x).map(weight).collect()
+    }
+
+    /// φ + ½ Σ c²/σ²
+    fn loss(&mut self, weights: &[f64]) -> f64 {
+        if self.here.evaluate_objective(self.nlp, &mut self.count).is_err() {
+            return f64::INFINITY;
+        }
+        let defects: f64 = self.here.c.iter().zip(weights.iter().cycle()).map(|(c, w)| w * c * c).sum();
+        self.here.objective + 0.5 * defects
+    }
+
+    /// The Gauss-Newton step of the free border variables, the states held.
+    fn regression_step(&mut self, free: &[usize], place: &[usize], weights: &[f64]) -> Option<DVector<f64>> {
+        let nlp = self.nlp;
+        let (k, n_x) = (free.len(), weights.len());
+        self.count.jacobian += 1;
+        self.count.gauss_newton += 1;
+        self.count.gradient += 1;
+        nlp.jacobian(&self.here.xi, &mut self.jacobian).ok()?;
+        nlp.gauss_newton(&self.here.xi, 1.0, &mut self.hessian).ok()?;
+        nlp.gradient(&self.here.xi, &mut self.gradient).ok()?;
+        // Rows of ∂c/∂θ: entries of the same row stand apart in the structure, so they are gathered.
+        let mut rows = vec![0.0; self.here.c.len() * k];
+        let s = nlp.jacobian_structure();
+        for ((&r, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.jacobian) {
+            if let Some(&column) = place.get(c as usize).filter(|p| **p != usize::MAX) {
+                rows[r as usize * k + column] += v;
+            }
+        }
+        let mut a = DMatrix::<f64>::zeros(k, k);
+        let mut b = DVector::<f64>::zeros(k);
+        for (r, row) in rows.chunks_exact(k).enumerate() {
+            let (w, c) = (weights[r % n_x], self.here.c[r]);
+            for i in (0..k).filter(|&i| row[i] != 0.0) {
+                b[i] -= w * row[i] * c;
+                for j in 0..=i {
+                    a[(i, j)] += w * row[i] * row[j];
+                }
+            }
+        }
+        let s = nlp.hessian_structure();
+        for ((&r, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.hessian) {
+            let (Some(&i), Some(&j)) = (place.get(r as usize), place.get(c as usize)) else { continue };
+            if i != usize::MAX && j != usize::MAX {
+                a[(i.max(j), i.min(j))] += v;
+            }
+        }
+        free.iter().enumerate().for_each(|(i, &x)| b[i] -= self.gradient[x]);
+        let scale = DVector::from_fn(k, |i, _| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 1.0 });
+        for i in 0..k {
+            for j in 0..=i {
+                a[(i, j)] *= scale[i] * scale[j];
+            }
+            a[(i, i)] += RIDGE;
+        }
+        let factor = a.cholesky()?;
+        let mut step = b.component_mul(&scale);
+        factor.solve_mut(&mut step);
+        let step = step.component_mul(&scale);
+        step.iter().all(|x| x.is_finite()).then_some(step)
+    }
 }

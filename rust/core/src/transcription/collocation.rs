@@ -453,6 +453,10 @@ impl Nlp for Collocation {
         Some(&self.chains)
     }
 
+    fn threads(&self) -> usize {
+        self.pool.as_ref().map_or(0, rayon::ThreadPool::current_num_threads)
+    }
+
     fn profiled(&self) -> Range<usize> {
         self.n_model_parameters..self.layout.n_theta
     }

@@ -1,13 +1,36 @@
 //! Small dense matrices, row-major with a stride, and rows of whole vectors.
 
-/// to += a · from, over whole vectors of eight.
+/// to += a · from. `V` is the number of vectors of eight where it is known (the loop is then unrolled),
+/// else 0.
 #[inline(always)]
-pub(super) fn axpy(to: &mut [f64], a: f64, from: &[f64]) {
-    let (to, from) = (to.as_chunks_mut::<8>().0, from.as_chunks::<8>().0);
-    for (t, &f) in to.iter_mut().zip(from) {
-        *t = std::array::from_fn(|l| a.mul_add(f[l], t[l]));
+pub(super) fn axpy<const V: usize>(to: &mut [f64], a: f64, from: &[f64]) {
+    if V > 0 {
+        let to: &mut [[f64; 8]; V] = to.as_chunks_mut().0.first_chunk_mut().expect("V vectors");
+        let from: &[[f64; 8]; V] = from.as_chunks().0.first_chunk().expect("V vectors");
+        for (t, f) in to.iter_mut().zip(from) {
+            *t = std::array::from_fn(|l| a.mul_add(f[l], t[l]));
+        }
+    } else {
+        for (t, f) in to.iter_mut().zip(from) {
+            *t = a.mul_add(*f, *t);
+        }
     }
 }
+
+/// Calls a function for the number of vectors at hand, known to the compiler where it is small.
+macro_rules! for_vectors {
+    ($count:expr, $function:ident($($argument:expr),* $(,)?)) => {
+        match $count {
+            1 => $function::<1>($($argument),*),
+            2 => $function::<2>($($argument),*),
+            3 => $function::<3>($($argument),*),
+            4 => $function::<4>($($argument),*),
+            5 => $function::<5>($($argument),*),
+            _ => $function::<0>($($argument),*),
+        }
+    };
+}
+pub(super) use for_vectors;
 
 /// Σ a·b over whole vectors of eight, in a fixed order.
 #[inline(always)]
@@ -18,18 +41,6 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     }
     let [a, b, c, d, e, f, g, h] = sum;
     ((a + e) + (b + f)) + ((c + g) + (d + h))
-}
-
-/// Row `k` to read and row `i` to write, of a matrix with a stride.
-#[inline(always)]
-pub(super) fn two_rows(a: &mut [f64], stride: usize, k: usize, i: usize) -> (&[f64], &mut [f64]) {
-    if k < i {
-        let (low, high) = a.split_at_mut(i * stride);
-        (&low[k * stride..(k + 1) * stride], &mut high[..stride])
-    } else {
-        let (low, high) = a.split_at_mut(k * stride);
-        (&high[..stride], &mut low[i * stride..(i + 1) * stride])
-    }
 }
 
 /// Householder's QR of the first `k` columns of a (rows × columns); the reflections are applied to the

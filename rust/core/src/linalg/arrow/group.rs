@@ -10,9 +10,10 @@
 
 use std::ops::Range;
 
-use super::dense::{axpy, dot, two_rows};
+use super::dense::{axpy, dot, for_vectors};
 use super::plan::{ChainPlan, Shape};
 use crate::simd::kernel;
+use crate::tape::lanes::all_finite;
 
 /// Greatest sensitivity of the end of a group to its start, in units of the states.
 pub(super) const GROWTH: f64 = 100.0;
@@ -56,10 +57,13 @@ pub(super) struct Group {
     pub segments: Range<usize>,
     /// Own row, within the chain, of the first segment.
     row: usize,
-    /// For each segment the rows of E (width), then those of M (d): factorised by LU.
-    panels: Vec<f64>,
-    panel_start: Vec<usize>,
+    /// E: a row of sensitivities (width) for each own row.
+    e: Vec<f64>,
+    /// LU of M: a row of d for each own row, reciprocals of the pivots on the diagonal.
+    lu: Vec<f64>,
     pivots: Vec<u16>,
+    /// Where a segment is eliminated.
+    panel: Vec<f64>,
     /// Hessian and couplings of each own point; of the chain's first point before them, in group 0.
     records: Vec<f64>,
     /// Points whose record is not zero.
@@ -90,7 +94,8 @@ pub(super) struct Context<'a> {
     pub plan: &'a ChainPlan,
     /// 1/unit of each state.
     pub units: &'a [f64],
-    /// What the columns of E are multiplied by (width): −unit of states, −1 for θ.
+    /// What the columns of a panel are multiplied by: the unit of own states, then −unit of states
+    /// before, −1 for θ.
     pub columns: &'a [f64],
     /// What a record is multiplied by.
     pub record: &'a [f64],
@@ -102,21 +107,14 @@ impl Group {
         let n = shape.n;
         let row = plan.row(segments.start, n);
         let rows = plan.row(segments.end, n) - row;
-        let mut panel_start = Vec::with_capacity(segments.len() + 1);
-        let mut size = 0;
-        for s in segments.clone() {
-            panel_start.push(size);
-            size += (plan.row(s + 1, n) - plan.row(s, n)) * (shape.width + plan.d);
-            size = size.next_multiple_of(8);
-        }
-        panel_start.push(size);
         let first = usize::from(segments.start == 0);
         let most = segments.clone().map(|s| plan.row(s + 1, n) - plan.row(s, n)).max().unwrap_or(0);
         Group {
             row,
-            panels: vec![0.0; size],
-            panel_start,
+            e: vec![0.0; rows * shape.width],
+            lu: vec![0.0; rows * plan.d],
             pivots: vec![0; segments.len() * plan.d],
+            panel: vec![0.0; most * shape.panel(plan.d)],
             records: vec![0.0; (rows / n + first) * shape.record()],
             active: vec![false; rows / n + first],
             form: Form::new(shape),
@@ -211,7 +209,7 @@ impl Group {
 kernel! {
     fn factorize(g: &mut Group, context: &Context<'_>, hessian: &[f64], jacobian: &[f64]) -> Result<(), usize> {
         let (shape, plan) = (context.shape, context.plan);
-        let (n, width, d, used) = (shape.n, shape.width, plan.d, shape.used());
+        let (n, width, d) = (shape.n, shape.width, plan.d);
         let record = shape.record();
         restart(g, n, width);
         g.square.fill(0.0);
@@ -226,35 +224,31 @@ kernel! {
         }
         let mut point = first_point;
         let segments = g.segments.clone();
+        let length = shape.panel(d);
         for (i, s) in segments.enumerate() {
-            let rows = plan.row(s + 1, n) - plan.row(s, n);
-            let panel = &mut g.panels[g.panel_start[i]..g.panel_start[i + 1]];
+            let own = g.rows(plan, n, s);
+            let rows = own.len();
+            let panel = &mut g.panel[..rows * length];
             panel.fill(0.0);
             for &(entry, place) in plan.jacobian.of(s) {
                 panel[place as usize] += jacobian[entry as usize];
             }
-            let (e, m) = panel.split_at_mut(rows * width);
-            for (row, (e, m)) in e.chunks_exact_mut(width).zip(m.chunks_exact_mut(d)).enumerate() {
-                let unit = context.units[row % n];
-                for (e, c) in e.iter_mut().zip(context.columns) {
-                    *e *= unit * c;
-                }
-                for (j, m) in m.iter_mut().enumerate() {
-                    *m *= unit / context.units[j % n];
+            for point in panel.chunks_exact_mut(n * length) {
+                for (row, unit) in point.chunks_exact_mut(length).zip(context.units) {
+                    for (x, c) in row.iter_mut().zip(context.columns) {
+                        *x *= unit * c;
+                    }
                 }
             }
             let pivots = &mut g.pivots[i * d..(i + 1) * d];
-            if let Err(row) = eliminate(m, e, rows, d, width, pivots) {
+            let e = &mut g.e[own.start * width..own.end * width];
+            let lu = &mut g.lu[own.start * d..own.end * d];
+            if let Err(row) = for_vectors!(length / 8, eliminate(panel, d, width, lu, e, pivots)) {
                 return Err(plan.row(s, n) + row);
             }
             // Sensitivities of the own points: Y = E_x Z + [0 E_θ].
-            for (y, e) in g.next[..rows * width].chunks_exact_mut(width).zip(e.chunks_exact(width)) {
-                y.copy_from_slice(e);
-                y[..n].fill(0.0);
-                for j in 0..n {
-                    axpy(y, e[j], &g.z[j * width..(j + 1) * width]);
-                }
-            }
+            let next = &mut g.next[..rows * width];
+            for_vectors!(width / 8, follow(n, width, e, &g.z, next));
             for j in 0..rows / n {
                 let part = &mut g.records[point * record..(point + 1) * record];
                 let in_chain = 1 + g.row / n + point - first_point;
@@ -266,9 +260,12 @@ kernel! {
                 point += 1;
             }
             g.z.copy_from_slice(&g.next[(d - n) * width..d * width]);
-            let growth = g.z.chunks_exact(width).flat_map(|row| &row[..n]).fold(0.0f64, |a, x| a.max(x.abs()));
-            if growth.is_nan() || g.z.chunks_exact(width).any(|row| row[..used].iter().any(|x| !x.is_finite())) {
+            if !all_finite(&g.z) {
                 return Err(plan.row(s, n));
+            }
+            let mut growth = 0.0;
+            for row in g.z.chunks_exact(width) {
+                row[..n].iter().for_each(|x| growth = if x.abs() > growth { x.abs() } else { growth });
             }
             g.growth = g.growth.max(growth);
             if growth > GROWTH && s + 1 < g.segments.end {
@@ -302,77 +299,135 @@ fn fill_record(record: &mut [f64], items: &[(u32, u32)], hessian: &[f64], factor
     any != 0
 }
 
-/// Adds ZᵀHZ to `square` and Zᵀ K to `cross`.
+/// Y = E_x Z + [0 E_θ], row by row.
 #[inline(always)]
-fn add_point(shape: &Shape, record: &[f64], z: &[f64], bent: &mut [f64], square: &mut [f64], cross: &mut [f64]) {
-    let (n, width, coupling) = (shape.n, shape.width, shape.coupling);
-    let (h, k) = record.split_at(shape.couplings());
-    bent.fill(0.0);
-    for (bent, h) in bent.chunks_exact_mut(width).zip(h.chunks_exact(n)) {
-        for (h, z) in h.iter().zip(z.chunks_exact(width)) {
-            axpy(bent, *h, z);
-        }
-    }
-    for (i, row) in square.chunks_exact_mut(width).enumerate() {
-        for r in 0..n {
-            axpy(row, z[r * width + i], &bent[r * width..(r + 1) * width]);
-        }
-    }
-    if coupling > 0 {
-        for (i, row) in cross.chunks_exact_mut(coupling).enumerate() {
-            for r in 0..n {
-                axpy(row, z[r * width + i], &k[r * coupling..(r + 1) * coupling]);
-            }
+fn follow<const V: usize>(n: usize, width: usize, e: &[f64], z: &[f64], next: &mut [f64]) {
+    for (y, e) in next.chunks_exact_mut(width).zip(e.chunks_exact(width)) {
+        y.copy_from_slice(e);
+        y[..n].fill(0.0);
+        for (f, z) in e[..n].iter().zip(z.chunks_exact(width)) {
+            axpy::<V>(y, *f, z);
         }
     }
 }
 
-/// LU with row exchanges of the first d of `rows` rows of M, the rows after them (ties) eliminated
-/// along; then E = M⁻¹ e. The diagonal keeps the reciprocals of the pivots. The column that has no
-/// pivot where M is singular.
+/// Adds ZᵀHZ to `square` and ZᵀK to `cross`.
 #[inline(always)]
-fn eliminate(m: &mut [f64], e: &mut [f64], rows: usize, d: usize, width: usize, pivots: &mut [u16]) -> Result<(), usize> {
-    for k in 0..d {
-        let (mut best, mut size) = (k, m[k * d + k].abs());
-        for i in k + 1..d {
-            if m[i * d + k].abs() > size {
-                (best, size) = (i, m[i * d + k].abs());
-            }
+fn add_point(shape: &Shape, record: &[f64], z: &[f64], bent: &mut [f64], square: &mut [f64], cross: &mut [f64]) {
+    let (n, width, coupling, used) = (shape.n, shape.width, shape.coupling, shape.used());
+    let (h, k) = record.split_at(shape.couplings());
+    for_vectors!(width / 8, bend(n, width, h, z, bent));
+    for_vectors!(width / 8, add_product(used, width, z, width, bent, square));
+    if coupling > 0 {
+        for_vectors!(coupling / 8, add_product(used, width, z, coupling, k, cross));
+    }
+}
+
+/// H Z of a point.
+#[inline(always)]
+fn bend<const V: usize>(n: usize, width: usize, h: &[f64], z: &[f64], bent: &mut [f64]) {
+    bent.fill(0.0);
+    for (bent, h) in bent.chunks_exact_mut(width).zip(h.chunks_exact(n)) {
+        for (h, z) in h.iter().zip(z.chunks_exact(width)) {
+            axpy::<V>(bent, *h, z);
         }
+    }
+}
+
+/// to += Zᵀ right, row by row, for the columns of Z in use.
+#[inline(always)]
+fn add_product<const V: usize>(used: usize, width: usize, z: &[f64], length: usize, right: &[f64], to: &mut [f64]) {
+    for (i, to) in to.chunks_exact_mut(length).take(used).enumerate() {
+        for (z, right) in z.chunks_exact(width).zip(right.chunks_exact(length)) {
+            axpy::<V>(to, z[i], right);
+        }
+    }
+}
+
+#[inline(always)]
+fn larger(x: f64, i: usize, best: &mut usize, size: &mut f64) {
+    if x.abs() > *size {
+        (*best, *size) = (i, x.abs());
+    }
+}
+
+/// Row and size of the largest entry of the first column. Kept out of the kernel: for a handful of rows
+/// the compiler makes thousands of vector instructions of it.
+#[inline(never)]
+fn first_pivot(panel: &[f64], length: usize, d: usize) -> (usize, f64) {
+    let (mut best, mut size) = (0, 0.0);
+    for i in 0..d {
+        larger(panel[i * length], i, &mut best, &mut size);
+    }
+    (best, size)
+}
+
+/// Exchanges the first entries of two rows. Rare, and kept out of the kernel for the same reason.
+#[cold]
+#[inline(never)]
+fn exchange(a: &mut [f64], stride: usize, count: usize, k: usize, i: usize) {
+    let (low, high) = a.split_at_mut(i * stride);
+    low[k * stride..k * stride + count].swap_with_slice(&mut high[..count]);
+}
+
+/// LU with row exchanges of the first d of `rows` rows of M, the rows after them (ties) eliminated
+/// along; then E = M⁻¹ e, both from a panel of rows [M, e]. The column that has no pivot where M is
+/// singular.
+#[inline(always)]
+fn eliminate<const V: usize>(
+    panel: &mut [f64],
+    d: usize,
+    width: usize,
+    lu: &mut [f64],
+    e: &mut [f64],
+    pivots: &mut [u16],
+) -> Result<(), usize> {
+    let first = d.next_multiple_of(8);
+    let length = first + width;
+    // The largest entry of the column to come is found while rows are eliminated.
+    let (mut best, mut size) = first_pivot(panel, length, d);
+    for k in 0..d {
         pivots[k] = best as u16;
         if !(size > 1e-280 && size.is_finite()) {
             return Err(k);
         }
         if best != k {
-            (0..d).for_each(|j| m.swap(k * d + j, best * d + j));
-            (0..width).for_each(|j| e.swap(k * width + j, best * width + j));
+            exchange(panel, length, length, k, best);
+            exchange(lu, d, k, k, best);
         }
-        let inverse = 1.0 / m[k * d + k];
-        m[k * d + k] = inverse;
-        for i in k + 1..rows {
-            let (from, to) = two_rows(m, d, k, i);
+        let (above, below) = panel.split_at_mut((k + 1) * length);
+        let pivot_row = &above[k * length..];
+        let inverse = 1.0 / pivot_row[k];
+        let (lu_above, lu_below) = lu.split_at_mut((k + 1) * d);
+        let u = &mut lu_above[k * d..];
+        u[k] = inverse;
+        u[k + 1..].copy_from_slice(&pivot_row[k + 1..d]);
+        // Left of the pivot the row is zero: whole vectors may be taken, and all of few.
+        let skipped = if V > 0 { 0 } else { k & !7 };
+        let from = &pivot_row[skipped..];
+        (best, size) = (k + 1, 0.0);
+        let mut i = k;
+        for (to, lu) in below.chunks_exact_mut(length).zip(lu_below.chunks_exact_mut(d)) {
             let l = to[k] * inverse;
-            if l == 0.0 {
-                continue;
+            lu[k] = l;
+            axpy::<V>(&mut to[skipped..], -l, from);
+            i += 1;
+            if i < d {
+                larger(to[k + 1], i, &mut best, &mut size);
             }
-            to[k] = l;
-            for (t, f) in to[k + 1..].iter_mut().zip(&from[k + 1..]) {
-                *t = (-l).mul_add(*f, *t);
-            }
-            let (from, to) = two_rows(e, width, k, i);
-            axpy(to, -l, from);
         }
     }
     for k in (0..d).rev() {
-        let inverse = m[k * d + k];
-        e[k * width..(k + 1) * width].iter_mut().for_each(|x| *x *= inverse);
-        for i in 0..k {
-            let u = m[i * d + k];
-            if u != 0.0 {
-                let (from, to) = two_rows(e, width, k, i);
-                axpy(to, -u, from);
-            }
+        let inverse = lu[k * d + k];
+        panel[k * length + first..(k + 1) * length].iter_mut().for_each(|x| *x *= inverse);
+        let skipped = if V > 0 { 0 } else { first };
+        let (above, row) = panel.split_at_mut(k * length);
+        for (to, lu) in above.chunks_exact_mut(length).zip(lu.chunks_exact(d)) {
+            axpy::<V>(&mut to[skipped..], -lu[k], &row[skipped..length]);
         }
+    }
+    for (e, row) in e.chunks_exact_mut(width).zip(panel.chunks_exact(length)) {
+        e.copy_from_slice(&row[first..]);
     }
     Ok(())
 }
@@ -427,7 +482,8 @@ kernel! {
         g.at_end.fill(0.0);
         for (i, s) in g.segments.clone().enumerate() {
             let own = g.rows(plan, n, s);
-            let (e, m) = g.panels[g.panel_start[i]..g.panel_start[i + 1]].split_at(own.len() * width);
+            let e = &g.e[own.start * width..own.end * width];
+            let m = &g.lu[own.start * d..own.end * d];
             let y = &mut g.y[own.clone()];
             y.copy_from_slice(&q[g.row + own.start..g.row + own.end]);
             solve(m, own.len(), d, &g.pivots[i * d..(i + 1) * d], y);
@@ -445,9 +501,9 @@ kernel! {
         g.cross[..shape.coupling].fill(0.0);
         g.bent[..width].fill(0.0);
         let first_point = usize::from(g.has_first());
-        for (i, s) in g.segments.clone().enumerate().rev() {
+        for s in g.segments.clone().rev() {
             let own = g.rows(plan, n, s);
-            let e = &g.panels[g.panel_start[i]..];
+            let e = &g.e[own.start * width..own.end * width];
             let v = &mut g.v[..own.len()];
             v.copy_from_slice(&p[g.row + own.start..g.row + own.end]);
             for j in 0..own.len() / n {
@@ -457,7 +513,7 @@ kernel! {
                     let y = &g.y[own.start + j * n..][..n];
                     less_curvature(r, n, y, &mut v[j * n..(j + 1) * n]);
                     for (k, y) in r[coupled..].chunks_exact(shape.coupling.max(1)).zip(y) {
-                        axpy(&mut g.cross[..shape.coupling], -y, k);
+                        axpy::<0>(&mut g.cross[..shape.coupling], -y, k);
                     }
                 }
             }
@@ -466,7 +522,7 @@ kernel! {
                 g.bent[..n].fill(0.0);
             }
             for (v, e) in v.iter().zip(e.chunks_exact(width)) {
-                axpy(&mut g.bent[..width], *v, e);
+                axpy::<0>(&mut g.bent[..width], *v, e);
             }
         }
         if g.has_first() {
@@ -508,9 +564,9 @@ kernel! {
             *x = theta[b];
         }
         // The particular solution plus what a and θ make of it.
-        for (i, s) in g.segments.clone().enumerate() {
+        for s in g.segments.clone() {
             let own = g.rows(plan, n, s);
-            let e = &g.panels[g.panel_start[i]..];
+            let e = &g.e[own.start * width..own.end * width];
             for (r, (y, e)) in g.y[own.clone()].iter_mut().zip(e.chunks_exact(width)).enumerate() {
                 let more = dot(e, &g.start);
                 *y += more;
@@ -526,7 +582,8 @@ kernel! {
         let first_point = usize::from(g.has_first());
         for (i, s) in g.segments.clone().enumerate().rev() {
             let own = g.rows(plan, n, s);
-            let (e, m) = g.panels[g.panel_start[i]..g.panel_start[i + 1]].split_at(own.len() * width);
+            let e = &g.e[own.start * width..own.end * width];
+            let m = &g.lu[own.start * d..own.end * d];
             let v = &mut g.v[..own.len()];
             v.copy_from_slice(&p[g.row + own.start..g.row + own.end]);
             for j in 0..own.len() / n {

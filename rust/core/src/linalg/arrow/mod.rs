@@ -71,7 +71,7 @@ struct Tree {
 pub struct ArrowKkt {
     plan: Plan,
     units: Vec<f64>,
-    columns: Vec<f64>,
+    columns: Vec<Vec<f64>>,
     trees: Vec<Tree>,
     sizes: (usize, usize),
     hessian_structure: Structure,
@@ -90,7 +90,10 @@ pub struct ArrowKkt {
     /// Refinement.
     rest: (Vec<f64>, Vec<f64>),
     more: (Vec<f64>, Vec<f64>),
-    threads: usize,
+    refine: bool,
+    least_groups: usize,
+    pool: Option<rayon::ThreadPool>,
+    parallel: bool,
 }
 
 impl ArrowKkt {
@@ -100,9 +103,16 @@ impl ArrowKkt {
         let plan = Plan::new(chains, hessian, jacobian, sizes.0, sizes.1)?;
         let shape = &plan.shape;
         let border = shape.border;
-        let mut columns = vec![0.0; shape.width];
-        columns[shape.n..shape.used()].fill(-1.0);
-        columns.iter_mut().zip(units).for_each(|(c, u)| *c = -u);
+        // Chains may differ in the rows of their segments: each has its own factors of columns.
+        let columns = plan.chains.iter().map(|chain| {
+            let first = chain.d.next_multiple_of(8);
+            let mut columns = vec![0.0; shape.panel(chain.d)];
+            columns[..chain.d].iter_mut().zip(units.iter().cycle()).for_each(|(c, u)| *c = *u);
+            columns[first..first + shape.n].iter_mut().zip(units).for_each(|(c, u)| *c = -u);
+            columns[first + shape.n..first + shape.used()].fill(-1.0);
+            columns
+        });
+        let columns = columns.collect();
         let mut arrow = ArrowKkt {
             units: units.iter().map(|u| 1.0 / u).collect(),
             columns,
@@ -122,7 +132,10 @@ impl ArrowKkt {
             weak: Vec::new(),
             rest: (vec![0.0; sizes.0], vec![0.0; sizes.1]),
             more: (vec![0.0; sizes.0], vec![0.0; sizes.1]),
-            threads: 0,
+            refine: true,
+            least_groups: 0,
+            pool: None,
+            parallel: sizes.0 >= PARALLEL_POINTS * plan.shape.n,
             plan,
         };
         for c in 0..arrow.plan.chains.len() {
@@ -132,7 +145,18 @@ impl ArrowKkt {
             let tree = arrow.tree(c, &ends);
             arrow.trees.push(tree);
         }
+        arrow.least_groups = arrow.groups();
         Some(arrow)
+    }
+
+    /// Works on so many threads; 0 for as many as there are cores. Results are the same.
+    pub fn with_threads(mut self, threads: usize) -> ArrowKkt {
+        self.parallel &= threads != 1;
+        if threads > 1 {
+            // Without a pool of its own the work goes to the common one: slower or faster, not wrong.
+            self.pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok();
+        }
+        self
     }
 
     /// A tree over groups between the given segments.
@@ -146,7 +170,7 @@ impl ArrowKkt {
             }
             record[shape.couplings() + i * shape.coupling..][..shape.coupling].fill(1.0 / self.units[i]);
         }
-        let context = Context { shape, plan, units: &self.units, columns: &self.columns, record: &record };
+        let context = Context { shape, plan, units: &self.units, columns: &self.columns[c], record: &record };
         let groups: Vec<Group> = ends.windows(2).map(|w| Group::new(&context, w[0]..w[1])).collect();
         let mut nodes: Vec<Node> = (0..groups.len()).map(Node::Group).collect();
         let mut levels = Vec::new();
@@ -207,10 +231,9 @@ impl ArrowKkt {
     }
 
     fn eliminate(&mut self) -> Result<(), Singular> {
-        let (shape, sizes) = (&self.plan.shape, self.sizes);
-        let parallel = sizes.0 >= PARALLEL_POINTS * shape.n && self.threads != 1;
-        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
-            let context = Context { shape, plan, units: &self.units, columns: &self.columns, record: &tree.record };
+        let (shape, parallel) = (&self.plan.shape, self.parallel);
+        for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
+            let context = Context { shape, plan, units: &self.units, columns, record: &tree.record };
             let (hessian, jacobian) = (&self.hessian, &self.jacobian);
             let done = if parallel {
                 let work = |g: &mut Group| g.factorize(&context, hessian, jacobian);
@@ -239,7 +262,7 @@ impl ArrowKkt {
                 let (done, level) = tree.levels.split_at_mut(l);
                 let form = |node: &Node| form_of(&tree.groups, done, *node);
                 let work = |(left, right, merge): &mut (Node, Node, Merge)| merge.factorize(shape, form(left), form(right));
-                let fine = if level[0].len() > 8 && self.threads != 1 {
+                let fine = if level[0].len() > 8 && self.parallel {
                     level[0].par_iter_mut().map(work).all(|x| x)
                 } else {
                     level[0].iter_mut().map(work).fold(true, |a, b| a & b)
@@ -263,9 +286,9 @@ impl ArrowKkt {
     fn solve_once(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
         let shape = &self.plan.shape;
         let n = shape.n;
-        let parallel = self.sizes.0 >= PARALLEL_POINTS * n && self.threads != 1;
+        let parallel = self.parallel;
         self.theta.copy_from_slice(&p[..shape.border]);
-        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
+        for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
             // Into units, and into the order of own rows.
             let Tree { groups, levels, root, top, record, p: own_p, q: own_q, first, .. } = tree;
             gather(plan, n, plan.chain.variable + n, |t| t.variable, p, own_p);
@@ -277,7 +300,7 @@ impl ArrowKkt {
             for ((f, p), u) in first.iter_mut().zip(&p[plan.chain.variable..]).zip(&self.units) {
                 *f = p / u;
             }
-            let context = Context { shape, plan, units: &self.units, columns: &self.columns, record };
+            let context = Context { shape, plan, units: &self.units, columns, record };
             let reduce = |g: &mut Group| g.reduce(&context, own_p, own_q, first);
             if parallel { groups.par_iter_mut().for_each(reduce) } else { groups.iter_mut().for_each(reduce) }
             for l in 0..levels.len() {
@@ -291,13 +314,40 @@ impl ArrowKkt {
         self.theta.iter_mut().zip(&self.held).for_each(|(t, held)| if *held { *t = 0.0 });
         self.border.solve(&mut self.theta);
         d[..shape.border].copy_from_slice(&self.theta);
-        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
-            tree.expand(shape, plan, &self.theta, (&self.units, &self.columns), parallel);
+        for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
+            tree.expand(shape, plan, &self.theta, (&self.units, columns), parallel);
             scatter(plan, n, plan.chain.variable + n, |t| t.variable, &tree.d, d, |i, x| x / self.units[i]);
             scatter(plan, n, plan.chain.row, |t| t.row, &tree.lambda, lambda, |i, x| x * self.units[i]);
             for ((d, x), u) in d[plan.chain.variable..].iter_mut().zip(&tree.ends[..n]).zip(&self.units) {
                 *d = x / u;
             }
+        }
+    }
+
+    /// Runs on the pool that was asked for.
+    fn on_threads<R: Send>(&mut self, work: impl FnOnce(&mut Self) -> R + Send) -> R {
+        match self.pool.take() {
+            Some(pool) => {
+                let result = pool.install(|| work(self));
+                self.pool = Some(pool);
+                result
+            }
+            None => work(self),
+        }
+    }
+
+    /// Improves a solution by what it leaves of the right-hand side.
+    fn refine(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
+        for _ in 0..2 {
+            if self.residual(p, q, d, lambda) <= ROUGH {
+                break;
+            }
+            let rest = std::mem::take(&mut self.rest);
+            let mut more = std::mem::take(&mut self.more);
+            self.solve_once(&rest.0, &rest.1, &mut more.0, &mut more.1);
+            d.iter_mut().zip(&more.0).for_each(|(d, x)| *d += x);
+            lambda.iter_mut().zip(&more.1).for_each(|(l, x)| *l += x);
+            (self.rest, self.more) = (rest, more);
         }
     }
 
@@ -481,11 +531,17 @@ impl KktSolver for ArrowKkt {
     fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
         self.hessian.copy_from_slice(hessian);
         self.jacobian.copy_from_slice(jacobian);
-        self.eliminate()?;
-        if self.split() {
-            self.eliminate()?;
-        }
-        self.merge()
+        self.on_threads(|arrow| {
+            arrow.eliminate()?;
+            if arrow.split() {
+                arrow.eliminate()?;
+            }
+            arrow.merge()
+        })
+    }
+
+    fn set_refinement(&mut self, on: bool) {
+        self.refine = on;
     }
 
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {
@@ -515,21 +571,14 @@ impl KktSolver for ArrowKkt {
     }
 
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
-        self.solve_once(p, q, d, lambda);
-        if self.shift > 0.0 {
-            return; // the step is damped anyway
-        }
-        for _ in 0..2 {
-            if self.residual(p, q, d, lambda) <= ROUGH {
-                break;
+        self.on_threads(|arrow| {
+            arrow.solve_once(p, q, d, lambda);
+            // With a shift the step is damped anyway.
+            let unstable = arrow.groups() > arrow.least_groups;
+            if (arrow.refine || unstable) && arrow.shift == 0.0 {
+                arrow.refine(p, q, d, lambda);
             }
-            let rest = std::mem::take(&mut self.rest);
-            let mut more = std::mem::take(&mut self.more);
-            self.solve_once(&rest.0, &rest.1, &mut more.0, &mut more.1);
-            d.iter_mut().zip(&more.0).for_each(|(d, x)| *d += x);
-            lambda.iter_mut().zip(&more.1).for_each(|(l, x)| *l += x);
-            (self.rest, self.more) = (rest, more);
-        }
+        });
     }
 
     fn weak_directions(&self) -> &[Vec<(usize, f64)>] {

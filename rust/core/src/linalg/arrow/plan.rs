@@ -1,7 +1,5 @@
 //! Which entry of the Newton system goes where: from triplets to the panels of segments and points.
 
-use std::collections::HashMap;
-
 use crate::nlp::{Chain, Chains, Structure};
 
 /// Sizes that all panels share.
@@ -25,6 +23,11 @@ impl Shape {
     /// Length of a row of sensitivities without the padding.
     pub fn used(&self) -> usize {
         self.n + self.dynamic.len()
+    }
+
+    /// Length of a row of the panel of a segment with d core rows: M, then what it is solved for.
+    pub fn panel(&self, d: usize) -> usize {
+        d.next_multiple_of(8) + self.width
     }
 
     /// Length of the record of a point: its Hessian, then its couplings.
@@ -135,20 +138,18 @@ impl Plan {
     pub fn new(chains: &Chains, hessian: &Structure, jacobian: &Structure, n: usize, m: usize) -> Option<Plan> {
         let (n_x, border) = (chains.n_x, chains.border);
         let mut shape = Shape { n: n_x, border, ..Shape::default() };
-        let within = |set: &mut Vec<usize>, c: usize| {
-            if let Err(at) = set.binary_search(&c) {
-                set.insert(at, c);
-            }
-        };
+        let (mut dynamic, mut coupled) = (vec![false; border], vec![false; border]);
         for &c in jacobian.columns.iter().filter(|c| (**c as usize) < border) {
-            within(&mut shape.dynamic, c as usize);
+            dynamic[c as usize] = true;
         }
         for (&r, &c) in hessian.rows.iter().zip(&hessian.columns) {
             let (low, high) = (r.min(c) as usize, r.max(c) as usize);
             if low < border && high >= border {
-                within(&mut shape.coupled, low);
+                coupled[low] = true;
             }
         }
+        shape.dynamic = (0..border).filter(|&b| dynamic[b]).collect();
+        shape.coupled = (0..border).filter(|&b| coupled[b]).collect();
         shape.width = shape.used().next_multiple_of(8);
         shape.coupling = shape.coupled.len().next_multiple_of(8);
 
@@ -183,18 +184,16 @@ impl Plan {
             plans.push(ChainPlan { chain: chain.clone(), d, ties, jacobian: none.clone(), hessian: none });
         }
 
-        let column_of: HashMap<usize, usize> =
-            shape.dynamic.iter().enumerate().map(|(i, &b)| (b, n_x + i)).collect();
+        let column_of = positions(&shape.dynamic, border, n_x);
         let mut entries: Vec<Vec<(u32, u32, u32)>> = vec![Vec::new(); plans.len()];
         for (t, (&row, &column)) in jacobian.rows.iter().zip(&jacobian.columns).enumerate() {
             let (row, column) = (rows[row as usize], column as usize);
             let plan = plans.get(row.chain as usize)?;
             let (segment, i) = (row.after as usize - 1, row.index as usize);
-            // The panel of a segment holds the rows of sensitivities, then those of its own variables.
-            let own_rows = plan.d + (plan.points(segment) - plan.chain.points) * n_x;
-            let sensitivity = |column: usize| i * shape.width + column;
+            let length = shape.panel(plan.d);
+            let sensitivity = |column: usize| i * length + plan.d.next_multiple_of(8) + column;
             let place = if column < border {
-                sensitivity(column_of[&column])
+                sensitivity(column_of[column])
             } else {
                 let v = variables[column];
                 let j = v.index as usize;
@@ -202,7 +201,7 @@ impl Plan {
                     return None;
                 } else if v.after == row.after {
                     if j < plan.d {
-                        own_rows * shape.width + i * plan.d + j
+                        i * length + j
                     } else if j == i {
                         continue; // a tie's own variable: the structure makes it 1
                     } else {
@@ -220,7 +219,7 @@ impl Plan {
             plan.jacobian = Items::new(plan.chain.segments, entries);
         }
 
-        let coupling_of: HashMap<usize, usize> = shape.coupled.iter().enumerate().map(|(i, &b)| (b, i)).collect();
+        let coupling_of = positions(&shape.coupled, border, 0);
         let mut between = Vec::new();
         entries.iter_mut().for_each(Vec::clear);
         for (t, (&row, &column)) in hessian.rows.iter().zip(&hessian.columns).enumerate() {
@@ -234,7 +233,7 @@ impl Plan {
             let (point, i) = point_of(plan, v, n_x);
             let list = &mut entries[v.chain as usize];
             if low < border {
-                let at = shape.couplings() + i * shape.coupling + coupling_of[&low];
+                let at = shape.couplings() + i * shape.coupling + coupling_of[low];
                 list.push((point as u32, t as u32, at as u32));
             } else {
                 let other = variables[low];
@@ -256,6 +255,13 @@ impl Plan {
             && rows.iter().all(|r| r.chain != u32::MAX);
         complete.then_some(Plan { shape, chains: plans, border: between })
     }
+}
+
+/// For each border variable of a set its number in it, counted from `first`.
+fn positions(set: &[usize], border: usize, first: usize) -> Vec<usize> {
+    let mut position = vec![usize::MAX; border];
+    set.iter().enumerate().for_each(|(i, &b)| position[b] = first + i);
+    position
 }
 
 /// Point of a chain, and component.

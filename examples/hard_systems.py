@@ -1,0 +1,364 @@
+"""Four systems that defeat single shooting: unstable, chaotic, stiff, and one with many cycles.
+
+Each record is simulated, with noise; each is fitted twice from the same poor start. Collocation (`ph.estimate`) has the
+states at all times for unknowns, starts them from the measurements, and so never simulates with wrong parameters. Single
+shooting does nothing else, though it is told how large the noise is.
+
+    python examples/hard_systems.py
+
+Prints a table and writes out/hard_systems.png.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import single_shooting
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from single_shooting import Shot
+
+import phugoid as ph
+
+Values = Sequence[Any]
+"""Symbols of phugoid, or arrays over lanes: the equations are written once for both."""
+
+
+@dataclass(frozen=True)
+class System:
+    """Equations, record and starting values of one system.
+
+    ``rhs`` and ``outputs`` take states, inputs and parameters in the order of ``states``, ``inputs`` and ``truth``.
+    ``sigma`` is the noise of each output; ``slice`` names the parameter along which the cost is drawn, and its range.
+    """
+
+    name: str
+    title: str
+    states: dict[str, str]
+    inputs: dict[str, str]
+    units: dict[str, str]
+    truth: dict[str, float]
+    start: dict[str, float]
+    rhs: Callable[[Values, Values, Values], list[Any]]
+    outputs: Callable[[Values, Values, Values], dict[str, Any]]
+    sigma: dict[str, float]
+    record: Callable[[System], ph.Experiment]
+    slice: tuple[str, float, float]
+    stiff: bool = False
+    substeps: int = 1
+
+    def model(self) -> ph.Model:
+        """The system as phugoid takes it."""
+        m = ph.Model(self.title)
+        x = m.states(**self.states)
+        u = m.inputs(**self.inputs) if self.inputs else ()
+        p = m.parameters(**{n: ph.Parameter(self.start[n], unit=self.units.get(n, "")) for n in self.truth})
+        m.dynamics(**dict(zip(self.states, self.rhs(x, u, p), strict=True)))
+        m.outputs(**{n: (y, self.units.get(n, "")) for n, y in self.outputs(x, u, p).items()})
+        return m
+
+    def simulation(self, data: ph.Experiment) -> single_shooting.Simulation:
+        """Outputs of single shooting for given unknowns: parameters, then the initial state."""
+        u = np.array([data.input(n) for n in self.inputs]).reshape(len(self.inputs), data.n)
+
+        def outputs(unknowns: np.ndarray) -> np.ndarray:
+            p, x0 = np.split(unknowns, [len(self.truth)])
+            if self.stiff:
+                x = single_shooting.lsoda(self.rhs, p, x0, data.t)
+            else:
+                x = single_shooting.rk4(self.rhs, p, x0, data.t, u, self.substeps)
+            return np.array(list(self.outputs(x, u[:, :, None], p).values()))
+
+        return outputs
+
+
+@dataclass(frozen=True)
+class Result:
+    """Both fits of one system.
+
+    ``rms`` is collocation's root mean square of residuals over the true noise; ``rms_again`` that of a simulation
+    from its estimate; ``line`` the values of one parameter and single shooting's cost there, all else at the optimum.
+    """
+
+    system: System
+    data: ph.Experiment
+    fit: ph.Fit
+    shot: Shot
+    shot_outputs: dict[str, np.ndarray]
+    rms: float
+    rms_again: float
+    line: tuple[np.ndarray, np.ndarray]
+
+    @property
+    def verdict(self) -> str:
+        """What became of single shooting."""
+        if self.shot.rms < 1.01 * self.rms:
+            return "ok"
+        return {"stopped": "stuck at a local optimum"}.get(self.shot.status, self.shot.status)
+
+    def errors(self, values: dict[str, float]) -> dict[str, float]:
+        """Errors of parameters in collocation's standard errors."""
+        found = self.fit.parameters
+        return {n: (values[n] - truth) / found[n].std_error for n, truth in self.system.truth.items()}
+
+    @property
+    def collocation_errors(self) -> dict[str, float]:
+        return self.errors({n: self.fit.parameters[n].value for n in self.system.truth})
+
+    @property
+    def shot_errors(self) -> dict[str, float]:
+        return self.errors(self.shot_values)
+
+    @property
+    def shot_values(self) -> dict[str, float]:
+        """Single shooting's parameters."""
+        return dict(zip(self.system.truth, self.shot.unknowns.tolist(), strict=False))
+
+
+def noisy(system: System, t: np.ndarray, states: np.ndarray, seed: int) -> ph.Experiment:
+    """The record of a system without inputs whose states (n_x, N) are known."""
+    rng = np.random.default_rng(seed)
+    clean = system.outputs(states, (), list(system.truth.values()))
+    outputs = {n: y + system.sigma[n] * rng.standard_normal(t.size) for n, y in clean.items()}
+    return ph.Experiment(t, {}, outputs, name=system.name)
+
+
+def solved(system: System, t: np.ndarray, x0: list[float], method: str = "DOP853") -> np.ndarray:
+    """True states (n_x, N) at times ``t``."""
+    p = list(system.truth.values())
+    tight = {"rtol": 1e-11, "atol": 1e-11, "t_eval": t}
+    return np.asarray(solve_ivp(lambda _, x: system.rhs(x, (), p), t[[0, -1]], x0, method, **tight).y)
+
+
+# ------------------------------------------------------------------------------------------------ unstable
+
+
+SPEED = 150.0  # m/s
+
+
+def aircraft_rhs(x: Values, u: Values, p: Values) -> list[Any]:
+    """Short period."""
+    alpha, q = x
+    Za, Zde, Ma, Mq, Mde = p
+    return [Za * alpha + q + Zde * u[0], Ma * alpha + Mq * q + Mde * u[0]]
+
+
+def aircraft_outputs(x: Values, u: Values, p: Values) -> dict[str, Any]:
+    Za, Zde, *_ = p
+    return {"alpha": x[0], "q": x[1], "az": SPEED * (Za * x[0] + Zde * u[0])}
+
+
+def aircraft_record(system: System) -> ph.Experiment:
+    """A computer keeps the aircraft in the air: it reads the noisy sensors at 50 Hz and moves the elevator.
+
+    The elevator runs linearly from one command to the next, which is how the model has it: the record is exact.
+    """
+    t, step = np.linspace(0, 12, 601), 0.02
+    rng = np.random.default_rng(1)
+    p = list(system.truth.values())
+    unit = np.eye(3)
+    columns = [aircraft_rhs(e[:2], e[2:], p) for e in unit]  # the equations are linear
+    generator = np.zeros((4, 4))
+    generator[:2, :3], generator[2, 3] = np.transpose(columns), 1 / step
+    advance = expm(generator * step)[:2]
+
+    pilot = 0.08 * np.select([(t >= a) & (t < b) for a, b in ((1, 2.5), (2.5, 3.5), (3.5, 4), (4, 4.5))], [1, -1, 1, -1])
+    pilot += 0.05 * np.sin(2.0 * t) * (t > 6)
+    x, de = np.zeros((2, t.size)), np.zeros(t.size)
+    noise = np.array(list(system.sigma.values()))[:, None] * rng.standard_normal((3, t.size))
+    for k in range(t.size - 1):
+        alpha, q = x[:, k] + noise[:2, k]
+        de[k + 1] = pilot[k] + 2.6 * alpha + 0.35 * q
+        x[:, k + 1] = advance @ [*x[:, k], de[k], de[k + 1] - de[k]]
+    clean = system.outputs(x, de[None], p)
+    outputs = {n: y + e for (n, y), e in zip(clean.items(), noise, strict=True)}
+    return ph.Experiment(t, {"de": de}, outputs, name=system.name)
+
+
+# ------------------------------------------------------------------------------------------------ chaotic
+
+
+def lorenz_rhs(x: Values, u: Values, p: Values) -> list[Any]:
+    sigma, rho, beta = p
+    return [sigma * (x[1] - x[0]), x[0] * (rho - x[2]) - x[1], x[0] * x[1] - beta * x[2]]
+
+
+def lorenz_record(system: System) -> ph.Experiment:
+    """25 time units are 22 Lyapunov times: errors grow by e^22."""
+    t = np.linspace(0, 25, 1251)
+    return noisy(system, t, solved(system, t, [-6.0, -8.0, 22.0]), seed=0)
+
+
+# ------------------------------------------------------------------------------------------------ stiff
+
+
+def relaxation_rhs(x: Values, u: Values, p: Values) -> list[Any]:
+    """Van der Pol's oscillator in Liénard's coordinates, with FitzHugh's bias a and leak b."""
+    mu, a, b = p
+    return [mu * (x[0] - x[0] ** 3 / 3 - x[1]), (x[0] + a - b * x[1]) / mu]
+
+
+def relaxation_record(system: System) -> ph.Experiment:
+    """A recorder at 2 Hz that a jump switches to 100 Hz, from 0.1 s before it to 0.1 s after it."""
+    t = np.linspace(0, 300, 30001)
+    x = solved(system, t, [1.9, -0.3], "Radau")
+    jumping = np.abs(x[0]) < 0.8
+    kept = np.convolve(jumping, np.ones(21), "same") > 0
+    kept[::50] = True
+    return noisy(system, t[kept], x[:, kept], seed=0)
+
+
+# ------------------------------------------------------------------------------------------------ many cycles
+
+
+def pendulum_rhs(x: Values, u: Values, p: Values) -> list[Any]:
+    frequency, damping, _ = p
+    return [x[1], -((2 * np.pi * frequency) ** 2) * np.sin(x[0]) - damping * x[1]]
+
+
+def pendulum_record(system: System) -> ph.Experiment:
+    """65 swings without damping."""
+    t = np.linspace(0, 120, 1201)
+    return noisy(system, t, solved(system, t, [0.6, 0.0]), seed=0)
+
+
+SYSTEMS = (
+    System(
+        name="unstable",
+        title="Unstable aircraft",
+        states={"alpha": "rad", "q": "rad/s"},
+        inputs={"de": "rad"},
+        units={"alpha": "rad", "q": "rad/s", "az": "m/s²", "Za": "1/s", "Zde": "1/s", "Ma": "1/s²", "Mq": "1/s", "Mde": "1/s²"},
+        truth={"Za": -1.2, "Zde": -0.12, "Ma": 28.0, "Mq": -1.0, "Mde": -18.0},
+        start=dict.fromkeys(("Za", "Zde", "Ma", "Mq", "Mde"), 0.0),
+        rhs=aircraft_rhs,
+        outputs=aircraft_outputs,
+        sigma={"alpha": 0.003, "q": 0.006, "az": 0.4},
+        record=aircraft_record,
+        slice=("Ma", 20.0, 36.0),
+    ),
+    System(
+        name="chaotic",
+        title="Lorenz attractor",
+        states={"x": "", "y": "", "z": ""},
+        inputs={},
+        units={},
+        truth={"sigma": 10.0, "rho": 28.0, "beta": 8 / 3},
+        start={"sigma": 5.0, "rho": 20.0, "beta": 1.0},
+        rhs=lorenz_rhs,
+        outputs=lambda x, u, p: {"x": x[0], "z": x[2]},
+        sigma={"x": 1.0, "z": 1.0},
+        record=lorenz_record,
+        slice=("rho", 22.0, 34.0),
+        substeps=2,
+    ),
+    System(
+        name="stiff",
+        title="Relaxation oscillator",
+        states={"x": "V", "y": "V"},
+        inputs={},
+        units={"x": "V"},
+        truth={"mu": 100.0, "a": 0.25, "b": 0.15},
+        start={"mu": 50.0, "a": 0.0, "b": 0.0},
+        rhs=relaxation_rhs,
+        outputs=lambda x, u, p: {"x": x[0]},
+        sigma={"x": 0.05},
+        record=relaxation_record,
+        slice=("mu", 80.0, 120.0),
+        stiff=True,
+    ),
+    System(
+        name="oscillating",
+        title="Undamped pendulum",
+        states={"angle": "rad", "rate": "rad/s"},
+        inputs={},
+        units={"angle": "rad", "f": "Hz", "d": "1/s", "bias": "rad"},
+        truth={"f": 0.55, "d": 0.0, "bias": 0.05},
+        start={"f": 0.65, "d": 0.0, "bias": 0.0},
+        rhs=pendulum_rhs,
+        outputs=lambda x, u, p: {"angle": x[0] + p[2]},
+        sigma={"angle": 0.1},
+        record=pendulum_record,
+        slice=("f", 0.45, 0.65),
+        substeps=2,
+    ),
+)
+
+
+def solve(system: System, seconds: float = 8.0) -> Result:
+    """Simulates the record and fits it both ways; single shooting stops after so many ``seconds``."""
+    data = system.record(system)
+    fit = ph.estimate(system.model(), data)
+    sigma = np.array(list(system.sigma.values()))
+    z = np.array([data.output(n) for n in system.sigma])
+    residuals = np.array([fit.residuals[n] for n in system.sigma])
+
+    simulate = system.simulation(data)
+    measured = [data.outputs[n][0] if n in data.outputs else 0.0 for n in system.states]
+    start = np.array([*system.start.values(), *measured])
+    scale = np.array([max(abs(v), 0.1) for v in system.truth.values()] + [1.0] * len(measured))
+    shot = single_shooting.fit(simulate, z, sigma, start, scale, seconds)
+    rms = partial(single_shooting.rms, simulate, z, sigma)
+
+    initial = fit.initial_states[data.name]
+    optimum = np.array([fit.parameters[n].value for n in system.truth] + [initial[n].value for n in system.states])
+    line = slice_points(system, optimum[list(system.truth).index(system.slice[0])])
+    lanes = np.tile(optimum[:, None], line.size)
+    lanes[list(system.truth).index(system.slice[0])] = line
+    return Result(
+        system=system,
+        data=data,
+        fit=fit,
+        shot=shot,
+        shot_outputs=dict(zip(system.sigma, simulate(shot.unknowns[:, None])[:, :, 0], strict=True)),
+        rms=float(np.sqrt(np.mean((residuals / sigma[:, None]) ** 2))),
+        rms_again=float(rms(optimum[:, None])[0]),
+        line=(line, rms(lanes)),
+    )
+
+
+def slice_points(system: System, centre: float) -> np.ndarray:
+    """Values of the parameter of the slice: evenly spaced, and ever closer to the optimum."""
+    _, low, high = system.slice
+    near = np.geomspace(1e-7, 0.1, 25) * (high - low)
+    even = np.linspace(low, high, 121 if system.stiff else 801)
+    return np.sort(np.concatenate([even, centre + near, centre - near, [centre]]))
+
+
+def table(results: Sequence[Result]) -> str:
+    """Truth, start and both estimates, and how the two methods fared."""
+    lines = []
+    for r in results:
+        s, fit, shot = r.system, r.fit, r.shot
+        lines += [
+            f"{s.title} ({s.name}), {r.data.n} samples",
+            f"  collocation      {fit.status}, RMS/noise {r.rms:.3f}, {fit.iterations} iterations, {fit.time:.2f} s",
+            f"  single shooting  {r.verdict}, RMS/noise {shot.rms:.4g}, {shot.evaluations} simulations, {shot.time:.2f} s",
+            f"  a simulation from collocation's estimate has RMS/noise {r.rms_again:.4g}",
+            f"  {'':8s}{'truth':>9s}{'start':>9s}{'collocation':>24s}{'single shooting':>19s}",
+        ]
+        for name, truth in s.truth.items():
+            found = fit.parameters[name]
+            pair = f"{found.value:.5g} ± {found.std_error:.2g}"
+            lines.append(f"  {name:8s}{truth:9.4g}{s.start[name]:9.4g}{pair:>24s}{r.shot_values[name]:19.4g}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def run(seconds: float = 8.0) -> dict[str, Result]:
+    """All four, by name."""
+    return {system.name: solve(system, seconds) for system in SYSTEMS}
+
+
+def main() -> None:
+    results = run()
+    print(table(list(results.values())))
+
+
+if __name__ == "__main__":
+    main()

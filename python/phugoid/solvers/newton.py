@@ -1,0 +1,114 @@
+"""Newton's method in Rust, made for these problems: the default."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from numbers import Integral, Real
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..errors import OptionError
+from .solution import Iteration, Solution
+
+__all__ = ["Newton"]
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Newton:
+    """Gauss-Newton with profiled standard deviations, then Newton with the exact Hessian.
+
+    Its linear algebra knows that a trajectory is a chain of segments, so an iteration costs time proportional to
+    the length of the record. It needs no other package.
+
+    ``tolerance``: distance from the optimum, in standard errors, at which the last step is taken (what is left
+    after it is about the square of that).
+    ``regression``: start with a regression of the parameters on the measured states and outputs; None does so
+    where every state is measured or its start is given. ``gauss_newton`` False uses the exact Hessian from the start.
+    ``time_limit`` in seconds.
+    """
+
+    max_iterations: int = 200
+    tolerance: float = 1e-4
+    time_limit: float | None = None
+    regression: bool | None = None
+    gauss_newton: bool = True
+
+    def __post_init__(self) -> None:
+        whole = isinstance(self.max_iterations, Integral) and not isinstance(self.max_iterations, bool)
+        if not whole or self.max_iterations < 0:
+            raise OptionError(f"Newton: max_iterations is a whole number from 0, not {self.max_iterations!r}")
+        if not isinstance(self.tolerance, Real) or not 0 < self.tolerance < 1:
+            raise OptionError(f"Newton: tolerance is a number between 0 and 1, not {self.tolerance!r}")
+        limit = self.time_limit
+        if limit is not None and not (isinstance(limit, Real) and 0 < limit < float("inf")):
+            raise OptionError(f"Newton: time_limit is a positive number of seconds, not {limit!r}")
+        if self.regression not in (None, True, False):
+            raise OptionError(f"Newton: regression is True, False or None, not {self.regression!r}")
+
+    def solve(
+        self,
+        problem: _core.Collocation,
+        xi: _Array,
+        warm: Solution | None = None,
+        watch: Callable[[Iteration], None] | None = None,
+        states_known: bool = False,
+    ) -> Solution:
+        """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration.
+
+        ``states_known``: the states in ``xi`` are measured, so that a regression on them makes sense.
+
+        Raises EvaluationError where a function is not finite at the start.
+        """
+        history: list[Iteration] = []
+
+        def line(number: int, value: float, defect: float, promise: float, step: float, trials: int) -> Iteration:
+            return Iteration(number, value, defect, promise, step, trials)
+
+        def each(*entries: float) -> None:
+            assert watch is not None
+            watch(line(*entries[:6]))  # type: ignore[arg-type]
+
+        regression = states_known if self.regression is None else self.regression
+        found = _core.newton(
+            problem,
+            xi,
+            warm.multipliers if warm else None,
+            int(self.max_iterations),
+            float(self.tolerance),
+            None if self.time_limit is None else float(self.time_limit),
+            self.gauss_newton,
+            bool(regression and not warm),
+            each if watch is not None else None,
+        )
+        history += [line(*entries[:6]) for entries in found.history]
+        at = found.xi
+        none = np.zeros(problem.n)
+        return Solution(
+            xi=at,
+            multipliers=found.multipliers,
+            bound_multipliers=(none, none),
+            status=found.status,
+            message=found.message,
+            iterations=found.iterations,
+            time=found.time,
+            history=history,
+            evaluations=dict(zip(_COUNTED, found.evaluations, strict=True)),
+            flops=found.flops,
+        )
+
+
+_COUNTED = (
+    "objective",
+    "gradient",
+    "constraints",
+    "jacobian",
+    "hessian",
+    "gauss_newton",
+    "factorizations",
+    "solutions",
+)

@@ -1,0 +1,5 @@
+//! What a solution tells about itself.
+
+mod covariance;
+
+pub use covariance::{Information, information};

@@ -69,9 +69,10 @@ def reference(n: int = 6) -> list[tuple[Any, ...]]:
 
 
 @dataclass(frozen=True)
-class Counting(ph.Ipopt):
+class Counting(ph.Newton):
     """Writes a byte to a file with each run."""
 
+    regression: bool | None = False
     file: str = ""
 
     def solve(self, *args: Any, **kwargs: Any) -> Any:
@@ -81,9 +82,10 @@ class Counting(ph.Ipopt):
 
 
 @dataclass(frozen=True)
-class Slow(ph.Ipopt):
+class Slow(ph.Newton):
     """Takes a while."""
 
+    regression: bool | None = False
     seconds: float = 0.1
 
     def solve(self, *args: Any, **kwargs: Any) -> Any:
@@ -92,9 +94,10 @@ class Slow(ph.Ipopt):
 
 
 @dataclass(frozen=True)
-class Deadly(ph.Ipopt):
+class Deadly(ph.Newton):
     """Kills its process: once, as long as the marker file is there; and always, from a start of tau above a limit."""
 
+    regression: bool | None = False
     marker: str = ""
     limit: float = np.inf
 
@@ -885,7 +888,7 @@ def test_fixed_and_known_are_not_drawn() -> None:
         ({"noise": 2}, OptionError, "noise is a Gaussian, not 2"),
         ({"start": 2}, OptionError, "start holds values by name, or is a fit"),
         ({"start": {"b": 2}}, ModelError, "start: 'b' is no parameter, sigma or state"),
-        ({"solver": "newton"}, OptionError, "solver is a"),
+        ({"solver": "newton"}, OptionError, "solver is Newton"),
         ({"solver": ph.Ipopt(options={"nonsense": 1})}, OptionError, "Ipopt has no option 'nonsense'"),
         ({"model": "lag"}, ModelError, "the first argument is a Model, not a str"),
         ({"data": [1]}, DataError, "data is an Experiment or a list of them"),

@@ -166,7 +166,13 @@ fn backward_error(case: &Case, held: &[bool], shift: &[f64], x: &DVector<f64>, r
 }
 
 /// Checks inertia and solution; returns the curvature and the error of the solution in units, relative.
-fn check(case: &Case, kkt: &mut SparseKkt, held: &[bool], shift: f64, random: &mut Random) -> (Curvature, f64) {
+fn check(
+    case: &Case,
+    kkt: &mut SparseKkt,
+    held: &[bool],
+    shift: f64,
+    random: &mut Random,
+) -> (Curvature, f64) {
     let (n, m) = (case.n, case.m);
     let found = kkt.finish(held, shift);
     let diagonal: Vec<f64> = case.shift_diagonal().iter().map(|d| shift * d).collect();
@@ -478,7 +484,9 @@ fn numbers_that_are_not_finite_are_refused() {
 #[test]
 fn directions_of_no_curvature_are_named() {
     let mut case = Case::new(8, 2);
-    for (i, j, value) in [(0, 0, 4.0), (1, 0, 4.0), (1, 1, 4.0), (2, 2, 1.0), (3, 3, 2.0), (4, 3, 0.5), (4, 4, 3.0)] {
+    for (i, j, value) in
+        [(0, 0, 4.0), (1, 0, 4.0), (1, 1, 4.0), (2, 2, 1.0), (3, 3, 2.0), (4, 3, 0.5), (4, 4, 3.0)]
+    {
         case.add_h(i, j, value);
     }
     case.add_a(0, 2, 1.0);
@@ -594,7 +602,12 @@ fn no_constraints_no_variables_no_freedom() {
 /// x_{k+1} = Φ_k x_k + b θ with factors that grow by 10¹⁰⁰ and more over the record, and shrink.
 #[test]
 fn unstable_systems_are_no_harder() {
-    for (rates, name) in [([3.0, 3.0], "growing"), ([0.3, 0.3], "decaying"), ([3.0, 0.3], "first growing"), ([0.3, 3.0], "last growing")] {
+    for (rates, name) in [
+        ([3.0, 3.0], "growing"),
+        ([0.3, 0.3], "decaying"),
+        ([3.0, 0.3], "first growing"),
+        ([0.3, 3.0], "last growing"),
+    ] {
         let steps = 300;
         let n = steps + 2; // θ, then the states
         let mut case = Case::new(n, steps);
@@ -614,6 +627,35 @@ fn unstable_systems_are_no_harder() {
         let error = backward_error(&case, &vec![false; n], &vec![0.0; n], &x, &right);
         assert!(error < 2e-15, "{name}: {error:e}");
     }
+}
+
+/// Four states, modes that grow and modes that decay all mixed.
+#[test]
+fn growing_and_decaying_modes_together_are_no_harder() {
+    let (states, steps, parameters) = (4, 500, 3);
+    let mut random = Random(17);
+    let n = parameters + states * (steps + 1);
+    let mut case = Case::new(n, states * steps);
+    let modes = DMatrix::from_fn(4, 4, |i, j| random.between(-1.0, 1.0) + if i == j { 2.0 } else { 0.0 });
+    let rates = DMatrix::from_diagonal(&DVector::from_vec(vec![2.0, 0.5, 1.3, 0.7]));
+    let phi = &modes * rates * modes.clone().try_inverse().unwrap();
+    for k in 0..steps {
+        for i in 0..states {
+            let row = states * k + i;
+            case.add_a(row, parameters + states * (k + 1) + i, 1.0);
+            (0..states).for_each(|j| case.add_a(row, parameters + states * k + j, -phi[(i, j)]));
+            (0..parameters).for_each(|p| case.add_a(row, p, random.between(-1.0, 1.0)));
+        }
+    }
+    // Only one state is measured.
+    (0..=steps).for_each(|k| case.add_h(parameters + states * k, parameters + states * k, 1.0));
+    let mut kkt = case.factorized();
+    let held = vec![false; n];
+    assert!(kkt.finish(&held, 0.0).is_positive());
+    let right = case.random_right(&mut random);
+    let x = solve(&mut kkt, &case, &right);
+    let error = backward_error(&case, &held, &vec![0.0; n], &x, &right);
+    assert!(error < 2e-15, "{error:e}");
 }
 
 /// What stood in memory before plays no part.
@@ -770,7 +812,9 @@ fn large(order: usize, samples: usize) -> Collocation {
     let mut m = Model::new("longitudinal");
     let [v, alpha, theta, q] = ["V", "alpha", "theta", "q"].map(|s| m.state(s, "").unwrap());
     let [de, thrust] = ["de", "thrust"].map(|s| m.input(s, "").unwrap());
-    let p = ["CD0", "CDV", "CDa", "CL0", "CLV", "CLa", "Cm0", "CmV", "Cma", "Cmq", "Cmde", "b1", "b2", "b3", "b4"];
+    let p = [
+        "CD0", "CDV", "CDa", "CL0", "CLV", "CLa", "Cm0", "CmV", "Cma", "Cmq", "Cmde", "b1", "b2", "b3", "b4",
+    ];
     let p = p.map(|name| m.parameter(Parameter::new(name, -0.1)).unwrap());
     let cd = &p[0] + &p[1] * &v + &p[2] * &alpha;
     let cl = &p[3] + &p[4] * &v + &p[5] * &alpha;
@@ -781,7 +825,9 @@ fn large(order: usize, samples: usize) -> Collocation {
     m.equation("q", &cm * &v * &v + &p[14], None).unwrap();
     let ax = &cl * alpha.sin() - &cd * alpha.cos();
     let az = -(&cl * alpha.cos()) - &cd * alpha.sin();
-    for (name, value) in [("V", v), ("alpha", alpha), ("theta", theta), ("q", q), ("dq", cm), ("ax", ax), ("az", az)] {
+    for (name, value) in
+        [("V", v), ("alpha", alpha), ("theta", theta), ("q", q), ("dq", cm), ("ax", ax), ("az", az)]
+    {
         m.output(name, value, "", None).unwrap();
     }
     let mut random = Random(14);
@@ -831,89 +877,16 @@ fn timing() {
         println!(
             "order {order}, exact {exact}: n {} m {} entries {} + {}; analysis {:.1} ms, factorize {:.2} ms, finish {:.3} ms, \
              solve {:.2} ms, finish with first shift {:.2} ms; {found:?}, {:.1} Mflop, residual {rest:.1e}",
-            case.n, case.m, case.hessian.len(), case.jacobian.len(), 1e3 * analysed.as_secs_f64(),
-            1e3 * best[0], 1e3 * best[1], 1e3 * best[2], 1e3 * best[3], kkt.flops() as f64 / 1e6,
+            case.n,
+            case.m,
+            case.hessian.len(),
+            case.jacobian.len(),
+            1e3 * analysed.as_secs_f64(),
+            1e3 * best[0],
+            1e3 * best[1],
+            1e3 * best[2],
+            1e3 * best[3],
+            kkt.flops() as f64 / 1e6,
         );
-    }
-}
-
-#[test]
-#[ignore = "tmp"]
-fn tmp_faer() {
-    use faer::sparse::*;
-    use faer::prelude::*;
-    for (order, exact) in [(2, false), (2, true), (4, false)] {
-        let problem = large(order, 601);
-        let case = system(&problem, &guess(&problem, 5), exact);
-        let units = case.units();
-        let mut t = vec![];
-        let mut add = |i: usize, j: usize, v: f64| { let v = v*units[i]*units[j]; t.push(Triplet::new(i, j, v)); if i != j { t.push(Triplet::new(j, i, v)); } };
-        for (k, &v) in case.hessian.iter().enumerate() { add(case.h.rows[k] as usize, case.h.columns[k] as usize, v); }
-        for (k, &v) in case.jacobian.iter().enumerate() { add(case.n + case.a.rows[k] as usize, case.a.columns[k] as usize, v); }
-        let nn = case.n + case.m;
-        let k = SparseColMat::<usize, f64>::try_new_from_triplets(nn, nn, &t).unwrap();
-        let mut random = Random(15);
-        let right = case.random_right(&mut random);
-        let b = faer::Mat::from_fn(nn, 1, |i, _| right[i] * units[i]);
-        let symbolic = faer::sparse::linalg::solvers::SymbolicLu::try_new(k.symbolic()).unwrap();
-        let began = std::time::Instant::now();
-        let lu = faer::sparse::linalg::solvers::Lu::try_new_with_symbolic(symbolic, k.as_ref()).unwrap();
-        let t1 = began.elapsed();
-        let x = lu.solve(&b);
-        let r = &b - &k * &x;
-        println!("LU {:?} residual {:e} x {:e}", t1, r.norm_max(), x.norm_max());
-        use faer::sparse::linalg::cholesky::*;
-        use faer::dyn_stack::*;
-        let sym = factorize_symbolic_cholesky(k.symbolic(), faer::Side::Lower, SymmetricOrdering::Amd, CholeskySymbolicParams{ supernodal_flop_ratio_threshold: faer::sparse::linalg::SupernodalThreshold::FORCE_SUPERNODAL, ..Default::default()}).unwrap();
-        let mut l = vec![0.0; sym.len_val()]; let mut sub = vec![0.0; nn]; let mut pf = vec![0usize; nn]; let mut pi = vec![0usize; nn];
-        let mut mem = MemBuffer::new(sym.factorize_numeric_intranode_lblt_scratch::<f64>(faer::Par::Seq, Default::default()));
-        let began = std::time::Instant::now();
-        let f = sym.factorize_numeric_intranode_lblt(&mut l, &mut sub, &mut pf, &mut pi, k.as_ref(), faer::Side::Lower, faer::Par::Seq, MemStack::new(&mut mem), Default::default());
-        let t2 = began.elapsed();
-        let mut x = b.clone();
-        let mut mem = MemBuffer::new(sym.solve_in_place_scratch::<f64>(1, faer::Par::Seq));
-        f.solve_in_place_with_conj(faer::Conj::No, x.as_mut(), faer::Par::Seq, MemStack::new(&mut mem));
-        let r = &b - &k * &x;
-        println!("LBLT {:?} residual {:e} x {:e}, {} values", t2, r.norm_max(), x.norm_max(), sym.len_val());
-    }
-}
-
-#[test]
-#[ignore = "tmp"]
-fn tmp_large() {
-    // n_x states, nonzeros dense in a segment
-    for (nx, points, theta) in [(24usize, 1000usize, 60usize), (6, 10000, 40), (4, 600, 22)] {
-        let n = theta + nx * points;
-        let m = nx * (points - 1);
-        let mut case = Case::new(n, m);
-        let mut random = Random(3);
-        for k in 0..points - 1 {
-            for i in 0..nx {
-                let row = k * nx + i;
-                for j in 0..nx {
-                    let e = if i == j { 1.0 } else { 0.0 };
-                    case.add_a(row, theta + (k + 1) * nx + j, e + 0.02 * random.between(-1.0, 1.0));
-                    case.add_a(row, theta + k * nx + j, -e + 0.02 * random.between(-1.0, 1.0));
-                }
-                for p in 0..theta { case.add_a(row, p, 0.1 * random.between(-1.0, 1.0)); }
-            }
-        }
-        for k in 0..points { for i in 0..nx { case.add_h(theta + k * nx + i, theta + k * nx + i, 1.0); } }
-        let began = std::time::Instant::now();
-        let mut kkt = case.sparse();
-        let t0 = began.elapsed();
-        for _ in 0..3 {
-        let began = std::time::Instant::now();
-        kkt.factorize(&case.hessian, &case.jacobian).unwrap();
-        let t1 = began.elapsed();
-        let began = std::time::Instant::now();
-        let f = kkt.finish(&vec![false; n], 0.0);
-        let t2 = began.elapsed();
-        let right = case.random_right(&mut random);
-        let began = std::time::Instant::now();
-        let x = solve(&mut kkt, &case, &right);
-        let t3 = began.elapsed();
-        println!("{nx} {points} {theta}: new {t0:?} factorize {t1:?} finish {t2:?} solve {t3:?} {f:?} Mflop {} err {:e}", kkt.flops() as f64/1e6, backward_error(&case, &vec![false; n], &vec![0.0; n], &x, &right));
-        }
     }
 }

@@ -83,17 +83,22 @@ impl Run<'_> {
                 break;
             }
             self.kkt.finish(self.active.held(), self.shift);
-            self.right_side();
-            self.count.solutions += 1;
-            self.kkt.solve(&self.p, &self.q, &mut self.d, &mut self.next_lambda);
-            for &i in &self.active.bounded {
-                if self.active.held[i] {
-                    self.d[i] = self.active.to[i];
-                }
-            }
+            self.resolve();
         }
         for &i in &self.active.bounded {
             self.active.was[i] = self.active.binds(i);
+        }
+    }
+
+    /// Solves again for the variables held as they are.
+    pub(super) fn resolve(&mut self) {
+        self.right_side();
+        self.count.solutions += 1;
+        self.kkt.solve(&self.p, &self.q, &mut self.d, &mut self.next_lambda);
+        for &i in &self.active.bounded {
+            if self.active.held[i] {
+                self.d[i] = self.active.to[i];
+            }
         }
     }
 

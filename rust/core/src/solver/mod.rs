@@ -43,6 +43,8 @@ const SETTLED: f64 = 0.1;
 const ENDLESS: f64 = 1e15;
 /// An end that meets this instead of the tolerance is acceptable, again a distance in standard errors.
 const CLOSE: f64 = 1e-3;
+/// A shift above this is damping; below, it only makes a singular system regular.
+const DAMPED: f64 = 1e-6;
 /// Greatest shift of the reduced Hessian, in units of its diagonal, that is tried.
 const GREATEST_SHIFT: f64 = 1e8;
 
@@ -223,7 +225,12 @@ impl<'a> Run<'a> {
         };
         let mut last_gain = f64::INFINITY;
         loop {
-            let promise = self.newton_step();
+            let mut promise = self.newton_step();
+            if self.shift > DAMPED && promise.is_ok_and(|p| p.gain < NEAR) {
+                // Small for the damping alone?
+                self.shift = 0.0;
+                promise = self.newton_step();
+            }
             line.promise = promise.map_or(f64::INFINITY, |p| p.gain);
             if promise.is_err() && self.history.is_empty() && self.detail.is_empty() {
                 return Err(NotFinite);
@@ -260,7 +267,7 @@ impl<'a> Run<'a> {
             }
             let (step, trials) = searched.unwrap_or((0.0, 0));
             if !exact && step > 0.0 {
-                let settled = self.update_noise();
+                let settled = self.update_noise(step);
                 self.near = promise.gain < NEAR && step == 1.0 && settled;
             }
             if self.grown() {
@@ -354,8 +361,10 @@ impl<'a> Run<'a> {
         Promise { slope, curvature, gain: 0.5 * slope.abs() + pretended, floor: 8.0 * f64::EPSILON * sizes }
     }
 
-    /// Standard deviations from the residuals, after a step; whether they had settled before.
-    fn update_noise(&mut self) -> bool {
+    /// Standard deviations from the residuals, after a step; whether they had settled before. They only come
+    /// down after a full step: at the end of a part of one, states do not follow their equations, and small
+    /// residuals mean nothing.
+    fn update_noise(&mut self, step: f64) -> bool {
         let roots = self.nlp.profiled();
         if roots.is_empty() {
             return true;
@@ -369,7 +378,8 @@ impl<'a> Run<'a> {
         for (i, best) in roots.zip(&self.profile) {
             let x = &mut self.here.xi[i];
             settled &= (best / *x - 1.0).abs() < SETTLED;
-            *x = best.clamp(*x / TENFOLD, *x * TENFOLD);
+            let most = if step == 1.0 { *x * TENFOLD } else { *x };
+            *x = best.clamp(*x / TENFOLD, most);
         }
         // It was finite, and can only come down.
         let _ = self.here.evaluate_objective(self.nlp, &mut self.count);

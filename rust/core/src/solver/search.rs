@@ -12,6 +12,9 @@ const SHORTEST: f64 = 1e-7;
 /// Most second-order corrections of a step.
 const CORRECTIONS: usize = 3;
 
+/// Damping of the parameters, in units of the curvature, that is tried first, and last.
+const FIRST_DAMPING: f64 = 1e-2;
+const LAST_DAMPING: f64 = 1e6;
 /// Most full steps in a row without a lower merit function.
 const PATIENCE: usize = 8;
 
@@ -51,22 +54,30 @@ impl Watchdog {
     }
 }
 
+/// φ + ν Σ|c| where a step begins, and what it must fall by.
+#[derive(Clone, Copy)]
+struct Goal {
+    nu: f64,
+    merit: f64,
+    slope: f64,
+    noise: f64,
+}
+
+impl Goal {
+    fn met(&self, p: &Point, alpha: f64) -> bool {
+        let merit = self.nu.mul_add(p.defect, p.objective);
+        merit <= self.merit + ARMIJO * alpha * self.slope.min(0.0) + self.noise
+    }
+}
+
 impl Run<'_> {
     /// Moves along the step; its length and the number of trials, or nothing where none helped.
     pub(super) fn search(&mut self, promise: &Promise) -> Option<(f64, usize)> {
-        self.merit.update(promise, self.here.defect);
-        let nu = self.merit.nu;
-        let of = |p: &Point| nu.mul_add(p.defect, p.objective);
-        let slope = promise.slope - nu * self.here.defect;
-        let noise = 10.0 * f64::EPSILON * (of(&self.here).abs() + self.here.objective.abs()) + promise.floor;
-        let from = if self.watchdog.age > 0 { &self.watchdog.back } else { &self.here };
-        let merit = of(from);
-        let enough = |p: &Point, alpha: f64| of(p) <= merit + ARMIJO * alpha * slope.min(0.0) + noise;
-
-        self.trial.step(&self.here.xi, 1.0, &self.d, &self.bounds);
+        let goal = self.goal(promise);
         let mut trials = 1;
-        let fine = self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_ok();
-        if fine && enough(&self.trial, 1.0) {
+        let fine = self.try_step(1.0);
+        if fine && goal.met(&self.trial, 1.0) {
+            self.relax();
             return Some(self.accept(1.0, trials));
         }
         if fine && !self.watchdog.strict {
@@ -85,34 +96,85 @@ impl Run<'_> {
             self.go_back();
             return Some((0.0, trials));
         }
-        if fine && self.trial.defect > 0.0 {
-            let mut defect = self.trial.defect;
-            for _ in 0..CORRECTIONS {
-                trials += 1;
-                self.correct();
-                if self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_err() {
-                    break;
-                }
-                if enough(&self.trial, 1.0) {
-                    return Some(self.accept(1.0, trials));
-                }
-                if self.trial.defect > 0.5 * defect {
-                    break;
-                }
-                defect = self.trial.defect;
-            }
+        if fine && self.corrected(&goal, &mut trials) {
+            return Some(self.accept(1.0, trials));
+        }
+        if let Some(taken) = self.damped(&mut trials) {
+            return Some(taken);
         }
         let mut alpha = 0.5;
         while alpha >= SHORTEST {
             trials += 1;
-            self.trial.step(&self.here.xi, alpha, &self.d, &self.bounds);
-            let fine = self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_ok();
-            if fine && enough(&self.trial, alpha) {
+            if self.try_step(alpha) && goal.met(&self.trial, alpha) {
                 return Some(self.accept(alpha, trials));
             }
             alpha *= 0.3;
         }
         None
+    }
+
+    fn goal(&mut self, promise: &Promise) -> Goal {
+        self.merit.update(promise, self.here.defect);
+        let nu = self.merit.nu;
+        let from = if self.watchdog.age > 0 { &self.watchdog.back } else { &self.here };
+        let merit = nu.mul_add(from.defect, from.objective);
+        let noise = 10.0 * f64::EPSILON * (merit.abs() + from.objective.abs()) + promise.floor;
+        Goal { nu, merit, slope: promise.slope - nu * self.here.defect, noise }
+    }
+
+    fn try_step(&mut self, alpha: f64) -> bool {
+        self.trial.step(&self.here.xi, alpha, &self.d, &self.bounds);
+        self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_ok()
+    }
+
+    /// Second-order corrections of the trial point; whether one reaches the goal.
+    fn corrected(&mut self, goal: &Goal, trials: &mut usize) -> bool {
+        let mut defect = self.trial.defect;
+        for _ in 0..CORRECTIONS {
+            *trials += 1;
+            self.correct();
+            if self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_err() {
+                return false;
+            }
+            if goal.met(&self.trial, 1.0) {
+                return true;
+            }
+            if self.trial.defect > 0.5 * defect {
+                return false;
+            }
+            defect = self.trial.defect;
+        }
+        false
+    }
+
+    /// Full steps with more and more damping of the parameters (Levenberg, 1944): in the limit these stay,
+    /// and the states go to where the equations want them. The damping stays for the next steps.
+    fn damped(&mut self, trials: &mut usize) -> Option<(f64, usize)> {
+        let undamped = (self.d.clone(), self.next_lambda.clone(), self.shift);
+        let mut shift = self.shift.max(0.1 * FIRST_DAMPING);
+        while shift < LAST_DAMPING {
+            shift *= 10.0;
+            if !self.kkt.finish(self.active.held(), shift).is_positive() {
+                continue;
+            }
+            self.resolve();
+            let goal = self.goal(&self.promise());
+            *trials += 1;
+            if self.try_step(1.0) && goal.met(&self.trial, 1.0) {
+                self.shift = shift;
+                return Some(self.accept(1.0, *trials));
+            }
+        }
+        (self.d, self.next_lambda, self.shift) = undamped;
+        None
+    }
+
+    /// Less damping after a step that went well.
+    fn relax(&mut self) {
+        self.shift *= 0.1;
+        if self.shift < FIRST_DAMPING {
+            self.shift = 0.0;
+        }
     }
 
     /// Back to where the merit function was lowest; the next step must lower it.

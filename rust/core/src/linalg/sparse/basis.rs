@@ -28,13 +28,18 @@ use crate::simd::kernel;
 
 /// A variable that stands in this many times as many constraints as the median is heavy.
 const HEAVY: usize = 8;
-/// Pivots below this part of their constraint's largest coefficient are none.
+/// Pivots below this part of their constraint's largest coefficient are none; nor is a basis one whose
+/// inverse is as large as this suggests.
 const DEPENDENT: f64 = 1e-13;
 /// The same where heavy variables stand by to be taken instead.
 const POOR: f64 = 1e-8;
 
 /// What defects of order one may become in the solution, in units, with heavy variables outside.
 const GROWTH: f64 = 1e6;
+
+/// Heavy variables that take part are determined only where this part of their coefficient is more than
+/// any other variable's: each makes all that follows denser.
+const RELUCTANT: f64 = 1e-4;
 
 /// Not yet determined, during elimination.
 const OPEN: u32 = u32::MAX;
@@ -82,6 +87,8 @@ pub(super) struct Basis {
     /// Constraints in the order of elimination.
     order: Vec<u32>,
     heavy: Vec<u32>,
+    /// What coefficients are multiplied by before they are compared, by variable.
+    weight: Vec<f64>,
     /// Columns of [L; M] below the pivots, by variable, and of U above the diagonal, by position.
     lower: Columns,
     upper: Columns,
@@ -133,6 +140,7 @@ impl Basis {
             n,
             m,
             order: minimum_degree(n, a, |v| count[v] <= most),
+            weight: count.iter().map(|&c| if c > most { RELUCTANT } else { 1.0 }).collect(),
             heavy,
             lower: Columns::default(),
             upper: Columns::default(),
@@ -151,9 +159,12 @@ impl Basis {
 
     /// Finds a basis; a constraint that depends on others where there is none.
     pub fn factorize(&mut self, a: &Rows) -> Result<(), usize> {
-        let outside = !self.heavy.is_empty() && self.eliminate(a, true).is_ok() && self.growth() <= std::env::var("GG").map_or(GROWTH, |x| x.parse().unwrap());
+        let outside = !self.heavy.is_empty() && self.eliminate(a, true).is_ok() && self.growth() <= GROWTH;
         if !outside {
             self.eliminate(a, false)?;
+            if self.growth() > DEPENDENT.recip() {
+                return Err(self.least_determined());
+            }
         }
         self.free.clear();
         self.n_outside = if outside { self.heavy.len() } else { 0 };
@@ -211,13 +222,14 @@ impl Basis {
             self.size.push(size);
             let (mut best, mut largest) = (OPEN, 0.0);
             for &v in open.iter() {
-                if x[v as usize].abs() > largest {
-                    (best, largest) = (v, x[v as usize].abs());
+                let compared = self.weight[v as usize] * x[v as usize].abs();
+                if compared > largest {
+                    (best, largest) = (v, compared);
                 }
             }
-            let determined = largest > poor * size && largest.is_finite();
+            let pivot = if best == OPEN { 0.0 } else { std::mem::take(&mut x[best as usize]) };
+            let determined = pivot.abs() > poor * size && pivot.is_finite();
             if determined {
-                let pivot = std::mem::take(&mut x[best as usize]);
                 self.place[best as usize] = j as u32;
                 self.pivot.push(best);
                 self.diagonal.push(pivot);
@@ -288,6 +300,13 @@ impl Basis {
         }
         x.fill(0.0);
         largest
+    }
+
+    /// The constraint with the smallest pivot.
+    fn least_determined(&self) -> usize {
+        let part = |j: &usize| self.diagonal[*j].abs() / self.size[*j];
+        let least = (0..self.m).min_by(|i, j| part(i).total_cmp(&part(j)));
+        least.map_or(0, |j| self.order[j] as usize)
     }
 
     /// Free variables.

@@ -165,7 +165,8 @@ impl SparseKkt {
 
     /// Solves for `rest` into `correction`, once.
     fn solve_once(&mut self) {
-        let mut correction = std::mem::replace(&mut self.correction, System { d: Vec::new(), lambda: Vec::new() });
+        let mut correction =
+            std::mem::replace(&mut self.correction, System { d: Vec::new(), lambda: Vec::new() });
         let mut g = std::mem::take(&mut self.g);
         let (d, lambda) = (&mut correction.d, &mut correction.lambda);
         // Any step that meets the constraints, then the best along them.
@@ -318,7 +319,6 @@ impl KktSolver for SparseKkt {
             self.solve_once();
             self.solution.add(&self.correction, 1.0);
             let now = self.residual();
-            if std::env::var("DBG").is_ok() { eprintln!("  {worst:e} -> {now:e}"); }
             if now >= worst {
                 self.solution.add(&self.correction, -1.0);
                 break;

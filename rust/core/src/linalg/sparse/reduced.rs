@@ -76,7 +76,8 @@ impl Scratch {
         if self.size < k || self.memory.is_none() {
             let k = k.max(1);
             let cholesky = llt::factor::cholesky_in_place_scratch::<f64>(k, Par::Seq, default());
-            let eigen = evd::self_adjoint_evd_scratch::<f64>(k, ComputeEigenvectors::Yes, Par::Seq, default());
+            let eigen =
+                evd::self_adjoint_evd_scratch::<f64>(k, ComputeEigenvectors::Yes, Par::Seq, default());
             self.memory = Some(MemBuffer::new(StackReq::any_of(&[cholesky, eigen])));
             self.size = k;
         }
@@ -297,7 +298,8 @@ impl Reduced {
         }
         let matrix = MatMut::from_column_major_slice_mut(&mut self.factor, k, k);
         let positive =
-            llt::factor::cholesky_in_place(matrix, default(), Par::Seq, self.scratch.stack(), default()).is_ok();
+            llt::factor::cholesky_in_place(matrix, default(), Par::Seq, self.scratch.stack(), default())
+                .is_ok();
         if positive && (0..k).all(|i| self.factor[i * k + i].powi(2) > CLEAR) {
             return Curvature::default();
         }
@@ -365,7 +367,8 @@ impl Reduced {
         let (ka, rank) = (self.active.len(), self.kept.len());
         let k = ka - rank;
         self.side.clear();
-        self.side.extend(self.active.iter().zip(&self.root).map(|(&j, root)| g[basis.free()[j] as usize] * root));
+        self.side
+            .extend(self.active.iter().zip(&self.root).map(|(&j, root)| g[basis.free()[j] as usize] * root));
         self.reflections.chunks_exact(ka.max(1)).for_each(|v| reflect(v, &mut self.side));
         // Coordinates of the held: Rᵀ c = target.
         for i in 0..rank {
@@ -523,7 +526,8 @@ mod tests {
         for k in 1..50usize {
             for rows in [1, 2, 7, 96] {
                 let stride = k.next_multiple_of(8);
-                let entry = |i: usize, j: usize, of: usize| if j < k { ((i * 7 + j * of) % 11) as f64 } else { 0.0 };
+                let entry =
+                    |i: usize, j: usize, of: usize| if j < k { ((i * 7 + j * of) % 11) as f64 } else { 0.0 };
                 let panel = |of| (0..rows * stride).map(|at| entry(at / stride, at % stride, of)).collect();
                 let mut to = vec![1.0; k * stride];
                 multiply(&mut to, k, stride, &(panel(3), panel(5)), rows);

@@ -156,13 +156,16 @@ def make_fit(
         covariance, step, undetermined, saddle = found
         variance = np.diag(covariance)
         proper = variance > 0
-        for group in undetermined:
-            names = [problem.variable_name(i) for i in group]
-            warnings.append(_undetermined(names))
+        # Elsewhere than at an end, curvature says nothing about the data.
+        at_end = status in ("converged", "acceptable", "unidentifiable")
+        if undetermined and at_end:
+            names = [", ".join(problem.variable_name(i) for i in group) for group in undetermined]
+            warnings += [_undetermined(group.split(", ")) for group in names]
+            status, message = "unidentifiable", f"{HINTS['unidentifiable']} ({'; '.join(names)})"
         full[wanted] = np.sqrt(np.where(proper, variance, np.nan))
         inner = wanted < n_theta
         cov[np.ix_(wanted[inner], wanted[inner])] = covariance[np.ix_(inner, inner)]
-        if saddle:
+        if saddle and at_end:
             warnings.append("not a proper maximum: the log-likelihood grows from here in some direction")
         elif status == "acceptable" and np.all(np.abs(step[proper]) < _CLOSE * np.sqrt(variance[proper])):
             # Rounding kept the solver from its tolerance, but there is nowhere left to go.

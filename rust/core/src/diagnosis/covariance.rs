@@ -22,6 +22,9 @@ pub struct Information {
 /// Parts of a weak direction below this, relative to the greatest, do not count.
 const PART: f64 = 0.1;
 
+/// Curvature, relative to that of other directions, given to directions without any.
+const SLIGHT: f64 = 1e-8;
+
 /// The inverse of the KKT matrix [H Aᵀ; A 0], H the Hessian of the Lagrangian, has Z (ZᵀHZ)⁻¹ Zᵀ for its
 /// first block, Z a basis of the null space of A: the inverse of the observed information, the states
 /// following their equations. Variables `held` (fixed, at a bound) do not vary.
@@ -71,13 +74,18 @@ pub fn information(
             holding[i] = true;
         }
         if !any {
-            // Initial states cannot be set aside: nothing is known.
-            let nothing = vec![f64::NAN; k * k];
-            return Ok(Information { covariance: nothing, step: vec![f64::NAN; k], undetermined, saddle });
+            // Initial states cannot be set aside. A curvature that is nothing beside that of the others
+            // keeps them where they are.
+            found = kkt.finish(&holding, SLIGHT);
+            break;
         }
         found = kkt.finish(&holding, 0.0);
     }
 
+    if !found.is_positive() {
+        let nothing = vec![f64::NAN; k * k];
+        return Ok(Information { covariance: nothing, step: vec![f64::NAN; k], undetermined, saddle });
+    }
     let mut covariance = vec![0.0; k * k];
     kkt.covariance(wanted, &mut covariance);
     gradient.iter_mut().for_each(|g| *g = -*g);

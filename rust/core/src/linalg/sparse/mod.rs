@@ -21,6 +21,9 @@
 //! another method.
 
 mod basis;
+mod holding;
+mod order;
+mod products;
 mod reduced;
 mod rows;
 
@@ -103,8 +106,8 @@ impl System {
 
 impl SparseKkt {
     /// Prepares for `n` variables and `m` constraints with the lower triangle of H and A at the places of
-    /// `hessian` and `jacobian`. `scale` (n) holds the units of the variables, `row_scale` (m) what each
-    /// constraint is multiplied by to be of order one; all are positive.
+    /// `hessian` and `jacobian`. `scale` (n) holds the units of the variables, `row_scale` (m) those of the
+    /// constraints: in these, both are of order one. All are positive.
     pub fn new(
         n: usize,
         m: usize,
@@ -124,7 +127,7 @@ impl SparseKkt {
         }
         let places = jacobian.rows.iter().zip(&jacobian.columns).enumerate();
         let jacobian = places
-            .map(|(number, (&r, &c))| (r, c, number as u32, row_scale[r as usize] * scale[c as usize]))
+            .map(|(number, (&r, &c))| (r, c, number as u32, scale[c as usize] / row_scale[r as usize]))
             .collect();
         let a = Rows::new(m, jacobian);
         let system = System::new(n, m);
@@ -175,12 +178,12 @@ impl SparseKkt {
         (0..self.n).for_each(|i| g[i] = self.rest.d[i] - self.curve(i, d));
         self.basis.multipliers(&self.a, &mut g, lambda, true);
         self.target.clear();
-        self.target.extend(self.reduced.kept().iter().map(|&v| -d[v as usize]));
+        self.target.extend(self.reduced.holding().kept().iter().map(|&v| -d[v as usize]));
         self.reduced.solve(&self.basis, &g, &mut self.target, d);
         self.basis.complete(&self.a, &self.rest.lambda, d, false);
-        self.reduced.kept().iter().for_each(|&v| d[v as usize] = 0.0);
+        self.reduced.holding().kept().iter().for_each(|&v| d[v as usize] = 0.0);
         (0..self.n).for_each(|i| g[i] = self.rest.d[i] - self.curve(i, d));
-        for (&v, nu) in self.reduced.kept().iter().zip(&self.target) {
+        for (&v, nu) in self.reduced.holding().kept().iter().zip(&self.target) {
             g[v as usize] -= nu;
         }
         self.basis.multipliers(&self.a, &mut g, lambda, false);
@@ -244,7 +247,7 @@ impl SparseKkt {
             self.weak.push(parts);
         }
         self.g = d;
-        self.weak.extend(self.reduced.immovable().iter().map(|&v| vec![(v as usize, 1.0)]));
+        self.weak.extend(self.reduced.holding().immovable().iter().map(|&v| vec![(v as usize, 1.0)]));
     }
 }
 
@@ -302,11 +305,11 @@ impl KktSolver for SparseKkt {
             lambda.fill(f64::NAN);
             return;
         }
-        for i in 0..self.n {
-            self.right.d[i] = if self.held[i] { 0.0 } else { self.scale[i] * p[i] };
+        for (i, &p) in p.iter().enumerate() {
+            self.right.d[i] = if self.held[i] { 0.0 } else { self.scale[i] * p };
         }
         for (to, (q, scale)) in self.right.lambda.iter_mut().zip(q.iter().zip(&self.row_scale)) {
-            *to = scale * q;
+            *to = q / scale;
         }
         self.rest.clone_from(&self.right);
         self.solve_once();
@@ -329,7 +332,7 @@ impl KktSolver for SparseKkt {
             *to = scale * x;
         }
         for (to, (x, scale)) in lambda.iter_mut().zip(self.solution.lambda.iter().zip(&self.row_scale)) {
-            *to = scale * x;
+            *to = x / scale;
         }
     }
 

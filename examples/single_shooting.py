@@ -108,7 +108,7 @@ def fit(
 
     try:
         with np.errstate(all="ignore"):
-            found = least_squares(residuals, start, lambda _: slopes, x_scale=scale, ftol=1e-6, max_nfev=300)
+            found = least_squares(residuals, start, lambda _: slopes, x_scale="jac", ftol=1e-6, max_nfev=300)
         status = "stopped" if found.status > 0 else "out of evaluations"
     except TimeoutError:
         status = "out of time"

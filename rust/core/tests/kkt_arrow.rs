@@ -4,13 +4,16 @@
 mod common;
 
 use common::Random;
+use common::flights::{TRUTH, problem};
 use common::models::{self, guess, mixed_noise, record};
 use nalgebra::{DMatrix, DVector};
 use phugoid::linalg::KktSolver;
 use phugoid::linalg::arrow::ArrowKkt;
+use phugoid::linalg::sparse::SparseKkt;
 use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::Nlp;
+use phugoid::solver::state_units;
 use phugoid::transcription::{Collocation, Settings};
 
 struct Case {
@@ -101,7 +104,11 @@ fn it_solves_as_dense_algebra_does_and_counts_the_same_inertia() {
         let dense = case.dense(&held);
         let eigen = dense.clone().symmetric_eigenvalues();
         let negative = eigen.iter().filter(|e| **e < 0.0).count();
-        assert_eq!(found.is_positive(), negative == m, "case {number}: {found:?}, {negative} of {m} negative");
+        assert_eq!(
+            found.is_positive(),
+            negative == m,
+            "case {number}: {found:?}, {negative} of {m} negative"
+        );
         if !found.is_positive() {
             continue;
         }
@@ -120,7 +127,12 @@ fn it_solves_as_dense_algebra_does_and_counts_the_same_inertia() {
         assert!(rest < 1e-13, "case {number}: residual {rest:e}");
         for i in 0..n {
             let size = expected.rows(0, n).amax();
-            assert!((got[i] - expected[i]).abs() <= 1e-8 * size, "case {number}: d[{i}] {} for {}", got[i], expected[i]);
+            assert!(
+                (got[i] - expected[i]).abs() <= 1e-8 * size,
+                "case {number}: d[{i}] {} for {}",
+                got[i],
+                expected[i]
+            );
         }
     }
     assert!(positive >= 20, "only {positive} cases could be solved");
@@ -165,4 +177,56 @@ fn covariance_is_the_block_of_the_inverse() {
         }
     }
     assert_eq!(case.xi.len(), case.problem.n());
+}
+
+#[test]
+fn it_is_as_accurate_where_small_changes_grow_without_limit() {
+    // A minute of an unstable aircraft: a change at its start has grown by 10¹⁸ at its end.
+    let settings = Settings { order: 3, threads: 1, ..Settings::default() };
+    let (p, xi) = problem(&models::linear(), 1201, &settings);
+    let mut xi = xi;
+    xi[..6].copy_from_slice(&TRUTH);
+    let (n, m) = (p.n(), p.m());
+    let mut hessian = vec![0.0; p.hessian_structure().len()];
+    p.gauss_newton(&xi, 1.0, &mut hessian).unwrap();
+    let mut jacobian = vec![0.0; p.jacobian_structure().len()];
+    p.jacobian(&xi, &mut jacobian).unwrap();
+    let units = state_units(&p, &xi);
+    let chains = p.chains().unwrap();
+    let mut arrow =
+        ArrowKkt::new(chains, p.hessian_structure(), p.jacobian_structure(), (n, m), &units).unwrap();
+    let least = arrow.groups();
+    let mut sparse = SparseKkt::new(
+        n,
+        m,
+        p.hessian_structure(),
+        p.jacobian_structure(),
+        &units.iter().copied().cycle().take(n).collect::<Vec<_>>(),
+        &units.iter().copied().cycle().take(m).collect::<Vec<_>>(),
+    );
+    let mut random = Random(11);
+    let right: Vec<f64> = (0..n + m).map(|_| random.between(-1.0, 1.0)).collect();
+    let solved: [(Vec<f64>, Vec<f64>); 2] = [&mut arrow as &mut dyn KktSolver, &mut sparse].map(|kkt| {
+        kkt.set_refinement(true);
+        kkt.factorize(&hessian, &jacobian).unwrap();
+        assert!(kkt.finish(&vec![false; n], 0.0).is_positive());
+        let (mut d, mut lambda) = (vec![0.0; n], vec![0.0; m]);
+        kkt.solve(&right[..n], &right[n..], &mut d, &mut lambda);
+        (d, lambda)
+    });
+    assert!(arrow.groups() > 3 * least, "{} groups of at least {least}", arrow.groups());
+    // The equations hold to rounding, and both answers are the same.
+    let s = p.jacobian_structure();
+    let (mut rest, mut size) = (right[n..].to_vec(), vec![0.0f64; m]);
+    for (t, a) in jacobian.iter().enumerate() {
+        let (r, c) = (s.rows[t] as usize, s.columns[t] as usize);
+        rest[r] -= a * solved[0].0[c];
+        size[r] += (a * solved[0].0[c]).abs();
+    }
+    assert!(rest.iter().zip(&size).all(|(r, s)| r.abs() <= 1e-13 * (s + 1.0)));
+    for (a, b) in [(&solved[0].0, &solved[1].0), (&solved[0].1, &solved[1].1)] {
+        let size = b.iter().fold(0.0f64, |s, x| s.max(x.abs()));
+        let apart = a.iter().zip(b).fold(0.0f64, |s, (x, y)| s.max((x - y).abs()));
+        assert!(apart < 1e-9 * size, "{apart:e} of {size:e}");
+    }
 }

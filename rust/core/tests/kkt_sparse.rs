@@ -898,23 +898,6 @@ fn timing() {
             best[3] = best[3].min(began.elapsed().as_secs_f64());
         }
         let rest = backward_error(&case, &held, &vec![0.0; case.n], &x, &right);
-        {
-            let mut kkt = phugoid::linalg::arrow::ArrowKkt::new(problem.chains().unwrap(), &case.h, &case.a, (case.n, case.m), &[0.1, 3.0, 40.0, 1.0]).unwrap();
-            let mut best = [f64::INFINITY; 3];
-            for _ in 0..30 {
-                let began = std::time::Instant::now();
-                kkt.factorize(&case.hessian, &case.jacobian).unwrap();
-                best[0] = best[0].min(began.elapsed().as_secs_f64());
-                let began = std::time::Instant::now();
-                let f = kkt.finish(&held, 0.0);
-                best[1] = best[1].min(began.elapsed().as_secs_f64());
-                let (mut d, mut l) = (vec![0.0; case.n], vec![0.0; case.m]);
-                let began = std::time::Instant::now();
-                if f.is_positive() { kkt.solve(&right.as_slice()[..case.n], &right.as_slice()[case.n..], &mut d, &mut l); }
-                best[2] = best[2].min(began.elapsed().as_secs_f64());
-            }
-            println!("arrow {best:?} {:?} {}", kkt.finish(&held, 0.0), kkt.flops());
-        }
         println!(
             "order {order}, exact {exact}: n {} m {} entries {} + {}; analysis {:.1} ms, factorize {:.2} ms, finish {:.3} ms, \
              solve {:.2} ms, finish with first shift {:.2} ms; {found:?}, {:.1} Mflop, residual {rest:.1e}",

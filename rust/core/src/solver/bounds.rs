@@ -41,7 +41,13 @@ impl Active {
 
     /// The first guess: what was held in the last step and stands at its bound, and what is fixed or
     /// profiled.
-    pub fn begin(&mut self, xi: &[f64], bounds: &(Vec<f64>, Vec<f64>), gradient: &[f64], profiled: Range<usize>) {
+    pub fn begin(
+        &mut self,
+        xi: &[f64],
+        bounds: &(Vec<f64>, Vec<f64>),
+        gradient: &[f64],
+        profiled: Range<usize>,
+    ) {
         self.held.copy_from_slice(&self.fixed);
         for &i in &self.bounded {
             (self.to[i], self.multiplier[i]) = (0.0, 0.0);

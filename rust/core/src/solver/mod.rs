@@ -171,7 +171,12 @@ struct Promise {
 }
 
 impl<'a> Run<'a> {
-    fn new(nlp: &'a dyn Nlp, start: &[f64], multipliers: Option<&[f64]>, settings: &'a Settings) -> Result<Self, NotFinite> {
+    fn new(
+        nlp: &'a dyn Nlp,
+        start: &[f64],
+        multipliers: Option<&[f64]>,
+        settings: &'a Settings,
+    ) -> Result<Self, NotFinite> {
         let (n, m) = (nlp.n(), nlp.m());
         let bounds = nlp.bounds();
         let units = state_units(nlp, start);
@@ -332,7 +337,8 @@ impl<'a> Run<'a> {
     /// A derivative is not finite at a point where the functions are. At the start that is an error.
     fn not_finite(&mut self) -> Status {
         if !self.history.is_empty() {
-            self.detail = self.nlp.explain(&self.here.xi).unwrap_or_else(|| "a derivative is not finite".into());
+            self.detail =
+                self.nlp.explain(&self.here.xi).unwrap_or_else(|| "a derivative is not finite".into());
         }
         Status::Failed
     }
@@ -423,7 +429,8 @@ impl<'a> Run<'a> {
     fn weak_names(&self) -> String {
         let name = |direction: &Vec<(usize, f64)>| {
             let most = direction.first().map_or(0.0, |x| x.1.abs());
-            let mut part: Vec<usize> = direction.iter().filter(|x| x.1.abs() > 0.1 * most).map(|x| x.0).collect();
+            let mut part: Vec<usize> =
+                direction.iter().filter(|x| x.1.abs() > 0.1 * most).map(|x| x.0).collect();
             part.sort_unstable();
             part.iter().take(6).map(|&i| self.nlp.variable_name(i)).collect::<Vec<_>>().join(", ")
         };

@@ -41,7 +41,12 @@ impl Point {
     }
 
     /// Evaluates φ and c at ξ.
-    pub fn evaluate(&mut self, nlp: &dyn Nlp, rows: &[f64], count: &mut Evaluations) -> Result<(), NotFinite> {
+    pub fn evaluate(
+        &mut self,
+        nlp: &dyn Nlp,
+        rows: &[f64],
+        count: &mut Evaluations,
+    ) -> Result<(), NotFinite> {
         count.constraints += 1;
         nlp.constraints(&self.xi, &mut self.c)?;
         (self.defect, self.worst) = (0.0, 0.0);

@@ -150,7 +150,9 @@ impl Run<'_> {
     /// Full steps with more and more damping of the parameters (Levenberg, 1944): in the limit these stay,
     /// and the states go to where the equations want them. The damping stays for the next steps.
     fn damped(&mut self, trials: &mut usize) -> Option<(f64, usize)> {
-        let undamped = (self.d.clone(), self.next_lambda.clone(), self.shift);
+        let undamped = self.shift;
+        self.correction.0.copy_from_slice(&self.d);
+        self.correction.1.copy_from_slice(&self.next_lambda);
         let mut shift = self.shift.max(0.1 * FIRST_DAMPING);
         while shift < LAST_DAMPING {
             shift *= 10.0;
@@ -165,7 +167,9 @@ impl Run<'_> {
                 return Some(self.accept(1.0, *trials));
             }
         }
-        (self.d, self.next_lambda, self.shift) = undamped;
+        std::mem::swap(&mut self.d, &mut self.correction.0);
+        std::mem::swap(&mut self.next_lambda, &mut self.correction.1);
+        self.shift = undamped;
         None
     }
 

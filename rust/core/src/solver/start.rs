@@ -26,9 +26,8 @@ impl Run<'_> {
         let profiled = self.nlp.profiled();
         let first: Vec<f64> = self.here.xi[profiled.clone()].to_vec();
         let start = self.here.clone();
-        let free: Vec<usize> = (0..border)
-            .filter(|i| !profiled.contains(i) && self.bounds.0[*i] < self.bounds.1[*i])
-            .collect();
+        let free: Vec<usize> =
+            (0..border).filter(|i| !profiled.contains(i) && self.bounds.0[*i] < self.bounds.1[*i]).collect();
         if free.is_empty() {
             return;
         }

@@ -42,14 +42,14 @@ impl Status {
     /// What it means and what to do.
     pub fn hint(self) -> &'static str {
         match self {
-            Status::Converged => {
-                "a local optimum was found; other starts tell whether it is the global one"
-            }
+            Status::Converged => "a local optimum was found; other starts tell whether it is the global one",
             Status::Acceptable => {
                 "stopped at an acceptable point: tolerances were not all met, often for want of precision; \
                  check the standard errors"
             }
-            Status::Interrupted => "stopped by the user; this is the best point so far, and may be gone on from",
+            Status::Interrupted => {
+                "stopped by the user; this is the best point so far, and may be gone on from"
+            }
             Status::IterationLimit => "not converged; allow more iterations, or go on from here",
             Status::TimeLimit => "not converged; allow more time, or go on from here",
             Status::Infeasible => {

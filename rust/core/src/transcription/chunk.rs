@@ -32,6 +32,8 @@ pub(super) struct Chunk {
     pub(super) data: Vec<f64>,
     /// First entry of the Jacobian.
     pub(super) jacobian: usize,
+    /// Number of its entries.
+    pub(super) jacobian_entries: usize,
     /// First entry of the Hessian.
     pub(super) hessian: usize,
 }
@@ -75,6 +77,7 @@ impl Chunk {
                 between_before: Vec::new(),
                 data: Vec::new(),
                 jacobian: 0,
+                jacobian_entries: 0,
                 hessian: 0,
             };
             for j in 0..k {

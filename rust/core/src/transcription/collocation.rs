@@ -1,6 +1,6 @@
 //! The collocation problem (Eq. oem_coll) as a nonlinear program.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -87,6 +87,16 @@ const PARALLEL_BLOCKS: usize = 24;
 
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
+    static BUFFERS: Cell<Buffers> = Cell::default();
+}
+
+/// What a call needs beside.
+#[derive(Default)]
+struct Buffers {
+    /// Uniform values of a tape.
+    uniforms: Vec<f64>,
+    /// Sums of each item.
+    parts: Vec<f64>,
 }
 
 /// What a thread needs to evaluate a block.
@@ -206,6 +216,7 @@ impl Collocation {
         for chunk in &mut self.chunks {
             chunk.jacobian = self.jacobian_structure.len();
             self.dynamics.jacobian_structure(chunk, &self.layout, &mut self.jacobian_structure);
+            chunk.jacobian_entries = self.jacobian_structure.len() - chunk.jacobian;
             chunk.hessian = self.hessian_structure.len();
             self.dynamics.hessian_structure(chunk, &self.layout, &mut self.hessian_structure);
         }
@@ -245,21 +256,43 @@ impl Collocation {
         out
     }
 
-    /// Runs `work` on every item, in parallel where it pays. Results come in the order of items.
-    fn each<T: Sync, R: Send>(&self, items: &[T], work: impl Fn(&T, &mut Scratch) -> R + Sync) -> Vec<R> {
-        let one = |item: &T| SCRATCH.with(|s| work(item, &mut s.borrow_mut()));
+    /// Runs `work` on every item, in parallel where it pays, with the uniform values of a tape and `width`
+    /// zeros to add to; then `collect` on those, in the order of items. Whether all work was finite.
+    fn each<T: Sync>(
+        &self,
+        items: &[T],
+        (tape, xi): (&Tape, &[f64]),
+        width: usize,
+        work: impl Fn(&T, &[f64], &mut Scratch, &mut [f64]) -> bool + Sync,
+        mut collect: impl FnMut(&[f64]),
+    ) -> Result<(), NotFinite> {
+        // Taken and put back: nothing is allocated after the first call.
+        let Buffers { mut uniforms, mut parts } = BUFFERS.take();
+        tape.uniforms(self.theta(xi), &mut uniforms);
+        // Each item has a part, an empty one too.
+        let step = width.max(1);
+        parts.clear();
+        parts.resize(items.len() * step, 0.0);
+        let one = |(item, part): (&T, &mut [f64])| {
+            SCRATCH.with(|s| work(item, &uniforms, &mut s.borrow_mut(), &mut part[..width]))
+        };
         let threads = self
             .pool
             .as_ref()
             .map_or_else(rayon::current_num_threads, rayon::ThreadPool::current_num_threads);
-        if threads == 1 || items.len() < PARALLEL_BLOCKS {
-            return items.iter().map(one).collect();
-        }
-        let all = || items.par_iter().with_min_len(8).map(one).collect();
-        match &self.pool {
-            Some(pool) => pool.install(all),
-            None => all(),
-        }
+        let finite = if threads == 1 || items.len() < PARALLEL_BLOCKS {
+            items.iter().zip(parts.chunks_exact_mut(step)).map(one).fold(true, |a, b| a & b)
+        } else {
+            let pairs = items.par_iter().zip(parts.par_chunks_exact_mut(step));
+            let all = || pairs.with_min_len(8).map(one).reduce(|| true, |a, b| a & b);
+            match &self.pool {
+                Some(pool) => pool.install(all),
+                None => all(),
+            }
+        };
+        parts.chunks_exact(step).for_each(|part| collect(&part[..width]));
+        BUFFERS.set(Buffers { uniforms, parts });
+        if finite { Ok(()) } else { Err(NotFinite) }
     }
 
     fn dynamics_job<'a>(&'a self, chunk: &'a Chunk, xi: &'a [f64], uniforms: &'a [f64]) -> defects::Job<'a> {
@@ -307,24 +340,38 @@ impl Collocation {
     }
 
     /// Adds factor · ∇²φ, or what a tape takes for it, to the entries of samples, parameters and priors.
-    fn objective_hessian(&self, tape: &Tape, xi: &[f64], factor: f64, out: &mut [f64]) -> bool {
-        let uniforms = self.uniforms(tape, xi);
-        let shared = Disjoint::new(&mut *out);
-        let parts = self.each(&self.samples, |s, scratch| {
-            let mut pairs = vec![0.0; self.pair_places.likelihood.len()];
-            let job = self.sample_job(s, xi, &uniforms);
-            let ok = job.hessian(tape, &mut scratch.workspace, factor, &shared, &mut pairs);
-            (ok, pairs)
-        });
-        for (_, pairs) in &parts {
-            self.pair_places.likelihood.iter().zip(pairs).for_each(|(&at, v)| out[at] += v);
-        }
+    fn objective_hessian(
+        &self,
+        tape: &Tape,
+        xi: &[f64],
+        factor: f64,
+        out: &mut [f64],
+    ) -> Result<(), NotFinite> {
+        // Entries of samples are written, those between parameters summed, at other places.
+        let (stored, between) = out.split_at_mut(self.pair_places.first);
+        let shared = Disjoint::new(stored);
+        let pairs = &self.pair_places.likelihood;
+        let finite = self.each(
+            &self.samples,
+            (tape, xi),
+            pairs.len(),
+            |s, uniforms, scratch, part| {
+                let job = self.sample_job(s, xi, uniforms);
+                job.hessian(tape, &mut scratch.workspace, factor, &shared, part)
+            },
+            |part| add(between, self.pair_places.first, pairs, part),
+        );
         for &(i, at) in &self.pair_places.priors {
             let (_, std) = self.parameters[i].prior.expect("listed for its prior");
             out[at] += factor / (std * std);
         }
-        parts.iter().all(|p| p.0)
+        finite
     }
+}
+
+/// Adds values at places, counted from `first`.
+fn add(to: &mut [f64], first: usize, places: &[usize], values: &[f64]) {
+    places.iter().zip(values).for_each(|(&at, v)| to[at - first] += v);
 }
 
 fn meshes(experiments: &[Experiment], settings: &Settings) -> Result<Vec<Mesh>, Error> {
@@ -347,10 +394,6 @@ fn pool(threads: usize) -> Result<Option<rayon::ThreadPool>, Error> {
     pool.map(Some).map_err(|e| Error::Option(format!("{threads} threads: {e}")))
 }
 
-fn finite(all: impl IntoIterator<Item = bool>) -> Result<(), NotFinite> {
-    if all.into_iter().all(|x| x) { Ok(()) } else { Err(NotFinite) }
-}
-
 impl Nlp for Collocation {
     fn n(&self) -> usize {
         self.layout.n()
@@ -370,39 +413,51 @@ impl Nlp for Collocation {
     }
 
     fn objective(&self, xi: &[f64]) -> Result<f64, NotFinite> {
-        let uniforms = self.uniforms(&self.likelihood.value, xi);
-        let parts = self.each(&self.samples, |s, scratch| {
-            self.sample_job(s, xi, &uniforms).objective(&mut scratch.workspace)
-        });
-        let priors = self.priors().map(|(i, mean, std)| 0.5 * ((xi[i] - mean) / std).powi(2));
-        let sum = parts.into_iter().chain(priors).sum::<f64>();
+        let mut sum = 0.0;
+        self.each(
+            &self.samples,
+            (&self.likelihood.value, xi),
+            1,
+            |s, uniforms, scratch, part| {
+                part[0] = self.sample_job(s, xi, uniforms).objective(&mut scratch.workspace);
+                true
+            },
+            |part| sum += part[0],
+        )?;
+        sum += self.priors().map(|(i, mean, std)| 0.5 * ((xi[i] - mean) / std).powi(2)).sum::<f64>();
         if sum.is_finite() { Ok(sum) } else { Err(NotFinite) }
     }
 
     fn gradient(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
         out.fill(0.0);
-        let uniforms = self.uniforms(&self.likelihood.jacobian, xi);
-        let shared = Disjoint::new(&mut *out);
-        let parts = self.each(&self.samples, |s, scratch| {
-            let mut theta = vec![0.0; self.layout.n_theta];
-            let ok = self.sample_job(s, xi, &uniforms).gradient(&mut scratch.workspace, &shared, &mut theta);
-            (ok, theta)
-        });
-        for (_, theta) in &parts {
-            out.iter_mut().zip(theta).for_each(|(o, t)| *o += t);
-        }
+        let (theta, states) = out.split_at_mut(self.layout.n_theta);
+        let shared = Disjoint::new(states);
+        let finite = self.each(
+            &self.samples,
+            (&self.likelihood.jacobian, xi),
+            theta.len(),
+            |s, uniforms, scratch, part| {
+                self.sample_job(s, xi, uniforms).gradient(&mut scratch.workspace, &shared, part)
+            },
+            |part| theta.iter_mut().zip(part).for_each(|(o, t)| *o += t),
+        );
         for (i, mean, std) in self.priors() {
             out[i] += (xi[i] - mean) / (std * std);
         }
-        finite(parts.iter().map(|p| p.0))
+        finite
     }
 
     fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        let uniforms = self.uniforms(&self.dynamics.f.value, xi);
         let out = Disjoint::new(out);
-        finite(self.each(&self.chunks, |chunk, scratch| {
-            self.dynamics_job(chunk, xi, &uniforms).defects(&mut scratch.workspace, &out)
-        }))
+        self.each(
+            &self.chunks,
+            (&self.dynamics.f.value, xi),
+            0,
+            |chunk, uniforms, scratch, _| {
+                self.dynamics_job(chunk, xi, uniforms).defects(&mut scratch.workspace, &out)
+            },
+            |_| (),
+        )
     }
 
     fn jacobian_structure(&self) -> &Structure {
@@ -410,15 +465,16 @@ impl Nlp for Collocation {
     }
 
     fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        let uniforms = self.uniforms(&self.dynamics.f.jacobian, xi);
-        let total = self.jacobian_structure.len();
         let out = Disjoint::new(out);
-        let starts: Vec<(usize, usize)> = (0..self.chunks.len())
-            .map(|i| (i, self.chunks.get(i + 1).map_or(total, |c| c.jacobian) - self.chunks[i].jacobian))
-            .collect();
-        finite(self.each(&starts, |&(i, len), scratch| {
-            self.dynamics_job(&self.chunks[i], xi, &uniforms).jacobian(&mut scratch.workspace, &out, len)
-        }))
+        self.each(
+            &self.chunks,
+            (&self.dynamics.f.jacobian, xi),
+            0,
+            |chunk, uniforms, scratch, _| {
+                self.dynamics_job(chunk, xi, uniforms).jacobian(&mut scratch.workspace, &out)
+            },
+            |_| (),
+        )
     }
 
     fn hessian_structure(&self) -> &Structure {
@@ -427,26 +483,28 @@ impl Nlp for Collocation {
 
     fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
         // The others are written; those between parameters are added up.
-        out[self.pair_places.first..].fill(0.0);
-        let shared = Disjoint::new(&mut *out);
-        let uniforms = self.uniforms(&self.dynamics.f.hessian, xi);
-        let parts = self.each(&self.chunks, |chunk, scratch| {
-            let mut pairs = vec![0.0; self.pair_places.dynamics.len()];
-            let job = self.dynamics_job(chunk, xi, &uniforms);
-            let ok = job.hessian(&mut scratch.workspace, lambda, &shared, &mut pairs, &mut scratch.weights);
-            (ok, pairs)
-        });
-        for (_, pairs) in &parts {
-            self.pair_places.dynamics.iter().zip(pairs).for_each(|(&at, v)| out[at] += v);
-        }
-        let ok = self.objective_hessian(&self.likelihood.hessian, xi, factor, out);
-        finite(parts.iter().map(|p| p.0).chain([ok]))
+        let first = self.pair_places.first;
+        let (stored, between) = out.split_at_mut(first);
+        between.fill(0.0);
+        let shared = Disjoint::new(stored);
+        let pairs = &self.pair_places.dynamics;
+        let finite = self.each(
+            &self.chunks,
+            (&self.dynamics.f.hessian, xi),
+            pairs.len(),
+            |chunk, uniforms, scratch, part| {
+                let job = self.dynamics_job(chunk, xi, uniforms);
+                job.hessian(&mut scratch.workspace, lambda, &shared, part, &mut scratch.weights)
+            },
+            |part| add(between, first, pairs, part),
+        );
+        finite.and(self.objective_hessian(&self.likelihood.hessian, xi, factor, out))
     }
 
     fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
         out.fill(0.0);
         let tape = self.likelihood.gauss_newton.as_ref().unwrap_or(&self.likelihood.hessian);
-        finite([self.objective_hessian(tape, xi, factor, out)])
+        self.objective_hessian(tape, xi, factor, out)
     }
 
     fn chains(&self) -> Option<&Chains> {

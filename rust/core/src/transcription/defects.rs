@@ -146,10 +146,10 @@ impl Job<'_> {
     }
 
     /// Entries of the Jacobian of the chunk; whether all are finite.
-    pub(super) fn jacobian(&self, workspace: &mut Workspace, out: &Disjoint<'_>, len: usize) -> bool {
+    pub(super) fn jacobian(&self, workspace: &mut Workspace, out: &Disjoint<'_>) -> bool {
         let registers = self.run(&self.dynamics.f.jacobian, workspace, None);
         // SAFETY: the entries of chunks do not overlap.
-        let out = unsafe { out.part(self.chunk.jacobian, len) };
+        let out = unsafe { out.part(self.chunk.jacobian, self.chunk.jacobian_entries) };
         combine_jacobian(self, registers, out)
     }
 

@@ -74,7 +74,7 @@ impl Job<'_> {
         }
     }
 
-    /// Writes the gradient with respect to states, and adds that with respect to parameters to `theta`.
+    /// Writes the gradient with respect to states (`out` holds those alone), and adds that with respect to parameters to `theta`.
     pub(super) fn gradient(&self, workspace: &mut Workspace, out: &Disjoint<'_>, theta: &mut [f64]) -> bool {
         let registers = self.run(&self.likelihood.jacobian, workspace);
         collect_gradient(self, registers, out, theta)
@@ -116,7 +116,7 @@ kernel! {
                     let v = value.at(l);
                     finite &= v.is_finite();
                     // SAFETY: sample times are distinct, so a point has one sample at most.
-                    unsafe { out.part(job.layout.state(point as usize) + column, 1)[0] = -v };
+                    unsafe { out.part(point as usize * n_x + column, 1)[0] = -v };
                 }
             } else {
                 theta[column - n_x] -= job.total(value);

@@ -1,6 +1,7 @@
 //! What several tests need: random numbers, tapes run on lanes, difference quotients.
 #![allow(dead_code)] // each test uses a part of it
 
+pub mod flights;
 pub mod models;
 pub mod newton;
 pub mod parse;

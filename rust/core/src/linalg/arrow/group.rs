@@ -71,7 +71,9 @@ pub(super) struct Group {
     pub form: Form,
     pub side: Side,
     /// Own variables: particular solution, then solution.
-    y: Vec<f64>,
+    pub y: Vec<f64>,
+    /// Multipliers of own rows.
+    pub lambda: Vec<f64>,
     /// What the solution starts from: a and the dynamic θ, padded.
     start: Vec<f64>,
     z: Vec<f64>,
@@ -126,7 +128,8 @@ impl Group {
             bent: vec![0.0; n * shape.width],
             square: vec![0.0; shape.used() * shape.width],
             cross: vec![0.0; shape.used() * shape.coupling],
-            v: vec![0.0; rows],
+            lambda: vec![0.0; rows],
+            v: vec![0.0; most],
             at_end: vec![0.0; n],
             splits: Vec::new(),
             growth: 0.0,
@@ -146,7 +149,12 @@ impl Group {
     }
 
     /// Eliminates the interior; an own row of the chain that depends on others where it cannot.
-    pub fn factorize(&mut self, context: &Context<'_>, hessian: &[f64], jacobian: &[f64]) -> Result<(), usize> {
+    pub fn factorize(
+        &mut self,
+        context: &Context<'_>,
+        hessian: &[f64],
+        jacobian: &[f64],
+    ) -> Result<(), usize> {
         self.splits.clear();
         self.growth = 0.0;
         factorize(self, context, hessian, jacobian)?;
@@ -196,13 +204,8 @@ impl Group {
 
     /// Own variables and multipliers of the group once its start, θ and the constraint's multiplier are
     /// known.
-    pub fn expand(&mut self, context: &Context<'_>, a: &[f64], theta: &[f64], p: &[f64], d: &mut [f64], lambda: &mut [f64]) {
-        expand(self, context, a, theta, p, d, lambda);
-    }
-
-    /// Own rows of the group, within the chain.
-    pub fn own(&self) -> Range<usize> {
-        self.row..self.row + self.y.len()
+    pub fn expand(&mut self, context: &Context<'_>, a: &[f64], theta: &[f64], p: &[f64]) {
+        expand(self, context, a, theta, p);
     }
 }
 
@@ -313,7 +316,14 @@ fn follow<const V: usize>(n: usize, width: usize, e: &[f64], z: &[f64], next: &m
 
 /// Adds ZᵀHZ to `square` and ZᵀK to `cross`.
 #[inline(always)]
-fn add_point(shape: &Shape, record: &[f64], z: &[f64], bent: &mut [f64], square: &mut [f64], cross: &mut [f64]) {
+fn add_point(
+    shape: &Shape,
+    record: &[f64],
+    z: &[f64],
+    bent: &mut [f64],
+    square: &mut [f64],
+    cross: &mut [f64],
+) {
     let (n, width, coupling, used) = (shape.n, shape.width, shape.coupling, shape.used());
     let (h, k) = record.split_at(shape.couplings());
     for_vectors!(width / 8, bend(n, width, h, z, bent));
@@ -336,7 +346,14 @@ fn bend<const V: usize>(n: usize, width: usize, h: &[f64], z: &[f64], bent: &mut
 
 /// to += Zᵀ right, row by row, for the columns of Z in use.
 #[inline(always)]
-fn add_product<const V: usize>(used: usize, width: usize, z: &[f64], length: usize, right: &[f64], to: &mut [f64]) {
+fn add_product<const V: usize>(
+    used: usize,
+    width: usize,
+    z: &[f64],
+    length: usize,
+    right: &[f64],
+    to: &mut [f64],
+) {
     for (i, to) in to.chunks_exact_mut(length).take(used).enumerate() {
         for (z, right) in z.chunks_exact(width).zip(right.chunks_exact(length)) {
             axpy::<V>(to, z[i], right);
@@ -550,7 +567,7 @@ fn less_curvature(record: &[f64], n: usize, y: &[f64], v: &mut [f64]) {
 }
 
 kernel! {
-    fn expand(g: &mut Group, context: &Context<'_>, a: &[f64], theta: &[f64], p: &[f64], d_out: &mut [f64], lambda: &mut [f64]) {
+    fn expand(g: &mut Group, context: &Context<'_>, a: &[f64], theta: &[f64], p: &[f64]) {
         let (shape, plan) = (context.shape, context.plan);
         let (n, width, d) = (shape.n, shape.width, plan.d);
         g.start.fill(0.0);
@@ -576,7 +593,6 @@ kernel! {
             }
             g.start[..n].copy_from_slice(&g.at_end);
         }
-        d_out.copy_from_slice(&g.y);
         let (record, coupled) = (shape.record(), shape.couplings());
         g.bent[..n].copy_from_slice(&g.side.multiplier);
         let first_point = usize::from(g.has_first());
@@ -605,7 +621,7 @@ kernel! {
                 }
             }
             solve_transposed(m, own.len(), d, &g.pivots[i * d..(i + 1) * d], v);
-            lambda[own].copy_from_slice(v);
+            g.lambda[own].copy_from_slice(v);
         }
     }
 }

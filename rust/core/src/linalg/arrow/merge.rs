@@ -66,7 +66,8 @@ impl Merge {
             to[..n].copy_from_slice(&from[n..2 * n]);
             to[n..2 * n].copy_from_slice(&from[..n]);
             to[3 * n..].copy_from_slice(&from[2 * n..]);
-            let (to, from) = (&mut bottom[i * columns..(i + 1) * columns], &right.c[i * outer..(i + 1) * outer]);
+            let (to, from) =
+                (&mut bottom[i * columns..(i + 1) * columns], &right.c[i * outer..(i + 1) * outer]);
             to[..n].copy_from_slice(&from[..n]);
             to[2 * n..].copy_from_slice(&from[n..]);
         }

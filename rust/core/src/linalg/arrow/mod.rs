@@ -56,12 +56,10 @@ struct Tree {
     root: Node,
     top: Top,
     record: Vec<f64>,
-    /// Right-hand side and solution of own rows and variables, in units.
+    /// Right-hand side of own variables and rows, and of the first point, in units.
     p: Vec<f64>,
     q: Vec<f64>,
     first: Vec<f64>,
-    d: Vec<f64>,
-    lambda: Vec<f64>,
     /// States at the ends of groups; the first is that of the chain.
     ends: Vec<f64>,
 }
@@ -99,7 +97,13 @@ pub struct ArrowKkt {
 impl ArrowKkt {
     /// Plans the elimination for a structure; `units` are those of the n_x states: a step of that size
     /// matters. `None` where the entries do not fit the chains.
-    pub fn new(chains: &Chains, hessian: &Structure, jacobian: &Structure, sizes: (usize, usize), units: &[f64]) -> Option<ArrowKkt> {
+    pub fn new(
+        chains: &Chains,
+        hessian: &Structure,
+        jacobian: &Structure,
+        sizes: (usize, usize),
+        units: &[f64],
+    ) -> Option<ArrowKkt> {
         let plan = Plan::new(chains, hessian, jacobian, sizes.0, sizes.1)?;
         let shape = &plan.shape;
         let border = shape.border;
@@ -201,8 +205,6 @@ impl ArrowKkt {
             p: vec![0.0; rows],
             q: vec![0.0; rows],
             first: vec![0.0; n],
-            d: vec![0.0; rows],
-            lambda: vec![0.0; rows],
         }
     }
 
@@ -261,7 +263,9 @@ impl ArrowKkt {
             for l in 0..tree.levels.len() {
                 let (done, level) = tree.levels.split_at_mut(l);
                 let form = |node: &Node| form_of(&tree.groups, done, *node);
-                let work = |(left, right, merge): &mut (Node, Node, Merge)| merge.factorize(shape, form(left), form(right));
+                let work = |(left, right, merge): &mut (Node, Node, Merge)| {
+                    merge.factorize(shape, form(left), form(right))
+                };
                 let fine = if level[0].len() > 8 && self.parallel {
                     level[0].par_iter_mut().map(work).all(|x| x)
                 } else {
@@ -302,22 +306,56 @@ impl ArrowKkt {
             }
             let context = Context { shape, plan, units: &self.units, columns, record };
             let reduce = |g: &mut Group| g.reduce(&context, own_p, own_q, first);
-            if parallel { groups.par_iter_mut().for_each(reduce) } else { groups.iter_mut().for_each(reduce) }
+            if parallel {
+                groups.par_iter_mut().for_each(reduce)
+            } else {
+                groups.iter_mut().for_each(reduce)
+            }
             for l in 0..levels.len() {
                 let (done, level) = levels.split_at_mut(l);
                 for (left, right, merge) in &mut level[0] {
                     merge.reduce(shape, side_of(groups, done, *left), side_of(groups, done, *right));
                 }
             }
-            top.reduce(shape, form_of(groups, levels, *root), side_of(groups, levels, *root), &mut self.theta);
+            top.reduce(
+                shape,
+                form_of(groups, levels, *root),
+                side_of(groups, levels, *root),
+                &mut self.theta,
+            );
         }
-        self.theta.iter_mut().zip(&self.held).for_each(|(t, held)| if *held { *t = 0.0 });
+        self.theta.iter_mut().zip(&self.held).for_each(|(t, held)| {
+            if *held {
+                *t = 0.0
+            }
+        });
         self.border.solve(&mut self.theta);
         d[..shape.border].copy_from_slice(&self.theta);
         for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
             tree.expand(shape, plan, &self.theta, (&self.units, columns), parallel);
-            scatter(plan, n, plan.chain.variable + n, |t| t.variable, &tree.d, d, |i, x| x / self.units[i]);
-            scatter(plan, n, plan.chain.row, |t| t.row, &tree.lambda, lambda, |i, x| x * self.units[i]);
+            for group in &tree.groups {
+                let s = &group.segments;
+                scatter(
+                    plan,
+                    n,
+                    s,
+                    plan.chain.variable + n,
+                    |t| t.variable,
+                    &group.y,
+                    d,
+                    |i, x| x / self.units[i],
+                );
+                scatter(
+                    plan,
+                    n,
+                    s,
+                    plan.chain.row,
+                    |t| t.row,
+                    &group.lambda,
+                    lambda,
+                    |i, x| x * self.units[i],
+                );
+            }
             for ((d, x), u) in d[plan.chain.variable..].iter_mut().zip(&tree.ends[..n]).zip(&self.units) {
                 *d = x / u;
             }
@@ -387,9 +425,16 @@ impl ArrowKkt {
 
 impl Tree {
     /// From the border's solution down to every point.
-    fn expand(&mut self, shape: &Shape, plan: &plan::ChainPlan, theta: &[f64], units: (&[f64], &[f64]), parallel: bool) {
+    fn expand(
+        &mut self,
+        shape: &Shape,
+        plan: &plan::ChainPlan,
+        theta: &[f64],
+        units: (&[f64], &[f64]),
+        parallel: bool,
+    ) {
         let n = shape.n;
-        let Tree { groups, levels, root, top, record, p, d, lambda, ends, .. } = self;
+        let Tree { groups, levels, root, top, record, p, ends, .. } = self;
         match *root {
             Node::Group(g) => {
                 let Group { form, side, .. } = &mut groups[g];
@@ -406,22 +451,13 @@ impl Tree {
         ends[last * n..].copy_from_slice(&top.v[n..2 * n]);
         descend(shape, groups, levels, *root, 0..last, ends, theta);
         let context = Context { shape, plan, units: units.0, columns: units.1, record };
-        let work = |(g, group): (usize, &mut Group), d: &mut [f64], lambda: &mut [f64]| {
-            group.expand(&context, &ends[g * n..(g + 1) * n], theta, p, d, lambda);
+        let work = |(g, group): (usize, &mut Group)| {
+            group.expand(&context, &ends[g * n..(g + 1) * n], theta, p);
         };
-        let (mut d, mut lambda) = (&mut d[..], &mut lambda[..]);
-        let mut parts = Vec::with_capacity(groups.len());
-        for (g, group) in groups.iter_mut().enumerate() {
-            let rows = group.own().len();
-            let (d_now, d_rest) = d.split_at_mut(rows);
-            let (l_now, l_rest) = lambda.split_at_mut(rows);
-            (d, lambda) = (d_rest, l_rest);
-            parts.push((g, group, d_now, l_now));
-        }
         if parallel {
-            parts.into_par_iter().for_each(|(g, group, d, l)| work((g, group), d, l));
+            groups.par_iter_mut().enumerate().for_each(work);
         } else {
-            parts.into_iter().for_each(|(g, group, d, l)| work((g, group), d, l));
+            groups.iter_mut().enumerate().for_each(work);
         }
     }
 }
@@ -474,7 +510,11 @@ fn side_of<'a>(groups: &'a [Group], levels: &'a [Vec<(Node, Node, Merge)>], node
     }
 }
 
-fn side_mut<'a>(groups: &'a mut [Group], levels: &'a mut [Vec<(Node, Node, Merge)>], node: Node) -> &'a mut Side {
+fn side_mut<'a>(
+    groups: &'a mut [Group],
+    levels: &'a mut [Vec<(Node, Node, Merge)>],
+    node: Node,
+) -> &'a mut Side {
     match node {
         Node::Group(g) => &mut groups[g].side,
         Node::Merge(l, i) => &mut levels[l][i].2.side,
@@ -482,7 +522,14 @@ fn side_mut<'a>(groups: &'a mut [Group], levels: &'a mut [Vec<(Node, Node, Merge
 }
 
 /// From the order of the program to that of own rows.
-fn gather(plan: &plan::ChainPlan, n: usize, core: usize, tie: impl Fn(&crate::nlp::Tie) -> usize, from: &[f64], to: &mut [f64]) {
+fn gather(
+    plan: &plan::ChainPlan,
+    n: usize,
+    core: usize,
+    tie: impl Fn(&crate::nlp::Tie) -> usize,
+    from: &[f64],
+    to: &mut [f64],
+) {
     if plan.chain.ties.is_empty() {
         to.copy_from_slice(&from[core..core + to.len()]);
         return;
@@ -496,10 +543,12 @@ fn gather(plan: &plan::ChainPlan, n: usize, core: usize, tie: impl Fn(&crate::nl
     }
 }
 
-/// And back, each number passed through `f` with its component.
+/// And back for the segments of a group, each number passed through `f` with its component.
+#[allow(clippy::too_many_arguments)] // one place calls it, twice
 fn scatter(
     plan: &plan::ChainPlan,
     n: usize,
+    segments: &std::ops::Range<usize>,
     core: usize,
     tie: impl Fn(&crate::nlp::Tie) -> usize,
     from: &[f64],
@@ -511,8 +560,13 @@ fn scatter(
             to.iter_mut().zip(from).enumerate().for_each(|(i, (t, x))| *t = f(i, *x));
         }
     };
-    for s in 0..plan.chain.segments {
-        let row = plan.row(s, n);
+    if plan.chain.ties.is_empty() {
+        put(&mut to[core + segments.start * plan.d..core + segments.end * plan.d], from);
+        return;
+    }
+    let first = plan.row(segments.start, n);
+    for s in segments.clone() {
+        let row = plan.row(s, n) - first;
         put(&mut to[core + s * plan.d..][..plan.d], &from[row..row + plan.d]);
         for (i, t) in plan.ties_of(s).iter().enumerate() {
             put(&mut to[tie(t)..][..n], &from[row + plan.d + i * n..][..n]);
@@ -524,7 +578,11 @@ fn scatter(
 fn global_row(plan: &plan::ChainPlan, n: usize, row: usize) -> usize {
     let s = (0..plan.chain.segments).rev().find(|&s| plan.row(s, n) <= row).unwrap_or(0);
     let i = row - plan.row(s, n);
-    if i < plan.d { plan.chain.row + s * plan.d + i } else { plan.ties_of(s)[(i - plan.d) / n].row + (i - plan.d) % n }
+    if i < plan.d {
+        plan.chain.row + s * plan.d + i
+    } else {
+        plan.ties_of(s)[(i - plan.d) / n].row + (i - plan.d) % n
+    }
 }
 
 impl KktSolver for ArrowKkt {
@@ -591,7 +649,8 @@ impl KktSolver for ArrowKkt {
 
     fn flops(&self) -> u64 {
         let shape = &self.plan.shape;
-        let (n, w, k, f) = (shape.n as u64, shape.used() as u64, shape.coupled.len() as u64, shape.form() as u64);
+        let (n, w, k, f) =
+            (shape.n as u64, shape.used() as u64, shape.coupled.len() as u64, shape.form() as u64);
         let segment = |plan: &plan::ChainPlan, s: usize| {
             let (d, points) = (plan.d as u64, plan.points(s) as u64);
             let rows = points * n;

@@ -135,7 +135,13 @@ impl ChainPlan {
 
 impl Plan {
     /// Sorts all entries; `None` where an entry does not fit the chains.
-    pub fn new(chains: &Chains, hessian: &Structure, jacobian: &Structure, n: usize, m: usize) -> Option<Plan> {
+    pub fn new(
+        chains: &Chains,
+        hessian: &Structure,
+        jacobian: &Structure,
+        n: usize,
+        m: usize,
+    ) -> Option<Plan> {
         let (n_x, border) = (chains.n_x, chains.border);
         let mut shape = Shape { n: n_x, border, ..Shape::default() };
         let (mut dynamic, mut coupled) = (vec![false; border], vec![false; border]);
@@ -163,7 +169,11 @@ impl Plan {
                 ties[tie.segment + 1] += 1;
             }
             (0..chain.segments).for_each(|s| ties[s + 1] += ties[s]);
-            let place = |after: usize, index: usize| Place { chain: c as u32, after: after as u32, index: index as u32 };
+            let place = |after: usize, index: usize| Place {
+                chain: c as u32,
+                after: after as u32,
+                index: index as u32,
+            };
             for i in 0..n_x {
                 variables[chain.variable + i] = place(0, i);
             }

@@ -109,13 +109,21 @@ impl Top {
     /// Adds the part between border variables to a B × B matrix.
     pub fn add_border(&self, shape: &Shape, to: &mut [f64]) {
         let (n, border) = (shape.n, shape.border);
-        for (to, from) in to.chunks_exact_mut(border.max(1)).zip(self.reduced[n * (n + border)..].chunks_exact(n + border)) {
+        for (to, from) in
+            to.chunks_exact_mut(border.max(1)).zip(self.reduced[n * (n + border)..].chunks_exact(n + border))
+        {
             to.iter_mut().zip(&from[n..]).for_each(|(t, f)| *t += f);
         }
     }
 
     /// Eliminates u: subtracts from the border what that leaves. The curvature of u where it is none.
-    pub fn eliminate(&mut self, shape: &Shape, shift: f64, border: &mut [f64], weak: &mut Vec<Vec<(usize, f64)>>) -> Curvature {
+    pub fn eliminate(
+        &mut self,
+        shape: &Shape,
+        shift: f64,
+        border: &mut [f64],
+        weak: &mut Vec<Vec<(usize, f64)>>,
+    ) -> Curvature {
         let (n, b) = (shape.n, shape.border);
         let width = n + b;
         for i in 0..n {
@@ -127,8 +135,14 @@ impl Top {
             }
             self.l[i * n + i] += shift;
         }
-        let before = self.l.clone();
         if cholesky(&mut self.l, n, TINY).is_err() {
+            let mut before = vec![0.0; n * n];
+            for i in 0..n {
+                for j in 0..n {
+                    before[i * n + j] = self.reduced[i * width + j] * self.scale[i] * self.scale[j];
+                }
+                before[i * n + i] += shift;
+            }
             // In states at the ends: which of them do not matter.
             let nn = 2 * n;
             let (found, directions) = directions(&before, n);
@@ -232,10 +246,34 @@ pub(super) struct Border {
 
 impl Border {
     /// Factorises a B × B matrix, with `shift` times the diagonal `of` added and some variables held.
-    pub fn factorize(&mut self, s: &[f64], of: &[f64], held: &[bool], shift: f64, weak: &mut Vec<Vec<(usize, f64)>>) -> Curvature {
+    pub fn factorize(
+        &mut self,
+        s: &[f64],
+        of: &[f64],
+        held: &[bool],
+        shift: f64,
+        weak: &mut Vec<Vec<(usize, f64)>>,
+    ) -> Curvature {
         let b = of.len();
         self.scale.clear();
         self.scale.extend(of.iter().map(|d| scale_of(*d)));
+        self.fill(s, held, shift);
+        if cholesky(&mut self.l, b, TINY).is_ok() {
+            return Curvature::default();
+        }
+        self.fill(s, held, shift);
+        let (found, vectors) = directions(&self.l, b);
+        for v in vectors {
+            let mut part: Vec<(usize, f64)> = v.iter().copied().enumerate().collect();
+            part.sort_by(|x, y| y.1.abs().total_cmp(&x.1.abs()));
+            weak.push(part);
+        }
+        found
+    }
+
+    /// The matrix with a diagonal near 1, the shift added, and identity rows for what is held.
+    fn fill(&mut self, s: &[f64], held: &[bool], shift: f64) {
+        let b = self.scale.len();
         self.l.clear();
         self.l.extend_from_slice(s);
         for i in 0..b {
@@ -250,17 +288,6 @@ impl Border {
                 self.l[i * b + i] += shift;
             }
         }
-        let before = self.l.clone();
-        if cholesky(&mut self.l, b, TINY).is_ok() {
-            return Curvature::default();
-        }
-        let (found, vectors) = directions(&before, b);
-        for v in vectors {
-            let mut part: Vec<(usize, f64)> = v.iter().copied().enumerate().collect();
-            part.sort_by(|x, y| y.1.abs().total_cmp(&x.1.abs()));
-            weak.push(part);
-        }
-        found
     }
 
     /// Solves in place.

@@ -6,8 +6,8 @@
 //! ```
 //!
 //! An ordinary differential equation leaves little to choose: parameters and first states. So the null
-//! space of A has few dimensions, k = n − m, and everything that matters happens there. The [basis] needs
-//! A alone; row exchanges keep it stable, whatever the system does. The [reduced] Hessian is formed
+//! space of A has few dimensions, k = n − m, and everything that matters happens there. The basis needs
+//! A alone; row exchanges keep it stable, whatever the system does. The reduced Hessian is formed
 //! explicitly: its inertia *is* the answer, without a count of pivots of the whole, in which zeros
 //! drown. Holding and shifting touch it alone, which makes `finish` cheap. The zero block is never
 //! touched, and nothing is regularised.
@@ -15,7 +15,9 @@
 //! What else there is has one of these faults. LDLᵀ with pivots in a fixed order, or exchanged within
 //! supernodes only (faer's `intranode_lblt`), meets zeros on the diagonal of the zero block, and grows
 //! without limit in an unstable system; its inertia is then that of another matrix. Sparse LU of the
-//! whole KKT matrix (faer's needs a square one) solves as well as this but knows no inertia.
+//! whole KKT matrix solves it but knows no inertia, and dense parameters make it slow. (faer's LU takes
+//! square matrices only and leaves no choice of pivots, so the one of Aᵀ is our own; the order, and all
+//! dense work, is faer's.)
 //!
 //! The price: work grows with n k² and storage with n k. With thousands of degrees of freedom, choose
 //! another method.

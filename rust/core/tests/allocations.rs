@@ -1,0 +1,54 @@
+//! Nothing is allocated inside an iteration.
+
+mod common;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use common::flights::problem;
+use common::models;
+use phugoid::solver::{Control, Settings as Options, solve};
+use phugoid::transcription::Settings;
+
+/// Counts allocations, and passes them on.
+struct Counting;
+
+static COUNT: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: everything is passed on to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        COUNT.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, p: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(p, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn no_iteration_allocates_once_the_buffers_are_there() {
+    for order in [2, 4] {
+        let (p, xi) = problem(&models::linear(), 241, &Settings { order, threads: 1, ..Settings::default() });
+        let options = Options { tolerance: 1e-300, max_iterations: 9, ..Options::default() };
+        // Allocations so far, at each iteration.
+        let mut counts: Vec<usize> = Vec::with_capacity(100);
+        let solution = solve(&p, &xi, None, &options, &mut |_| {
+            counts.push(COUNT.load(Ordering::Relaxed));
+            Control::Continue
+        })
+        .unwrap();
+        let evaluations = solution.evaluations;
+        assert!(evaluations.hessian >= 2 && evaluations.gauss_newton >= 3, "{evaluations:?}");
+        // Only the first exact Hessian: the thread's workspace grows for its tape.
+        let grown: Vec<usize> = counts.windows(2).map(|w| w[1] - w[0]).collect();
+        let some: Vec<usize> = grown.iter().copied().filter(|g| *g > 0).collect();
+        assert!(some.len() <= 1 && some.iter().all(|g| *g < 10), "order {order}: {grown:?}");
+    }
+}

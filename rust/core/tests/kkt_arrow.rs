@@ -181,11 +181,12 @@ fn covariance_is_the_block_of_the_inverse() {
 
 #[test]
 fn it_is_as_accurate_where_small_changes_grow_without_limit() {
-    // A minute of an unstable aircraft: a change at its start has grown by 10¹⁸ at its end.
+    // A minute of an aircraft more unstable than most: a change at its start has grown by 10¹⁰⁰ at its end.
     let settings = Settings { order: 3, threads: 1, ..Settings::default() };
     let (p, xi) = problem(&models::linear(), 1201, &settings);
     let mut xi = xi;
     xi[..6].copy_from_slice(&TRUTH);
+    xi[3] = 1.0;
     let (n, m) = (p.n(), p.m());
     let mut hessian = vec![0.0; p.hessian_structure().len()];
     p.gauss_newton(&xi, 1.0, &mut hessian).unwrap();
@@ -223,7 +224,8 @@ fn it_is_as_accurate_where_small_changes_grow_without_limit() {
         rest[r] -= a * solved[0].0[c];
         size[r] += (a * solved[0].0[c]).abs();
     }
-    assert!(rest.iter().zip(&size).all(|(r, s)| r.abs() <= 1e-13 * (s + 1.0)));
+    let worst = rest.iter().zip(&size).fold(0.0f64, |w, (r, s)| w.max(r.abs() / (s + 1.0)));
+    assert!(worst < 1e-13, "{worst:e}");
     for (a, b) in [(&solved[0].0, &solved[1].0), (&solved[0].1, &solved[1].1)] {
         let size = b.iter().fold(0.0f64, |s, x| s.max(x.abs()));
         let apart = a.iter().zip(b).fold(0.0f64, |s, (x, y)| s.max((x - y).abs()));

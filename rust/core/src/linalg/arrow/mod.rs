@@ -39,7 +39,7 @@ const GROUP: usize = 128;
 /// Least number of points for which waking other threads pays.
 const PARALLEL_POINTS: usize = 256;
 /// Residuals of a solution, relative to its terms, that are refined.
-const ROUGH: f64 = 1e-11;
+const ROUGH: f64 = 1e-13;
 
 /// A group, or two merged.
 #[derive(Clone, Copy, Debug)]
@@ -376,7 +376,7 @@ impl ArrowKkt {
 
     /// Improves a solution by what it leaves of the right-hand side.
     fn refine(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
-        for _ in 0..2 {
+        for _ in 0..3 {
             if self.residual(p, q, d, lambda) <= ROUGH {
                 break;
             }

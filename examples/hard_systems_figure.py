@@ -39,7 +39,7 @@ def draw(results: Sequence[Result]) -> Figure:
     """Three rows of panels, a column for each system."""
     with plt.rc_context(STYLE):
         figure, panels = plt.subplots(3, len(results), figsize=(13.0, 8.4), height_ratios=(1.1, 1.1, 1.0))
-        figure.subplots_adjust(left=0.07, right=0.985, top=0.87, bottom=0.05, hspace=0.36, wspace=0.33)
+        figure.subplots_adjust(left=0.07, right=0.985, top=0.885, bottom=0.05, hspace=0.35, wspace=0.33)
         for result, (top, middle, bottom) in zip(results, panels.T, strict=True):
             _record(top, result)
             _slice(middle, result)
@@ -85,8 +85,9 @@ def _slice(axis: Axes, result: Result) -> None:
     axis.plot(result.shot_values[name], result.shot.rms, "s", color=SHOT, ms=6, zorder=3, clip_on=False)
     axis.axvline(system.start[name], color=DATA, ls=":", lw=1.4)
     axis.set_yscale("log")
-    axis.set_ylim(0.6, 2 * cost[np.isfinite(cost)].max())
-    if cost.max() < 1e3:
+    highest = cost[np.isfinite(cost)].max()
+    axis.set_ylim(0.6 if highest < 1e3 else 1e-2, 2 * highest)
+    if highest < 1e3:
         axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.yaxis.set_major_formatter("{x:g}")
         axis.yaxis.set_minor_formatter(NullFormatter())

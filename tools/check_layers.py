@@ -14,7 +14,7 @@ from pathlib import Path
 # fmt: off
 RUST = [
     "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "model", "evaluator", "experiment", "noise",
-    "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis",
+    "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
 ]
 
 PYTHON = [

@@ -1,9 +1,29 @@
 //! One record of measured inputs and outputs.
 
-use crate::error::Error;
+use crate::error::{Error, did_you_mean};
 use crate::interpolate::Interpolation;
+use crate::model::Model;
 
 /// One record. Channels stand in the order of the model's inputs and outputs.
+///
+/// ```
+/// use phugoid::{Experiment, Interpolation, Model, Parameter};
+///
+/// let mut m = Model::new("lag");
+/// let (x, u) = (m.state("x", "")?, m.input("u", "")?);
+/// let tau = m.parameter(Parameter::new("tau", 1.0))?;
+/// m.equation("x", (u - &x) / tau, None)?;
+/// m.output("y", x, "", None)?;
+///
+/// // By name, in any order; NaN where a sample is missing.
+/// let (t, u, y) = (vec![0.0, 0.1, 0.2], vec![1.0; 3], vec![0.0, f64::NAN, 0.3]);
+/// let mut run = Experiment::new(&m, "run 1", t.clone(), [("y", y), ("u", u.clone())])?;
+/// run.interpolation = Interpolation::Cubic; // inputs between samples: straight lines unless said
+///
+/// let error = Experiment::new(&m, "run 2", t, [("u", u)]).unwrap_err();
+/// assert_eq!(error.to_string(), "experiment 'run 2': it has no channel 'y'");
+/// # Ok::<(), phugoid::Error>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Experiment {
     /// Name, for messages.
@@ -19,6 +39,40 @@ pub struct Experiment {
 }
 
 impl Experiment {
+    /// A record for a model, from channels by name. A channel serves an input and an output of its name.
+    ///
+    /// # Errors
+    /// For a channel that the model does not have or that is not there, and as [`Experiment::check`].
+    pub fn new<'a>(
+        model: &Model,
+        name: &str,
+        t: Vec<f64>,
+        channels: impl IntoIterator<Item = (&'a str, Vec<f64>)>,
+    ) -> Result<Self, Error> {
+        let inputs: Vec<&str> = model.inputs.iter().map(|v| v.name.as_str()).collect();
+        let outputs: Vec<&str> = model.outputs.iter().map(|e| e.name.as_str()).collect();
+        let channels: Vec<(&str, Vec<f64>)> = channels.into_iter().collect();
+        let fail = |text: String| Error::Data(format!("experiment '{name}': {text}"));
+        let known = || inputs.iter().chain(&outputs).copied();
+        if let Some((other, _)) = channels.iter().find(|c| !known().any(|k| k == c.0)) {
+            let hint = did_you_mean(other, known());
+            return Err(fail(format!("the model has no input or output '{other}'.{hint}")));
+        }
+        let find = |wanted: &&str| {
+            let found = channels.iter().find(|c| c.0 == *wanted).map(|c| c.1.clone());
+            found.ok_or_else(|| fail(format!("it has no channel '{wanted}'")))
+        };
+        let experiment = Experiment {
+            name: name.to_owned(),
+            t,
+            inputs: inputs.iter().map(find).collect::<Result<_, _>>()?,
+            outputs: outputs.iter().map(find).collect::<Result<_, _>>()?,
+            interpolation: Interpolation::Linear,
+        };
+        experiment.check(&inputs, &outputs)?;
+        Ok(experiment)
+    }
+
     /// Checks lengths, times and finiteness against the channel names.
     ///
     /// # Errors

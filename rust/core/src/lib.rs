@@ -4,6 +4,7 @@
 
 pub mod diagnosis;
 pub mod error;
+pub mod estimate;
 pub mod evaluator;
 pub mod experiment;
 pub mod expr;
@@ -20,3 +21,12 @@ pub mod solver;
 pub mod table;
 pub mod tape;
 pub mod transcription;
+
+pub use error::Error;
+pub use estimate::{Estimate, Estimation, Fit};
+pub use experiment::Experiment;
+pub use expr::Expr;
+pub use interpolate::Interpolation;
+pub use mesh::Grid;
+pub use model::{Model, Parameter};
+pub use noise::Sigma;

@@ -53,7 +53,7 @@ pub trait KktSolver: Send {
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature;
 
     /// Whether solutions are refined against the entries until only rounding is left. Without it they are
-    /// as good as the elimination, which is enough on the way.
+    /// as good as the elimination, which is enough on the way. To be set before `factorize`.
     fn set_refinement(&mut self, _on: bool) {}
 
     /// Solves for one right-hand side p (n), q (m).

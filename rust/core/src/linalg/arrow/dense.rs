@@ -17,6 +17,24 @@ pub(super) fn axpy<const V: usize>(to: &mut [f64], a: f64, from: &[f64]) {
     }
 }
 
+/// to += Σ_r factor_r · row_r: the sum stays in registers where its length is known.
+#[inline(always)]
+pub(super) fn add_rows<'a, const V: usize>(to: &mut [f64], rows: impl Iterator<Item = (f64, &'a [f64])>) {
+    if V > 0 {
+        let to: &mut [[f64; 8]; V] = to.as_chunks_mut().0.first_chunk_mut().expect("V vectors");
+        let mut sum = *to;
+        for (a, row) in rows {
+            let row: &[[f64; 8]; V] = row.as_chunks().0.first_chunk().expect("V vectors");
+            for (s, r) in sum.iter_mut().zip(row) {
+                *s = std::array::from_fn(|l| a.mul_add(r[l], s[l]));
+            }
+        }
+        *to = sum;
+    } else {
+        rows.for_each(|(a, row)| axpy::<0>(to, a, row));
+    }
+}
+
 /// Calls a function for the number of vectors at hand, known to the compiler where it is small.
 macro_rules! for_vectors {
     ($count:expr, $function:ident($($argument:expr),* $(,)?)) => {

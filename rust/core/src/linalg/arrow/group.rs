@@ -10,7 +10,7 @@
 
 use std::ops::Range;
 
-use super::dense::{axpy, dot, for_vectors};
+use super::dense::{add_rows, axpy, dot, for_vectors};
 use super::plan::{ChainPlan, Shape};
 use crate::simd::kernel;
 use crate::tape::lanes::all_finite;
@@ -308,9 +308,7 @@ fn follow<const V: usize>(n: usize, width: usize, e: &[f64], z: &[f64], next: &m
     for (y, e) in next.chunks_exact_mut(width).zip(e.chunks_exact(width)) {
         y.copy_from_slice(e);
         y[..n].fill(0.0);
-        for (f, z) in e[..n].iter().zip(z.chunks_exact(width)) {
-            axpy::<V>(y, *f, z);
-        }
+        add_rows::<V>(y, e[..n].iter().copied().zip(z.chunks_exact(width)));
     }
 }
 
@@ -338,9 +336,7 @@ fn add_point(
 fn bend<const V: usize>(n: usize, width: usize, h: &[f64], z: &[f64], bent: &mut [f64]) {
     bent.fill(0.0);
     for (bent, h) in bent.chunks_exact_mut(width).zip(h.chunks_exact(n)) {
-        for (h, z) in h.iter().zip(z.chunks_exact(width)) {
-            axpy::<V>(bent, *h, z);
-        }
+        add_rows::<V>(bent, h.iter().copied().zip(z.chunks_exact(width)));
     }
 }
 
@@ -355,9 +351,7 @@ fn add_product<const V: usize>(
     to: &mut [f64],
 ) {
     for (i, to) in to.chunks_exact_mut(length).take(used).enumerate() {
-        for (z, right) in z.chunks_exact(width).zip(right.chunks_exact(length)) {
-            axpy::<V>(to, z[i], right);
-        }
+        add_rows::<V>(to, z.chunks_exact(width).map(|z| z[i]).zip(right.chunks_exact(length)));
     }
 }
 

@@ -37,7 +37,7 @@ use crate::nlp::{Chains, Structure};
 /// Most segments of a group.
 const GROUP: usize = 128;
 /// Least number of points for which waking other threads pays.
-const PARALLEL_POINTS: usize = 256;
+const PARALLEL_POINTS: usize = 2000;
 /// Residuals of a solution, relative to its terms, that are refined.
 const ROUGH: f64 = 1e-13;
 
@@ -89,6 +89,8 @@ pub struct ArrowKkt {
     rest: (Vec<f64>, Vec<f64>),
     more: (Vec<f64>, Vec<f64>),
     refine: bool,
+    /// Whether the entries of the last factorisation are kept for that: always where groups are split.
+    refining: bool,
     least_groups: usize,
     pool: Option<rayon::ThreadPool>,
     parallel: bool,
@@ -137,6 +139,7 @@ impl ArrowKkt {
             rest: (vec![0.0; sizes.0], vec![0.0; sizes.1]),
             more: (vec![0.0; sizes.0], vec![0.0; sizes.1]),
             refine: true,
+            refining: true,
             least_groups: 0,
             pool: None,
             parallel: sizes.0 >= PARALLEL_POINTS * plan.shape.n,
@@ -232,11 +235,10 @@ impl ArrowKkt {
         self.trees.iter().map(|t| t.groups.len()).sum()
     }
 
-    fn eliminate(&mut self) -> Result<(), Singular> {
+    fn eliminate(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
         let (shape, parallel) = (&self.plan.shape, self.parallel);
         for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
             let context = Context { shape, plan, units: &self.units, columns, record: &tree.record };
-            let (hessian, jacobian) = (&self.hessian, &self.jacobian);
             let done = if parallel {
                 let work = |g: &mut Group| g.factorize(&context, hessian, jacobian);
                 tree.groups.par_iter_mut().map(work).reduce(|| Ok(()), Result::and)
@@ -248,11 +250,11 @@ impl ArrowKkt {
         Ok(())
     }
 
-    fn merge(&mut self) -> Result<(), Singular> {
+    fn merge(&mut self, hessian: &[f64]) -> Result<(), Singular> {
         let shape = &self.plan.shape;
         self.s.fill(0.0);
         for &(entry, row, column) in &self.plan.border {
-            let (row, column, value) = (row as usize, column as usize, self.hessian[entry as usize]);
+            let (row, column, value) = (row as usize, column as usize, hessian[entry as usize]);
             self.s[row * shape.border + column] += value;
             if row != column {
                 self.s[column * shape.border + row] += value;
@@ -587,15 +589,19 @@ fn global_row(plan: &plan::ChainPlan, n: usize, row: usize) -> usize {
 
 impl KktSolver for ArrowKkt {
     fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
-        self.hessian.copy_from_slice(hessian);
-        self.jacobian.copy_from_slice(jacobian);
-        self.on_threads(|arrow| {
-            arrow.eliminate()?;
+        let done = self.on_threads(|arrow| {
+            arrow.eliminate(hessian, jacobian)?;
             if arrow.split() {
-                arrow.eliminate()?;
+                arrow.eliminate(hessian, jacobian)?;
             }
-            arrow.merge()
-        })
+            arrow.merge(hessian)
+        });
+        self.refining = self.refine || self.groups() > self.least_groups;
+        if self.refining {
+            self.hessian.copy_from_slice(hessian);
+            self.jacobian.copy_from_slice(jacobian);
+        }
+        done
     }
 
     fn set_refinement(&mut self, on: bool) {
@@ -632,8 +638,7 @@ impl KktSolver for ArrowKkt {
         self.on_threads(|arrow| {
             arrow.solve_once(p, q, d, lambda);
             // With a shift the step is damped anyway.
-            let unstable = arrow.groups() > arrow.least_groups;
-            if (arrow.refine || unstable) && arrow.shift == 0.0 {
+            if arrow.refining && arrow.shift == 0.0 {
                 arrow.refine(p, q, d, lambda);
             }
         });

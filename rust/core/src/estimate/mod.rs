@@ -1,0 +1,217 @@
+//! From a model and records to a fit: the problem put together, solved, and told in the user's names.
+
+mod fit;
+mod print;
+mod start;
+
+use std::fmt;
+
+pub use fit::{Bound, Estimate, Fit, Record};
+pub use start::Start;
+
+use crate::error::{Error, did_you_mean};
+use crate::experiment::Experiment;
+use crate::mesh::Grid;
+use crate::model::Model;
+use crate::nlp::Nlp;
+use crate::noise::{SIGMA, Sigma};
+use crate::solver::{Control, Iteration, Settings, solve};
+use crate::transcription::{self, Collocation};
+
+/// The maximum-likelihood estimate of a model's parameters from records (Eq. ml_loglike), as it is put
+/// together: what is not said has a default.
+///
+/// Parameters start as declared, standard deviations at the spread of the measurements, states as
+/// measured where an output measures them and else at 0. Nothing is checked before [`Estimation::solve`].
+///
+/// ```
+/// use phugoid::{Estimation, Experiment, Model, Parameter, Sigma};
+///
+/// let mut m = Model::new("decay");
+/// let x = m.state("x", "m")?;
+/// let rate = m.parameter(Parameter::new("rate", 0.1))?;
+/// m.equation("x", -(&rate * &x), None)?;
+/// m.output("x", x, "", None)?;
+///
+/// // Two runs from different initial states, measured to 1 mm.
+/// let run = |name, x0: f64| {
+///     let t: Vec<f64> = (0..50).map(|k| 0.1 * k as f64).collect();
+///     let x = t.iter().map(|t| x0 * (-0.7 * t).exp() + 1e-3 * (1e4 * t).sin()).collect();
+///     Experiment::new(&m, name, t, [("x", x)])
+/// };
+/// let fit = Estimation::new(&m, &[run("one", 1.0)?, run("two", -2.0)?])
+///     .noise("x", Sigma::Known(1e-3))
+///     .start("rate", 0.5)
+///     .solve()?;
+/// assert!((fit["rate"].value - 0.7).abs() < 4.0 * fit["rate"].std_error);
+///
+/// // Misspelt names are errors.
+/// let error = Estimation::new(&m, &[run("one", 1.0)?]).start("rat", 0.5).solve().unwrap_err();
+/// assert_eq!(error.to_string(), "start: 'rat' is no parameter, sigma or state. Did you mean 'rate'?");
+/// # Ok::<(), phugoid::Error>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Estimation<'a> {
+    model: &'a Model,
+    experiments: &'a [Experiment],
+    transcription: transcription::Settings,
+    solver: Settings,
+    regression: Option<bool>,
+    noise: Vec<(String, Sigma)>,
+    start: Vec<(String, Start)>,
+    warm: Option<&'a Fit>,
+}
+
+impl<'a> Estimation<'a> {
+    /// Of the parameters that the experiments share; initial states are free.
+    pub fn new(model: &'a Model, experiments: &'a [Experiment]) -> Self {
+        Estimation {
+            model,
+            experiments,
+            transcription: transcription::Settings::default(),
+            solver: Settings::default(),
+            regression: None,
+            noise: Vec::new(),
+            start: Vec::new(),
+            warm: None,
+        }
+    }
+
+    /// Points of a segment: 2 is the trapezoid, 4 the default.
+    pub fn order(mut self, order: usize) -> Self {
+        self.transcription.order = order;
+        self
+    }
+
+    /// Division of every experiment into segments: one between samples unless said.
+    pub fn grid(mut self, grid: Grid) -> Self {
+        self.transcription.grid = vec![grid];
+        self
+    }
+
+    /// Threads; as many as there are cores unless said.
+    pub fn threads(mut self, threads: usize) -> Self {
+        self.transcription.threads = threads;
+        self
+    }
+
+    /// The standard deviation of an output's noise: unknown, from 1e-9 to 1e6 times the spread of the
+    /// measurements, unless said.
+    pub fn noise(mut self, output: &str, sigma: Sigma) -> Self {
+        self.noise.push((output.to_owned(), sigma));
+        self
+    }
+
+    /// Where a parameter, a standard deviation (`sigma_<output>`) or a state starts: a number, or for a
+    /// state a path, one value a sample. See [`Start`].
+    pub fn start(mut self, name: &str, start: impl Into<Start>) -> Self {
+        self.start.push((name.to_owned(), start.into()));
+        self
+    }
+
+    /// Starts where a fit ended, as far as it has the same names; [`Estimation::start`] goes before. A fit
+    /// of the same problem gives its multipliers as well, so that a run is gone on with.
+    pub fn start_from(mut self, fit: &'a Fit) -> Self {
+        self.warm = Some(fit);
+        self
+    }
+
+    /// Options of the solver. Its `regression` is chosen by [`Estimation::regression`].
+    pub fn solver(mut self, settings: Settings) -> Self {
+        self.solver = settings;
+        self
+    }
+
+    /// Whether a regression on the states as they start goes before the first step: where all of them are
+    /// measured or given, unless said.
+    pub fn regression(mut self, regression: bool) -> Self {
+        self.regression = Some(regression);
+        self
+    }
+
+    /// Solves the problem. Not to converge is a status of the fit, no error.
+    ///
+    /// # Errors
+    /// For what cannot be right in the model, the data or an option, and for a model that is not finite
+    /// at the start.
+    pub fn solve(&self) -> Result<Fit, Error> {
+        self.solve_with(|_| Control::Continue)
+    }
+
+    /// As [`Estimation::solve`]; `watch` sees each iteration and may end the run.
+    ///
+    /// # Errors
+    /// As [`Estimation::solve`].
+    pub fn solve_with(&self, mut watch: impl FnMut(&Iteration) -> Control) -> Result<Fit, Error> {
+        self.solver.check()?;
+        let (problem, xi) = self.transcribe()?;
+        let multipliers = self.same(&problem).map(|fit| &fit.solution.multipliers[..]);
+        let known = || self.states_known();
+        let regression = self.regression.unwrap_or_else(|| self.warm.is_none() && known());
+        let settings = Settings { regression, ..self.solver.clone() };
+        let solution = solve(&problem, &xi, multipliers, &settings, &mut watch).map_err(|_| {
+            let what = problem.explain(&xi).unwrap_or_else(|| "a function of the model is not finite".into());
+            Error::Evaluation(format!(
+                "at the starting point, {what}; give other start values, or bounds that keep functions finite"
+            ))
+        })?;
+        Ok(Fit::new(self.model, self.experiments, &problem, solution))
+    }
+
+    /// The nonlinear program and the point to start from: for a solver of one's own.
+    ///
+    /// # Errors
+    /// As [`Estimation::solve`].
+    pub fn transcribe(&self) -> Result<(Collocation, Vec<f64>), Error> {
+        self.model.check()?;
+        let inputs: Vec<&str> = self.model.inputs.iter().map(|v| v.name.as_str()).collect();
+        let outputs: Vec<&str> = self.model.outputs.iter().map(|o| o.name.as_str()).collect();
+        self.experiments.iter().try_for_each(|e| e.check(&inputs, &outputs))?;
+        self.check_names(&outputs)?;
+        let noise = self.resolve_noise(&outputs)?;
+        let problem = Collocation::new(self.model, self.experiments, noise, &self.transcription)?;
+        let xi = match self.same(&problem) {
+            Some(fit) => fit.solution.xi.clone(),
+            None => self.starting_point(&problem)?,
+        };
+        Ok((problem, xi))
+    }
+
+    fn check_names(&self, outputs: &[&str]) -> Result<(), Error> {
+        for (name, _) in &self.noise {
+            if !outputs.contains(&name.as_str()) {
+                let hint = did_you_mean(name, outputs.iter().copied());
+                return Err(Error::Option(format!("noise: '{name}' is not an output.{hint}")));
+            }
+        }
+        let sigmas: Vec<String> = outputs.iter().map(|o| format!("{SIGMA}{o}")).collect();
+        let parameters = self.model.parameters.iter().map(|p| &p.name);
+        let states = self.model.states.iter().map(|s| &s.name);
+        let known: Vec<&str> = parameters.chain(&sigmas).chain(states).map(String::as_str).collect();
+        for (name, _) in &self.start {
+            if !known.contains(&name.as_str()) {
+                let hint = did_you_mean(name, known);
+                return Err(Error::Option(format!("start: '{name}' is no parameter, sigma or state.{hint}")));
+            }
+        }
+        Ok(())
+    }
+
+    /// The fit to go on from, where it is of this problem and nothing else is asked for.
+    fn same(&self, problem: &Collocation) -> Option<&'a Fit> {
+        let fit = self.warm.filter(|_| self.start.is_empty())?;
+        let names = fit.parameters.iter().map(|p| &p.name).eq(problem.parameters.iter().map(|p| &p.name));
+        let sizes = (fit.solution.xi.len(), fit.solution.multipliers.len()) == (problem.n(), problem.m());
+        (names && sizes && fit.model.states == self.model.states).then_some(fit)
+    }
+}
+
+impl fmt::Display for Bound {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Bound::Lower => "at its lower bound",
+            Bound::Upper => "at its upper bound",
+            Bound::Fixed => "fixed",
+        })
+    }
+}

@@ -54,9 +54,13 @@ def test_second_example_takes_several_runs_and_options(folder: Path) -> None:
     data = names["data"]
     assert isinstance(data, ph.Experiment)
     names.update(run1=data.window(0, 7, name="run1"), run2=data.window(7.05, 12.5, name="run2"))
-    text = blocks()[1].replace('"print_level": 5', '"print_level": 0')
-    exec(text, names)
+    exec(blocks()[1], names)
     fit = names["fit"]
     assert isinstance(fit, ph.Fit) and fit.converged
+    # And on from there: many starts.
+    exec(blocks()[2], names)
+    many, best = names["many"], names["best"]
+    assert isinstance(many, ph.Multistart) and isinstance(best, ph.Fit)
+    assert best.converged and many.success_rate == 1.0
     assert [r.name for r in fit.records] == ["run1", "run2"]
     assert "sigma_az" not in fit.parameters

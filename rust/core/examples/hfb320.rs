@@ -93,7 +93,17 @@ pub fn experiment(model: &Model, path: &Path) -> Result<Experiment, Box<dyn Erro
     let columns = common::columns(path)?;
     // The file rounds its last stamp to 60.00002 s; the sampling is 10 Hz throughout.
     let t = (0..columns[0].len()).map(|k| 0.1 * k as f64).collect();
-    let names = [("de", 1), ("T", 3), ("V", 4), ("alpha", 5), ("theta", 6), ("q", 7), ("aq", 8), ("ax", 9), ("az", 10)];
+    let names = [
+        ("de", 1),
+        ("T", 3),
+        ("V", 4),
+        ("alpha", 5),
+        ("theta", 6),
+        ("q", 7),
+        ("aq", 8),
+        ("ax", 9),
+        ("az", 10),
+    ];
     let channels = names.map(|(name, column)| (name, columns[column].clone()));
     Ok(Experiment::new(model, "HFB-320 flight", t, channels)?)
 }

@@ -8,7 +8,7 @@ use phugoid::diagnosis::information;
 use phugoid::expr::Expr;
 use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{Nlp, NotFinite, Structure};
 use phugoid::solver::{Control, Settings as Options, Solution, Status, solve};
 use phugoid::transcription::{Collocation, Settings};
 
@@ -220,5 +220,71 @@ fn a_hopeless_model_ends_within_its_limits() {
         assert_ne!(s.status, Status::Converged);
         assert!(s.iterations <= 60 && !s.message.is_empty());
         assert!(s.xi.iter().all(|x| x.is_finite()));
+    }
+}
+
+/// A program that does not tell of its chains.
+struct Shapeless(Collocation);
+
+impl Nlp for Shapeless {
+    fn n(&self) -> usize {
+        self.0.n()
+    }
+    fn m(&self) -> usize {
+        self.0.m()
+    }
+    fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
+        self.0.bounds()
+    }
+    fn objective(&self, xi: &[f64]) -> Result<f64, NotFinite> {
+        self.0.objective(xi)
+    }
+    fn gradient(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.0.gradient(xi, out)
+    }
+    fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.0.constraints(xi, out)
+    }
+    fn jacobian_structure(&self) -> &Structure {
+        self.0.jacobian_structure()
+    }
+    fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.0.jacobian(xi, out)
+    }
+    fn hessian_structure(&self) -> &Structure {
+        self.0.hessian_structure()
+    }
+    fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.0.hessian(xi, factor, lambda, out)
+    }
+    fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
+        self.0.gauss_newton(xi, factor, out)
+    }
+    fn profiled(&self) -> std::ops::Range<usize> {
+        self.0.profiled()
+    }
+    fn profile(&self, xi: &[f64], gradient: &[f64], out: &mut [f64]) {
+        self.0.profile(xi, gradient, out);
+    }
+    fn variable_name(&self, i: usize) -> String {
+        self.0.variable_name(i)
+    }
+    fn constraint_name(&self, i: usize) -> String {
+        self.0.constraint_name(i)
+    }
+    fn explain(&self, xi: &[f64]) -> Option<String> {
+        self.0.explain(xi)
+    }
+}
+
+#[test]
+fn a_program_without_chains_is_solved_by_the_sparse_factorisation() {
+    let (p, xi) = problem(&models::linear(), 61, &settings(3));
+    let known = run(&p, &xi, &Options::default());
+    let s = solve(&Shapeless(p), &xi, None, &Options::default(), &mut |_| Control::Continue).unwrap();
+    assert_eq!((known.status, s.status), (Status::Converged, Status::Converged), "{}", s.message);
+    assert!((s.objective - known.objective).abs() < 1e-8);
+    for i in 0..TRUTH.len() {
+        assert!((s.xi[i] / known.xi[i] - 1.0).abs() < 1e-7, "{i}: {} for {}", s.xi[i], known.xi[i]);
     }
 }

@@ -16,7 +16,9 @@ pub fn find(file: &str) -> Option<PathBuf> {
     let named = std::env::var_os("PHUGOID_DATA").map(PathBuf::from);
     let found = named.into_iter().chain([beside]).map(|folder| folder.join(file)).find(|path| path.is_file());
     if found.is_none() {
-        println!("{file} is neither in $PHUGOID_DATA nor in ../shared/data: a simulated twin takes its place.\n");
+        println!(
+            "{file} is neither in $PHUGOID_DATA nor in ../shared/data: a simulated twin takes its place.\n"
+        );
     }
     found
 }
@@ -67,7 +69,8 @@ pub fn simulate(
         let columns: Vec<&[f64]> = point.iter().map(std::slice::from_ref).collect();
         evaluator.dynamics(parameters, &columns).into_iter().flatten().collect()
     };
-    let ahead = |x: &[f64], h: f64, k: &[f64]| -> Vec<f64> { x.iter().zip(k).map(|(x, k)| x + h * k).collect() };
+    let ahead =
+        |x: &[f64], h: f64, k: &[f64]| -> Vec<f64> { x.iter().zip(k).map(|(x, k)| x + h * k).collect() };
     let mut x = initial.to_vec();
     let mut states: Vec<Vec<f64>> = x.iter().map(|x| vec![*x]).collect();
     for pair in t.windows(2) {
@@ -112,6 +115,9 @@ pub fn compare(fit: &Fit, published: &[(&str, f64)]) {
     for (name, value) in published {
         let found = &fit[*name];
         let difference = found.value - value;
-        println!("{name:12} {:>20.13} {value:>20.13} {difference:>12.1e} {:>12.1e}", found.value, found.std_error);
+        println!(
+            "{name:12} {:>20.13} {value:>20.13} {difference:>12.1e} {:>12.1e}",
+            found.value, found.std_error
+        );
     }
 }

@@ -1,15 +1,11 @@
 //! What an estimation gives back.
 
+use std::fmt;
 use std::ops::Index;
 
-use crate::diagnosis::{Information, information};
 use crate::error::did_you_mean;
-use crate::experiment::Experiment;
 use crate::model::Model;
-use crate::nlp::Nlp;
-use crate::noise::SIGMA;
 use crate::solver::{Solution, Status};
-use crate::transcription::Collocation;
 
 /// What keeps a parameter where it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +16,16 @@ pub enum Bound {
     Upper,
     /// It is fixed.
     Fixed,
+}
+
+impl fmt::Display for Bound {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Bound::Lower => "at its lower bound",
+            Bound::Upper => "at its upper bound",
+            Bound::Fixed => "fixed",
+        })
+    }
 }
 
 /// An estimated quantity: a parameter, a standard deviation or an initial state.
@@ -106,13 +112,6 @@ pub struct Fit {
     pub solution: Solution,
 }
 
-/// A bound is active where the variable lies within this fraction of its size from it.
-const AT_BOUND: f64 = 1e-6;
-/// A point is the optimum when the Newton step left is this small a part of every standard error.
-const CLOSE: f64 = 1e-3;
-/// Defects may add up along a path to this part of the noise of the same name.
-const SMALL: f64 = 0.01;
-
 impl Index<&str> for Fit {
     type Output = Estimate;
 
@@ -148,196 +147,5 @@ impl Fit {
     pub fn residual(&self, experiment: usize, name: &str) -> Option<&[f64]> {
         let i = self.model.outputs.iter().position(|o| o.name == name)?;
         Some(&self.records.get(experiment)?.residuals[i])
-    }
-
-    /// The fit at a solution.
-    pub(super) fn new(
-        model: &Model,
-        experiments: &[Experiment],
-        problem: &Collocation,
-        solution: Solution,
-    ) -> Self {
-        let (xi, n_theta, n_x) = (&solution.xi, problem.layout.n_theta, problem.layout.n_x);
-        let bounds = active_bounds(problem, xi);
-        let held: Vec<usize> = (0..n_theta).filter(|&i| bounds[i].is_some()).collect();
-        let initial = problem.layout.first_point[..experiments.len()].iter().map(|&p| problem.layout.state(p));
-        let mut wanted: Vec<usize> = (0..n_theta).filter(|&i| bounds[i].is_none()).collect();
-        let free = wanted.len();
-        wanted.extend(initial.flat_map(|first| first..first + n_x));
-
-        let (mut status, mut message) = (solution.status, solution.message.clone());
-        let mut warnings = Vec::new();
-        let mut errors = vec![f64::NAN; problem.n()];
-        let mut covariance = vec![f64::NAN; n_theta * n_theta];
-        match information(problem, xi, &solution.multipliers, &wanted, &held) {
-            Err(_) => warnings.push("there are no standard errors: the information matrix is singular".into()),
-            Ok(found) => {
-                judge(problem, &found, &wanted, (&mut status, &mut message), &mut warnings);
-                let k = wanted.len();
-                // σ = 1/root, so dσ = −droot/root².
-                let slope =
-                    |i: usize| if i < problem.n_model_parameters { 1.0 } else { -1.0 / (xi[i] * xi[i]) };
-                for (a, &i) in wanted.iter().enumerate() {
-                    let variance = found.covariance[a * k + a];
-                    if variance > 0.0 {
-                        errors[i] = variance.sqrt() * if a < free { slope(i).abs() } else { 1.0 };
-                    }
-                    for (b, &j) in wanted[..free].iter().enumerate().filter(|_| a < free) {
-                        covariance[i * n_theta + j] = found.covariance[a * k + b] * slope(i) * slope(j);
-                    }
-                }
-            }
-        }
-
-        let estimate = |i: usize| {
-            let p = &problem.parameters[i];
-            let output = p.name.strip_prefix(SIGMA).and_then(|name| model.outputs.iter().find(|o| o.name == name));
-            let (value, unit, bound) = match output.filter(|_| i >= problem.n_model_parameters) {
-                Some(output) => (1.0 / xi[i], &output.unit, bounds[i].map(flipped)),
-                None => (xi[i], &p.unit, bounds[i]),
-            };
-            Estimate { name: p.name.clone(), unit: unit.clone(), value, std_error: errors[i], bound }
-        };
-        let parameters: Vec<Estimate> = (0..n_theta).map(estimate).collect();
-        let at_floor = |p: &&Estimate| p.bound == Some(Bound::Lower);
-        for p in parameters[problem.n_model_parameters..].iter().filter(at_floor) {
-            warnings.push(format!(
-                "{} sits at its lower bound {:.3e}: the fit of this output is exact for all we know",
-                p.name, p.value
-            ));
-        }
-        warnings.extend(large_defects(model, problem, xi));
-
-        let record = |e: usize| record(model, &experiments[e], problem, xi, &errors, e);
-        let priors = problem.parameters.iter().zip(xi);
-        let priors: f64 =
-            priors.filter_map(|(p, x)| p.prior.map(|(mean, std)| 0.5 * ((x - mean) / std).powi(2))).sum();
-        Fit {
-            model: model.clone(),
-            covariance,
-            log_likelihood: priors - solution.objective,
-            status,
-            message,
-            iterations: solution.iterations,
-            records: (0..experiments.len()).map(record).collect(),
-            warnings,
-            parameters,
-            solution,
-        }
-    }
-}
-
-/// For each parameter, what keeps it where it is.
-fn active_bounds(problem: &Collocation, xi: &[f64]) -> Vec<Option<Bound>> {
-    let (lower, upper) = problem.bounds();
-    let active = |i: usize| {
-        let near = AT_BOUND * xi[i].abs().max((upper[i] - lower[i]).min(1.0));
-        if lower[i] == upper[i] {
-            Some(Bound::Fixed)
-        } else if xi[i] - lower[i] <= near {
-            Some(Bound::Lower)
-        } else if upper[i] - xi[i] <= near {
-            Some(Bound::Upper)
-        } else {
-            None
-        }
-    };
-    (0..problem.layout.n_theta).map(active).collect()
-}
-
-/// The lower bound of a precision root is the upper bound of σ.
-fn flipped(bound: Bound) -> Bound {
-    match bound {
-        Bound::Lower => Bound::Upper,
-        Bound::Upper => Bound::Lower,
-        Bound::Fixed => Bound::Fixed,
-    }
-}
-
-/// What the information at the end says about how the run ended.
-fn judge(
-    problem: &Collocation,
-    found: &Information,
-    wanted: &[usize],
-    (status, message): (&mut Status, &mut String),
-    warnings: &mut Vec<String>,
-) {
-    // Elsewhere than at an end, curvature says nothing about the data.
-    if !matches!(status, Status::Converged | Status::Acceptable | Status::Unidentifiable) {
-        return;
-    }
-    let k = wanted.len();
-    let close = |i: usize| found.step[i].abs() < CLOSE * found.covariance[i * k + i].sqrt();
-    let mut groups = Vec::new();
-    for group in &found.undetermined {
-        let names: Vec<String> = group.iter().map(|&i| problem.variable_name(i)).collect();
-        let names = names.join(", ");
-        warnings.push(match group.len() {
-            1 => format!("{names} has no influence on the outputs with these data: fix it, or give it a prior"),
-            _ => format!("{names} cannot be told apart with these data: fix one of them, or give it a prior"),
-        });
-        groups.push(names);
-    }
-    if !groups.is_empty() {
-        *status = Status::Unidentifiable;
-        *message = format!("{} ({})", status.hint(), groups.join("; "));
-    }
-    if found.saddle {
-        warnings.push("not a proper maximum: the log-likelihood grows from here in some direction".into());
-    } else if *status == Status::Acceptable && (0..k).filter(|i| found.covariance[i * k + i] > 0.0).all(close) {
-        // Rounding kept the solver from its tolerance, but there is nowhere left to go.
-        *status = Status::Converged;
-        *message = status.hint().to_owned();
-    }
-}
-
-/// Defects add up along the path; unless they stay far below σ, the likelihood is not that of a solution.
-fn large_defects(model: &Model, problem: &Collocation, xi: &[f64]) -> Vec<String> {
-    let mut defects = vec![0.0; problem.m()];
-    if problem.constraints(xi, &mut defects).is_err() {
-        return vec!["the equations are not finite at the result".into()];
-    }
-    let sigmas = problem.noise.sigmas(&xi[problem.n_model_parameters..problem.layout.n_theta]);
-    let mut found = Vec::new();
-    for (i, state) in model.states.iter().enumerate() {
-        let total: f64 = defects.iter().skip(i).step_by(model.states.len()).map(|c| c.abs()).sum();
-        let same = model.outputs.iter().position(|o| o.name == state.name);
-        if let Some(sigma) = same.map(|c| sigmas[c]).filter(|s| total > SMALL * s) {
-            found.push(format!(
-                "the defects of {0} sum to {total:.1e}, not far below sigma_{0} = {sigma:.1e}: the state path is \
-                 not a solution to that accuracy; tighten the solver's tolerance",
-                state.name
-            ));
-        }
-    }
-    found
-}
-
-fn record(
-    model: &Model,
-    experiment: &Experiment,
-    problem: &Collocation,
-    xi: &[f64],
-    errors: &[f64],
-    e: usize,
-) -> Record {
-    let (layout, mesh) = (&problem.layout, &problem.meshes[e]);
-    let first = layout.first_point[e];
-    let outputs = problem.outputs_at_samples(xi, e);
-    let residual = |(z, y): (&Vec<f64>, &Vec<f64>)| z.iter().zip(y).map(|(z, y)| z - y).collect();
-    let path = |i: usize| mesh.sample_points.iter().map(|p| xi[layout.state(first + p) + i]).collect();
-    let initial = |(i, s): (usize, &crate::model::Variable)| {
-        let at = layout.state(first) + i;
-        let (name, unit) = (s.name.clone(), s.unit.clone());
-        Estimate { name, unit, value: xi[at], std_error: errors[at], bound: None }
-    };
-    Record {
-        name: experiment.name.clone(),
-        t: experiment.t.clone(),
-        states: (0..layout.n_x).map(path).collect(),
-        residuals: experiment.outputs.iter().zip(&outputs).map(residual).collect(),
-        outputs,
-        initial: model.states.iter().enumerate().map(initial).collect(),
-        mesh_points: mesh.n_mesh,
     }
 }

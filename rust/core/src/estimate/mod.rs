@@ -1,10 +1,10 @@
 //! From a model and records to a fit: the problem put together, solved, and told in the user's names.
 
 mod fit;
+mod judge;
+mod make;
 mod print;
 mod start;
-
-use std::fmt;
 
 pub use fit::{Bound, Estimate, Fit, Record};
 pub use start::Start;
@@ -203,15 +203,5 @@ impl<'a> Estimation<'a> {
         let names = fit.parameters.iter().map(|p| &p.name).eq(problem.parameters.iter().map(|p| &p.name));
         let sizes = (fit.solution.xi.len(), fit.solution.multipliers.len()) == (problem.n(), problem.m());
         (names && sizes && fit.model.states == self.model.states).then_some(fit)
-    }
-}
-
-impl fmt::Display for Bound {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Bound::Lower => "at its lower bound",
-            Bound::Upper => "at its upper bound",
-            Bound::Fixed => "fixed",
-        })
     }
 }

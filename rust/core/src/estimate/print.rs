@@ -18,7 +18,11 @@ impl fmt::Display for Fit {
         writeln!(f, "  iterations      {} in {:.3} s", self.iterations, self.solution.time.as_secs_f64())?;
         writeln!(f, "  log-likelihood  {:.6}", self.log_likelihood)?;
         writeln!(f, "  data            {runs}{samples} samples, {points} mesh points\n")?;
-        table(f, &["parameter", "estimate", "std. error", "unit", ""], self.parameters.iter().map(estimate_row))?;
+        table(
+            f,
+            &["parameter", "estimate", "std. error", "unit", ""],
+            self.parameters.iter().map(estimate_row),
+        )?;
         writeln!(f)?;
         let header = ["output", "RMS residual", "samples", "unit", ""];
         table(f, &header, (0..self.model.outputs.len()).map(|i| self.match_row(i)))?;

@@ -97,9 +97,9 @@ impl Estimation<'_> {
             let sigma = format!("{SIGMA}{name}");
             if let Some(Sigma::Known(value)) = said {
                 return match self.given(&sigma) {
-                    Some(_) => {
-                        Err(Error::Option(format!("{sigma} is known ({value}) and cannot be given a start as well")))
-                    }
+                    Some(_) => Err(Error::Option(format!(
+                        "{sigma} is known ({value}) and cannot be given a start as well"
+                    ))),
                     None => Ok(Sigma::Known(*value)),
                 };
             }
@@ -113,7 +113,9 @@ impl Estimation<'_> {
             let spread = spread(&samples);
             let (mut start, mut lower, mut upper) = (spread, RANGE.0 * spread, RANGE.1 * spread);
             match (said, self.given(&sigma)) {
-                (Some(Sigma::Unknown { start: s, lower: l, upper: u }), _) => (start, lower, upper) = (*s, *l, *u),
+                (Some(Sigma::Unknown { start: s, lower: l, upper: u }), _) => {
+                    (start, lower, upper) = (*s, *l, *u)
+                }
                 (_, Some(Start::Value(v))) => (lower, upper) = (lower.min(*v), upper.max(*v)),
                 _ => {}
             }
@@ -173,7 +175,8 @@ impl Estimation<'_> {
             for (e, experiment) in self.experiments.iter().enumerate() {
                 let (t, mesh) = (&experiment.t, &problem.meshes[e].times);
                 let at_points = |t: &[f64], x: &[f64]| interpolate(Interpolation::Linear, t, x, mesh);
-                let fitted = self.warm.and_then(|fit| fit.state(e, &state.name)).filter(|x| x.len() == t.len());
+                let fitted =
+                    self.warm.and_then(|fit| fit.state(e, &state.name)).filter(|x| x.len() == t.len());
                 let path = match (self.given(&state.name), fitted, &measured[i]) {
                     (Some(Start::Value(v)), ..) if v.is_finite() => vec![*v; mesh.len()],
                     (Some(Start::Paths(paths)), ..)

@@ -265,10 +265,10 @@ impl<'a> Run<'a> {
                 return Ok(Status::TimeLimit);
             }
             let searched = self.search(&promise);
-            if searched.is_none() {
-                if let Some(status) = self.stuck(&promise) {
-                    return Ok(status);
-                }
+            if searched.is_none()
+                && let Some(status) = self.stuck(&promise)
+            {
+                return Ok(status);
             }
             let (step, trials) = searched.unwrap_or((0.0, 0));
             if !exact && step > 0.0 {

@@ -18,6 +18,8 @@
 //! Groups are independent and run in parallel, and so are merges of one level. Their division depends on
 //! the problem alone, and sums have a fixed order: results do not depend on the number of threads.
 
+#![allow(clippy::needless_range_loop)] // the notation of matrices: one index into several arrays
+
 mod dense;
 mod group;
 mod merge;

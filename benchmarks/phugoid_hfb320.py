@@ -1,6 +1,6 @@
 """Ours on HFB-320, from end to end: `ph.estimate` with Newton or with Ipopt, its stages timed apart.
 
-    python benchmarks/phugoid_hfb320.py --order 2 4 --start zero 7 --solver newton ipopt
+python benchmarks/phugoid_hfb320.py --order 2 4 --start zero 7 --solver newton ipopt
 """
 
 import argparse

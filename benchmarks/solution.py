@@ -57,7 +57,7 @@ NEWTON = {
     OURS: (ours, {}),
     "phugoid, order 2, sigmas from 1": (ours, {"sigmas": True}),
     "phugoid, order 2, no regression": (ours, {"regression": False}),
-    "phugoid, order 2, sigmas 1, no regr.": (ours, {"sigmas": True, "regression": False}),
+    "phugoid, order 2, no regression, σ 1": (ours, {"sigmas": True, "regression": False}),
     "phugoid, order 4 (its default)": (ours, {"order": 4}),
 }
 COLLOCATION = {
@@ -145,7 +145,7 @@ def _show_ends(case, found):
             counted,
             f"{last['log_likelihood']:.5f}",
             f"{100 * last['largest_error']:.1e} %",
-            last["status"].replace("_", " ").lower(),
+            last["status"].removeprefix("Solve_").replace("_", " ").lower(),
         ])  # fmt: skip
     show(
         "Where they arrive, and at how many evaluations",
@@ -166,7 +166,7 @@ def _show_flops(found, spent):
         rows.append([name, *counts, seconds(time), f"{one * many / time / 1e9:.2f}"])
     show(
         "Newton's own count of floating-point operations",
-        ["", "iterations", "factorisations", "Mflop each", "Mflop in all", "solve", "Gflop/s"],
+        ["", "iterations", "factorised", "Mflop each", "Mflop in all", "solve", "Gflop/s"],
         rows,
         "of factorisations only; Gflop/s: these over the whole time to solve, evaluations and all",
     )

@@ -166,14 +166,24 @@ fn covariance_is_the_block_of_the_inverse() {
     let held = vec![false; case.problem.n()];
     assert!(arrow.finish(&held, 0.0).is_positive());
     let inverse = case.dense(&held).try_inverse().unwrap();
-    let wanted: Vec<usize> = (0..case.problem.layout.n_theta + 2).collect();
-    let mut covariance = vec![0.0; wanted.len() * wanted.len()];
-    arrow.covariance(&wanted, &mut covariance);
-    for i in 0..wanted.len() {
-        for j in 0..wanted.len() {
-            let scale = (inverse[(i, i)] * inverse[(j, j)]).abs().sqrt();
-            let got = covariance[i * wanted.len() + j];
-            assert!((got - inverse[(i, j)]).abs() < 1e-9 * scale, "{i}, {j}: {got} for {}", inverse[(i, j)]);
+    // Parameters and first states of both experiments, read off; and other states, by solving.
+    let l = &case.problem.layout;
+    let first = [l.state(0), l.state(0) + 1, l.state(l.first_point[1]), l.state(l.first_point[1]) + 1];
+    for others in [vec![], vec![l.state(3)]] {
+        let wanted: Vec<usize> = (0..l.n_theta).chain(first).chain(others).collect();
+        let mut covariance = vec![0.0; wanted.len() * wanted.len()];
+        arrow.covariance(&wanted, &mut covariance);
+        for i in 0..wanted.len() {
+            for j in 0..wanted.len() {
+                let (a, b) = (wanted[i], wanted[j]);
+                let scale = (inverse[(a, a)] * inverse[(b, b)]).abs().sqrt();
+                let got = covariance[i * wanted.len() + j];
+                assert!(
+                    (got - inverse[(a, b)]).abs() < 1e-9 * scale,
+                    "{a}, {b}: {got} for {}",
+                    inverse[(a, b)]
+                );
+            }
         }
     }
     assert_eq!(case.xi.len(), case.problem.n());

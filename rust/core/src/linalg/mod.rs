@@ -66,15 +66,7 @@ pub trait KktSolver: Send {
     /// The block of the inverse of the KKT matrix between some variables, row-major k × k: with H the
     /// observed information, their covariance. Rows of held variables are zero.
     fn covariance(&mut self, wanted: &[usize], out: &mut [f64]) {
-        let (n, m) = self.sizes();
-        let (mut p, q) = (vec![0.0; n], vec![0.0; m]);
-        let (mut d, mut lambda) = (vec![0.0; n], vec![0.0; m]);
-        for (row, &i) in out.chunks_exact_mut(wanted.len()).zip(wanted) {
-            p[i] = 1.0;
-            self.solve(&p, &q, &mut d, &mut lambda);
-            p[i] = 0.0;
-            row.iter_mut().zip(wanted).for_each(|(o, &j)| *o = d[j]);
-        }
+        covariance_by_solving(self, wanted, out);
     }
 
     /// Numbers of variables and constraints.
@@ -82,4 +74,17 @@ pub trait KktSolver: Send {
 
     /// Floating-point operations of one factorisation, counted.
     fn flops(&self) -> u64;
+}
+
+/// The covariance by one solution for each variable.
+fn covariance_by_solving<K: KktSolver + ?Sized>(kkt: &mut K, wanted: &[usize], out: &mut [f64]) {
+    let (n, m) = kkt.sizes();
+    let (mut p, q) = (vec![0.0; n], vec![0.0; m]);
+    let (mut d, mut lambda) = (vec![0.0; n], vec![0.0; m]);
+    for (row, &i) in out.chunks_exact_mut(wanted.len()).zip(wanted) {
+        p[i] = 1.0;
+        kkt.solve(&p, &q, &mut d, &mut lambda);
+        p[i] = 0.0;
+        row.iter_mut().zip(wanted).for_each(|(o, &j)| *o = d[j]);
+    }
 }

@@ -206,6 +206,28 @@ impl Top {
         }
     }
 
+    /// How the first states of the chain follow θ (n × B), and their inverse curvature with θ held (n × n).
+    pub fn first_states(&self, shape: &Shape) -> (DMatrix<f64>, DMatrix<f64>) {
+        let (n, b) = (shape.n, shape.border);
+        let width = n + b;
+        let mut follow = DMatrix::from_fn(n, b, |i, j| self.f[i * width + n + j]);
+        for j in 0..b {
+            let mut g: Vec<f64> = (0..n).map(|k| self.side[k * b + j]).collect();
+            backward(&self.l, n, &mut g);
+            for i in 0..n {
+                follow[(i, j)] -= (0..n).map(|k| self.f[i * width + k] * self.scale[k] * g[k]).sum::<f64>();
+            }
+        }
+        let mut root = DMatrix::zeros(n, n);
+        for i in 0..n {
+            let mut t: Vec<f64> = (0..n).map(|k| self.scale[k] * self.f[i * width + k]).collect();
+            forward(&self.l, n, &mut t);
+            (0..n).for_each(|k| root[(i, k)] = t[k]);
+        }
+        let free = &root * root.transpose();
+        (follow, free)
+    }
+
     /// The ends and the multiplier of the chain's constraint, θ known.
     pub fn expand(&mut self, shape: &Shape, form: &Form, side: &mut Side, theta: &[f64]) {
         let (n, b, full) = (shape.n, shape.border, shape.form());

@@ -35,6 +35,9 @@ RANGES = {
 }  # fmt: skip
 """Where random starts lie."""
 
+BOUNDS = {"a1": (1, 200), "alpha_star": (0.02, 1.2), "e": (0.05, 5)}
+"""What is physically sensible of the parameters that are not linear; used where asked for."""
+
 SIGMA = {"V": 0.3, "alpha": 0.004, "theta": 0.003, "q": 0.004, "ax": 0.1, "az": 0.3}
 """Noise of the record."""
 
@@ -82,14 +85,19 @@ def outputs(x, u, p, lib=np):
     ]
 
 
-def model():
-    """The case as phugoid takes it; all parameters start at 0 unless a start is given, `random_start` for instance."""
+def model(bounded=False):
+    """The case as phugoid takes it, with BOUNDS if `bounded`; parameters start in the middle of RANGES."""
     import phugoid as ph
 
     m = ph.Model("stall of a light aircraft")
     x = m.states(**{name: UNITS[name] for name in STATES})
     u = m.inputs(**{name: UNITS[name] for name in INPUTS})
-    p = dict(zip(TRUTH, m.parameters(*TRUTH), strict=True))
+    limits = BOUNDS if bounded else {}
+    declared = {
+        name: ph.Parameter(0.5 * (low + high), bounds=limits.get(name, (-np.inf, np.inf)))
+        for name, (low, high) in RANGES.items()
+    }
+    p = dict(zip(declared, m.parameters(**declared), strict=True))
     m.dynamics(**dict(zip(STATES, dynamics(x, u, p), strict=True)))
     m.outputs(**{name: (y, UNITS[name]) for name, y in zip(OUTPUTS, outputs(x, u, p), strict=True)})
     return m
@@ -143,11 +151,11 @@ def random_start(number):
     return {name: random.uniform(*limits) for name, limits in RANGES.items()}
 
 
-def measure(starts, seed=0, solver=None):
+def measure(starts, seed=0, solver=None, bounded=False):
     """From each random start: (number, status, iterations, seconds, log-likelihood below the optimum)."""
     import phugoid as ph
 
-    m, data = model(), experiment(seed)
+    m, data = model(bounded), experiment(seed)
     options = {"solver": solver} if solver else {}
     best = ph.estimate(m, data, start=TRUTH, **options)
     rows = []
@@ -167,15 +175,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--starts", type=int, default=30, help="how many random starts")
     parser.add_argument("--seed", type=int, default=0, help="of the noise")
+    parser.add_argument("--bounded", action="store_true", help="with bounds of a1, alpha_star and e")
     arguments = parser.parse_args()
-    best, rows = measure(arguments.starts, arguments.seed)
+    best, rows = measure(arguments.starts, arguments.seed, bounded=arguments.bounded)
     print(best.summary(), "\n")
     for name, truth in TRUTH.items():
         found = best.parameters[name]
         print(f"{name:12s} {(found.value - truth) / found.std_error:6.2f} standard errors from the truth {truth:g}")
     print("\nstart  status            iterations  seconds  below the optimum")
     for number, status, iterations, seconds, below in rows:
-        print(f"{number:5d}  {status:16s}  {iterations:10d}  {seconds:7.2f}  {below:17.3f}")
+        print(f"{number:5d}  {status:16s}  {iterations:10d}  {seconds:7.2f}  {below:17.4g}")
     good = [row for row in rows if row[1] == "converged" and abs(row[4]) < CLOSE]
     print(f"\n{len(good)} of {len(rows)} random starts converge to the optimum near the truth", end="")
     print(f", in {np.median([row[2] for row in good]):g} iterations (median)" if good else "")

@@ -135,7 +135,7 @@ pub fn twin(model: &Model, n: usize, seed: u64) -> Result<Experiment, phugoid::E
 
 fn main() -> Result<(), Box<dyn Error>> {
     let model = model()?;
-    let path = common::find(RECORD);
+    let path = common::argument_or_find(RECORD);
     let record = match &path {
         Some(path) => experiment(&model, path)?,
         None => twin(&model, 601, 0)?,

@@ -69,7 +69,7 @@ pub fn twin(model: &Model, seed: u64) -> Result<Experiment, phugoid::Error> {
 fn main() -> Result<(), Box<dyn Error>> {
     let model = model()?;
     // The book's data were made with the trapezoid at the sample times: order 2 repeats them to nine digits.
-    let (record, order) = match common::find(RECORD) {
+    let (record, order) = match common::argument_or_find(RECORD) {
         Some(path) => (experiment(&model, &path)?, 2),
         None => (twin(&model, 0)?, 4),
     };

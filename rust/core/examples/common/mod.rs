@@ -6,21 +6,23 @@ use std::path::{Path, PathBuf};
 use phugoid::evaluator::Evaluator;
 use phugoid::{Fit, Model};
 
-/// The record that the first argument names, else a file of this name in the folder $PHUGOID_DATA, else in
-/// `shared/data` beside the checkout. None ships with the project: README.md says where to get them.
+/// A record in the folder $PHUGOID_DATA, else in `shared/data` beside the checkout. None ships with the
+/// project: README.md says where to get them.
 pub fn find(file: &str) -> Option<PathBuf> {
-    if let Some(path) = std::env::args().nth(1) {
-        return Some(path.into());
-    }
     let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let named = std::env::var_os("PHUGOID_DATA").map(PathBuf::from);
-    let found = named.into_iter().chain([beside]).map(|folder| folder.join(file)).find(|path| path.is_file());
-    if found.is_none() {
+    named.into_iter().chain([beside]).map(|folder| folder.join(file)).find(|path| path.is_file())
+}
+
+/// The path that the first argument gives, else what is found; says so where there is nothing.
+pub fn argument_or_find(file: &str) -> Option<PathBuf> {
+    let path = std::env::args().nth(1).map(PathBuf::from).or_else(|| find(file));
+    if path.is_none() {
         println!(
             "{file} is neither in $PHUGOID_DATA nor in ../shared/data: a simulated twin takes its place.\n"
         );
     }
-    found
+    path
 }
 
 /// The columns of a table of numbers apart by blanks.

@@ -99,16 +99,12 @@ impl Fit {
 /// For each parameter, what keeps it where it is.
 fn active_bounds(problem: &Collocation, xi: &[f64]) -> Vec<Option<Bound>> {
     let (lower, upper) = problem.bounds();
-    let active = |i: usize| {
-        if lower[i] == upper[i] {
-            Some(Bound::Fixed)
-        } else if xi[i] - lower[i] <= AT_BOUND * lower[i].abs() {
-            Some(Bound::Lower)
-        } else if upper[i] - xi[i] <= AT_BOUND * upper[i].abs() {
-            Some(Bound::Upper)
-        } else {
-            None
-        }
+    let at = |i: usize, bound: f64| bound.is_finite() && (xi[i] - bound).abs() <= AT_BOUND * bound.abs();
+    let active = |i: usize| match (at(i, lower[i]), at(i, upper[i])) {
+        _ if lower[i] == upper[i] => Some(Bound::Fixed),
+        (true, _) => Some(Bound::Lower),
+        (_, true) => Some(Bound::Upper),
+        _ => None,
     };
     (0..problem.layout.n_theta).map(active).collect()
 }

@@ -231,6 +231,11 @@ impl<'a> Run<'a> {
         let mut last_gain = f64::INFINITY;
         loop {
             let mut promise = self.newton_step();
+            // Steps on trust may lead where nothing is finite any more.
+            if promise.is_err() && self.go_back() {
+                self.detail.clear();
+                promise = self.newton_step();
+            }
             if self.shift > DAMPED && promise.is_ok_and(|p| p.gain < NEAR) {
                 // Small for the damping alone?
                 self.shift = 0.0;
@@ -276,7 +281,11 @@ impl<'a> Run<'a> {
                 self.near = promise.gain < NEAR && step == 1.0 && settled;
             }
             if self.grown() {
-                return Ok(Status::Diverging);
+                // On trust only? Then back, to smaller steps.
+                if !self.go_back() {
+                    return Ok(Status::Diverging);
+                }
+                self.detail.clear();
             }
             line = Iteration {
                 number: line.number + 1,

@@ -18,6 +18,9 @@ const LAST_DAMPING: f64 = 1e6;
 /// Most full steps in a row without a lower merit function.
 const PATIENCE: usize = 8;
 
+/// Trust ends where a defect is so many times what it was, or what its state does.
+const ASTRAY: f64 = 10.0;
+
 /// φ + ν Σ|c| in units.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Merit {
@@ -85,15 +88,15 @@ impl Run<'_> {
                 self.watchdog.back.copy(&self.here);
                 self.watchdog.lambda.copy_from_slice(&self.lambda);
             }
-            if self.watchdog.age < PATIENCE {
+            let sane = self.trial.worst <= ASTRAY * self.watchdog.back.worst.max(1.0);
+            if sane && self.watchdog.age < PATIENCE {
                 let age = self.watchdog.age + 1;
                 let taken = self.accept(1.0, trials);
                 self.watchdog.age = age;
                 return Some(taken);
             }
         }
-        if self.watchdog.age > 0 {
-            self.go_back();
+        if self.go_back() {
             return Some((0.0, trials));
         }
         if fine && self.corrected(&goal, &mut trials) {
@@ -181,11 +184,16 @@ impl Run<'_> {
         }
     }
 
-    /// Back to where the merit function was lowest; the next step must lower it.
-    pub(super) fn go_back(&mut self) {
+    /// Back to where the merit function was lowest; the next step must lower it. Whether there is such a
+    /// point.
+    pub(super) fn go_back(&mut self) -> bool {
+        if self.watchdog.age == 0 {
+            return false;
+        }
         self.here.copy(&self.watchdog.back);
         self.lambda.copy_from_slice(&self.watchdog.lambda);
         (self.watchdog.age, self.watchdog.strict) = (0, true);
+        true
     }
 
     /// From the trial point a step back to the constraints with the same factorisation.

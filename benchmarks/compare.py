@@ -1,6 +1,6 @@
-"""All benchmarks in one run: callbacks, time to solution, random starts and start-up, for us and for peers.
+"""All benchmarks in one run: callbacks, time to solution, random starts, length of record and start-up.
 
-    python benchmarks/compare.py [--quick] [--only kernels solution random_starts startup]
+    python benchmarks/compare.py [--quick] [--only kernels solution random_starts scaling startup]
 
 Peers that are not installed are skipped, with the reason printed.  Each part is a program of its own, too.
 Linear algebra runs on one thread, for every peer alike, unless OMP_NUM_THREADS says otherwise: on these small
@@ -15,8 +15,9 @@ from tables import attempt, console
 
 PARTS = {
     "kernels": ({}, {"points": (601,), "rounds": 5, "target": 0.02}),
-    "solution": ({}, {"repeats": 2, "shooting": False}),
-    "random_starts": ({}, {"ours": 10, "casadi": 3, "scipy": 1}),
+    "solution": ({}, {"repeats": 2, "newton": 10, "shooting": False}),
+    "random_starts": ({}, {"ours": 50, "stall": 10, "ipopt": 5, "casadi": 3, "scipy": 1}),
+    "scaling": ({}, {"newton": (600, 6_000), "ipopt": (600,), "repeats": 1}),
     "startup": ({}, {"repeats": 3}),
 }
 """Name of a module -> options of its `run`, and those for --quick."""

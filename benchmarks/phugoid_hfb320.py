@@ -30,13 +30,13 @@ class Counted:
 
 @dataclass(frozen=True)
 class _Watch:
-    """Notes in `log` when the solver was entered and left."""
+    """Notes in `log` with which problem the solver was entered, when, and when left."""
 
     log: dict = field(default_factory=dict)
 
     def solve(self, problem, *arguments, **keywords):
         """The solver's own, between two looks at the clock."""
-        self.log["entered"] = time.perf_counter()
+        self.log["problem"], self.log["entered"] = problem, time.perf_counter()
         solution = super().solve(problem, *arguments, **keywords)
         self.log["left"] = time.perf_counter()
         self.log["calls"] = solution.evaluations

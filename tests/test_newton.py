@@ -92,9 +92,7 @@ def test_hfb320_random_starts_of_the_paper_reach_the_published_optimum() -> None
     for seed in range(40):
         random = np.random.RandomState(seed)
         start = {name: random.uniform(*limits) for name, limits in case["random_starts"]["ranges"].items()}
-        fit = ph.estimate(
-            model, data, transcription=Collocation(order=2), start=start, solver=Newton(regression=False)
-        )
+        fit = ph.estimate(model, data, transcription=Collocation(order=2), start=start, solver=Newton(regression=False))
         worst = max(abs(fit.parameters[name].value - value) for name, value in case["parameters"].items())
         assert fit.converged, seed
         assert worst <= 1e-5, seed

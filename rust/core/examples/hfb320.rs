@@ -5,7 +5,7 @@
 //!
 //!     cargo run --release --example hfb320 [hfb320_1_10.asc]
 
-mod common;
+pub mod common;
 
 use std::error::Error;
 use std::path::Path;

@@ -5,7 +5,7 @@
 //!
 //!     cargo run --release --example unstable_aircraft [unStabAC_sim.asc]
 
-mod common;
+pub mod common;
 
 use std::error::Error;
 use std::path::Path;

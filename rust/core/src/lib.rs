@@ -1,6 +1,90 @@
-//! Parameter estimation of ODE models by the output-error method,
-//! transcribed by Lobatto collocation.
+//! Parameter estimation of ODE models by the output-error method, transcribed by Lobatto collocation.
+//!
+//! # The problem
+//!
+//! A system ẋ = f(x, u, θ) is excited by known inputs u(t), and its outputs y = g(x, u, θ) are measured with
+//! noise at the times t̃_1 … t̃_N: z_k = y(t̃_k) + e_k. Wanted are the parameters θ under which the measurements
+//! are likeliest; those of the noise and the initial states are among the unknowns (Eq. ml_loglike of
+//! D. A. A. Dutra, *Collocation-Based Output-Error Method for Aircraft System Identification*, AIAA Aviation
+//! 2019, whose names for equations are cited throughout):
+//!
+//! ```text
+//!   maximise     Σ_{k=1}^{N}  ℓ_e(z_k − ŷ(t̃_k, θ), θ)                       over θ
+//!
+//!   subject to   x̂(0, θ) = x_0(θ)
+//!                dx̂/dt (t, θ) = f(x̂(t, θ), u(t), θ)
+//!                ŷ(t, θ) = g(x̂(t, θ), u(t), θ)
+//! ```
+//!
+//! where ℓ_e is the log-density of the noise, here ℓ_e(ε, θ) = −½ Σ_c (ε_c/σ_c)² − Σ_c ln σ_c (Eqs. pe_gaussian,
+//! r_diag). To solve the differential equation for every trial θ fails where the system is unstable or θ far
+//! off. Instead, time is divided into n_s segments with m Legendre-Gauss-Lobatto points τ_k each, and the states
+//! there are unknowns too (Eq. oem_coll):
+//!
+//! ```text
+//!   maximise     Σ_{k : τ_i^(j) = t̃_k}  ℓ_e(z_k − ŷ_i^(j), θ)      over θ, x̂_1^(1), …, x̂_m^(1), …, x̂_m^(n_s)
+//!
+//!   subject to   0 = x̂_{k+1}^(i) − x̂_k^(i) − Σ_{j=1}^{m} f(x̂_j^(i), u(τ_j^(i)), θ) C_{j,k}^(i)
+//!                ŷ_k^(i) = g(x̂_k^(i), u(τ_k^(i)), θ)                       k = 1 … m−1,  i = 1 … n_s
+//!
+//!   with         C_{j,k}^(i) = ∫_{τ_k}^{τ_{k+1}} λ_j^(i)(τ) dτ,   λ_j the Lagrange polynomials of the points
+//! ```
+//!
+//! This program is large and sparse, and starts from states as they were measured: it converges from useless
+//! parameters, such as zeros, and does not mind unstable systems.
+//!
+//! # A first example
+//!
+//! A mass on a spring is let go and its position is measured; its speed is not.
+//!
+//! ```
+//! use phugoid::{Estimation, Experiment, Model, Parameter};
+//!
+//! let mut m = Model::new("mass on a spring");
+//! let (x, v) = (m.state("x", "m")?, m.state("v", "m/s")?);
+//! let k = m.parameter(Parameter::new("k", 0.0))?; // stiffness over mass, from 0
+//! let c = m.parameter(Parameter { lower: Some(0.0), ..Parameter::new("c", 0.0) })?; // damping
+//! m.equation("x", v.clone(), None)?;
+//! m.equation("v", -k * &x - c * &v, None)?;
+//! m.output("x", x, "m", None)?;
+//!
+//! // The record: k = 4.01, c = 0.2, and 5 mm of what serves as noise here.
+//! let t: Vec<f64> = (0..200).map(|i| 0.05 * i as f64).collect();
+//! let x = t.iter().map(|t| (-0.1 * t).exp() * (2.0 * t).cos() + 0.005 * (1e5 * t).sin()).collect();
+//! let run = Experiment::new(&m, "release", t, [("x", x)])?;
+//!
+//! let fit = Estimation::new(&m, &[run]).solve()?;
+//! println!("{fit}");
+//! assert!((fit["k"].value - 4.01).abs() < 3.0 * fit["k"].std_error);
+//! assert!((fit["c"].value - 0.2).abs() < 3.0 * fit["c"].std_error);
+//! assert!(fit["sigma_x"].value < 0.005);
+//! assert!((fit.state(0, "v").unwrap()[20] + 1.608).abs() < 0.01); // the speed at 1 s, m/s
+//! # Ok::<(), phugoid::Error>(())
+//! ```
+//!
+//! `examples/hfb320.rs` and `examples/unstable_aircraft.rs` estimate aircraft from real records.
+//!
+//! # Modules
+//!
+//! They are a straight line from a model to a fit; each uses only those before it.
+//!
+//! | | |
+//! |---|---|
+//! | [`math`], [`lgl`], [`interpolate`], [`table`] | elementary functions with the same bits everywhere, Lobatto nodes and integration matrix, inputs between samples, smooth interpolation tables |
+//! | [`error`] | what can be wrong, in the user's names |
+//! | [`expr`] | symbolic expressions: operators, exact derivatives, printing, saving |
+//! | [`tape`] | expressions compiled to run over blocks of points |
+//! | [`model`], [`evaluator`] | states, inputs, parameters, equations; f and g at points |
+//! | [`experiment`], [`noise`], [`mesh`] | records, the density of the noise, segments and their points |
+//! | [`nlp`] | the seam to solvers: a nonlinear program with names |
+//! | [`transcription`] | from all these to the program of collocation |
+//! | [`linalg`] | the seam to linear algebra: Newton systems; the factorisation of an arrow, and a sparse one |
+//! | [`solver`] | Gauss-Newton, then Newton |
+//! | [`diagnosis`] | covariance, and what the data leave open |
+//! | [`estimate`] | all of it in one call |
 #![warn(missing_docs)]
+// Documentation names private items too, for those who read on in the source.
+#![allow(rustdoc::private_intra_doc_links)]
 
 pub mod diagnosis;
 pub mod error;
@@ -30,3 +114,8 @@ pub use interpolate::Interpolation;
 pub use mesh::Grid;
 pub use model::{Model, Parameter};
 pub use noise::Sigma;
+
+/// The code in the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

@@ -21,7 +21,7 @@ pub enum Grid {
 pub struct Rule {
     /// Nodes and weights.
     pub lgl: Lgl,
-    /// C[j,k], m × (m − 1), row-major (Eq. coll_integral_defn), per unit segment length.
+    /// `C[j,k]`, m × (m − 1), row-major (Eq. coll_integral_defn), per unit segment length.
     pub c: Vec<f64>,
 }
 
@@ -38,7 +38,7 @@ impl Rule {
         self.lgl.order
     }
 
-    /// C[j,k].
+    /// `C[j,k]`.
     #[inline(always)]
     pub fn c(&self, j: usize, k: usize) -> f64 {
         self.c[j * (self.lgl.order - 1) + k]

@@ -71,6 +71,30 @@ impl Equation {
 }
 
 /// A model. See the [module](self).
+///
+/// Declaring a variable gives its symbol; equations are written with Rust's operators and the methods of
+/// [`Expr`]. The last argument of an equation is where it was written, `file:line`, for messages.
+///
+/// ```
+/// use phugoid::{Model, Parameter};
+///
+/// let mut m = Model::new("short period");
+/// let (w, q) = (m.state("w", "m/s")?, m.state("q", "rad/s")?);
+/// let de = m.input("de", "rad")?;
+/// let zw = m.parameter(Parameter::new("Zw", 0.0))?;
+/// let mw = m.parameter(Parameter { upper: Some(0.0), ..Parameter::new("Mw", -0.1) })?;
+/// let mde = m.parameter(Parameter { prior: Some((-10.0, 5.0)), ..Parameter::new("Mde", -8.0) })?;
+/// let lift = m.quantity("lift", zw * &w, None)?; // enters wherever it is used
+/// m.equation("w", &lift + 44.6 * &q, None)?;
+/// m.equation("q", mw * &w + mde * de, Some("aircraft.rs:12".into()))?;
+/// m.output("q", q, "", None)?; // in the unit of the state
+/// m.output("az", lift, "m/s²", None)?;
+/// m.check()?;
+///
+/// let error = m.equation("theta", w.sin(), None).unwrap_err();
+/// assert_eq!(error.to_string(), "state equation: 'theta' is not a state.");
+/// # Ok::<(), phugoid::Error>(())
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Model {
     /// Title.
@@ -393,7 +417,22 @@ impl Model {
         serde_json::to_string(&saved).expect("a model is plain data")
     }
 
-    /// Reads a saved model.
+    /// Reads a saved model: one of [`Model::to_json`], or one that `Model.save` of the Python package wrote.
+    /// It evaluates to the same bits wherever it was saved.
+    ///
+    /// ```
+    /// use phugoid::{Model, Parameter};
+    ///
+    /// let mut m = Model::new("decay");
+    /// let x = m.state("x", "m")?;
+    /// let rate = m.parameter(Parameter::new("rate", 0.1))?;
+    /// m.equation("x", -(rate * &x), None)?;
+    /// m.output("x", x, "", None)?;
+    ///
+    /// let text = m.to_json(); // or std::fs::read_to_string("model.json")
+    /// assert_eq!(Model::from_json(&text)?, m);
+    /// # Ok::<(), phugoid::Error>(())
+    /// ```
     ///
     /// # Errors
     /// For text that is no saved model, or one of a later version.

@@ -150,10 +150,11 @@ impl<'a> Estimation<'a> {
         let regression = self.regression.unwrap_or_else(|| self.warm.is_none() && known());
         let settings = Settings { regression, ..self.solver.clone() };
         let solution = solve(&problem, &xi, multipliers, &settings, &mut watch).map_err(|_| {
-            let what = problem.explain(&xi).unwrap_or_else(|| "a function of the model is not finite".into());
-            Error::Evaluation(format!(
-                "at the starting point, {what}; give other start values, or bounds that keep functions finite"
-            ))
+            let what = problem.explain(&xi).map_or_else(
+                || "near the starting point, a derivative of the model is not finite".into(),
+                |what| format!("at the starting point, {what}"),
+            );
+            Error::Evaluation(format!("{what}; give other start values, or bounds that keep functions finite"))
         })?;
         Ok(Fit::new(self.model, self.experiments, &problem, solution))
     }

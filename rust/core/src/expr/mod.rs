@@ -88,6 +88,25 @@ struct Inner {
 }
 
 /// A symbolic expression. Cloning is cheap.
+///
+/// Operators take expressions, references to them and numbers, in any mixture with an expression in it;
+/// functions of one argument are methods, those of two stand in [`expr`](self). Comparisons are functions
+/// too, for [`select`]: Rust's own compare structure.
+///
+/// ```
+/// use phugoid::expr::{Expr, atan2, gt, max, select};
+///
+/// let (x, y) = (Expr::symbol("x"), Expr::symbol("y"));
+/// let f = 0.5 * x.pow(2.0) - &x * y.sin() / 3.0;
+/// assert_eq!(f.to_string(), "0.5*x**2 - x*sin(y)/3");
+/// assert_eq!(f.derivative("y").evaluate(&[("x".into(), 3.0), ("y".into(), 0.0)].into()), Ok(-1.0));
+///
+/// let kinked = select(gt(&x, 1.0), max(&x, &y), atan2(&y, &x));
+/// let at = [("x".into(), 2.0), ("y".into(), -1.0)].into();
+/// assert_eq!(kinked.evaluate(&at), Ok(2.0));
+/// assert_eq!((-kinked).evaluate(&at), Ok(-2.0));
+/// assert_eq!(f.evaluate(&[("x".into(), 2.0)].into()), Err("y".into())); // y was given no value
+/// ```
 #[derive(Clone, Debug)]
 pub struct Expr(Arc<Inner>);
 

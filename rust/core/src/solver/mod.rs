@@ -110,6 +110,27 @@ pub struct Solution {
 
 /// Minimises from `start`. `watch` sees each iteration and may end the run.
 ///
+/// ```
+/// use phugoid::solver::{Control, Settings, Status, solve};
+/// use phugoid::{Estimation, Experiment, Model, Parameter, Sigma};
+///
+/// let mut m = Model::new("ramp");
+/// let (x, slope) = (m.state("x", "m")?, m.parameter(Parameter::new("slope", 0.0))?);
+/// m.equation("x", slope, None)?;
+/// m.output("x", x, "", None)?;
+/// let runs = [Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 3.1, 5.0])])?];
+///
+/// let (problem, start) = Estimation::new(&m, &runs).noise("x", Sigma::Known(0.1)).order(2).transcribe()?;
+/// let mut watch = |line: &phugoid::solver::Iteration| {
+///     println!("{:3} {:12.6} {:8.1e}", line.number, line.objective, line.promise);
+///     Control::Continue
+/// };
+/// let solution = solve(&problem, &start, None, &Settings::default(), &mut watch).expect("finite at the start");
+/// assert_eq!(solution.status, Status::Converged);
+/// assert!((solution.xi[0] - 2.0).abs() < 1e-9);
+/// # Ok::<(), phugoid::Error>(())
+/// ```
+///
 /// # Errors
 /// [`NotFinite`] when a function is not finite at the start ([`Nlp::explain`] says what); everything
 /// else is a [`Status`].

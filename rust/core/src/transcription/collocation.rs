@@ -40,7 +40,37 @@ impl Default for Settings {
     }
 }
 
-/// The collocation problem: −ℓ(θ, x) to be minimised under the defects.
+/// The collocation problem: −ℓ(θ, x) to be minimised under the defects. It is an [`Nlp`]: any optimiser that
+/// takes sparse derivatives can solve it. [`Estimation`](crate::Estimation) makes one with a point to start
+/// from, [`Estimation::transcribe`](crate::Estimation::transcribe).
+///
+/// ```
+/// use phugoid::nlp::Nlp;
+/// use phugoid::noise::Noise;
+/// use phugoid::transcription::{Collocation, Settings};
+/// use phugoid::{Experiment, Grid, Model, Parameter, Sigma};
+///
+/// let mut m = Model::new("ramp");
+/// let (x, slope) = (m.state("x", "m")?, m.parameter(Parameter::new("slope", 0.0))?);
+/// m.equation("x", slope, None)?;
+/// m.output("x", x, "", None)?;
+/// let run = Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 3.1, 5.0])])?;
+///
+/// let noise = Noise::Gaussian(vec![Sigma::Known(0.1)]);
+/// let settings = Settings { order: 2, grid: vec![Grid::Samples(1)], threads: 1 };
+/// let problem = Collocation::new(&m, &[run], noise, &settings)?;
+/// assert_eq!((problem.n(), problem.m()), (4, 2)); // the slope and x at three points; two defects
+/// assert_eq!(problem.variable_name(2), "x at t = 1 s of 'run'");
+/// assert_eq!(problem.constraint_name(0), "defect of x ending at t = 1 s of 'run'");
+///
+/// let xi = [2.0, 1.0, 3.0, 5.0]; // slope 2 from 1 on: the equation holds, one residual is 0.1
+/// let mut defects = [f64::NAN; 2];
+/// problem.constraints(&xi, &mut defects).unwrap();
+/// assert_eq!(defects, [0.0, 0.0]);
+/// let minus_log_likelihood = 0.5 + 3.0 * 0.1f64.ln(); // ½ Σ (r/σ)² + N ln σ
+/// assert!((problem.objective(&xi).unwrap() - minus_log_likelihood).abs() < 1e-12);
+/// # Ok::<(), phugoid::Error>(())
+/// ```
 #[derive(Debug)]
 pub struct Collocation {
     /// Where variables and constraints stand.

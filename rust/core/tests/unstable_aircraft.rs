@@ -1,0 +1,43 @@
+//! The published optimum of the unstable aircraft from all derivatives 0, and its simulated twin.
+
+#[path = "../examples/unstable_aircraft.rs"]
+#[allow(dead_code)] // its main
+mod unstable_aircraft;
+
+use phugoid::solver::Status;
+use phugoid::{Estimation, Experiment, Fit, Model};
+use unstable_aircraft::common;
+
+fn fit(model: &Model, record: Experiment, order: usize) -> Fit {
+    let fit = Estimation::new(model, &[record]).order(order).solve().unwrap();
+    assert_eq!(fit.status, Status::Converged);
+    assert!(fit.warnings.is_empty(), "{:?}", fit.warnings);
+    fit
+}
+
+/// The record does not ship with the project.
+#[test]
+fn its_published_optimum() {
+    let model = unstable_aircraft::model().unwrap();
+    let Some(path) = common::find(unstable_aircraft::RECORD) else {
+        return println!(
+            "skipped: {} is neither in $PHUGOID_DATA nor in ../shared/data",
+            unstable_aircraft::RECORD
+        );
+    };
+    let fit = fit(&model, unstable_aircraft::experiment(&model, &path).unwrap(), 2);
+    for (name, value) in unstable_aircraft::PUBLISHED {
+        let found = fit[name].value;
+        assert!((found / value - 1.0).abs() < 1e-10, "{name} = {found}, published {value}");
+    }
+}
+
+/// The truth within five standard errors.
+#[test]
+fn its_simulated_twin() {
+    let model = unstable_aircraft::model().unwrap();
+    let fit = fit(&model, unstable_aircraft::twin(&model, 0).unwrap(), 4);
+    for (name, value) in unstable_aircraft::PUBLISHED {
+        assert!((fit[name].value - value).abs() < 5.0 * fit[name].std_error, "{:?}, not {value}", fit[name]);
+    }
+}

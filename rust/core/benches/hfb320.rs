@@ -69,7 +69,7 @@ fn callbacks(c: &mut Criterion) {
     });
 }
 
-/// The arrow factorisation of the Gauss-Newton system, its completion and a solution of it.
+/// The arrow factorisation of the Gauss-Newton system with its completion, and solutions of it.
 fn kkt(c: &mut Criterion) {
     groups(c, "kkt", |group, n| {
         let (p, xi) = problem(n);
@@ -89,9 +89,14 @@ fn kkt(c: &mut Criterion) {
             })
         });
         let (mut d, mut lambda) = (vec![0.0; p.n()], vec![0.0; p.m()]);
-        group.bench_function(BenchmarkId::new(n.to_string(), "solve"), |b| {
-            b.iter(|| kkt.solve(&gradient, &residual, &mut d, &mut lambda))
-        });
+        for (what, refined) in [("solve", false), ("solve_refined", true)] {
+            kkt.set_refinement(refined);
+            kkt.factorize(&hessian, &jacobian).unwrap();
+            assert!(kkt.finish(&held, 0.0).is_positive());
+            group.bench_function(BenchmarkId::new(n.to_string(), what), |b| {
+                b.iter(|| kkt.solve(&gradient, &residual, &mut d, &mut lambda))
+            });
+        }
     });
 }
 

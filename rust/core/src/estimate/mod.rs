@@ -154,7 +154,9 @@ impl<'a> Estimation<'a> {
                 || "near the starting point, a derivative of the model is not finite".into(),
                 |what| format!("at the starting point, {what}"),
             );
-            Error::Evaluation(format!("{what}; give other start values, or bounds that keep functions finite"))
+            Error::Evaluation(format!(
+                "{what}; give other start values, or bounds that keep functions finite"
+            ))
         })?;
         Ok(Fit::new(self.model, self.experiments, &problem, solution))
     }

@@ -142,7 +142,16 @@ pub fn solve(
     watch: &mut dyn FnMut(&Iteration) -> Control,
 ) -> Result<Solution, NotFinite> {
     let mut run = Run::new(nlp, start, multipliers, settings)?;
-    let status = run.go(watch)?;
+    let mut status = run.go(watch)?;
+    let lost = matches!(status, Status::Failed | Status::Diverging | Status::Infeasible);
+    if settings.regression && lost {
+        // A regression may lead astray, as where parameters are in exponents. Once more without.
+        let settings = Settings { regression: false, ..settings.clone() };
+        let mut again = Run::new(nlp, start, multipliers, &settings)?;
+        again.take_over(&mut run);
+        status = again.go(watch)?;
+        return Ok(again.finish(status));
+    }
     Ok(run.finish(status))
 }
 
@@ -235,12 +244,19 @@ impl<'a> Run<'a> {
         Ok(run)
     }
 
+    /// Goes on counting where another run ended.
+    fn take_over(&mut self, other: &mut Run<'_>) {
+        self.began = other.began;
+        self.count = other.count;
+        self.history = std::mem::take(&mut other.history);
+    }
+
     fn go(&mut self, watch: &mut dyn FnMut(&Iteration) -> Control) -> Result<Status, NotFinite> {
         if self.settings.regression {
             self.regress();
         }
         let mut line = Iteration {
-            number: 0,
+            number: self.history.last().map_or(0, |l| l.number + 1),
             objective: self.here.objective,
             defect: self.here.worst,
             promise: f64::INFINITY,

@@ -14,6 +14,8 @@ const ENOUGH: f64 = 1e-3;
 /// Weights of defects and outputs stay within this factor of what they start from: residuals that are
 /// zero because a measurement is the state say nothing.
 const RANGE: f64 = 1e6;
+/// A parameter whose influence on the equations falls to this part of what it was (squared) is lost.
+const LOST: f64 = 1e-6;
 /// Part of the diagonal that is added to it, so that parameters without influence stay where they are.
 const RIDGE: f64 = 1e-10;
 
@@ -34,6 +36,7 @@ impl Run<'_> {
         let mut place = vec![usize::MAX; border];
         free.iter().enumerate().for_each(|(k, &i)| place[i] = k);
 
+        let influence = self.influence(&place, free.len());
         let mut done = false;
         for _ in 0..PASSES {
             self.noise_of_outputs(&first);
@@ -70,10 +73,29 @@ impl Run<'_> {
         if done {
             self.noise_of_outputs(&first);
         }
-        if !done || self.here.evaluate(self.nlp, &self.units, &mut self.count).is_err() {
+        // Where a parameter has lost its influence on the equations, noise has led it astray.
+        let after = self.influence(&place, free.len());
+        let astray = influence.iter().zip(&after).any(|(before, after)| *after < LOST * before);
+        if !done || astray || self.here.evaluate(self.nlp, &self.units, &mut self.count).is_err() {
             self.here.copy(&start);
         }
         self.merit = super::Merit::default();
+    }
+
+    /// Squared norm of the column of each free parameter in the scaled Jacobian of the constraints.
+    fn influence(&mut self, place: &[usize], k: usize) -> Vec<f64> {
+        let mut squares = vec![0.0; k];
+        self.count.jacobian += 1;
+        if self.nlp.jacobian(&self.here.xi, &mut self.jacobian).is_err() {
+            return squares;
+        }
+        let s = self.nlp.jacobian_structure();
+        for ((&r, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.jacobian) {
+            if let Some(&column) = place.get(c as usize).filter(|p| **p != usize::MAX) {
+                squares[column] += (v / self.units[r as usize % self.units.len()]).powi(2);
+            }
+        }
+        squares
     }
 
     /// Standard deviations as the residuals say; those whose residuals are nothing keep their start.

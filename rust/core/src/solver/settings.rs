@@ -21,8 +21,6 @@ pub struct Settings {
     /// Whether to start with a regression of the parameters on the states as they are: for states that
     /// are measured.
     pub regression: bool,
-    /// Whether multipliers come with the start.
-    pub warm: bool,
 }
 
 impl Default for Settings {
@@ -33,7 +31,6 @@ impl Default for Settings {
             time_limit: None,
             gauss_newton: true,
             regression: false,
-            warm: false,
         }
     }
 }

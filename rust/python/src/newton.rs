@@ -134,7 +134,6 @@ pub fn newton(
         time_limit: time_limit.map(Duration::from_secs_f64),
         gauss_newton,
         regression,
-        ..Settings::default()
     };
     let mut error: Option<PyErr> = None;
     let mut each = |i: &Iteration| {

@@ -87,37 +87,41 @@ def _time(function, *arguments):
 
 
 def fitted(solver, limit, arrays):
-    """A fit in this process: it, the log of its solver, and kB of memory that solving and all took at most."""
+    """A fit in this process: it, the log of its solver, and [(time, kB at most)] of start, each iteration and end."""
     from phugoid_model import experiment, model
 
     import phugoid as ph
 
     watched = make_solver(solver, count=True, time_limit=limit)
     start = starting_values(hfb.perturbed_start(), False)
-    m, order, peak, before = model(), ph.Collocation(order=2), {}, memory("VmRSS")
-    watched.log["begin"] = time.perf_counter()
-    fit = ph.estimate(
-        m, experiment(*arrays), transcription=order, start=start, solver=watched,
-        progress=lambda iteration: peak.update(solving=memory()),
-    )  # fmt: skip
-    watched.log["end"] = time.perf_counter()
-    return fit, watched.log, peak.get("solving", math.nan) - before, memory() - before
+    m, order, marks = model(), ph.Collocation(order=2), [(time.perf_counter(), memory("VmRSS"))]
+
+    def mark(iteration=None):
+        marks.append((time.perf_counter(), memory()))
+
+    record = experiment(*arrays)
+    fit = ph.estimate(m, record, transcription=order, start=start, solver=watched, progress=mark)
+    mark()
+    return fit, watched.log, marks
 
 
 def measure(solver, limit, paths):
     """The same as a dict of what the table shows, times in s."""
-    fit, log, solving, whole = fitted(solver, limit, [np.load(path) for path in paths])
+    fit, log, marks = fitted(solver, limit, [np.load(path) for path in paths])
+    (begin, before), first, *_, last, (end, whole) = marks
     at, calls, found = fit.solution, log["calls"], fit.parameters
     one = callback_seconds(log["problem"], at.xi, at.multipliers)
     return {
         "status": fit.status,
         "iterations": fit.iterations,
         "solve": log["left"] - log["entered"],
-        "total": log["end"] - log["begin"],
+        "first": first[0] - log["entered"],
+        "iterating": last[0] - first[0],
+        "total": end - begin,
         "callbacks": sum(one[name] * calls.get(name, 0) for name in CALLBACKS),
         "flops": at.flops * calls.get("factorizations", 0),
-        "solving_kB": solving,
-        "whole_kB": whole,
+        "solving_kB": last[1] - before,
+        "whole_kB": whole - before,
         "off": max(abs(found[n].value - true) / found[n].std_error for n, true in hfb.OPTIMUM.items()),
     }
 
@@ -133,19 +137,15 @@ def in_new_process(solver, limit, paths):
 
 def rows_of(label, samples, result):
     """The rows of both tables."""
-    points, steps = samples, max(result["iterations"], 1)
-    rest = max(result["solve"] - result["callbacks"], 0.0)
-    rate = f"{result['flops'] / rest / 1e9:.2f}" if result["flops"] and rest else "-"
-    verdict = "yes" if result["off"] < CLOSE else "NO"
-    name = f"{label}, {samples:,}"
-    spent = [
-        name, result["iterations"], seconds(result["solve"]), seconds(result["solve"] / steps),
-        *(f"{1e6 * part / steps / points:.2f}" for part in (result["solve"], result["callbacks"], rest)),
-        rate, seconds(result["total"]),
-    ]  # fmt: skip
-    kilobytes = [f"{result[which] / points:.2f}" for which in ("solving_kB", "whole_kB")]
-    megabytes = f"{result['whole_kB'] / 1e3:.0f} MB"
-    return spent, [name, result["status"], f"{result['off']:.2f}", verdict, *kilobytes, megabytes]
+    name, solve = f"{label}, {samples:,}", result["solve"]
+    one = result["iterating"] / max(result["iterations"], 1)
+    part = min(result["callbacks"] / solve, 1.0)
+    rate = f"{result['flops'] / (1 - part) / solve / 1e9:.2f}" if result["flops"] and part < 1 else "-"
+    spent = [name, result["iterations"], *(seconds(value) for value in (solve, result["first"], one))]
+    spent += [f"{1e6 * one / samples:.2f}", f"{100 * (1 - part):.0f} %", rate, seconds(result["total"])]
+    ends = [name, result["status"], f"{result['off']:.2f}", "yes" if result["off"] < CLOSE else "NO"]
+    ends += [f"{result[which] / samples:.2f}" for which in ("solving_kB", "whole_kB")]
+    return spent, [*ends, f"{result['whole_kB'] / 1e3:.0f} MB"]
 
 
 def collect(sizes, limit, repeats):
@@ -171,11 +171,12 @@ def run(newton=(600, 6_000, 60_000, 600_000), ipopt=(600, 6_000, 60_000), limit=
     rows = [rows_of(*entry) for entry in found]
     show(
         f"HFB-320, order 2, samples from 600 on: time, Newton's the fastest of {repeats}",
-        ["", "iterations", "solve", "an iteration", "µs/point", "callbacks", "the rest", "Gflop/s", "whole fit"],
+        ["", "iterations", "solve", "first step", "an iteration", "µs/point", "linear", "Gflop/s", "whole fit"],
         [spent for spent, _ in rows],
-        "µs/point: of an iteration and a sample, in the callbacks (the time of one call times their number), and the "
-        "rest, which is linear algebra and work on vectors; Gflop/s: Newton's count of the factorisations over that "
-        f"rest.  Ipopt may take {limit:g} s.",
+        "first step: all that comes before it is taken, regression and first factorisation; an iteration: the mean of "
+        "those after it; µs/point: of an iteration, for each sample; linear: part of solve that is not in the "
+        "callbacks (time of one call times their number), linear algebra and work on vectors; Gflop/s: Newton's count "
+        f"of the factorisations over that part.  Ipopt may take {limit:g} s.",
     )
     show(
         "Where it arrives, and memory",

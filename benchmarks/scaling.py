@@ -175,7 +175,7 @@ def run(newton=(600, 6_000, 60_000, 600_000), ipopt=(600, 6_000, 60_000), limit=
         [spent for spent, _ in rows],
         "first step: all that comes before it is taken, regression and first factorisation; an iteration: the mean of "
         "those after it; µs/point: of an iteration, for each sample; linear: part of solve that is not in the "
-        "callbacks (time of one call times their number), linear algebra and work on vectors; Gflop/s: Newton's count "
+        "callbacks (time of one call times their number): linear algebra, vectors, regression; Gflop/s: Newton's count "
         f"of the factorisations over that part.  Ipopt may take {limit:g} s.",
     )
     show(

@@ -74,7 +74,8 @@ SHOOTING = {
     "aeroid single shooting": (aeroid, {}),
 }
 PEERS = NEWTON | COLLOCATION | SHOOTING
-AIMS = {"the best of Ipopt, ours or CasADi's": (tuple(COLLOCATION), 20), "scipy": (tuple(SHOOTING)[:2], 300)}
+AIMS = {"the best of Ipopt, ours or CasADi's": (tuple(COLLOCATION), 20)}
+AIMS |= {name: ((name,), 300) for name in SHOOTING if name.startswith("scipy")}
 """Whom we want to be so many times faster than in solving."""
 
 

@@ -210,7 +210,8 @@ def test_published_starts_can_be_given() -> None:
     starts = [legacy(i) for i in range(4)]
     result = run(None, ranges=None, starts=starts)  # type: ignore[arg-type]
     assert [o.start for o in result.outcomes] == starts
-    fit = ph.estimate(square(), data(), start=starts[3], transcription=TRAPEZOID)
+    solver = ph.Newton(regression=False)  # that of multistart: the same in every digit
+    fit = ph.estimate(square(), data(), start=starts[3], transcription=TRAPEZOID, solver=solver)
     assert result.outcomes[3].parameters == fit.parameters.to_dict()
     assert result.outcomes[3].log_likelihood == fit.log_likelihood
     assert len(run(2, ranges=None, starts=starts).outcomes) == 2

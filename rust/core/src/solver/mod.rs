@@ -13,6 +13,7 @@
 //! system is factorised once, and variables are held and released in its small dense border.
 
 mod bounds;
+mod normal;
 mod point;
 mod search;
 mod settings;

@@ -6,6 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::Run;
+use super::normal::Normal;
 
 /// Most passes: a model linear in its parameters needs three or so for the weights to settle.
 const PASSES: usize = 12;
@@ -36,12 +37,14 @@ impl Run<'_> {
         let mut place = vec![usize::MAX; border];
         free.iter().enumerate().for_each(|(k, &i)| place[i] = k);
 
+        let structure = self.nlp.jacobian_structure();
+        let mut normal = Normal::new(structure, &place, free.len(), self.here.c.len());
         let influence = self.influence(&place, free.len());
         let mut done = false;
         for _ in 0..PASSES {
             self.noise_of_outputs(&first);
             let weights = self.weights_of_defects(n_x);
-            let Some(step) = self.regression_step(&free, &place, &weights) else { break };
+            let Some(step) = self.regression_step(&mut normal, &free, &place, &weights) else { break };
             let before = self.loss(&weights);
             let mut alpha = 1.0_f64;
             let mut gained = None;
@@ -131,34 +134,24 @@ impl Run<'_> {
     }
 
     /// The Gauss-Newton step of the free border variables, the states held.
-    fn regression_step(&mut self, free: &[usize], place: &[usize], weights: &[f64]) -> Option<DVector<f64>> {
+    fn regression_step(
+        &mut self,
+        normal: &mut Normal,
+        free: &[usize],
+        place: &[usize],
+        weights: &[f64],
+    ) -> Option<DVector<f64>> {
         let nlp = self.nlp;
-        let (k, n_x) = (free.len(), weights.len());
+        let k = free.len();
         self.count.jacobian += 1;
         self.count.gauss_newton += 1;
         self.count.gradient += 1;
         nlp.jacobian(&self.here.xi, &mut self.jacobian).ok()?;
         nlp.gauss_newton(&self.here.xi, 1.0, &mut self.hessian).ok()?;
         nlp.gradient(&self.here.xi, &mut self.gradient).ok()?;
-        // Rows of ∂c/∂θ: entries of the same row stand apart in the structure, so they are gathered.
-        let mut rows = vec![0.0; self.here.c.len() * k];
-        let s = nlp.jacobian_structure();
-        for ((&r, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.jacobian) {
-            if let Some(&column) = place.get(c as usize).filter(|p| **p != usize::MAX) {
-                rows[r as usize * k + column] += v;
-            }
-        }
-        let mut a = DMatrix::<f64>::zeros(k, k);
-        let mut b = DVector::<f64>::zeros(k);
-        for (r, row) in rows.chunks_exact(k).enumerate() {
-            let (w, c) = (weights[r % n_x], self.here.c[r]);
-            for i in (0..k).filter(|&i| row[i] != 0.0) {
-                b[i] -= w * row[i] * c;
-                for j in 0..=i {
-                    a[(i, j)] += w * row[i] * row[j];
-                }
-            }
-        }
+        normal.sum(nlp.jacobian_structure(), &self.jacobian, place, &self.here.c, weights);
+        let mut a = DMatrix::from_fn(k, k, |i, j| if j <= i { normal.square(i, j) } else { 0.0 });
+        let mut b = DVector::from_fn(k, |i, _| -normal.right(i));
         let s = nlp.hessian_structure();
         for ((&r, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.hessian) {
             let (Some(&i), Some(&j)) = (place.get(r as usize), place.get(c as usize)) else { continue };

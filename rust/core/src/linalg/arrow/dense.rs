@@ -17,21 +17,48 @@ pub(super) fn axpy<const V: usize>(to: &mut [f64], a: f64, from: &[f64]) {
     }
 }
 
-/// to += Σ_r factor_r · row_r: the sum stays in registers where its length is known.
+/// to = mask · from + Σ_r factor_r · row_r, rows `stride` apart: where its length is known the sum stays in
+/// registers, and nothing is copied by a call.
 #[inline(always)]
-pub(super) fn add_rows<'a, const V: usize>(to: &mut [f64], rows: impl Iterator<Item = (f64, &'a [f64])>) {
+pub(super) fn sum_rows<const V: usize>(
+    to: &mut [f64],
+    (mask, from): (&[f64], &[f64]),
+    factors: &[f64],
+    rows: &[f64],
+    stride: usize,
+) {
     if V > 0 {
+        let mask: &[[f64; 8]; V] = mask.as_chunks().0.first_chunk().expect("V vectors");
+        let from: &[[f64; 8]; V] = from.as_chunks().0.first_chunk().expect("V vectors");
         let to: &mut [[f64; 8]; V] = to.as_chunks_mut().0.first_chunk_mut().expect("V vectors");
-        let mut sum = *to;
-        for (a, row) in rows {
-            let row: &[[f64; 8]; V] = row.as_chunks().0.first_chunk().expect("V vectors");
-            for (s, r) in sum.iter_mut().zip(row) {
-                *s = std::array::from_fn(|l| a.mul_add(r[l], s[l]));
+        let mut sum: [[f64; 8]; V] =
+            std::array::from_fn(|v| std::array::from_fn(|l| mask[v][l] * from[v][l]));
+        // Not a chain of iterators: their state would go through memory, which costs more than the sums.
+        for r in 0..factors.len() {
+            let row: &[[f64; 8]; V] = rows[r * stride..].as_chunks().0.first_chunk().expect("V vectors");
+            for (s, x) in sum.iter_mut().zip(row) {
+                *s = std::array::from_fn(|l| factors[r].mul_add(x[l], s[l]));
             }
         }
         *to = sum;
     } else {
-        rows.for_each(|(a, row)| axpy::<0>(to, a, row));
+        to.iter_mut().zip(mask).zip(from).for_each(|((t, m), f)| *t = m * f);
+        for (r, a) in factors.iter().enumerate() {
+            axpy::<0>(to, *a, &rows[r * stride..][..to.len()]);
+        }
+    }
+}
+
+/// Copies rows of V vectors, with strides of their own.
+#[inline(always)]
+pub(super) fn copy_rows<const V: usize>(to: &mut [f64], width: usize, from: &[f64], stride: usize) {
+    for (to, from) in to.chunks_exact_mut(width).zip(from.chunks(stride)) {
+        if V > 0 {
+            let to: &mut [[f64; 8]; V] = to.as_chunks_mut().0.first_chunk_mut().expect("V vectors");
+            *to = *from.as_chunks().0.first_chunk().expect("V vectors");
+        } else {
+            to.copy_from_slice(&from[..width]);
+        }
     }
 }
 

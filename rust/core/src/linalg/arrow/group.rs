@@ -10,8 +10,9 @@
 
 use std::ops::Range;
 
-use super::dense::{add_rows, axpy, dot, for_vectors};
+use super::dense::{axpy, copy_rows, dot, for_vectors, sum_rows};
 use super::plan::{ChainPlan, Shape};
+use super::products::Products;
 use crate::simd::kernel;
 use crate::tape::lanes::all_finite;
 
@@ -78,8 +79,10 @@ pub(super) struct Group {
     start: Vec<f64>,
     z: Vec<f64>,
     next: Vec<f64>,
+    /// 0 for the columns of states, 1 for those of θ.
+    mask: Vec<f64>,
     bent: Vec<f64>,
-    square: Vec<f64>,
+    products: Products,
     cross: Vec<f64>,
     v: Vec<f64>,
     at_end: Vec<f64>,
@@ -125,9 +128,10 @@ impl Group {
             start: vec![0.0; shape.width],
             z: vec![0.0; n * shape.width],
             next: vec![0.0; most * shape.width],
-            bent: vec![0.0; n * shape.width],
-            square: vec![0.0; shape.used() * shape.width],
-            cross: vec![0.0; shape.used() * shape.coupling],
+            mask: (0..shape.width).map(|j| f64::from(u8::from(j >= n))).collect(),
+            bent: vec![0.0; shape.width],
+            products: Products::new(shape),
+            cross: vec![0.0; shape.coupling],
             lambda: vec![0.0; rows],
             v: vec![0.0; most],
             at_end: vec![0.0; n],
@@ -162,6 +166,15 @@ impl Group {
         Ok(())
     }
 
+    /// Calls `each` for every point with curvature: its first own variable in the chain, `None` for the
+    /// chain's first point, and its record.
+    pub fn curvature(&self, n: usize, record: usize, mut each: impl FnMut(Option<usize>, &[f64])) {
+        let first = usize::from(self.has_first());
+        for (i, part) in self.records.chunks_exact(record).enumerate().filter(|(i, _)| self.active[*i]) {
+            each((i >= first).then(|| self.row + (i - first) * n), part);
+        }
+    }
+
     /// Puts together the form from what the points have added up.
     fn make_form(&mut self, shape: &Shape) {
         let (n, used, width, f) = (shape.n, shape.used(), shape.width, shape.form());
@@ -184,12 +197,12 @@ impl Group {
         for i in 0..used {
             let row = &mut q[place(i) * f..(place(i) + 1) * f];
             for j in 0..used {
-                row[place(j)] += self.square[i * width + j];
+                row[place(j)] += self.products.square(i, j);
             }
         }
         for i in 0..used {
             for (c, &b) in shape.coupled.iter().enumerate() {
-                let value = self.cross[i * shape.coupling + c];
+                let value = self.products.cross(i, c);
                 q[place(i) * f + 2 * n + b] += value;
                 q[(2 * n + b) * f + place(i)] += value;
             }
@@ -215,14 +228,13 @@ kernel! {
         let (n, width, d) = (shape.n, shape.width, plan.d);
         let record = shape.record();
         restart(g, n, width);
-        g.square.fill(0.0);
-        g.cross.fill(0.0);
+        g.products.clear();
         let first_point = usize::from(g.has_first());
         if first_point > 0 {
-            g.active[0] = fill_record(&mut g.records[..record], plan.hessian.of(0), hessian, context.record);
+            fill_records(&mut g.records[..record], plan, 0, hessian);
+            g.active[0] = scale_record(&mut g.records[..record], n, context.record);
             if g.active[0] {
-                let (z, _) = g.z.split_at(n * width);
-                add_point(shape, &g.records[..record], z, &mut g.bent, &mut g.square, &mut g.cross);
+                g.products.add_point(&g.records[..record], &g.z);
             }
         }
         let mut point = first_point;
@@ -233,8 +245,8 @@ kernel! {
             let rows = own.len();
             let panel = &mut g.panel[..rows * length];
             panel.fill(0.0);
-            for &(entry, place) in plan.jacobian.of(s) {
-                panel[place as usize] += jacobian[entry as usize];
+            for (entry, place) in plan.jacobian.of(s) {
+                panel[place] += jacobian[entry];
             }
             for point in panel.chunks_exact_mut(n * length) {
                 for (row, unit) in point.chunks_exact_mut(length).zip(context.units) {
@@ -246,19 +258,21 @@ kernel! {
             let pivots = &mut g.pivots[i * d..(i + 1) * d];
             let e = &mut g.e[own.start * width..own.end * width];
             let lu = &mut g.lu[own.start * d..own.end * d];
-            if let Err(row) = for_vectors!(length / 8, eliminate(panel, d, width, lu, e, pivots)) {
+            if let Err(row) = for_vectors!(length / 8, eliminate(panel, d, width, lu, pivots)) {
                 return Err(plan.row(s, n) + row);
             }
+            for_vectors!(width / 8, copy_rows(e, width, &panel[length - width..], length));
             // Sensitivities of the own points: Y = E_x Z + [0 E_θ].
             let next = &mut g.next[..rows * width];
-            for_vectors!(width / 8, follow(n, width, e, &g.z, next));
-            for j in 0..rows / n {
+            for_vectors!(width / 8, follow(n, width, e, &g.z, &g.mask, next));
+            let points = rows / n;
+            fill_records(&mut g.records[point * record..(point + points) * record], plan, s + 1, hessian);
+            for j in 0..points {
                 let part = &mut g.records[point * record..(point + 1) * record];
-                let in_chain = 1 + g.row / n + point - first_point;
-                g.active[point] = fill_record(part, plan.hessian.of(in_chain), hessian, context.record);
+                g.active[point] = scale_record(part, n, context.record);
                 if g.active[point] {
                     let y = &g.next[j * n * width..(j + 1) * n * width];
-                    add_point(shape, part, y, &mut g.bent, &mut g.square, &mut g.cross);
+                    g.products.add_point(part, y);
                 }
                 point += 1;
             }
@@ -276,6 +290,7 @@ kernel! {
                 restart(g, n, width);
             }
         }
+        g.products.flush();
         Ok(())
     }
 }
@@ -287,12 +302,22 @@ fn restart(g: &mut Group, n: usize, width: usize) {
     (0..n).for_each(|i| g.z[i * width + i] = 1.0);
 }
 
-/// Gathers the Hessian of a point and its couplings; whether there is anything.
+/// Gathers the Hessians of points, their lower triangles, and their couplings.
 #[inline(always)]
-fn fill_record(record: &mut [f64], items: &[(u32, u32)], hessian: &[f64], factors: &[f64]) -> bool {
-    record.fill(0.0);
-    for &(entry, place) in items {
-        record[place as usize] += hessian[entry as usize];
+fn fill_records(records: &mut [f64], plan: &ChainPlan, panel: usize, hessian: &[f64]) {
+    records.fill(0.0);
+    for (entry, place) in plan.hessian.of(panel) {
+        records[place] += hessian[entry];
+    }
+}
+
+/// Into units, both triangles; whether there is anything.
+#[inline(always)]
+fn scale_record(record: &mut [f64], n: usize, factors: &[f64]) -> bool {
+    for i in 1..n {
+        for j in 0..i {
+            record[j * n + i] = record[i * n + j];
+        }
     }
     let mut any = 0;
     for (r, f) in record.iter_mut().zip(factors) {
@@ -304,54 +329,9 @@ fn fill_record(record: &mut [f64], items: &[(u32, u32)], hessian: &[f64], factor
 
 /// Y = E_x Z + [0 E_θ], row by row.
 #[inline(always)]
-fn follow<const V: usize>(n: usize, width: usize, e: &[f64], z: &[f64], next: &mut [f64]) {
+fn follow<const V: usize>(n: usize, width: usize, e: &[f64], z: &[f64], mask: &[f64], next: &mut [f64]) {
     for (y, e) in next.chunks_exact_mut(width).zip(e.chunks_exact(width)) {
-        y.copy_from_slice(e);
-        y[..n].fill(0.0);
-        add_rows::<V>(y, e[..n].iter().copied().zip(z.chunks_exact(width)));
-    }
-}
-
-/// Adds ZᵀHZ to `square` and ZᵀK to `cross`.
-#[inline(always)]
-fn add_point(
-    shape: &Shape,
-    record: &[f64],
-    z: &[f64],
-    bent: &mut [f64],
-    square: &mut [f64],
-    cross: &mut [f64],
-) {
-    let (n, width, coupling, used) = (shape.n, shape.width, shape.coupling, shape.used());
-    let (h, k) = record.split_at(shape.couplings());
-    for_vectors!(width / 8, bend(n, width, h, z, bent));
-    for_vectors!(width / 8, add_product(used, width, z, width, bent, square));
-    if coupling > 0 {
-        for_vectors!(coupling / 8, add_product(used, width, z, coupling, k, cross));
-    }
-}
-
-/// H Z of a point.
-#[inline(always)]
-fn bend<const V: usize>(n: usize, width: usize, h: &[f64], z: &[f64], bent: &mut [f64]) {
-    bent.fill(0.0);
-    for (bent, h) in bent.chunks_exact_mut(width).zip(h.chunks_exact(n)) {
-        add_rows::<V>(bent, h.iter().copied().zip(z.chunks_exact(width)));
-    }
-}
-
-/// to += Zᵀ right, row by row, for the columns of Z in use.
-#[inline(always)]
-fn add_product<const V: usize>(
-    used: usize,
-    width: usize,
-    z: &[f64],
-    length: usize,
-    right: &[f64],
-    to: &mut [f64],
-) {
-    for (i, to) in to.chunks_exact_mut(length).take(used).enumerate() {
-        add_rows::<V>(to, z.chunks_exact(width).map(|z| z[i]).zip(right.chunks_exact(length)));
+        sum_rows::<V>(y, (mask, e), &e[..n], z, width);
     }
 }
 
@@ -382,7 +362,7 @@ fn exchange(a: &mut [f64], stride: usize, count: usize, k: usize, i: usize) {
 }
 
 /// LU with row exchanges of the first d of `rows` rows of M, the rows after them (ties) eliminated
-/// along; then E = M⁻¹ e, both from a panel of rows [M, e]. The column that has no pivot where M is
+/// along; then M⁻¹ e in place of e, in a panel of rows [M, e]. The column that has no pivot where M is
 /// singular.
 #[inline(always)]
 fn eliminate<const V: usize>(
@@ -390,7 +370,6 @@ fn eliminate<const V: usize>(
     d: usize,
     width: usize,
     lu: &mut [f64],
-    e: &mut [f64],
     pivots: &mut [u16],
 ) -> Result<(), usize> {
     let first = d.next_multiple_of(8);
@@ -436,9 +415,6 @@ fn eliminate<const V: usize>(
         for (to, lu) in above.chunks_exact_mut(length).zip(lu.chunks_exact(d)) {
             axpy::<V>(&mut to[skipped..], -lu[k], &row[skipped..length]);
         }
-    }
-    for (e, row) in e.chunks_exact_mut(width).zip(panel.chunks_exact(length)) {
-        e.copy_from_slice(&row[first..]);
     }
     Ok(())
 }

@@ -24,6 +24,7 @@ mod dense;
 mod group;
 mod merge;
 mod plan;
+mod products;
 mod root;
 
 use nalgebra::DMatrix;
@@ -43,6 +44,8 @@ const GROUP: usize = 128;
 const PARALLEL_POINTS: usize = 2000;
 /// Residuals of a solution, relative to its terms, that are refined.
 const ROUGH: f64 = 1e-13;
+/// Most steps of refinement.
+const REFINEMENTS: usize = 3;
 
 /// A group, or two merged.
 #[derive(Clone, Copy, Debug)]
@@ -59,26 +62,56 @@ struct Tree {
     root: Node,
     top: Top,
     record: Vec<f64>,
-    /// Right-hand side of own variables and rows, and of the first point, in units.
-    p: Vec<f64>,
-    q: Vec<f64>,
-    first: Vec<f64>,
+    /// Right-hand side, what is left of it, and solution.
+    right: Own,
+    rest: Own,
+    solution: Own,
+    /// Of the terms of a segment's rows.
+    sizes: Vec<f64>,
     /// States at the ends of groups; the first is that of the chain.
     ends: Vec<f64>,
+}
+
+/// A vector of the system on a chain, in units: of its first point, its own variables and its own rows.
+#[derive(Clone, Debug)]
+struct Own {
+    first: Vec<f64>,
+    x: Vec<f64>,
+    lambda: Vec<f64>,
+}
+
+impl Own {
+    fn new(n: usize, rows: usize) -> Own {
+        Own { first: vec![0.0; n], x: vec![0.0; rows], lambda: vec![0.0; rows] }
+    }
+
+    fn copy(&mut self, other: &Own) {
+        self.first.copy_from_slice(&other.first);
+        self.x.copy_from_slice(&other.x);
+        self.lambda.copy_from_slice(&other.lambda);
+    }
+
+    fn clear(&mut self) {
+        self.first.fill(0.0);
+        self.x.fill(0.0);
+        self.lambda.fill(0.0);
+    }
 }
 
 /// The factorisation. See the [module](self).
 #[derive(Debug)]
 pub struct ArrowKkt {
     plan: Plan,
+    /// 1/unit of each state, and its unit.
     units: Vec<f64>,
+    inverse: Vec<f64>,
     columns: Vec<Vec<f64>>,
     trees: Vec<Tree>,
     sizes: (usize, usize),
-    hessian_structure: Structure,
-    jacobian_structure: Structure,
-    hessian: Vec<f64>,
+    /// Entries of the last factorisation, for refinement.
     jacobian: Vec<f64>,
+    /// Hessian of the border alone.
+    outer: Vec<f64>,
     /// Reduced Hessian of the border without what the chains take off.
     s: Vec<f64>,
     diagonal: Vec<f64>,
@@ -86,11 +119,11 @@ pub struct ArrowKkt {
     border: Border,
     held: Vec<bool>,
     shift: f64,
+    /// Of the border: right-hand side, what is left of it (solved in place), solution.
+    right: Vec<f64>,
     theta: Vec<f64>,
+    solution: Vec<f64>,
     weak: Vec<Vec<(usize, f64)>>,
-    /// Refinement.
-    rest: (Vec<f64>, Vec<f64>),
-    more: (Vec<f64>, Vec<f64>),
     refine: bool,
     /// Whether the entries of the last factorisation are kept for that: always where groups are split.
     refining: bool,
@@ -124,23 +157,22 @@ impl ArrowKkt {
         let columns = columns.collect();
         let mut arrow = ArrowKkt {
             units: units.iter().map(|u| 1.0 / u).collect(),
+            inverse: units.to_vec(),
             columns,
             trees: Vec::new(),
             sizes,
-            hessian_structure: hessian.clone(),
-            jacobian_structure: jacobian.clone(),
-            hessian: vec![0.0; hessian.len()],
             jacobian: vec![0.0; jacobian.len()],
+            outer: vec![0.0; border * border],
             s: vec![0.0; border * border],
             diagonal: vec![0.0; border],
             eliminated: vec![0.0; border * border],
             border: Border::default(),
             held: vec![false; border],
             shift: 0.0,
+            right: vec![0.0; border],
             theta: vec![0.0; border],
+            solution: vec![0.0; border],
             weak: Vec::new(),
-            rest: (vec![0.0; sizes.0], vec![0.0; sizes.1]),
-            more: (vec![0.0; sizes.0], vec![0.0; sizes.1]),
             refine: true,
             refining: true,
             least_groups: 0,
@@ -208,9 +240,10 @@ impl ArrowKkt {
             levels,
             top: Top::new(shape),
             record,
-            p: vec![0.0; rows],
-            q: vec![0.0; rows],
-            first: vec![0.0; n],
+            sizes: vec![0.0; n * (plan.chain.points + plan.most_ties())],
+            right: Own::new(n, rows),
+            rest: Own::new(n, rows),
+            solution: Own::new(n, rows),
         }
     }
 
@@ -255,14 +288,15 @@ impl ArrowKkt {
 
     fn merge(&mut self, hessian: &[f64]) -> Result<(), Singular> {
         let shape = &self.plan.shape;
-        self.s.fill(0.0);
+        self.outer.fill(0.0);
         for &(entry, row, column) in &self.plan.border {
             let (row, column, value) = (row as usize, column as usize, hessian[entry as usize]);
-            self.s[row * shape.border + column] += value;
+            self.outer[row * shape.border + column] += value;
             if row != column {
-                self.s[column * shape.border + row] += value;
+                self.outer[column * shape.border + row] += value;
             }
         }
+        self.s.copy_from_slice(&self.outer);
         for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
             let singular = Singular { row: plan.chain.row };
             for l in 0..tree.levels.len() {
@@ -291,26 +325,43 @@ impl ArrowKkt {
         if self.s.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(Singular { row: 0 }) }
     }
 
-    /// One solution without refinement.
-    fn solve_once(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
+    /// Takes a right-hand side, into units and the order of own rows.
+    fn take(&mut self, p: &[f64], q: &[f64]) {
+        let (n, border) = (self.plan.shape.n, self.plan.shape.border);
+        self.right.copy_from_slice(&p[..border]);
+        self.theta.copy_from_slice(&p[..border]);
+        self.solution.fill(0.0);
+        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
+            let (variable, inverse) = (plan.chain.variable, &self.inverse);
+            gather(plan, variable + n, |t| t.variable, inverse, p, &mut tree.right.x);
+            gather(plan, plan.chain.row, |t| t.row, &self.units, q, &mut tree.right.lambda);
+            scale(&p[variable..variable + n], inverse, &mut tree.right.first);
+            tree.rest.copy(&tree.right);
+            tree.solution.clear();
+        }
+    }
+
+    /// The solution as the program has it.
+    fn give(&self, d: &mut [f64], lambda: &mut [f64]) {
+        let (n, border) = (self.plan.shape.n, self.plan.shape.border);
+        d[..border].copy_from_slice(&self.solution);
+        for (tree, plan) in self.trees.iter().zip(&self.plan.chains) {
+            let (variable, inverse) = (plan.chain.variable, &self.inverse);
+            scatter(plan, variable + n, |t| t.variable, inverse, &tree.solution.x, d);
+            scatter(plan, plan.chain.row, |t| t.row, &self.units, &tree.solution.lambda, lambda);
+            scale(&tree.solution.first, inverse, &mut d[variable..variable + n]);
+        }
+    }
+
+    /// Solves for what is left of the right-hand side, and adds that to the solution.
+    fn solve_rest(&mut self) {
         let shape = &self.plan.shape;
         let n = shape.n;
         let parallel = self.parallel;
-        self.theta.copy_from_slice(&p[..shape.border]);
         for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
-            // Into units, and into the order of own rows.
-            let Tree { groups, levels, root, top, record, p: own_p, q: own_q, first, .. } = tree;
-            gather(plan, n, plan.chain.variable + n, |t| t.variable, p, own_p);
-            gather(plan, n, plan.chain.row, |t| t.row, q, own_q);
-            for (p, q) in own_p.chunks_exact_mut(n).zip(own_q.chunks_exact_mut(n)) {
-                p.iter_mut().zip(&self.units).for_each(|(p, u)| *p /= u);
-                q.iter_mut().zip(&self.units).for_each(|(q, u)| *q *= u);
-            }
-            for ((f, p), u) in first.iter_mut().zip(&p[plan.chain.variable..]).zip(&self.units) {
-                *f = p / u;
-            }
+            let Tree { groups, levels, root, top, record, rest, .. } = tree;
             let context = Context { shape, plan, units: &self.units, columns, record };
-            let reduce = |g: &mut Group| g.reduce(&context, own_p, own_q, first);
+            let reduce = |g: &mut Group| g.reduce(&context, &rest.x, &rest.lambda, &rest.first);
             if parallel {
                 groups.par_iter_mut().for_each(reduce)
             } else {
@@ -335,34 +386,16 @@ impl ArrowKkt {
             }
         });
         self.border.solve(&mut self.theta);
-        d[..shape.border].copy_from_slice(&self.theta);
+        add(&mut self.solution, &self.theta);
         for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
             tree.expand(shape, plan, &self.theta, (&self.units, columns), parallel);
+            add(&mut tree.solution.first, &tree.ends[..n]);
+            let mut own = 0;
             for group in &tree.groups {
-                let s = &group.segments;
-                scatter(
-                    plan,
-                    n,
-                    s,
-                    plan.chain.variable + n,
-                    |t| t.variable,
-                    &group.y,
-                    d,
-                    |i, x| x / self.units[i],
-                );
-                scatter(
-                    plan,
-                    n,
-                    s,
-                    plan.chain.row,
-                    |t| t.row,
-                    &group.lambda,
-                    lambda,
-                    |i, x| x * self.units[i],
-                );
-            }
-            for ((d, x), u) in d[plan.chain.variable..].iter_mut().zip(&tree.ends[..n]).zip(&self.units) {
-                *d = x / u;
+                let next = own + group.y.len();
+                add(&mut tree.solution.x[own..next], &group.y);
+                add(&mut tree.solution.lambda[own..next], &group.lambda);
+                own = next;
             }
         }
     }
@@ -379,52 +412,27 @@ impl ArrowKkt {
         }
     }
 
-    /// Improves a solution by what it leaves of the right-hand side.
-    fn refine(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
-        for _ in 0..3 {
-            if self.residual(p, q, d, lambda) <= ROUGH {
-                break;
-            }
-            let rest = std::mem::take(&mut self.rest);
-            let mut more = std::mem::take(&mut self.more);
-            self.solve_once(&rest.0, &rest.1, &mut more.0, &mut more.1);
-            d.iter_mut().zip(&more.0).for_each(|(d, x)| *d += x);
-            lambda.iter_mut().zip(&more.1).for_each(|(l, x)| *l += x);
-            (self.rest, self.more) = (rest, more);
+    /// What the solution leaves of the right-hand side; the largest rest of a constraint relative to its
+    /// terms.
+    fn residual(&mut self) -> f64 {
+        let shape = &self.plan.shape;
+        let border = shape.border;
+        for (i, (rest, right)) in self.theta.iter_mut().zip(&self.right).enumerate() {
+            let row = &self.outer[i * border..(i + 1) * border];
+            *rest = right - row.iter().zip(&self.solution).map(|(h, x)| h * x).sum::<f64>();
         }
-    }
-
-    /// What is left of the right-hand sides; the largest rest of a constraint relative to its terms.
-    fn residual(&mut self, p: &[f64], q: &[f64], d: &[f64], lambda: &[f64]) -> f64 {
-        let border = self.plan.shape.border;
-        let (rest_p, rest_q) = (&mut self.rest.0, &mut self.rest.1);
-        rest_p.copy_from_slice(p);
-        rest_q.copy_from_slice(q);
-        let size = &mut self.more.1; // of the terms of a constraint
-        size.iter_mut().zip(q).for_each(|(s, q)| *s = q.abs());
-        let s = &self.jacobian_structure;
-        for ((&r, &c), a) in s.rows.iter().zip(&s.columns).zip(&self.jacobian) {
-            let (r, c) = (r as usize, c as usize);
-            let term = a * d[c];
-            rest_q[r] -= term;
-            size[r] += term.abs();
-            rest_p[c] -= a * lambda[r];
+        let mut worst: f64 = 0.0;
+        for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
+            tree.rest.copy(&tree.right);
+            let border = (&*self.solution, &mut *self.theta);
+            worst = worst.max(tree.residual(shape, plan, (&self.units, columns), &self.jacobian, border));
         }
-        let s = &self.hessian_structure;
-        for ((&r, &c), h) in s.rows.iter().zip(&s.columns).zip(&self.hessian) {
-            let (r, c) = (r as usize, c as usize);
-            rest_p[r] -= h * d[c];
-            if r != c {
-                rest_p[c] -= h * d[r];
+        for (rest, held) in self.theta.iter_mut().zip(&self.held) {
+            if *held {
+                *rest = 0.0;
             }
         }
-        for i in 0..border {
-            if self.held[i] {
-                rest_p[i] = 0.0;
-            }
-        }
-        let share = rest_q.iter().zip(size).map(|(r, s)| if *s > 0.0 { r.abs() / *s } else { 0.0 });
-        share.fold(0.0, f64::max)
+        worst
     }
 }
 
@@ -439,7 +447,7 @@ impl Tree {
         parallel: bool,
     ) {
         let n = shape.n;
-        let Tree { groups, levels, root, top, record, p, ends, .. } = self;
+        let Tree { groups, levels, root, top, record, rest, ends, .. } = self;
         match *root {
             Node::Group(g) => {
                 let Group { form, side, .. } = &mut groups[g];
@@ -457,7 +465,7 @@ impl Tree {
         descend(shape, groups, levels, *root, 0..last, ends, theta);
         let context = Context { shape, plan, units: units.0, columns: units.1, record };
         let work = |(g, group): (usize, &mut Group)| {
-            group.expand(&context, &ends[g * n..(g + 1) * n], theta, p);
+            group.expand(&context, &ends[g * n..(g + 1) * n], theta, &rest.x);
         };
         if parallel {
             groups.par_iter_mut().enumerate().for_each(work);
@@ -465,6 +473,80 @@ impl Tree {
             groups.iter_mut().enumerate().for_each(work);
         }
     }
+
+    /// Takes off `rest` what the solution makes, and off that of the border; see [`ArrowKkt::residual`].
+    fn residual(
+        &mut self,
+        shape: &Shape,
+        plan: &plan::ChainPlan,
+        (units, columns): (&[f64], &[f64]),
+        jacobian: &[f64],
+        (border, theta): (&[f64], &mut [f64]),
+    ) -> f64 {
+        let (n, d, length) = (shape.n, plan.d, shape.panel(plan.d));
+        let first = d.next_multiple_of(8);
+        let Tree { groups, solution, rest, sizes, .. } = self;
+        let mut worst: f64 = 0.0;
+        for s in 0..plan.chain.segments {
+            let (row, end) = (plan.row(s, n), plan.row(s + 1, n));
+            let size = &mut sizes[..end - row];
+            for (i, size) in size.iter_mut().enumerate() {
+                *size = rest.lambda[row + i].abs();
+                if i >= d {
+                    // A tie's own variable.
+                    rest.lambda[row + i] -= solution.x[row + i];
+                    *size += solution.x[row + i].abs();
+                    rest.x[row + i] -= solution.lambda[row + i];
+                }
+            }
+            for (entry, place) in plan.jacobian.of(s) {
+                let (i, column) = (place / length, place % length);
+                // Columns after the first d stand on the right-hand side.
+                let a = jacobian[entry] * units[i % n] * columns[column].abs();
+                let (x, p) = if column < d {
+                    (solution.x[row + column], &mut rest.x[row + column])
+                } else if column >= first + n {
+                    let b = shape.dynamic[column - first - n];
+                    (border[b], &mut theta[b])
+                } else if s == 0 {
+                    (solution.first[column - first], &mut rest.first[column - first])
+                } else {
+                    let before = plan.row(s - 1, n) + d - n + column - first;
+                    (solution.x[before], &mut rest.x[before])
+                };
+                *p -= a * solution.lambda[row + i];
+                rest.lambda[row + i] -= a * x;
+                size[i] += (a * x).abs();
+            }
+            for (rest, size) in rest.lambda[row..end].iter().zip(size) {
+                if *size > 0.0 {
+                    worst = worst.max(rest.abs() / *size);
+                }
+            }
+        }
+        let mut coupled = |x: &mut [f64], y: &[f64], record: &[f64]| {
+            for (i, h) in record[..n * n].chunks_exact(n).enumerate() {
+                x[i] -= h.iter().zip(y).map(|(h, y)| h * y).sum::<f64>();
+                let k = &record[shape.couplings() + i * shape.coupling..];
+                for (&b, k) in shape.coupled.iter().zip(k) {
+                    x[i] -= k * border[b];
+                    theta[b] -= k * y[i];
+                }
+            }
+        };
+        for group in groups {
+            group.curvature(n, shape.record(), |point, record| match point {
+                None => coupled(&mut rest.first, &solution.first, record),
+                Some(own) => coupled(&mut rest.x[own..own + n], &solution.x[own..own + n], record),
+            });
+        }
+        worst
+    }
+}
+
+/// to += from
+fn add(to: &mut [f64], from: &[f64]) {
+    to.iter_mut().zip(from).for_each(|(t, f)| *t += f);
 }
 
 /// States between groups and multipliers of their constraints, from a node's ends down.
@@ -526,56 +608,59 @@ fn side_mut<'a>(
     }
 }
 
-/// From the order of the program to that of own rows.
+/// From the order of the program to that of own rows, each number multiplied by the factor of its
+/// component.
 fn gather(
+    plan: &plan::ChainPlan,
+    core: usize,
+    tie: impl Fn(&crate::nlp::Tie) -> usize,
+    factors: &[f64],
+    from: &[f64],
+    to: &mut [f64],
+) {
+    places(plan, factors.len(), core, tie, |program, own, count| {
+        scale(&from[program..program + count], factors, &mut to[own..own + count]);
+    });
+}
+
+/// And back.
+fn scatter(
+    plan: &plan::ChainPlan,
+    core: usize,
+    tie: impl Fn(&crate::nlp::Tie) -> usize,
+    factors: &[f64],
+    from: &[f64],
+    to: &mut [f64],
+) {
+    places(plan, factors.len(), core, tie, |program, own, count| {
+        scale(&from[own..own + count], factors, &mut to[program..program + count]);
+    });
+}
+
+/// Calls `each` with the first place in the program, the first own row and the number of rows for all
+/// that stands together in both.
+fn places(
     plan: &plan::ChainPlan,
     n: usize,
     core: usize,
     tie: impl Fn(&crate::nlp::Tie) -> usize,
-    from: &[f64],
-    to: &mut [f64],
+    mut each: impl FnMut(usize, usize, usize),
 ) {
     if plan.chain.ties.is_empty() {
-        to.copy_from_slice(&from[core..core + to.len()]);
-        return;
+        return each(core, 0, plan.row(plan.chain.segments, n));
     }
     for s in 0..plan.chain.segments {
         let row = plan.row(s, n);
-        to[row..row + plan.d].copy_from_slice(&from[core + s * plan.d..][..plan.d]);
+        each(core + s * plan.d, row, plan.d);
         for (i, t) in plan.ties_of(s).iter().enumerate() {
-            to[row + plan.d + i * n..][..n].copy_from_slice(&from[tie(t)..][..n]);
+            each(tie(t), row + plan.d + i * n, n);
         }
     }
 }
 
-/// And back for the segments of a group, each number passed through `f` with its component.
-#[allow(clippy::too_many_arguments)] // one place calls it, twice
-fn scatter(
-    plan: &plan::ChainPlan,
-    n: usize,
-    segments: &std::ops::Range<usize>,
-    core: usize,
-    tie: impl Fn(&crate::nlp::Tie) -> usize,
-    from: &[f64],
-    to: &mut [f64],
-    f: impl Fn(usize, f64) -> f64,
-) {
-    let put = |to: &mut [f64], from: &[f64]| {
-        for (to, from) in to.chunks_exact_mut(n).zip(from.chunks_exact(n)) {
-            to.iter_mut().zip(from).enumerate().for_each(|(i, (t, x))| *t = f(i, *x));
-        }
-    };
-    if plan.chain.ties.is_empty() {
-        put(&mut to[core + segments.start * plan.d..core + segments.end * plan.d], from);
-        return;
-    }
-    let first = plan.row(segments.start, n);
-    for s in segments.clone() {
-        let row = plan.row(s, n) - first;
-        put(&mut to[core + s * plan.d..][..plan.d], &from[row..row + plan.d]);
-        for (i, t) in plan.ties_of(s).iter().enumerate() {
-            put(&mut to[tie(t)..][..n], &from[row + plan.d + i * n..][..n]);
-        }
+fn scale(from: &[f64], factors: &[f64], to: &mut [f64]) {
+    for (to, from) in to.chunks_exact_mut(factors.len()).zip(from.chunks_exact(factors.len())) {
+        to.iter_mut().zip(from).zip(factors).for_each(|((t, x), f)| *t = x * f);
     }
 }
 
@@ -601,7 +686,6 @@ impl KktSolver for ArrowKkt {
         });
         self.refining = self.refine || self.groups() > self.least_groups;
         if self.refining {
-            self.hessian.copy_from_slice(hessian);
             self.jacobian.copy_from_slice(jacobian);
         }
         done
@@ -639,11 +723,18 @@ impl KktSolver for ArrowKkt {
 
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
         self.on_threads(|arrow| {
-            arrow.solve_once(p, q, d, lambda);
+            arrow.take(p, q);
+            arrow.solve_rest();
             // With a shift the step is damped anyway.
             if arrow.refining && arrow.shift == 0.0 {
-                arrow.refine(p, q, d, lambda);
+                for _ in 0..REFINEMENTS {
+                    if arrow.residual() <= ROUGH {
+                        break;
+                    }
+                    arrow.solve_rest();
+                }
             }
+            arrow.give(d, lambda);
         });
     }
 

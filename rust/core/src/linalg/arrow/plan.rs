@@ -47,34 +47,80 @@ impl Shape {
 }
 
 /// Entries by the panel that they go to: item = (entry, place in the panel).
+///
+/// Programs write the entries of consecutive panels side by side, so what a panel takes is mostly what
+/// the one before it takes, each entry one further: it is kept once for all of them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Items {
-    pub start: Vec<u32>,
-    pub items: Vec<(u32, u32)>,
+    /// For each panel: where its items start, their number, and what to add to their entries.
+    panels: Vec<(u32, u32, u32)>,
+    items: Vec<(u32, u32)>,
 }
 
 impl Items {
-    /// Sorts (panel, entry, place) by panel, entries in their order.
-    fn new(panels: usize, entries: &[(u32, u32, u32)]) -> Items {
-        let mut start = vec![0u32; panels + 1];
-        for e in entries {
-            start[e.0 as usize + 1] += 1;
+    /// Sorts the entries of a matrix by panel. The panels are those of several chains, `panels` of each,
+    /// numbered through. `None` where an entry does not fit.
+    fn sorted(
+        panels: &[usize],
+        entries: usize,
+        panel: impl Fn(usize) -> Slot,
+        place: impl Fn(usize) -> Slot,
+    ) -> Option<Vec<Items>> {
+        let total: usize = panels.iter().sum();
+        let mut starts = vec![0u32; total + 1];
+        for t in 0..entries {
+            if let Some(panel) = panel(t)? {
+                starts[panel + 1] += 1;
+            }
         }
-        for i in 0..panels {
-            start[i + 1] += start[i];
+        for i in 0..total {
+            starts[i + 1] += starts[i];
         }
-        let (mut next, mut items) = (start.clone(), vec![(0, 0); entries.len()]);
-        for &(panel, entry, place) in entries {
-            let at = &mut next[panel as usize];
-            items[*at as usize] = (entry, place);
-            *at += 1;
+        let mut ends = starts[..total].to_vec();
+        let mut items = vec![(0, 0); starts[total] as usize];
+        for t in 0..entries {
+            if let (Some(panel), Some(place)) = (panel(t)?, place(t)?) {
+                items[ends[panel] as usize] = (t as u32, place as u32);
+                ends[panel] += 1;
+            }
         }
-        Items { start, items }
+        let mut first = 0;
+        let of_chain = panels.iter().map(|&count| {
+            let own = first..first + count;
+            first += count;
+            Items::folded(own.map(|p| &items[starts[p] as usize..ends[p] as usize]))
+        });
+        Some(of_chain.collect())
     }
 
+    /// Keeps what differs from panel to panel.
+    fn folded<'a>(panels: impl Iterator<Item = &'a [(u32, u32)]>) -> Items {
+        let mut folded = Items::default();
+        for own in panels {
+            let repeated = folded.panels.last().filter(|&&(start, count, add)| {
+                let before = &folded.items[start as usize..(start + count) as usize];
+                before.len() == own.len() && before.iter().zip(own).all(|(b, o)| (b.0 + add + 1, b.1) == *o)
+            });
+            let panel = match repeated {
+                Some(&(start, count, add)) => (start, count, add + 1),
+                None => (folded.items.len() as u32, own.len() as u32, 0),
+            };
+            if panel.2 == 0 {
+                folded.items.extend(own);
+            }
+            folded.panels.push(panel);
+        }
+        folded.items.shrink_to_fit();
+        folded
+    }
+
+    /// The items of a panel.
     #[inline(always)]
-    pub fn of(&self, panel: usize) -> &[(u32, u32)] {
-        &self.items[self.start[panel] as usize..self.start[panel + 1] as usize]
+    pub fn of(&self, panel: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let (start, count, add) = self.panels[panel];
+        self.items[start as usize..(start + count) as usize]
+            .iter()
+            .map(move |&(entry, place)| ((entry + add) as usize, place as usize))
     }
 }
 
@@ -92,7 +138,8 @@ pub(super) struct ChainPlan {
     pub ties: Vec<u32>,
     /// Jacobian entries by segment.
     pub jacobian: Items,
-    /// Hessian entries by point.
+    /// Hessian entries of the first point, and of the own points of each segment, one record after the
+    /// other.
     pub hessian: Items,
 }
 
@@ -104,6 +151,9 @@ pub(super) struct Plan {
     /// Hessian entries between border variables: (entry, row, column).
     pub border: Vec<(u32, u32, u32)>,
 }
+
+/// Panel of an entry, or place in it; `Some(None)` for an entry that needs none, `None` where it does not fit.
+type Slot = Option<Option<usize>>;
 
 /// Chain, segment and place in the segment's own rows; or in the first point.
 #[derive(Clone, Copy)]
@@ -125,6 +175,11 @@ impl ChainPlan {
     #[inline(always)]
     pub fn points(&self, segment: usize) -> usize {
         self.chain.points + (self.ties[segment + 1] - self.ties[segment]) as usize
+    }
+
+    /// Most ties of a segment.
+    pub fn most_ties(&self) -> usize {
+        self.ties.windows(2).map(|t| (t[1] - t[0]) as usize).max().unwrap_or(0)
     }
 
     /// Ties of a segment.
@@ -195,71 +250,84 @@ impl Plan {
         }
 
         let column_of = positions(&shape.dynamic, border, n_x);
-        let mut entries: Vec<Vec<(u32, u32, u32)>> = vec![Vec::new(); plans.len()];
-        for (t, (&row, &column)) in jacobian.rows.iter().zip(&jacobian.columns).enumerate() {
-            let (row, column) = (rows[row as usize], column as usize);
+        let place = |t: usize| -> Slot {
+            let (row, column) = (rows[jacobian.rows[t] as usize], jacobian.columns[t] as usize);
             let plan = plans.get(row.chain as usize)?;
-            let (segment, i) = (row.after as usize - 1, row.index as usize);
-            let length = shape.panel(plan.d);
-            let sensitivity = |column: usize| i * length + plan.d.next_multiple_of(8) + column;
-            let place = if column < border {
-                sensitivity(column_of[column])
+            let i = row.index as usize;
+            let first = plan.d.next_multiple_of(8);
+            let column = if column < border {
+                first + column_of[column]
             } else {
                 let v = variables[column];
                 let j = v.index as usize;
+                let last = plan.d - n_x;
                 if v.chain != row.chain {
                     return None;
-                } else if v.after == row.after {
-                    if j < plan.d {
-                        i * length + j
-                    } else if j == i {
-                        continue; // a tie's own variable: the structure makes it 1
-                    } else {
-                        return None;
-                    }
-                } else if v.after + 1 == row.after && (v.after == 0 || (plan.d - n_x..plan.d).contains(&j)) {
-                    sensitivity(if v.after == 0 { j } else { j + n_x - plan.d })
+                } else if v.after == row.after && j < plan.d {
+                    j
+                } else if v.after == row.after && j == i {
+                    return Some(None); // a tie's own variable: the structure makes it 1
+                } else if v.after == 0 && row.after == 1 {
+                    first + j
+                } else if v.after + 1 == row.after && (last..plan.d).contains(&j) {
+                    first + j - last
                 } else {
                     return None;
                 }
             };
-            entries[row.chain as usize].push((segment as u32, t as u32, place as u32));
-        }
-        for (plan, entries) in plans.iter_mut().zip(&entries) {
-            plan.jacobian = Items::new(plan.chain.segments, entries);
-        }
+            Some(Some(i * shape.panel(plan.d) + column))
+        };
+        let segments: Vec<usize> = plans.iter().map(|plan| plan.chain.segments).collect();
+        let mut first: Vec<usize> = cumulated(&segments);
+        let panel = |t: usize| -> Slot {
+            let row = rows[jacobian.rows[t] as usize];
+            Some(Some(first.get(row.chain as usize)? + row.after as usize - 1))
+        };
+        let sorted_jacobian = Items::sorted(&segments, jacobian.len(), panel, place)?;
 
         let coupling_of = positions(&shape.coupled, border, 0);
-        let mut between = Vec::new();
-        entries.iter_mut().for_each(Vec::clear);
-        for (t, (&row, &column)) in hessian.rows.iter().zip(&hessian.columns).enumerate() {
+        let place = |t: usize| -> Slot {
+            let (row, column) = (hessian.rows[t], hessian.columns[t]);
             let (low, high) = (row.min(column) as usize, row.max(column) as usize);
             if high < border {
-                between.push((t as u32, high as u32, low as u32));
-                continue;
+                return Some(None);
             }
             let v = variables[high];
-            let plan = plans.get(v.chain as usize)?;
-            let (point, i) = point_of(plan, v, n_x);
-            let list = &mut entries[v.chain as usize];
-            if low < border {
-                let at = shape.couplings() + i * shape.coupling + coupling_of[low];
-                list.push((point as u32, t as u32, at as u32));
+            let (point, i) = (v.index as usize / n_x, v.index as usize % n_x);
+            let within = if low < border {
+                shape.couplings() + i * shape.coupling + coupling_of[low]
             } else {
                 let other = variables[low];
-                if other.chain != v.chain || point_of(plan, other, n_x).0 != point {
+                let same =
+                    (other.chain, other.after, other.index as usize / n_x) == (v.chain, v.after, point);
+                if !same {
                     return None;
                 }
-                let j = point_of(plan, other, n_x).1;
-                list.push((point as u32, t as u32, (i * n_x + j) as u32));
-                if i != j {
-                    list.push((point as u32, t as u32, (j * n_x + i) as u32));
-                }
+                i * n_x + other.index as usize % n_x
+            };
+            Some(Some(point * shape.record() + within))
+        };
+        let panels: Vec<usize> = segments.iter().map(|s| s + 1).collect();
+        first = cumulated(&panels);
+        let panel = |t: usize| -> Slot {
+            let high = hessian.rows[t].max(hessian.columns[t]) as usize;
+            if high < border {
+                return Some(None);
             }
-        }
-        for (plan, entries) in plans.iter_mut().zip(&entries) {
-            let points = 1 + plan.row(plan.chain.segments, n_x) / n_x;
-            plan.hessian = Items::new(points, entries);
+            let v = variables[high];
+            Some(Some(first.get(v.chain as usize)? + v.after as usize))
+        };
+        let sorted_hessian = Items::sorted(&panels, hessian.len(), panel, place)?;
+        let between =
+            (0..hessian.len()).filter(|&t| (hessian.rows[t].max(hessian.columns[t]) as usize) < border);
+        let between = between
+            .map(|t| {
+                let (row, column) = (hessian.rows[t], hessian.columns[t]);
+                (t as u32, row.max(column), row.min(column))
+            })
+            .collect();
+        for ((plan, jacobian), hessian) in plans.iter_mut().zip(sorted_jacobian).zip(sorted_hessian) {
+            (plan.jacobian, plan.hessian) = (jacobian, hessian);
         }
         let complete = variables[border..].iter().all(|v| v.chain != u32::MAX)
             && rows.iter().all(|r| r.chain != u32::MAX);
@@ -267,18 +335,18 @@ impl Plan {
     }
 }
 
+/// Sums of what comes before each.
+fn cumulated(counts: &[usize]) -> Vec<usize> {
+    let sums = counts.iter().scan(0, |sum, count| {
+        *sum += count;
+        Some(*sum - count)
+    });
+    sums.collect()
+}
+
 /// For each border variable of a set its number in it, counted from `first`.
 fn positions(set: &[usize], border: usize, first: usize) -> Vec<usize> {
     let mut position = vec![usize::MAX; border];
     set.iter().enumerate().for_each(|(i, &b)| position[b] = first + i);
     position
-}
-
-/// Point of a chain, and component.
-fn point_of(plan: &ChainPlan, v: Place, n: usize) -> (usize, usize) {
-    if v.after == 0 {
-        return (0, v.index as usize);
-    }
-    let row = plan.row(v.after as usize - 1, n) + v.index as usize;
-    (1 + row / n, row % n)
 }

@@ -1,28 +1,21 @@
 //! The collocation problem (Eq. oem_coll) as a nonlinear program.
 
-use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
-use std::ops::Range;
-
-use rayon::prelude::*;
+use std::ops::{Deref, Range};
 
 use super::chunk::Chunk;
 use super::defects::{self, Dynamics};
 use super::disjoint::Disjoint;
-use super::estimands::Estimands;
 use super::layout::{Layout, Place};
-use super::likelihood;
-use super::samples::Samples;
+use super::objective::{Objective, add};
+use super::posed::{OfExperiment, Posed};
 use crate::error::Error;
 use crate::experiment::Experiment;
-use crate::expr::graph::{Graph, Id};
 use crate::interpolate::interpolate;
 use crate::mesh::{Grid, Mesh};
-use crate::model::{Compiled, Model, Parameter};
+use crate::model::Model;
 use crate::nlp::{Chains, Nlp, NotFinite, Structure};
-use crate::noise::{Noise, Sample};
-use crate::tape::{Arguments, Function, Tape, Workspace};
-use crate::transform::Transform;
+use crate::noise::Noise;
 
 /// How a problem is transcribed.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,73 +68,37 @@ impl Default for Settings {
 /// ```
 #[derive(Debug)]
 pub struct Collocation {
+    /// Parameters, functions, records: its fields are also found as the problem's own.
+    pub posed: Posed,
     /// Where variables and constraints stand.
     pub layout: Layout,
-    /// The parameters that are variables: the model's (local ones once an experiment), then the noise's.
-    pub parameters: Vec<Parameter>,
-    /// Number of variables that are parameters of the model.
-    pub n_model_parameters: usize,
-    /// Which variable is which parameter of which experiment.
-    pub estimands: Estimands,
-    /// The noise model.
-    pub noise: Noise,
     /// One mesh an experiment.
     pub meshes: Vec<Mesh>,
     /// Inputs at all points of each experiment: `inputs[experiment][channel][point]`.
     pub inputs: Vec<Vec<Vec<f64>>>,
-    pub(super) state_names: Vec<String>,
-    pub(super) input_names: Vec<String>,
-    pub(super) experiments: Vec<Experiment>,
-    pub(super) dynamics: Dynamics,
-    likelihood: Function,
-    pub(super) outputs: Function,
+    dynamics: Dynamics,
     chunks: Vec<Chunk>,
-    samples: Vec<Samples>,
+    objective: Objective,
     jacobian_structure: Structure,
     hessian_structure: Structure,
-    /// Where the Hessian entries between parameters stand, for each pair of f, of ℓ and each prior.
-    pair_places: PairPlaces,
+    /// Where the Hessian entries between parameters stand for each pair of f: one list an experiment; a single
+    /// one where they do not differ. They are the last entries, from the first.
+    pairs: (usize, Vec<Vec<usize>>),
     chains: Chains,
-    /// Number of measurements of each output, all experiments together.
-    measured: Vec<usize>,
-    pool: Option<rayon::ThreadPool>,
 }
 
-#[derive(Clone, Debug, Default)]
-struct PairPlaces {
-    /// The first of them; they are the last entries.
-    first: usize,
-    /// One list an experiment; a single one where they do not differ.
-    dynamics: Vec<Vec<usize>>,
-    likelihood: Vec<Vec<usize>>,
-    priors: Vec<(usize, usize)>,
+impl Deref for Collocation {
+    type Target = Posed;
+
+    fn deref(&self) -> &Posed {
+        &self.posed
+    }
 }
 
-/// Work smaller than this many blocks is done by the calling thread: waking others costs more.
-const PARALLEL_BLOCKS: usize = 24;
-
-thread_local! {
-    static SCRATCH: RefCell<Scratch> = RefCell::default();
-    static BUFFERS: Cell<Buffers> = Cell::default();
-}
-
-/// What a call needs beside.
-#[derive(Default)]
-struct Buffers {
-    /// Parameters of an experiment.
-    theta: Vec<f64>,
-    /// Uniform values of a tape, one experiment after the other, and those of one.
-    uniforms: Vec<f64>,
-    one: Vec<f64>,
-    /// Sums of each item.
-    parts: Vec<f64>,
-}
-
-/// What a thread needs to evaluate a block.
-#[derive(Default)]
-struct Scratch {
-    workspace: Workspace,
-    weights: Vec<f64>,
+impl OfExperiment for Chunk {
+    fn experiment(&self) -> usize {
+        self.experiment
+    }
 }
 
 impl Collocation {
@@ -155,79 +112,31 @@ impl Collocation {
         noise: Noise,
         settings: &Settings,
     ) -> Result<Self, Error> {
-        let compiled = model.compile()?;
-        let output_names: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
-        let input_names: Vec<&str> = model.inputs.iter().map(|o| o.name.as_str()).collect();
-        if experiments.is_empty() {
-            return Err(Error::Data("no experiment was given; at least one is needed".into()));
-        }
-        experiments.iter().try_for_each(|e| e.check(&input_names, &output_names))?;
-        noise.check(&output_names)?;
+        let posed = Posed::new(model, experiments, noise, settings.threads)?;
         let meshes = meshes(experiments, settings)?;
-
-        let noise_parameters = noise.parameters(&output_names);
-        let n_model = model.parameters.len();
-        let seen: Vec<Parameter> = model.parameters.iter().cloned().chain(noise_parameters).collect();
-        let (estimands, parameters) = Estimands::new(&seen, experiments);
-        let n_model_parameters = estimands.parameter.iter().filter(|&&p| p < n_model).count();
-        let layout = Layout::new(parameters.len(), model.states.len(), &meshes);
-
-        // All functions of a point see all parameters, so that θ has one order everywhere.
-        let mut graph = compiled.graph.clone();
-        let noise_symbols: Vec<Id> =
-            seen[n_model..].iter().map(|p| graph.symbol(&format!("1/{}", p.name))).collect();
-        let (variables, compiled) = in_variables(&mut graph, &seen[..n_model], compiled);
-        let theta: Vec<Id> = variables.iter().chain(&noise_symbols).copied().collect();
-        let arguments =
-            Arguments { data: compiled.data.clone(), states: compiled.states.clone(), parameters: theta };
-        let dynamics = Dynamics::new(Function::new(graph.clone(), &arguments, compiled.dynamics.clone()));
-        let outputs = Function::new(graph.clone(), &arguments, compiled.outputs.clone());
-
-        let missing = |c: usize| experiments.iter().any(|e| e.outputs[c].iter().any(|v| v.is_nan()));
-        let measured: Vec<Id> = output_names.iter().map(|n| graph.symbol(&format!("measured {n}"))).collect();
-        let present: Vec<Option<Id>> = (0..output_names.len())
-            .map(|c| missing(c).then(|| graph.symbol(&format!("{} present", output_names[c]))))
-            .collect();
-        let sample = Sample { outputs: &compiled.outputs, measured: &measured, present: &present };
-        let density = noise.log_density(&mut graph, &sample, &noise_symbols);
-        let mut with_samples = arguments.clone();
-        with_samples.data.extend(measured.iter().chain(present.iter().flatten()));
-        let likelihood = Function::of_squares(graph, &with_samples, &density.residuals, density.rest);
-
+        let layout = Layout::new(posed.parameters.len(), model.states.len(), &meshes);
         let mut problem = Collocation {
             layout,
-            n_model_parameters,
-            parameters,
-            estimands,
-            noise,
             meshes,
             inputs: Vec::new(),
-            state_names: model.states.iter().map(|s| s.name.clone()).collect(),
-            input_names: model.inputs.iter().map(|s| s.name.clone()).collect(),
-            experiments: experiments.to_vec(),
-            dynamics,
-            likelihood,
-            outputs,
+            dynamics: Dynamics::new(posed.f.clone()),
+            posed,
             chunks: Vec::new(),
-            samples: Vec::new(),
+            objective: Objective::default(),
             jacobian_structure: Structure::default(),
             hessian_structure: Structure::default(),
-            pair_places: PairPlaces::default(),
+            pairs: (0, Vec::new()),
             chains: Chains::default(),
-            measured: (0..output_names.len())
-                .map(|c| experiments.iter().flat_map(|e| &e.outputs[c]).filter(|z| !z.is_nan()).count())
-                .collect(),
-            pool: pool(settings.threads)?,
         };
-        problem.place_data(&present);
+        problem.place_data();
         problem.place_derivatives();
         problem.chains = problem.layout.chains(&problem.meshes);
         Ok(problem)
     }
 
     /// Fills chunks and blocks of samples with data in the order of their lanes.
-    fn place_data(&mut self, present: &[Option<Id>]) {
-        for (e, (experiment, mesh)) in self.experiments.iter().zip(&self.meshes).enumerate() {
+    fn place_data(&mut self) {
+        for (e, (experiment, mesh)) in self.posed.experiments.iter().zip(&self.meshes).enumerate() {
             let at_points = |channel: &Vec<f64>| {
                 interpolate(experiment.interpolation, &experiment.t, channel, &mesh.times)
             };
@@ -239,14 +148,7 @@ impl Collocation {
                 }
                 self.chunks.push(chunk);
             }
-            let mut columns = vec![experiment.t.clone()];
-            columns.extend(experiment.inputs.iter().cloned());
-            let filled = |c: &Vec<f64>| c.iter().map(|v| if v.is_nan() { 0.0 } else { *v }).collect();
-            columns.extend(experiment.outputs.iter().map(filled));
-            let flags = |c: &Vec<f64>| c.iter().map(|v| f64::from(u8::from(!v.is_nan()))).collect();
-            columns
-                .extend(experiment.outputs.iter().zip(present).filter(|c| c.1.is_some()).map(|c| flags(c.0)));
-            self.samples.extend(Samples::cut(e, mesh, &self.layout, &columns));
+            self.objective.add(&self.posed, &self.layout, e, &mesh.sample_points);
             self.inputs.push(inputs);
         }
     }
@@ -255,25 +157,15 @@ impl Collocation {
     fn place_derivatives(&mut self) {
         for chunk in &mut self.chunks {
             chunk.jacobian = self.jacobian_structure.len();
-            let map = &self.estimands.maps[chunk.experiment];
+            let map = &self.posed.estimands.maps[chunk.experiment];
             self.dynamics.jacobian_structure(chunk, &self.layout, map, &mut self.jacobian_structure);
             chunk.jacobian_entries = self.jacobian_structure.len() - chunk.jacobian;
             chunk.hessian = self.hessian_structure.len();
             self.dynamics.hessian_structure(chunk, &self.layout, map, &mut self.hessian_structure);
         }
-        for samples in &mut self.samples {
-            samples.hessian = self.hessian_structure.len();
-            likelihood::hessian_structure(
-                &self.likelihood,
-                samples,
-                &self.layout,
-                &self.estimands.maps[samples.experiment],
-                &mut self.hessian_structure,
-            );
-        }
-        let n_x = self.layout.n_x;
+        self.objective.place(&self.posed, &self.layout, &mut self.hessian_structure);
         let mut places: BTreeMap<(usize, usize), usize> = BTreeMap::new();
-        self.pair_places.first = self.hessian_structure.len();
+        self.pairs.0 = self.hessian_structure.len();
         let structure = &mut self.hessian_structure;
         let mut place = |pair: (usize, usize)| {
             *places.entry(pair).or_insert_with(|| {
@@ -281,195 +173,22 @@ impl Collocation {
                 structure.len() - 1
             })
         };
-        let differ = if self.estimands.any_local() { self.estimands.maps.len() } else { 1 };
-        for map in &self.estimands.maps[..differ] {
+        for map in &self.posed.estimands.maps[..self.posed.differing()] {
             // Variables of different experiments stand in another order than the parameters they are.
             let mut place = |r: usize, c: usize| place((map[r].max(map[c]), map[r].min(map[c])));
-            let pairs = self.dynamics.parameter_pairs().map(|(r, c)| place(r, c));
-            self.pair_places.dynamics.push(pairs.collect());
-            let likelihood = self.likelihood.hessian_pattern.iter().filter(|(_, c)| *c >= n_x);
-            self.pair_places.likelihood.push(likelihood.map(|(r, c)| place(r - n_x, c - n_x)).collect());
+            self.pairs.1.push(self.dynamics.parameter_pairs().map(|(r, c)| place(r, c)).collect());
         }
-        let with_prior = (0..self.parameters.len()).filter(|&i| self.parameters[i].prior.is_some());
-        self.pair_places.priors = with_prior.map(|i| (i, place((i, i)))).collect();
-    }
-
-    fn uniforms(&self, tape: &Tape, xi: &[f64], experiment: usize) -> Vec<f64> {
-        let (mut theta, mut out) = (Vec::new(), Vec::new());
-        self.estimands.theta(experiment, xi, &mut theta);
-        tape.uniforms(&theta, &mut out);
-        out
-    }
-
-    /// Runs `work` on every item, in parallel where it pays, with the uniform values of a tape and `width`
-    /// zeros to add to; then `collect` on those, in the order of items. Whether all work was finite.
-    fn each<T: OfExperiment + Sync>(
-        &self,
-        items: &[T],
-        (tape, xi): (&Tape, &[f64]),
-        width: usize,
-        work: impl Fn(&T, &[f64], &mut Scratch, &mut [f64]) -> bool + Sync,
-        mut collect: impl FnMut(usize, &[f64]),
-    ) -> Result<(), NotFinite> {
-        // Taken and put back: nothing is allocated after the first call.
-        let Buffers { mut theta, mut uniforms, mut one, mut parts } = BUFFERS.take();
-        let differ = if self.estimands.any_local() { self.estimands.maps.len() } else { 1 };
-        uniforms.clear();
-        for e in 0..differ {
-            self.estimands.theta(e, xi, &mut theta);
-            tape.uniforms(&theta, &mut one);
-            uniforms.extend_from_slice(&one);
-        }
-        let (length, of) = (one.len(), |item: &T| if differ > 1 { item.experiment() } else { 0 });
-        // Each item has a part, an empty one too.
-        let step = width.max(1);
-        parts.clear();
-        parts.resize(items.len() * step, 0.0);
-        let run = |(item, part): (&T, &mut [f64])| {
-            let uniforms = &uniforms[of(item) * length..][..length];
-            SCRATCH.with(|s| work(item, uniforms, &mut s.borrow_mut(), &mut part[..width]))
-        };
-        let threads = self
-            .pool
-            .as_ref()
-            .map_or_else(rayon::current_num_threads, rayon::ThreadPool::current_num_threads);
-        let finite = if threads == 1 || items.len() < PARALLEL_BLOCKS {
-            items.iter().zip(parts.chunks_exact_mut(step)).map(run).fold(true, |a, b| a & b)
-        } else {
-            let pairs = items.par_iter().zip(parts.par_chunks_exact_mut(step));
-            let all = || pairs.with_min_len(8).map(run).reduce(|| true, |a, b| a & b);
-            match &self.pool {
-                Some(pool) => pool.install(all),
-                None => all(),
-            }
-        };
-        items.iter().zip(parts.chunks_exact(step)).for_each(|(item, part)| collect(of(item), &part[..width]));
-        BUFFERS.set(Buffers { theta, uniforms, one, parts });
-        if finite { Ok(()) } else { Err(NotFinite) }
+        self.objective.place_pairs(&self.posed, place);
     }
 
     fn dynamics_job<'a>(&'a self, chunk: &'a Chunk, xi: &'a [f64], uniforms: &'a [f64]) -> defects::Job<'a> {
         defects::Job { dynamics: &self.dynamics, layout: &self.layout, chunk, xi, uniforms }
     }
 
-    fn sample_job<'a>(
-        &'a self,
-        samples: &'a Samples,
-        xi: &'a [f64],
-        uniforms: &'a [f64],
-    ) -> likelihood::Job<'a> {
-        likelihood::Job { likelihood: &self.likelihood, layout: &self.layout, samples, xi, uniforms }
-    }
-
-    /// For each prior its variable, and the value's distance from the mean in standard deviations with its
-    /// first two derivatives.
-    fn priors<'a>(&'a self, xi: &'a [f64]) -> impl Iterator<Item = (usize, [f64; 3])> + 'a {
-        self.parameters.iter().enumerate().filter_map(move |(i, p)| {
-            let ((mean, std), transform) = (p.prior?, self.estimands.transforms[i]);
-            let value = transform.value(xi[i]) - mean;
-            Some((i, [value, transform.slope(xi[i]), transform.bend(xi[i])].map(|v| v / std)))
-        })
-    }
-
-    /// What priors add to φ.
-    pub fn prior_terms(&self, xi: &[f64]) -> f64 {
-        self.priors(xi).map(|(_, [e, ..])| 0.5 * e * e).sum()
-    }
-
     /// Model outputs at the samples of an experiment: `[output][sample]`.
     pub fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
-        let tape = &self.outputs.value;
-        let uniforms = self.uniforms(tape, xi, experiment);
-        let mut out = vec![Vec::new(); tape.outputs.len()];
-        let mut workspace = Workspace::default();
-        for block in self.samples.iter().filter(|s| s.experiment == experiment) {
-            let n = block.points.len();
-            let registers = workspace.registers(tape, n);
-            let n_data = self.outputs.n_data * n;
-            registers[..n_data].copy_from_slice(&block.data[..n_data]);
-            defects::gather(xi, &self.layout, &block.points, &mut registers[n_data..]);
-            tape.run(registers, &uniforms, n);
-            for (channel, operand) in out.iter_mut().zip(&tape.outputs) {
-                let value = tape.read(*operand, registers, &uniforms, n);
-                channel.extend((0..block.n).map(|l| value.at(l)));
-            }
-        }
-        out
+        self.objective.outputs(&self.posed, &self.layout, xi, experiment)
     }
-
-    /// Instructions of the tapes (f, ∂f, ∂²f, ℓ, ∂ℓ, ∂²ℓ): a count that does not depend on the machine.
-    pub fn instructions(&self) -> [usize; 6] {
-        let (f, l) = (&self.dynamics.f, &self.likelihood);
-        [&f.value, &f.jacobian, &f.hessian, &l.value, &l.jacobian, &l.hessian].map(Tape::instructions)
-    }
-
-    /// Adds factor · ∇²φ, or what a tape takes for it, to the entries of samples, parameters and priors.
-    fn objective_hessian(
-        &self,
-        tape: &Tape,
-        exact: bool,
-        xi: &[f64],
-        factor: f64,
-        out: &mut [f64],
-    ) -> Result<(), NotFinite> {
-        // Entries of samples are written, those between parameters summed, at other places.
-        let (stored, between) = out.split_at_mut(self.pair_places.first);
-        let shared = Disjoint::new(stored);
-        let pairs = &self.pair_places.likelihood;
-        let finite = self.each(
-            &self.samples,
-            (tape, xi),
-            pairs[0].len(),
-            |s, uniforms, scratch, part| {
-                let job = self.sample_job(s, xi, uniforms);
-                job.hessian(tape, &mut scratch.workspace, factor, &shared, part)
-            },
-            |e, part| add(between, self.pair_places.first, &pairs[e], part),
-        );
-        for ((_, [e, slope, bend]), &(_, at)) in self.priors(xi).zip(&self.pair_places.priors) {
-            // Gauss-Newton leaves the curvature of the residual out.
-            let bend = if exact { e * bend } else { 0.0 };
-            out[at] += factor * (slope * slope + bend);
-        }
-        finite
-    }
-}
-
-/// What belongs to an experiment.
-trait OfExperiment {
-    fn experiment(&self) -> usize;
-}
-
-impl OfExperiment for Chunk {
-    fn experiment(&self) -> usize {
-        self.experiment
-    }
-}
-
-impl OfExperiment for Samples {
-    fn experiment(&self) -> usize {
-        self.experiment
-    }
-}
-
-/// The symbols of the variables in place of transformed parameters, and the model written in them.
-fn in_variables(graph: &mut Graph, parameters: &[Parameter], compiled: Compiled) -> (Vec<Id>, Compiled) {
-    let mut variables = compiled.parameters.clone();
-    let (mut from, mut to) = (Vec::new(), Vec::new());
-    for (variable, p) in variables.iter_mut().zip(parameters).filter(|(_, p)| p.transform != Transform::None)
-    {
-        from.push(*variable);
-        *variable = graph.symbol(&p.transform.name(&p.name));
-        to.push(p.transform.express(graph, *variable));
-    }
-    let dynamics = graph.replace(&compiled.dynamics, &from, &to);
-    let outputs = graph.replace(&compiled.outputs, &from, &to);
-    (variables, Compiled { dynamics, outputs, ..compiled })
-}
-
-/// Adds values at places, counted from `first`.
-fn add(to: &mut [f64], first: usize, places: &[usize], values: &[f64]) {
-    places.iter().zip(values).for_each(|(&at, v)| to[at - first] += v);
 }
 
 fn meshes(experiments: &[Experiment], settings: &Settings) -> Result<Vec<Mesh>, Error> {
@@ -484,14 +203,6 @@ fn meshes(experiments: &[Experiment], settings: &Settings) -> Result<Vec<Mesh>, 
     experiments.iter().enumerate().map(|(e, x)| Mesh::new(settings.order, grid(e), &x.t)).collect()
 }
 
-fn pool(threads: usize) -> Result<Option<rayon::ThreadPool>, Error> {
-    if threads == 0 {
-        return Ok(None);
-    }
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    pool.map(Some).map_err(|e| Error::Option(format!("{threads} threads: {e}")))
-}
-
 impl Nlp for Collocation {
     fn n(&self) -> usize {
         self.layout.n()
@@ -502,50 +213,15 @@ impl Nlp for Collocation {
     }
 
     fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
-        let (mut lower, mut upper) = (vec![f64::NEG_INFINITY; self.n()], vec![f64::INFINITY; self.n()]);
-        for (i, p) in self.parameters.iter().enumerate() {
-            let transform = self.estimands.transforms[i];
-            let (low, high) = if p.fixed { (Some(p.start), Some(p.start)) } else { (p.lower, p.upper) };
-            lower[i] = low.map_or(f64::NEG_INFINITY, |p| transform.inverse(p));
-            upper[i] = high.map_or(f64::INFINITY, |p| transform.inverse(p));
-        }
-        (lower, upper)
+        self.bounds_of(self.n())
     }
 
     fn objective(&self, xi: &[f64]) -> Result<f64, NotFinite> {
-        let mut sum = 0.0;
-        self.each(
-            &self.samples,
-            (&self.likelihood.value, xi),
-            1,
-            |s, uniforms, scratch, part| {
-                part[0] = self.sample_job(s, xi, uniforms).objective(&mut scratch.workspace);
-                true
-            },
-            |_, part| sum += part[0],
-        )?;
-        sum += self.prior_terms(xi);
-        if sum.is_finite() { Ok(sum) } else { Err(NotFinite) }
+        self.objective.value(&self.posed, &self.layout, xi)
     }
 
     fn gradient(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        out.fill(0.0);
-        let maps = &self.estimands.maps;
-        let (theta, states) = out.split_at_mut(self.layout.n_theta);
-        let shared = Disjoint::new(states);
-        let finite = self.each(
-            &self.samples,
-            (&self.likelihood.jacobian, xi),
-            maps[0].len(),
-            |s, uniforms, scratch, part| {
-                self.sample_job(s, xi, uniforms).gradient(&mut scratch.workspace, &shared, part)
-            },
-            |e, part| maps[e].iter().zip(part).for_each(|(&i, t)| theta[i] += t),
-        );
-        for (i, [e, slope, _]) in self.priors(xi) {
-            out[i] += e * slope;
-        }
-        finite
+        self.objective.gradient(&self.posed, &self.layout, xi, out)
     }
 
     fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
@@ -584,11 +260,10 @@ impl Nlp for Collocation {
 
     fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
         // The others are written; those between parameters are added up.
-        let first = self.pair_places.first;
+        let (first, ref pairs) = self.pairs;
         let (stored, between) = out.split_at_mut(first);
         between.fill(0.0);
         let shared = Disjoint::new(stored);
-        let pairs = &self.pair_places.dynamics;
         let finite = self.each(
             &self.chunks,
             (&self.dynamics.f.hessian, xi),
@@ -599,13 +274,12 @@ impl Nlp for Collocation {
             },
             |e, part| add(between, first, &pairs[e], part),
         );
-        finite.and(self.objective_hessian(&self.likelihood.hessian, true, xi, factor, out))
+        finite.and(self.objective.hessian(&self.posed, &self.layout, true, xi, factor, out))
     }
 
     fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
         out.fill(0.0);
-        let tape = self.likelihood.gauss_newton.as_ref().unwrap_or(&self.likelihood.hessian);
-        self.objective_hessian(tape, false, xi, factor, out)
+        self.objective.hessian(&self.posed, &self.layout, false, xi, factor, out)
     }
 
     fn chains(&self) -> Option<&Chains> {
@@ -621,19 +295,12 @@ impl Nlp for Collocation {
     }
 
     fn profile(&self, xi: &[f64], gradient: &[f64], out: &mut [f64]) {
-        let roots = self.profiled();
-        self.noise.profile(&self.measured, &xi[roots.clone()], &gradient[roots.clone()], out);
-        for (value, p) in out.iter_mut().zip(&self.parameters[roots]) {
-            *value = value.clamp(p.lower.unwrap_or(0.0), p.upper.unwrap_or(f64::INFINITY));
-        }
+        self.profile_noise(xi, gradient, out);
     }
 
     fn variable_name(&self, i: usize) -> String {
         match self.layout.place(i) {
-            Place::Parameter(p) if p < self.n_model_parameters => {
-                self.estimands.transforms[p].name(&self.parameters[p].name)
-            }
-            Place::Parameter(p) => format!("1/{}", self.parameters[p].name),
+            Place::Parameter(p) => self.parameter_name(p),
             Place::State { experiment, point, state } => {
                 let t = self.meshes[experiment].times[point];
                 format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)

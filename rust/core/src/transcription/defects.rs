@@ -3,6 +3,8 @@
 //! c_k = x_{k+1} − x_k − h Σ_j C[j,k] f(x_j, u_j, θ): f and its derivatives are evaluated once a
 //! point and combined within the segments of a chunk.
 
+use std::sync::Arc;
+
 use super::chunk::{Chunk, Tie};
 use super::disjoint::Disjoint;
 use super::layout::Layout;
@@ -17,7 +19,7 @@ const SEGMENTS: usize = crate::tape::BLOCK;
 /// f compiled, with the order of the entries that it gives rise to.
 #[derive(Clone, Debug)]
 pub(super) struct Dynamics {
-    pub(super) f: Function,
+    pub(super) f: Arc<Function>,
     /// Entries of ∂f/∂x, the diagonal always among them (it carries x_{k+1} − x_k).
     state_entries: Vec<(usize, usize, Option<usize>)>,
     /// Entries of ∂f/∂θ.
@@ -34,7 +36,7 @@ pub(super) struct Job<'a> {
 }
 
 impl Dynamics {
-    pub(super) fn new(f: Function) -> Self {
+    pub(super) fn new(f: Arc<Function>) -> Self {
         let n_x = f.n_states;
         let mut state_entries = Vec::new();
         let mut parameter_entries = Vec::new();

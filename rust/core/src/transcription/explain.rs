@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::collocation::Collocation;
+use super::posed::Posed;
 use crate::expr::graph::Id;
 use crate::nlp::Nlp;
 use crate::tape::{Function, trace};
@@ -19,48 +20,11 @@ impl Collocation {
             .or_else(|| self.explain_derivatives(xi))
     }
 
-    fn describe(
-        &self,
-        what: &str,
-        function: &Function,
-        names: &HashMap<Arc<str>, f64>,
-        roots: &[Id],
-        e: usize,
-        t: f64,
-    ) -> Option<String> {
-        let found = trace(&function.graph, roots, names)?;
-        let mut text = format!(
-            "{what} not finite in experiment '{}' at t = {t} s: {} = {}",
-            self.experiments[e].name, found.expression, found.value
-        );
-        for (name, value) in &found.arguments {
-            if *name != value.to_string() {
-                text += &format!(", {name} = {value}");
-            }
-        }
-        let inputs: Vec<String> =
-            self.input_names.iter().map(|n| format!("{n} = {}", names[n.as_str()])).collect();
-        if !inputs.is_empty() {
-            text += &format!("; inputs {}", inputs.join(", "));
-        }
-        Some(text)
-    }
-
     /// Values of all symbols at a point.
     fn symbols_at(&self, xi: &[f64], e: usize, point: usize) -> HashMap<Arc<str>, f64> {
-        let mut names: HashMap<Arc<str>, f64> = HashMap::new();
-        for (name, &i) in self.seen().into_iter().zip(&self.estimands.maps[e]) {
-            names.insert(name.into(), xi[i]);
-        }
-        names.insert(crate::model::TIME.into(), self.meshes[e].times[point]);
-        for (name, channel) in self.input_names.iter().zip(&self.inputs[e]) {
-            names.insert(name.as_str().into(), channel[point]);
-        }
+        let inputs = self.inputs[e].iter().map(|channel| channel[point]);
         let x = self.layout.state(self.layout.first_point[e] + point);
-        for (i, name) in self.state_names.iter().enumerate() {
-            names.insert(name.as_str().into(), xi[x + i]);
-        }
-        names
+        self.symbols(xi, e, self.meshes[e].times[point], inputs, &xi[x..x + self.layout.n_x])
     }
 
     fn explain_variables(&self, xi: &[f64]) -> Option<String> {
@@ -69,7 +33,7 @@ impl Collocation {
     }
 
     fn explain_dynamics(&self, xi: &[f64]) -> Option<String> {
-        let f = &self.dynamics.f;
+        let f = &self.posed.f;
         for (e, mesh) in self.meshes.iter().enumerate() {
             for (point, &t) in mesh.times[..mesh.n_mesh].iter().enumerate() {
                 let names = self.symbols_at(xi, e, point);
@@ -106,7 +70,7 @@ impl Collocation {
         let names: Vec<String> = self.state_names.iter().cloned().chain(self.seen()).collect();
         for is_output in [false, true] {
             let (what, function) =
-                if is_output { ("an output", &self.outputs) } else { ("a state equation", &self.dynamics.f) };
+                if is_output { ("an output", &self.outputs) } else { ("a state equation", &*self.posed.f) };
             let mut graph = (*function.graph).clone();
             let symbols: Vec<Id> = names.iter().map(|n| graph.symbol(n)).collect();
             let first = graph.jacobian(&function.roots, &symbols);
@@ -142,6 +106,59 @@ impl Collocation {
         }
         None
     }
+}
+
+impl Posed {
+    /// The sub-expression of some functions that is not finite, where, and from what.
+    pub(super) fn describe(
+        &self,
+        what: &str,
+        function: &Function,
+        names: &HashMap<Arc<str>, f64>,
+        roots: &[Id],
+        e: usize,
+        t: f64,
+    ) -> Option<String> {
+        let found = trace(&function.graph, roots, names)?;
+        let mut text = format!(
+            "{what} not finite in experiment '{}' at t = {t} s: {} = {}",
+            self.experiments[e].name, found.expression, found.value
+        );
+        for (name, value) in &found.arguments {
+            if *name != value.to_string() {
+                text += &format!(", {name} = {value}");
+            }
+        }
+        let inputs: Vec<String> =
+            self.input_names.iter().map(|n| format!("{n} = {}", names[n.as_str()])).collect();
+        if !inputs.is_empty() {
+            text += &format!("; inputs {}", inputs.join(", "));
+        }
+        Some(text)
+    }
+
+    /// Values of all symbols at a point: time, inputs and states there.
+    pub(super) fn symbols(
+        &self,
+        xi: &[f64],
+        e: usize,
+        t: f64,
+        inputs: impl IntoIterator<Item = f64>,
+        states: &[f64],
+    ) -> HashMap<Arc<str>, f64> {
+        let mut names: HashMap<Arc<str>, f64> = HashMap::new();
+        for (name, &i) in self.seen().into_iter().zip(&self.estimands.maps[e]) {
+            names.insert(name.into(), xi[i]);
+        }
+        names.insert(crate::model::TIME.into(), t);
+        for (name, value) in self.input_names.iter().zip(inputs) {
+            names.insert(name.as_str().into(), value);
+        }
+        for (name, value) in self.state_names.iter().zip(states) {
+            names.insert(name.as_str().into(), *value);
+        }
+        names
+    }
 
     /// Names of the parameters as functions of a point see them.
     fn seen(&self) -> Vec<String> {
@@ -158,8 +175,8 @@ impl Collocation {
     }
 
     /// A standard deviation that is not positive has no logarithm.
-    fn explain_noise(&self, xi: &[f64]) -> Option<String> {
-        let i = (self.n_model_parameters..self.layout.n_theta).find(|&i| xi[i] <= 0.0)?;
-        Some(format!("{} is {}; a standard deviation must be positive", self.variable_name(i), xi[i]))
+    pub(super) fn explain_noise(&self, xi: &[f64]) -> Option<String> {
+        let i = (self.n_model_parameters..self.parameters.len()).find(|&i| xi[i] <= 0.0)?;
+        Some(format!("{} is {}; a standard deviation must be positive", self.parameter_name(i), xi[i]))
     }
 }

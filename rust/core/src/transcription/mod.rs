@@ -8,9 +8,12 @@ mod estimands;
 mod explain;
 mod layout;
 mod likelihood;
+mod objective;
+mod posed;
 mod samples;
 
 pub use chunk::segments_in_chunk;
 pub use collocation::{Collocation, Settings};
 pub use estimands::Estimands;
 pub use layout::{Layout, Place};
+pub use posed::Posed;

@@ -1,7 +1,6 @@
 //! Samples in blocks of lanes.
 
 use super::layout::Layout;
-use crate::mesh::Mesh;
 use crate::tape::{BLOCK, LANE_MULTIPLE};
 
 /// Consecutive samples of an experiment.
@@ -19,11 +18,16 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    /// Cuts the samples of an experiment into blocks; `columns` are its data columns.
-    pub(super) fn cut(experiment: usize, mesh: &Mesh, layout: &Layout, columns: &[Vec<f64>]) -> Vec<Samples> {
+    /// Cuts the samples of an experiment, at these of its points, into blocks; `columns` are its data columns.
+    pub(super) fn cut(
+        experiment: usize,
+        points: &[usize],
+        layout: &Layout,
+        columns: &[Vec<f64>],
+    ) -> Vec<Samples> {
         let point0 = layout.first_point[experiment];
         let mut blocks = Vec::new();
-        for (i, points) in mesh.sample_points.chunks(BLOCK).enumerate() {
+        for (i, points) in points.chunks(BLOCK).enumerate() {
             let (first, n) = (i * BLOCK, points.len());
             let lanes = n.next_multiple_of(LANE_MULTIPLE);
             let lane = |l: usize| l.min(n - 1);

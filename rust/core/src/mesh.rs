@@ -164,7 +164,8 @@ impl Mesh {
     }
 }
 
-fn edges(grid: &Grid, t: &[f64]) -> Result<Vec<f64>, Error> {
+/// Ends of the segments of a division.
+pub(crate) fn edges(grid: &Grid, t: &[f64]) -> Result<Vec<f64>, Error> {
     let (first, last) = (t[0], t[t.len() - 1]);
     match grid {
         Grid::Samples(0) | Grid::Uniform(0) => {

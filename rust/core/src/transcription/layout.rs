@@ -35,9 +35,14 @@ pub struct Layout {
 
 impl Layout {
     pub(super) fn new(n_theta: usize, n_x: usize, meshes: &[Mesh]) -> Self {
+        Self::of_counts(n_theta, n_x, meshes.iter().map(Mesh::len))
+    }
+
+    /// With these numbers of points in the experiments.
+    pub(super) fn of_counts(n_theta: usize, n_x: usize, points: impl Iterator<Item = usize>) -> Self {
         let mut first_point = vec![0];
-        for mesh in meshes {
-            first_point.push(first_point.last().unwrap() + mesh.len());
+        for n in points {
+            first_point.push(first_point.last().unwrap() + n);
         }
         Layout { n_theta, n_x, first_point }
     }

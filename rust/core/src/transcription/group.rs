@@ -1,0 +1,124 @@
+//! Segments that are integrated side by side, and the pieces of memory that it takes.
+
+use super::posed::OfExperiment;
+use super::steps::{Track, hermite};
+use super::tableau::Tableau;
+use crate::experiment::Experiment;
+use crate::interpolate::interpolate;
+
+/// Consecutive segments of an experiment, one a *lane*: W lanes, 1 or [`WIDE`]. Stages are the *points*, s a step,
+/// and one more where segments end. Where segments differ in steps, the shorter ones end with steps of no length.
+#[derive(Clone, Debug)]
+pub(super) struct Group {
+    pub(super) experiment: usize,
+    /// Lanes, W; those without a segment of their own repeat the last.
+    pub(super) width: usize,
+    /// Number of segments.
+    pub(super) n: usize,
+    /// Node at which the first starts, counted over all experiments.
+    pub(super) node: usize,
+    /// Whether the last segment ends the experiment: then no node follows it.
+    pub(super) last: bool,
+    /// Number of steps.
+    pub(super) steps: usize,
+    /// Length of a step, s: `h[step·W + lane]`.
+    pub(super) h: Vec<f64>,
+    /// Time and inputs: `data[(point·columns + column)·W + lane]`.
+    pub(super) data: Vec<f64>,
+    pub(super) samples: Vec<Sampled>,
+    /// Points at which f matters: the one at the end only for samples within steps.
+    pub(super) points: usize,
+}
+
+/// A sample of a group.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sampled {
+    /// Which, counted over all experiments.
+    pub(super) index: usize,
+    pub(super) lane: usize,
+    pub(super) step: usize,
+    /// Weights of x and ẋ at the beginning of the step and at its end; `None` for x at the beginning.
+    pub(super) weights: Option<[f64; 4]>,
+}
+
+/// Lanes of a wide group: those of a vector.
+pub(super) const WIDE: usize = 8;
+/// With fewer segments than this, lanes would mostly be idle.
+const FEW: usize = 3;
+
+impl OfExperiment for Group {
+    fn experiment(&self) -> usize {
+        self.experiment
+    }
+}
+
+impl Group {
+    /// Groups of an experiment, whose first node and first sample are given.
+    pub(super) fn cut(
+        e: usize,
+        experiment: &Experiment,
+        track: &Track,
+        tableau: &Tableau,
+        (node, sample): (usize, usize),
+    ) -> Vec<Group> {
+        let width = if track.segments.len() < FEW { 1 } else { WIDE };
+        let stages = tableau.b.len();
+        let mut groups = Vec::new();
+        for (g, segments) in track.segments.chunks(width).enumerate() {
+            let first = g * width;
+            let steps = segments.iter().map(|s| s.len() - 1).max().unwrap_or(0);
+            let ends = |lane: usize, i: usize| {
+                let s = &segments[lane.min(segments.len() - 1)];
+                s[i.min(s.len() - 1)]
+            };
+            let h: Vec<f64> = (0..steps * width)
+                .map(|at| ends(at % width, at / width + 1) - ends(at % width, at / width))
+                .collect();
+            let mut samples = Vec::new();
+            for (k, place) in track.samples.iter().enumerate() {
+                if (first..first + segments.len()).contains(&place.segment) {
+                    let lane = place.segment - first;
+                    let scaled = |share| {
+                        let (w, h) = (hermite(share), h[place.step * width + lane]);
+                        [w[0], w[1] * h, w[2], w[3] * h]
+                    };
+                    let weights = place.share.map(scaled);
+                    samples.push(Sampled { index: sample + k, lane, step: place.step, weights });
+                }
+            }
+            let times: Vec<f64> = (0..(steps * stages + 1) * width)
+                .map(|at| {
+                    let (point, lane) = (at / width, at % width);
+                    let (i, j) = (point / stages, point % stages);
+                    // To the bit where steps end: an input may have no value a hair beyond.
+                    match tableau.c.get(j) {
+                        _ if i == steps => ends(lane, i),
+                        Some(c) if (c - 1.0).abs() < 1e-12 => ends(lane, i + 1),
+                        Some(c) => ends(lane, i) + c * h[i * width + lane],
+                        None => unreachable!("as many times as stages"),
+                    }
+                })
+                .collect();
+            let mut columns = vec![times.clone()];
+            let at_points = |u: &Vec<f64>| interpolate(experiment.interpolation, &experiment.t, u, &times);
+            columns.extend(experiment.inputs.iter().map(at_points));
+            let mut data = Vec::with_capacity(columns.len() * times.len());
+            for point in 0..=steps * stages {
+                columns.iter().for_each(|c| data.extend(&c[point * width..(point + 1) * width]));
+            }
+            groups.push(Group {
+                experiment: e,
+                width,
+                n: segments.len(),
+                node: node + first,
+                last: first + segments.len() == track.segments.len(),
+                steps,
+                h,
+                data,
+                points: steps * stages + usize::from(samples.iter().any(|s| s.weights.is_some())),
+                samples,
+            });
+        }
+        groups
+    }
+}

@@ -1,0 +1,704 @@
+//! Single and multiple shooting (Eqs. oem_ivp, oem_ms) as nonlinear programs.
+
+use std::cell::RefCell;
+use std::ops::{Deref, Range};
+
+use rayon::prelude::*;
+
+use super::disjoint::Disjoint;
+use super::flow::{Flow, Memory, congruence};
+use super::group::Group;
+use super::layout::{Layout, Place};
+use super::objective::Objective;
+use super::posed::Posed;
+use super::steps::{Steps, Track};
+use super::tableau::{Integrator, Tableau};
+use super::transcribed::Transcribed;
+use crate::error::Error;
+use crate::experiment::Experiment;
+use crate::mesh::Grid;
+use crate::model::Model;
+use crate::nlp::{Chain, Chains, Nlp, NotFinite, Structure};
+use crate::noise::Noise;
+use crate::tape::{BLOCK, Tape};
+
+/// How a problem is transcribed by shooting.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shots {
+    /// Division into segments, one an experiment, or one for all. A single segment is single shooting.
+    pub grid: Vec<Grid>,
+    /// The Runge-Kutta method.
+    pub integrator: Integrator,
+    /// Its steps.
+    pub steps: Steps,
+    /// Threads; 0 for as many as there are cores.
+    pub threads: usize,
+}
+
+impl Default for Shots {
+    /// Single shooting with a step of RK4 from sample to sample.
+    fn default() -> Self {
+        Shots {
+            grid: vec![Grid::Uniform(1)],
+            integrator: Integrator::Rk4,
+            steps: Steps::Samples(1),
+            threads: 0,
+        }
+    }
+}
+
+/// Shooting: −ℓ of an integrated path, to be minimised over θ and the states at the *nodes*, where segments start
+/// (Eq. multiple_shooting_decision; the first states are unknowns too), such that each segment ends where the next
+/// starts. The integration takes explicit steps of fixed length, so that the likelihood is smooth, and its derivatives
+/// are those of the steps.
+///
+/// Nodes form [`Chains`], which the arrow factorisation serves; a single segment leaves no constraint at all.
+#[derive(Debug)]
+pub struct Shooting {
+    /// Parameters, functions, records: its fields are also found as the problem's own.
+    pub posed: Posed,
+    /// Where variables and constraints stand; its points are the nodes.
+    pub layout: Layout,
+    tableau: Tableau,
+    tracks: Vec<Track>,
+    /// Times of the nodes of each experiment.
+    nodes: Vec<Vec<f64>>,
+    groups: Vec<Group>,
+    /// φ as a function of θ and x at the samples, with their places in a vector of these.
+    objective: Objective,
+    sampled: Layout,
+    sampled_hessian: Structure,
+    jacobian_structure: Structure,
+    hessian_structure: Structure,
+    chains: Option<Chains>,
+}
+
+impl Deref for Shooting {
+    type Target = Posed;
+
+    fn deref(&self) -> &Posed {
+        &self.posed
+    }
+}
+
+thread_local! {
+    static MEMORY: RefCell<Memory> = RefCell::default();
+}
+
+/// Calls a method of a group for its number of lanes.
+macro_rules! by_width {
+    ($group:expr, $call:ident ( $($arg:expr),* )) => {
+        if $group.width == 1 { $call::<1>($($arg),*) } else { $call::<{ super::group::WIDE }>($($arg),*) }
+    };
+}
+
+/// Uniform values of a tape, one list an experiment; a single one where they do not differ.
+type Uniforms = Vec<Vec<f64>>;
+
+impl Shooting {
+    /// Transcribes a problem.
+    ///
+    /// # Errors
+    /// When the model is incomplete, the data do not fit it, or an option is out of range.
+    pub fn new(
+        model: &Model,
+        experiments: &[Experiment],
+        noise: Noise,
+        settings: &Shots,
+    ) -> Result<Self, Error> {
+        let posed = Posed::new(model, experiments, noise, settings.threads)?;
+        let count = settings.grid.len();
+        if count != 1 && count != experiments.len() {
+            return Err(Error::Option(format!(
+                "{count} grids for {} experiments; give one, or one each",
+                experiments.len()
+            )));
+        }
+        let grid = |e: usize| &settings.grid[e.min(count - 1)];
+        let tracks = experiments.iter().enumerate();
+        let tracks: Vec<Track> =
+            tracks.map(|(e, x)| Track::new(x, grid(e), &settings.steps)).collect::<Result<_, _>>()?;
+        let (n_theta, n_x) = (posed.parameters.len(), model.states.len());
+        let layout = Layout::of_counts(n_theta, n_x, tracks.iter().map(|t| t.segments.len()));
+        let sampled = Layout::of_counts(n_theta, n_x, experiments.iter().map(|e| e.t.len()));
+        let tableau = settings.integrator.tableau();
+        let mut objective = Objective::default();
+        let mut groups = Vec::new();
+        for (e, (experiment, track)) in experiments.iter().zip(&tracks).enumerate() {
+            let firsts = (layout.first_point[e], sampled.first_point[e]);
+            groups.extend(Group::cut(e, experiment, track, &tableau, firsts));
+            let all: Vec<usize> = (0..experiment.t.len()).collect();
+            objective.add(&posed, &sampled, e, &all);
+        }
+        let mut problem = Shooting {
+            posed,
+            layout,
+            tableau,
+            nodes: tracks.iter().map(Track::starts).collect(),
+            tracks,
+            groups,
+            objective,
+            sampled,
+            sampled_hessian: Structure::default(),
+            jacobian_structure: Structure::default(),
+            hessian_structure: Structure::default(),
+            chains: None,
+        };
+        problem.place_derivatives();
+        problem.chains = problem.find_chains();
+        Ok(problem)
+    }
+
+    /// Lays out the sparse entries of the Jacobian and the Hessian: node by node, then between parameters.
+    fn place_derivatives(&mut self) {
+        let (n_x, n_theta) = (self.layout.n_x, self.layout.n_theta);
+        for (e, nodes) in self.nodes.iter().enumerate() {
+            let map = &self.posed.estimands.maps[e];
+            for s in 0..nodes.len() {
+                let x = self.layout.state(self.layout.first_point[e] + s);
+                for r in 0..n_x {
+                    (0..=r).for_each(|q| self.hessian_structure.push(x + r, x + q));
+                    map.iter().for_each(|&p| self.hessian_structure.push(x + r, p));
+                }
+                if s + 1 < nodes.len() {
+                    let row = (self.layout.first_row(e) + s) * n_x;
+                    for r in 0..n_x {
+                        self.jacobian_structure.push(row + r, x + n_x + r);
+                        (0..n_x).for_each(|q| self.jacobian_structure.push(row + r, x + q));
+                        let model = &map[..self.posed.n_seen()];
+                        model.iter().for_each(|&p| self.jacobian_structure.push(row + r, p));
+                    }
+                }
+            }
+        }
+        for r in 0..n_theta {
+            (0..=r).for_each(|q| self.hessian_structure.push(r, q));
+        }
+        // The objective's own: of samples, then dense between parameters.
+        self.objective.place(&self.posed, &self.sampled, &mut self.sampled_hessian);
+        let first = self.sampled_hessian.len();
+        for r in 0..n_theta {
+            (0..=r).for_each(|q| self.sampled_hessian.push(r, q));
+        }
+        self.objective.place_pairs(&self.posed, |(r, c)| first + triangle(r) + c);
+    }
+
+    fn find_chains(&self) -> Option<Chains> {
+        let layout = &self.layout;
+        let chain = |(e, nodes): (usize, &Vec<f64>)| Chain {
+            variable: layout.state(layout.first_point[e]),
+            row: layout.first_row(e) * layout.n_x,
+            segments: nodes.len() - 1,
+            points: 1,
+            ties: Vec::new(),
+        };
+        let chains: Vec<Chain> = self.nodes.iter().enumerate().map(chain).collect();
+        // A chain of a single node is none; such programs are small.
+        let all = chains.iter().all(|c| c.segments > 0);
+        all.then_some(Chains { border: layout.n_theta, n_x: layout.n_x, chains })
+    }
+
+    fn flow<'a>(&'a self, group: &'a Group) -> Flow<'a> {
+        Flow { f: &self.posed.f, tableau: &self.tableau, group, n_p: self.posed.n_seen() }
+    }
+
+    fn uniforms_of(&self, tape: &Tape, xi: &[f64]) -> Uniforms {
+        (0..self.posed.differing()).map(|e| self.posed.uniforms(tape, xi, e)).collect()
+    }
+
+    /// States of the nodes of a group.
+    fn start<'a>(&self, group: &Group, xi: &'a [f64]) -> &'a [f64] {
+        &xi[self.layout.state(group.node)..][..group.n * self.layout.n_x]
+    }
+
+    /// Runs `work` on every group with `width` zeros to add to, in parallel; then `collect` on those, in their order.
+    /// Whether all work was finite.
+    fn each(
+        &self,
+        width: usize,
+        work: impl Fn(&Group, &mut Memory, &mut [f64]) -> bool + Sync,
+        mut collect: impl FnMut(&Group, &[f64]),
+    ) -> Result<(), NotFinite> {
+        let step = width.max(1);
+        let mut parts = vec![0.0; self.groups.len() * step];
+        let run = |(group, part): (&Group, &mut [f64])| {
+            MEMORY.with(|m| work(group, &mut m.borrow_mut(), &mut part[..width]))
+        };
+        let finite = if self.posed.n_threads() == 1 || self.groups.len() == 1 {
+            self.groups.iter().zip(parts.chunks_exact_mut(step)).map(run).fold(true, |a, b| a & b)
+        } else {
+            let pairs = self.groups.par_iter().zip(parts.par_chunks_exact_mut(step));
+            self.posed.install(|| pairs.map(run).reduce(|| true, |a, b| a & b))
+        };
+        self.groups.iter().zip(parts.chunks_exact(step)).for_each(|(g, part)| collect(g, &part[..width]));
+        if finite { Ok(()) } else { Err(NotFinite) }
+    }
+
+    /// θ and the states at the samples.
+    fn integrate(&self, xi: &[f64]) -> Result<Vec<f64>, NotFinite> {
+        let mut zeta = vec![0.0; self.sampled.n()];
+        zeta[..self.layout.n_theta].copy_from_slice(&xi[..self.layout.n_theta]);
+        let out = Disjoint::new(&mut zeta);
+        let uniforms = self.uniforms_of(&self.posed.f.value, xi);
+        self.each(
+            0,
+            |group, m, _| by_width!(group, states_at(self, group, xi, &uniforms, m, &out)),
+            |_, _| (),
+        )?;
+        Ok(zeta)
+    }
+
+    /// Uniform values of f and of ∂f.
+    fn both(&self, xi: &[f64]) -> [Uniforms; 2] {
+        [self.uniforms_of(&self.posed.f.value, xi), self.uniforms_of(&self.posed.f.jacobian, xi)]
+    }
+
+    /// Writes factor · ∇²φ, and with multipliers adds the constraints'.
+    fn second(
+        &self,
+        xi: &[f64],
+        factor: f64,
+        lambda: Option<&[f64]>,
+        out: &mut [f64],
+    ) -> Result<(), NotFinite> {
+        let zeta = self.integrate(xi)?;
+        let mut sampled = vec![0.0; self.sampled_hessian.len()];
+        self.objective.hessian(&self.posed, &self.sampled, lambda.is_some(), &zeta, factor, &mut sampled)?;
+        let mut gradient = vec![0.0; zeta.len()];
+        self.objective.gradient(&self.posed, &self.sampled, &zeta, &mut gradient)?;
+        gradient.iter_mut().for_each(|g| *g *= factor);
+        let between = sampled.len() - triangle(self.layout.n_theta);
+        let first = out.len() - triangle(self.layout.n_theta);
+        let (stored, pairs) = out.split_at_mut(first);
+        pairs.copy_from_slice(&sampled[between..]);
+        let job = Second {
+            problem: self,
+            xi,
+            uniforms: self.both(xi),
+            curvature: self.uniforms_of(&self.posed.f.hessian, xi),
+            sampled: &sampled,
+            gradient: &gradient,
+            lambda,
+            out: Disjoint::new(stored),
+        };
+        let n_seen = self.posed.estimands.maps[0].len();
+        self.each(
+            triangle(n_seen),
+            |group, m, part| by_width!(group, hessian_of(&job, group, m, part)),
+            |group, part| {
+                let map = &self.posed.estimands.maps[group.experiment];
+                for (r, i) in map.iter().enumerate() {
+                    for (q, j) in map[..=r].iter().enumerate() {
+                        pairs[triangle(*i.max(j)) + i.min(j)] += part[triangle(r) + q];
+                    }
+                }
+            },
+        )
+    }
+
+    pub(super) fn tracks(&self) -> &[Track] {
+        &self.tracks
+    }
+
+    /// Integrates the segments of an experiment and hands each lane's states over: segment, states at the points
+    /// (`[point·n_x + state]`), times of the points and inputs there (`[point][column]`).
+    pub(super) fn shoot(&self, xi: &[f64], experiment: usize, mut see: impl FnMut(usize, Shot)) {
+        let uniforms = self.uniforms_of(&self.posed.f.value, xi);
+        let mut m = Memory::default();
+        let mut segment = 0;
+        for group in self.groups.iter().filter(|g| g.experiment == experiment) {
+            by_width!(group, integrate_group(self, group, xi, &uniforms, &mut m));
+            let (w, n_x, columns) = (group.width, self.layout.n_x, self.posed.f.n_data);
+            for lane in 0..group.n {
+                let own = |v: &[f64]| v.iter().skip(lane).step_by(w).copied().collect::<Vec<f64>>();
+                let (x, data) = (own(&m.x), own(&group.data));
+                see(segment, Shot { x, data, n_x, columns, stages: self.tableau.b.len() });
+                segment += 1;
+            }
+        }
+    }
+}
+
+/// One segment as integrated.
+pub(super) struct Shot {
+    pub(super) x: Vec<f64>,
+    pub(super) data: Vec<f64>,
+    pub(super) n_x: usize,
+    pub(super) columns: usize,
+    pub(super) stages: usize,
+}
+
+impl Shot {
+    /// States at a point.
+    pub(super) fn state(&self, point: usize) -> &[f64] {
+        &self.x[point * self.n_x..][..self.n_x]
+    }
+
+    /// Time and inputs at a point.
+    pub(super) fn data(&self, point: usize) -> &[f64] {
+        &self.data[point * self.columns..][..self.columns]
+    }
+}
+
+/// Number of entries of a lower triangle of n rows; where row n starts.
+fn triangle(n: usize) -> usize {
+    n * (n + 1) / 2
+}
+
+fn of<'a>(uniforms: &'a Uniforms, group: &Group) -> &'a [f64] {
+    &uniforms[if uniforms.len() > 1 { group.experiment } else { 0 }]
+}
+
+fn integrate_group<const W: usize>(
+    p: &Shooting,
+    group: &Group,
+    xi: &[f64],
+    uniforms: &Uniforms,
+    m: &mut Memory,
+) -> bool {
+    p.flow(group).forward::<W>(p.start(group, xi), of(uniforms, group), m)
+}
+
+/// Integrates, and writes the states at the samples.
+fn states_at<const W: usize>(
+    p: &Shooting,
+    group: &Group,
+    xi: &[f64],
+    uniforms: &Uniforms,
+    m: &mut Memory,
+    out: &Disjoint<'_>,
+) -> bool {
+    let finite = integrate_group::<W>(p, group, xi, uniforms, m);
+    for sample in &group.samples {
+        // SAFETY: a sample belongs to one group.
+        let x = unsafe { out.part(p.sampled.state(sample.index), p.layout.n_x) };
+        p.flow(group).state::<W>(sample, m, |r, v| x[r] = v);
+    }
+    finite
+}
+
+/// Integrates and writes the defects at the ends of segments.
+fn defects_of<const W: usize>(
+    p: &Shooting,
+    group: &Group,
+    xi: &[f64],
+    uniforms: &Uniforms,
+    m: &mut Memory,
+    out: &Disjoint<'_>,
+) -> bool {
+    let (finite, n_x) = (integrate_group::<W>(p, group, xi, uniforms, m), p.layout.n_x);
+    let end = p.flow(group).at_step(group.steps) * W;
+    for lane in 0..group.n - usize::from(group.last) {
+        let next = p.layout.state(group.node + lane + 1);
+        // SAFETY: the rows of groups do not overlap.
+        let c = unsafe { out.part((group.node + lane - group.experiment) * n_x, n_x) };
+        (0..n_x).for_each(|r| c[r] = xi[next + r] - m.x[end + r * W + lane]);
+    }
+    finite
+}
+
+fn linearised<const W: usize>(
+    p: &Shooting,
+    group: &Group,
+    xi: &[f64],
+    uniforms: &[Uniforms; 2],
+    m: &mut Memory,
+) -> bool {
+    integrate_group::<W>(p, group, xi, &uniforms[0], m)
+        && p.flow(group).linearise::<W>(of(&uniforms[1], group), m)
+}
+
+/// Entries of the Jacobian of the ends of segments.
+fn jacobian_of<const W: usize>(
+    p: &Shooting,
+    group: &Group,
+    xi: &[f64],
+    uniforms: &[Uniforms; 2],
+    m: &mut Memory,
+    out: &Disjoint<'_>,
+) -> bool {
+    if !linearised::<W>(p, group, xi, uniforms, m) {
+        return false;
+    }
+    let flow = p.flow(group);
+    flow.sensitivities::<W>(m);
+    let (n_x, n_q) = (p.layout.n_x, flow.n_q());
+    let mut finite = true;
+    for lane in 0..group.n - usize::from(group.last) {
+        let row = group.node + lane - group.experiment;
+        let size = n_x * (n_q + 1);
+        // SAFETY: the rows of groups do not overlap.
+        let entries = unsafe { out.part(row * size, size) };
+        let s = flow.end::<W>(lane, m);
+        for r in 0..n_x {
+            let own = &mut entries[r * (n_q + 1)..][..n_q + 1];
+            own[0] = 1.0;
+            (0..n_q).for_each(|q| own[q + 1] = -s(r, q));
+            finite &= own.iter().all(|v| v.is_finite());
+        }
+    }
+    finite
+}
+
+/// Gradient with respect to the nodes, and sums of that with respect to parameters, from that at the samples.
+fn gradient_of<const W: usize>(
+    p: &Shooting,
+    group: &Group,
+    (xi, at_samples): (&[f64], &[f64]),
+    uniforms: &[Uniforms; 2],
+    m: &mut Memory,
+    out: &Disjoint<'_>,
+    theta: &mut [f64],
+) -> bool {
+    if !linearised::<W>(p, group, xi, uniforms, m) {
+        return false;
+    }
+    let flow = p.flow(group);
+    flow.backward::<W>(m, |s, r| at_samples[p.sampled.state(s.index) + r], |_, _| 0.0);
+    flow.parameter_gradient::<W>(m, theta);
+    let n_x = p.layout.n_x;
+    // SAFETY: a node belongs to one group.
+    let nodes = unsafe { out.part(p.layout.state(group.node) - p.layout.n_theta, group.n * n_x) };
+    for (i, g) in nodes.iter_mut().enumerate() {
+        *g = m.ax[i % n_x * W + i / n_x];
+    }
+    nodes.iter().chain(theta.iter()).all(|v| v.is_finite())
+}
+
+/// What the second derivative of groups is made of.
+struct Second<'a> {
+    problem: &'a Shooting,
+    xi: &'a [f64],
+    uniforms: [Uniforms; 2],
+    curvature: Uniforms,
+    /// The objective's, and its gradient, as a function of the states at the samples.
+    sampled: &'a [f64],
+    gradient: &'a [f64],
+    lambda: Option<&'a [f64]>,
+    out: Disjoint<'a>,
+}
+
+/// Entries of the Hessian at the nodes of a group, and sums of those between parameters.
+fn hessian_of<const W: usize>(job: &Second<'_>, group: &Group, m: &mut Memory, pairs: &mut [f64]) -> bool {
+    let p = job.problem;
+    if !linearised::<W>(p, group, job.xi, &job.uniforms, m) {
+        return false;
+    }
+    let flow = p.flow(group);
+    flow.sensitivities::<W>(m);
+    let n_x = p.layout.n_x;
+    let n_seen = p.posed.estimands.maps[0].len();
+    let (n_q, n_all) = (flow.n_q(), n_x + n_seen);
+    m.sums.clear();
+    m.sums.resize(n_all * n_all * W, 0.0);
+    m.own.clear();
+    m.own.resize(n_all * n_all * W, 0.0);
+    let mut finite = true;
+    if let Some(lambda) = job.lambda {
+        let multiplier = |lane: usize, r: usize| {
+            let follows = !(group.last && lane + 1 == group.n);
+            if follows { -lambda[(group.node + lane - group.experiment) * n_x + r] } else { 0.0 }
+        };
+        flow.backward::<W>(m, |s, r| job.gradient[p.sampled.state(s.index) + r], multiplier);
+        finite &= flow.curvature::<W>(of(&job.curvature, group), n_all, m);
+    }
+
+    // The samples': those that couple with states; the others are between parameters already.
+    let likelihood = &p.posed.likelihood;
+    let pattern = || likelihood.hessian_pattern.iter().filter(|(_, c)| *c < n_x);
+    let first_sample = p.sampled.first_point[group.experiment];
+    let first_block = p.objective.samples.iter().position(|s| s.experiment == group.experiment);
+    for sample in &group.samples {
+        flow.sample_sensitivity::<W>(sample, m);
+        let k = sample.index - first_sample;
+        let block = &p.objective.samples[first_block.unwrap_or(0) + k / BLOCK];
+        let entry = |i: usize| job.sampled[block.hessian + i * block.n + k % BLOCK];
+        let terms = pattern().enumerate().map(|(i, at)| (at, [entry(i)]));
+        let own = &mut m.own[sample.lane * n_all * n_all..][..n_all * n_all];
+        congruence::<1>(terms, (n_x, n_q, n_all), &m.sensitivity, &mut m.product, own);
+    }
+
+    let node_entries = triangle(n_x) + n_x * n_seen;
+    for lane in 0..group.n {
+        let value = |a: usize, b: usize| {
+            let at = a * n_all + b;
+            m.sums[at * W + lane] + m.own[lane * n_all * n_all + at]
+        };
+        // SAFETY: a node belongs to one group.
+        let entries = unsafe { job.out.part((group.node + lane) * node_entries, node_entries) };
+        let mut entry = entries.iter_mut();
+        let mut put = |v: f64| *entry.next().expect("as many entries as in the structure") = v;
+        for r in 0..n_x {
+            (0..=r).for_each(|q| put(value(r, q)));
+            (0..n_seen).for_each(|t| put(value(n_x + t, r)));
+        }
+        for r in 0..n_seen {
+            (0..=r).for_each(|q| pairs[triangle(r) + q] += value(n_x + r, n_x + q));
+        }
+        finite &= entries.iter().all(|v| v.is_finite());
+    }
+    finite && pairs.iter().all(|v| v.is_finite())
+}
+
+impl Nlp for Shooting {
+    fn n(&self) -> usize {
+        self.layout.n()
+    }
+
+    fn m(&self) -> usize {
+        self.layout.m()
+    }
+
+    fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
+        self.bounds_of(self.n())
+    }
+
+    fn objective(&self, xi: &[f64]) -> Result<f64, NotFinite> {
+        self.objective.value(&self.posed, &self.sampled, &self.integrate(xi)?)
+    }
+
+    fn gradient(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        let zeta = self.integrate(xi)?;
+        let mut at_samples = vec![0.0; zeta.len()];
+        self.objective.gradient(&self.posed, &self.sampled, &zeta, &mut at_samples)?;
+        let (theta, states) = out.split_at_mut(self.layout.n_theta);
+        theta.copy_from_slice(&at_samples[..self.layout.n_theta]);
+        let (shared, uniforms) = (Disjoint::new(states), self.both(xi));
+        self.each(
+            self.posed.estimands.maps[0].len(),
+            |group, m, part| {
+                by_width!(group, gradient_of(self, group, (xi, &at_samples), &uniforms, m, &shared, part))
+            },
+            |group, part| {
+                let map = &self.posed.estimands.maps[group.experiment];
+                map.iter().zip(part).for_each(|(&i, g)| theta[i] += g);
+            },
+        )
+    }
+
+    fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        if out.is_empty() {
+            return Ok(());
+        }
+        let (out, uniforms) = (Disjoint::new(out), self.uniforms_of(&self.posed.f.value, xi));
+        self.each(
+            0,
+            |group, m, _| by_width!(group, defects_of(self, group, xi, &uniforms, m, &out)),
+            |_, _| (),
+        )
+    }
+
+    fn jacobian_structure(&self) -> &Structure {
+        &self.jacobian_structure
+    }
+
+    fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        if out.is_empty() {
+            return Ok(());
+        }
+        let (out, uniforms) = (Disjoint::new(out), self.both(xi));
+        self.each(
+            0,
+            |group, m, _| by_width!(group, jacobian_of(self, group, xi, &uniforms, m, &out)),
+            |_, _| (),
+        )
+    }
+
+    fn hessian_structure(&self) -> &Structure {
+        &self.hessian_structure
+    }
+
+    fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.second(xi, factor, Some(lambda), out)
+    }
+
+    fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
+        self.second(xi, factor, None, out)
+    }
+
+    fn chains(&self) -> Option<&Chains> {
+        self.chains.as_ref()
+    }
+
+    fn threads(&self) -> usize {
+        self.pool.as_ref().map_or(0, rayon::ThreadPool::current_num_threads)
+    }
+
+    fn profiled(&self) -> Range<usize> {
+        self.n_model_parameters..self.layout.n_theta
+    }
+
+    fn profile(&self, xi: &[f64], gradient: &[f64], out: &mut [f64]) {
+        self.profile_noise(xi, gradient, out);
+    }
+
+    fn variable_name(&self, i: usize) -> String {
+        match self.layout.place(i) {
+            Place::Parameter(p) => self.parameter_name(p),
+            Place::State { experiment, point, state } => {
+                let t = self.nodes[experiment][point];
+                format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)
+            }
+        }
+    }
+
+    fn constraint_name(&self, i: usize) -> String {
+        let (e, row, state) = self.layout.constraint(i);
+        let (t, name) = (self.nodes[e][row + 1], &self.state_names[state]);
+        format!("continuity of {name} at t = {t} s of '{}'", self.experiments[e].name)
+    }
+
+    fn explain(&self, xi: &[f64]) -> Option<String> {
+        self.why_not_finite(xi)
+    }
+}
+
+impl Transcribed for Shooting {
+    fn posed(&self) -> &Posed {
+        &self.posed
+    }
+
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn point_times(&self, experiment: usize) -> &[f64] {
+        &self.nodes[experiment]
+    }
+
+    fn states_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+        let points = self.sampled.first_point[experiment]..self.sampled.first_point[experiment + 1];
+        let zeta = self.integrate(xi);
+        let path = |r: usize| {
+            let at = |point: usize| zeta.as_ref().map_or(f64::NAN, |z| z[self.sampled.state(point) + r]);
+            points.clone().map(at).collect()
+        };
+        (0..self.layout.n_x).map(path).collect()
+    }
+
+    fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+        match self.integrate(xi) {
+            Ok(zeta) => self.objective.outputs(&self.posed, &self.sampled, &zeta, experiment),
+            Err(NotFinite) => {
+                let record = &self.experiments[experiment];
+                vec![vec![f64::NAN; record.t.len()]; record.outputs.len()]
+            }
+        }
+    }
+
+    fn path(&self, xi: &[f64], experiment: usize) -> (Vec<f64>, Vec<Vec<f64>>) {
+        let track = &self.tracks[experiment];
+        let (mut times, mut path) = (Vec::new(), vec![Vec::new(); self.layout.n_x]);
+        self.shoot(xi, experiment, |s, shot| {
+            let ends = &track.segments[s];
+            // Where segments meet, the later one's start.
+            let n = ends.len() - usize::from(s + 1 < track.segments.len());
+            times.extend(&ends[..n]);
+            for i in 0..n {
+                let x = shot.state(i * shot.stages);
+                path.iter_mut().zip(x).for_each(|(path, x)| path.push(*x));
+            }
+        });
+        (times, path)
+    }
+}

@@ -18,7 +18,7 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "guess",
+    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "shooting", "guess",
     "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]

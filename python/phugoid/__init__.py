@@ -31,6 +31,7 @@ from .parameters import Estimate, Parameter
 from .read import read
 from .records import Record
 from .result import Fit, load
+from .shooting import MultipleShooting, SingleShooting
 from .simulate import simulate
 from .solvers import Ipopt, Iteration, Newton
 from .symbols import (
@@ -75,6 +76,7 @@ __all__ = [
     "MissingDependency",
     "Model",
     "ModelError",
+    "MultipleShooting",
     "Multistart",
     "Newton",
     "Optimum",
@@ -84,6 +86,7 @@ __all__ = [
     "PhugoidError",
     "Record",
     "Sigma",
+    "SingleShooting",
     "Table",
     "__version__",
     "acos",

@@ -10,6 +10,8 @@ __all__ = [
     "Expr",
     "Model",
     "NewtonSolution",
+    "Problem",
+    "Shooting",
     "Table",
     "__version__",
     "apply",
@@ -155,17 +157,7 @@ class Model:
     @property
     def outputs(self) -> list[_Equation]: ...
 
-@final
-class Collocation:
-    def __new__(
-        cls,
-        model: Model,
-        experiments: Sequence[_Record],
-        sigmas: Sequence[_Sigma],
-        order: int,
-        grids: Sequence[_Grid],
-        threads: int,
-    ) -> Collocation: ...
+class Problem:
     @property
     def n(self) -> int: ...
     @property
@@ -184,8 +176,8 @@ class Collocation:
     @property
     def noise_parameters(self) -> list[str]: ...
     def point_times(self, experiment: int) -> _Array: ...
-    def mesh_points(self, experiment: int) -> int: ...
-    def sample_points(self, experiment: int) -> list[int]: ...
+    def path(self, xi: _Array, experiment: int) -> tuple[_Array, list[_Array]]: ...
+    def states(self, xi: _Array, experiment: int) -> list[_Array]: ...
     def bounds(self) -> tuple[_Array, _Array]: ...
     def objective(self, xi: _Array) -> float: ...
     def gradient(self, xi: _Array) -> _Array | None: ...
@@ -203,6 +195,31 @@ class Collocation:
         self, xi: _Array, multipliers: _Array, columns: Sequence[int], tolerance: float
     ) -> list[tuple[str, float, float]]: ...
     def instructions(self) -> list[int]: ...
+
+@final
+class Collocation(Problem):
+    def __new__(
+        cls,
+        model: Model,
+        experiments: Sequence[_Record],
+        sigmas: Sequence[_Sigma],
+        order: int,
+        divisions: Sequence[_Grid],
+        threads: int,
+    ) -> Collocation: ...
+
+@final
+class Shooting(Problem):
+    def __new__(
+        cls,
+        model: Model,
+        experiments: Sequence[_Record],
+        sigmas: Sequence[_Sigma],
+        divisions: Sequence[_Grid],
+        integrator: str,
+        steps: tuple[str, float],
+        threads: int,
+    ) -> Shooting: ...
 
 @final
 class Evaluator:
@@ -234,7 +251,7 @@ class NewtonSolution:
     def evaluations(self) -> list[int]: ...
 
 def newton(
-    problem: Collocation,
+    problem: Problem,
     xi: _Array,
     multipliers: _Array | None,
     max_iterations: int,
@@ -245,7 +262,7 @@ def newton(
     watch: Callable[..., object] | None,
 ) -> NewtonSolution: ...
 def information(
-    problem: Collocation, xi: _Array, multipliers: _Array, wanted: Sequence[int], held: Sequence[int]
+    problem: Problem, xi: _Array, multipliers: _Array, wanted: Sequence[int], held: Sequence[int]
 ) -> tuple[_Array, _Array, list[list[int]], bool] | None: ...
 def apply(name: str, *args: _Operand) -> Expr: ...
 def operations() -> list[tuple[str, int, list[tuple[float, float]]]]: ...

@@ -16,6 +16,7 @@ from .model import Model
 from .noise import Gaussian
 from .progress import Progress
 from .result import Fit, make_fit
+from .shooting import MultipleShooting, SingleShooting, Transcription
 from .solvers import Ipopt, Iteration, Newton, Solution
 from .transcription import Collocation
 
@@ -28,7 +29,7 @@ def estimate(
     model: Model,
     data: Experiment | Sequence[Experiment],
     *,
-    transcription: Collocation | None = None,
+    transcription: Transcription | None = None,
     noise: Gaussian | None = None,
     start: Mapping[str, Any] | Fit | None = None,
     solver: Newton | Ipopt | None = None,
@@ -40,6 +41,7 @@ def estimate(
     ``start``: values by name of parameters, of ``sigma_<output>`` and of states (a number or one value a sample),
     or a fit to go on from. Parameters not named start as declared, standard deviations at the spread of the
     measurements, states as measured where an output measures them and else at 0.
+    ``transcription``: `Collocation` unless asked otherwise, or `MultipleShooting`, `SingleShooting`.
     ``noise``: instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints
     the iterations; a function is called with each.
 
@@ -55,15 +57,17 @@ def estimate(
     transcription = transcription or Collocation()
     noise = noise or model.noise_model
     solver = solver or Newton()
-    options = {
-        "transcription": (transcription, Collocation),
-        "noise": (noise, Gaussian),
-    }
-    for what, (value, kind) in options.items():
-        if not isinstance(value, kind):
-            raise OptionError(f"estimate: {what} is a {kind.__name__}, not {value!r}")
+    if not isinstance(transcription, (Collocation, MultipleShooting, SingleShooting)):
+        raise OptionError(
+            f"estimate: transcription is a Collocation, MultipleShooting or SingleShooting, not {transcription!r}"
+        )
+    if not isinstance(noise, Gaussian):
+        raise OptionError(f"estimate: noise is a Gaussian, not {noise!r}")
     if not isinstance(solver, (Newton, Ipopt)):
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
+    collocated = isinstance(transcription, Collocation)
+    if isinstance(solver, Newton) and solver.regression and not collocated:
+        raise OptionError("estimate: a regression on states as measured makes sense with Collocation only")
     if not isinstance(progress, bool) and not callable(progress):
         raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
     if not isinstance(start, (Mapping, Fit, type(None))):
@@ -84,14 +88,14 @@ def estimate(
 
     problem = transcription.problem(model, experiments, sigmas)
     xi = starting_point(problem, model, experiments, parameters, sigmas, given, warm)
-    known = {*measured_states(model, parameters), *given}.issuperset(model.state_names)
+    known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
     with Progress.of(progress, model.name) as watch:
-        solution = solver.solve(problem, xi, _warm(warm, problem, xi), watch, states_known=known)
+        solution = solver.solve(problem, xi, _warm(warm, transcription, problem, xi), watch, states_known=known)
     return make_fit(model, experiments, noise, transcription, problem, solution)
 
 
 def starting_point(
-    problem: _core.Collocation,
+    problem: _core.Problem,
     model: Model,
     experiments: Sequence[Experiment],
     parameters: Mapping[str, float],
@@ -119,9 +123,11 @@ def starting_point(
     return np.concatenate(parts)
 
 
-def _warm(fit: Fit | None, problem: _core.Collocation, xi: _Array) -> Solution | None:
+def _warm(fit: Fit | None, transcription: Transcription, problem: _core.Problem, xi: _Array) -> Solution | None:
     """The solution of an earlier fit, where the problem has the same size: its multipliers serve again."""
     if fit is None or fit.solution is None or fit.solution.xi.size != xi.size:
+        return None
+    if type(fit.transcription) is not type(transcription):
         return None
     return fit.solution if fit.solution.multipliers.size == problem.m else None
 

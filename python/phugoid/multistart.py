@@ -22,6 +22,7 @@ from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, same
 from .outcome import Outcome, Problem
 from .parameters import text_table
 from .result import Fit
+from .shooting import MultipleShooting, SingleShooting, Transcription
 from .starts import Draw, Range, given, plain, uniform
 from .summary import _duration
 from .transcription import Collocation
@@ -260,7 +261,7 @@ def multistart(
     executor: Executor | None = None,
     journal: str | os.PathLike[str] | None = None,
     progress: bool | Watch = False,
-    transcription: Collocation | None = None,
+    transcription: Transcription | None = None,
     noise: Gaussian | None = None,
     start: Mapping[str, Any] | Fit | None = None,
     solver: Any = None,
@@ -359,8 +360,10 @@ def _problem(model: Any, data: Any, transcription: Any, noise: Any, start: Any, 
     model.check()
     experiments = tuple(_experiments(data))
     transcription = transcription or Collocation()
-    if not isinstance(transcription, Collocation):
-        raise OptionError(f"multistart: transcription is a Collocation, not {transcription!r}")
+    if not isinstance(transcription, (Collocation, MultipleShooting, SingleShooting)):
+        raise OptionError(
+            f"multistart: transcription is a Collocation, MultipleShooting or SingleShooting, not {transcription!r}"
+        )
     noise = noise or model.noise_model
     if not isinstance(noise, Gaussian):
         raise OptionError(f"multistart: noise is a Gaussian, not {noise!r}")

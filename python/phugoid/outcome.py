@@ -13,8 +13,8 @@ from .experiment import Experiment
 from .model import Model
 from .noise import Gaussian
 from .result import Fit
+from .shooting import Transcription
 from .solvers import Newton
-from .transcription import Collocation
 
 __all__ = ["Outcome", "Problem"]
 
@@ -60,7 +60,7 @@ class Problem:
 
     model: Model
     experiments: tuple[Experiment, ...]
-    transcription: Collocation
+    transcription: Transcription
     noise: Gaussian
     solver: Any = None
     start: Mapping[str, Any] = field(default_factory=dict)

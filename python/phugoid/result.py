@@ -17,8 +17,8 @@ from .model import Model
 from .noise import Gaussian
 from .parameters import Estimate, Estimates
 from .records import Record
+from .shooting import Transcription, from_dict, to_dict
 from .solvers import HINTS, Iteration, Solution
-from .transcription import Collocation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +60,7 @@ class Fit:
 
     model: Model
     noise: Gaussian
-    transcription: Collocation
+    transcription: Transcription
     parameters: Estimates
     initial_states: Mapping[str, Estimates]
     covariance: _Array
@@ -132,8 +132,8 @@ def make_fit(
     model: Model,
     experiments: Sequence[Experiment],
     noise: Gaussian,
-    transcription: Collocation,
-    problem: _core.Collocation,
+    transcription: Transcription,
+    problem: _core.Problem,
     solution: Solution,
 ) -> Fit:
     """The fit at a solution."""
@@ -265,7 +265,7 @@ def _active(theta: _Array, lower: _Array, upper: _Array, solution: Solution) -> 
 
 def _model_estimates(
     model: Model,
-    problem: _core.Collocation,
+    problem: _core.Problem,
     values: Sequence[tuple[float, float]],
     errors: _Array,
     active: Sequence[_Activity],
@@ -287,12 +287,8 @@ def _model_estimates(
     ]
 
 
-def _record(model: Model, experiment: Experiment, problem: _core.Collocation, xi: _Array, index: int) -> Record:
-    n_theta, n_x = problem.n_theta, len(model.state_names)
-    first, end = problem.first_point[index : index + 2]
-    paths = xi[n_theta + n_x * first : n_theta + n_x * end].reshape(-1, n_x)
-    at = problem.sample_points(index)
-    mesh = problem.mesh_points(index)
+def _record(model: Model, experiment: Experiment, problem: _core.Problem, xi: _Array, index: int) -> Record:
+    mesh_t, path = problem.path(xi, index)
     outputs = dict(zip(model.output_names, problem.outputs(xi, index), strict=True))
     measured = {name: experiment.output(name) for name in model.output_names}
     return Record(
@@ -300,17 +296,17 @@ def _record(model: Model, experiment: Experiment, problem: _core.Collocation, xi
         t=experiment.t,
         inputs={name: experiment.input(name) for name in model.input_names},
         outputs=outputs,
-        states={name: paths[at, i] for i, name in enumerate(model.state_names)},
+        states=dict(zip(model.state_names, problem.states(xi, index), strict=True)),
         measured=measured,
         residuals={name: measured[name] - outputs[name] for name in model.output_names},
-        mesh_t=problem.point_times(index)[:mesh],
-        mesh_states={name: paths[:mesh, i].copy() for i, name in enumerate(model.state_names)},
+        mesh_t=mesh_t,
+        mesh_states=dict(zip(model.state_names, path, strict=True)),
         units=model.units,
     )
 
 
 def _defect_warning(
-    model: Model, problem: _core.Collocation, xi: _Array, estimates: Estimates, noise: Gaussian
+    model: Model, problem: _core.Problem, xi: _Array, estimates: Estimates, noise: Gaussian
 ) -> list[str]:
     """Defects add up along the path; unless they stay far below sigma, the likelihood is not that of a solution."""
     defects = problem.constraints(xi)
@@ -334,11 +330,10 @@ def _payload(fit: Fit) -> dict[str, Any]:
     def estimates(group: Estimates) -> list[dict[str, Any]]:
         return [{**vars(e), "bounds": list(e.bounds)} for e in group.values()]
 
-    t = fit.transcription
     return {
         "model": fit.model.to_json(),
         "noise": fit.noise.to_dict(),
-        "transcription": {"order": t.order, "substeps": t.substeps, "segments": _plain_segments(t.segments)},
+        "transcription": to_dict(fit.transcription),
         "parameters": estimates(fit.parameters),
         "initial_states": {name: estimates(group) for name, group in fit.initial_states.items()},
         "covariance": fit.covariance,
@@ -351,12 +346,6 @@ def _payload(fit: Fit) -> dict[str, Any]:
         "warnings": list(fit.warnings),
         "history": [vars(line) for line in fit.history],
     }
-
-
-def _plain_segments(segments: Any) -> Any:
-    if segments is None or isinstance(segments, (int, np.integer)):
-        return segments
-    return [np.asarray(part).tolist() for part in segments]
 
 
 def load(path: str | os.PathLike[str]) -> Fit:
@@ -386,7 +375,7 @@ def load(path: str | os.PathLike[str]) -> Fit:
         return Fit(
             model=Model.from_json(saved["model"]),
             noise=Gaussian.from_dict(saved["noise"]),
-            transcription=Collocation(**saved["transcription"]),
+            transcription=from_dict(saved["transcription"]),
             parameters=estimates(saved["parameters"]),
             initial_states={name: estimates(group) for name, group in saved["initial_states"].items()},
             covariance=io.to_array(saved["covariance"]),

@@ -8,7 +8,7 @@ from numbers import Integral
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from . import _core
 from .errors import OptionError
@@ -18,6 +18,7 @@ from .model import Model
 __all__ = ["Collocation"]
 
 GridSpec = tuple[str, int, "list[float] | None"]
+_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -36,17 +37,17 @@ class Collocation:
     threads: int = 0
 
     def __post_init__(self) -> None:
-        if not _whole(self.order) or not 2 <= self.order <= 64:
+        if not whole(self.order) or not 2 <= self.order <= 64:
             raise OptionError(f"Collocation: order is a whole number from 2 (trapezoid) to 64, not {self.order!r}")
-        if not _whole(self.substeps) or self.substeps < 1:
+        if not whole(self.substeps) or self.substeps < 1:
             raise OptionError(f"Collocation: substeps is a whole number from 1, not {self.substeps!r}")
         if self.segments is not None and self.substeps != 1:
             raise OptionError("Collocation: substeps divides sample intervals and segments replaces them; give one")
-        if not _whole(self.threads) or self.threads < 0:
+        if not whole(self.threads) or self.threads < 0:
             raise OptionError(f"Collocation: threads is a whole number from 0, not {self.threads!r}")
         for name in ("order", "substeps", "threads"):
             object.__setattr__(self, name, int(getattr(self, name)))
-        object.__setattr__(self, "segments", _checked_segments(self.segments))
+        object.__setattr__(self, "segments", checked_segments("Collocation", self.segments))
 
     def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
         """The division into segments as the core takes it: one for all, or one an experiment.
@@ -55,37 +56,13 @@ class Collocation:
         """
         if self.segments is None:
             return [("samples", self.substeps, None)]
-        if isinstance(self.segments, int):
-            return [("uniform", self.segments, None)]
-        lists: Any = self.segments if isinstance(self.segments[0], tuple) else (self.segments,)  # type: ignore[index]
-        if len(lists) != len(experiments):
-            raise OptionError(
-                f"Collocation: segments holds {len(lists)} list(s) of segment ends for {len(experiments)} "
-                "experiment(s): give each its own"
-            )
-        for edges, experiment in zip(lists, experiments, strict=True):
-            first, last = experiment.t[[0, -1]]
-            if not np.allclose([edges[0], edges[-1]], [first, last], rtol=0, atol=1e-9 * (last - first)):
-                raise OptionError(
-                    f"Collocation: the segments run from {edges[0]:g} to {edges[-1]:g} s, but experiment "
-                    f"'{experiment.name}' from {first:g} to {last:g} s: they must start and end alike"
-                )
-        return [("edges", 0, list(edges)) for edges in lists]
+        return division("Collocation", self.segments, experiments)
 
     def problem(
         self, model: Model, experiments: Sequence[Experiment], sigmas: list[tuple[bool, float, float, float]]
     ) -> _core.Collocation:
         """The nonlinear program."""
-        records = [
-            (
-                e.name,
-                np.ascontiguousarray(e.t),
-                [np.ascontiguousarray(e.input(n)) for n in model.input_names],
-                [np.ascontiguousarray(e.output(n)) for n in model.output_names],
-                e.interpolation,
-            )
-            for e in experiments
-        ]
+        records = records_of(model, experiments)
         return _core.Collocation(model._core, records, sigmas, self.order, self.grids(experiments), self.threads)
 
     def __str__(self) -> str:
@@ -99,28 +76,68 @@ class Collocation:
         return f"collocation of order {self.order}, {grid}"
 
 
-def _whole(value: Any) -> bool:
+def records_of(
+    model: Model, experiments: Sequence[Experiment]
+) -> list[tuple[str, _Array, list[_Array], list[_Array], str]]:
+    """Experiments as the core takes them."""
+    return [
+        (
+            e.name,
+            np.ascontiguousarray(e.t),
+            [np.ascontiguousarray(e.input(n)) for n in model.input_names],
+            [np.ascontiguousarray(e.output(n)) for n in model.output_names],
+            e.interpolation,
+        )
+        for e in experiments
+    ]
+
+
+def division(what: str, segments: Any, experiments: Sequence[Experiment]) -> list[GridSpec]:
+    """Checked segments as the core takes them: one division for all, or one an experiment.
+
+    Raises OptionError for segment ends that do not fit the experiments.
+    """
+    if isinstance(segments, int):
+        return [("uniform", segments, None)]
+    lists: Any = segments if isinstance(segments[0], tuple) else (segments,)
+    if len(lists) != len(experiments):
+        raise OptionError(
+            f"{what}: segments holds {len(lists)} list(s) of segment ends for {len(experiments)} "
+            "experiment(s): give each its own"
+        )
+    for edges, experiment in zip(lists, experiments, strict=True):
+        first, last = experiment.t[[0, -1]]
+        if not np.allclose([edges[0], edges[-1]], [first, last], rtol=0, atol=1e-9 * (last - first)):
+            raise OptionError(
+                f"{what}: the segments run from {edges[0]:g} to {edges[-1]:g} s, but experiment "
+                f"'{experiment.name}' from {first:g} to {last:g} s: they must start and end alike"
+            )
+    return [("edges", 0, list(edges)) for edges in lists]
+
+
+def whole(value: Any) -> bool:
+    """Whether a value is a whole number."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def _checked_segments(segments: Any) -> Any:
+def checked_segments(what: str, segments: Any) -> Any:
     """None, a number, the ends of one experiment's segments, or a tuple of such: plain, so that options compare."""
     if segments is None:
         return None
-    if _whole(segments):
+    if whole(segments):
         if segments < 1:
-            raise OptionError(f"Collocation: at least 1 segment is needed, not {segments}")
+            raise OptionError(f"{what}: at least 1 segment is needed, not {segments}")
         return int(segments)
-    wrong = OptionError(f"Collocation: segments is a whole number or the times of segment ends, not {segments!r}")
+    wrong = OptionError(f"{what}: segments is a whole number or the times of segment ends, not {segments!r}")
     if isinstance(segments, str) or not np.iterable(segments):
         raise wrong
     parts = list(segments)
     if parts and all(np.ndim(part) == 1 for part in parts):
-        return tuple(_checked_ends(part, wrong) for part in parts)
-    return _checked_ends(parts, wrong)
+        return tuple(_checked_ends(what, part, wrong) for part in parts)
+    return _checked_ends(what, parts, wrong)
 
 
-def _checked_ends(ends: Any, wrong: OptionError) -> tuple[float, ...]:
+def _checked_ends(what: str, ends: Any, wrong: OptionError) -> tuple[float, ...]:
     try:
         array = np.array(ends, dtype=np.float64)
     except (TypeError, ValueError):
@@ -130,6 +147,6 @@ def _checked_ends(ends: Any, wrong: OptionError) -> tuple[float, ...]:
     if not np.all(np.diff(array) > 0):
         i = int(np.flatnonzero(np.diff(array) <= 0)[0]) + 1
         raise OptionError(
-            f"Collocation: segment ends increase, but number {i} ({array[i]:g} s) does not come after the last"
+            f"{what}: segment ends increase, but number {i} ({array[i]:g} s) does not come after the last"
         )
     return tuple(array.tolist())

@@ -89,7 +89,7 @@ class Ipopt:
 
     def solve(
         self,
-        problem: _core.Collocation,
+        problem: _core.Problem,
         xi: _Array,
         warm: Solution | None = None,
         watch: Callable[[Iteration], None] | None = None,
@@ -210,7 +210,7 @@ class _Callbacks:
     """The program as cyipopt wants it, and what happened on the way."""
 
     def __init__(
-        self, problem: _core.Collocation, failure: type[Exception], watch: Callable[[Iteration], None] | None
+        self, problem: _core.Problem, failure: type[Exception], watch: Callable[[Iteration], None] | None
     ) -> None:
         self.problem = problem
         self.failure = failure
@@ -330,7 +330,7 @@ def _interruptible(callbacks: _Callbacks) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _check_start(problem: _core.Collocation, xi: _Array) -> None:
+def _check_start(problem: _core.Problem, xi: _Array) -> None:
     fine = (
         math.isfinite(problem.objective(xi))
         and problem.constraints(xi) is not None
@@ -342,7 +342,7 @@ def _check_start(problem: _core.Collocation, xi: _Array) -> None:
         raise EvaluationError(f"at the starting point, {what}; give other start values, or bounds")
 
 
-def _worst_defect(problem: _core.Collocation, xi: _Array, scaling: Scaling) -> str:
+def _worst_defect(problem: _core.Problem, xi: _Array, scaling: Scaling) -> str:
     defects = problem.constraints(xi)
     if defects is None:
         return problem.explain(xi) or "a function of the model is not finite there"

@@ -52,7 +52,7 @@ class Newton:
 
     def solve(
         self,
-        problem: _core.Collocation,
+        problem: _core.Problem,
         xi: _Array,
         warm: Solution | None = None,
         watch: Callable[[Iteration], None] | None = None,

@@ -23,7 +23,7 @@ class Scaling:
     objective: float
 
 
-def scale_from_data(problem: _core.Collocation, xi: _Array) -> Scaling:
+def scale_from_data(problem: _core.Problem, xi: _Array) -> Scaling:
     """Scaling for the way to the optimum, at the starting point ``xi``.
 
     States by their spread along the starting path (the measurements, where they are measured); defects by the
@@ -36,10 +36,10 @@ def scale_from_data(problem: _core.Collocation, xi: _Array) -> Scaling:
     spread = np.where(spread > 1e-12 * size, spread, size)  # that of a constant is rounding errors
     units = 1 / np.where(spread > 0, spread, 1.0)
     outputs = [len(y) for e in range(len(problem.first_point) - 1) for y in problem.outputs(xi, e)]
-    return _scaling(problem, xi, units, 1 / problem.m, 1.0 / max(sum(outputs), 1))
+    return _scaling(problem, xi, units, 1 / max(problem.m, 1), 1.0 / max(sum(outputs), 1))
 
 
-def scale_from_curvature(problem: _core.Collocation, xi: _Array, first: Scaling) -> Scaling:
+def scale_from_curvature(problem: _core.Problem, xi: _Array, first: Scaling) -> Scaling:
     """Scaling for the last steps, near the optimum ``xi``: everything in units of its own uncertainty.
 
     A state by the root of the mean curvature of the log-likelihood with respect to it, a parameter by the norm of
@@ -59,7 +59,7 @@ def scale_from_curvature(problem: _core.Collocation, xi: _Array, first: Scaling)
     return _scaling(problem, xi, units, 1.0, 1.0)
 
 
-def _scaling(problem: _core.Collocation, xi: _Array, units: _Array, column_weight: float, objective: float) -> Scaling:
+def _scaling(problem: _core.Problem, xi: _Array, units: _Array, column_weight: float, objective: float) -> Scaling:
     """Scaling from factors for the states; ``column_weight`` multiplies the squared column norms."""
     n_theta = problem.n_theta
     constraints = np.tile(units, problem.m // units.size)

@@ -6,6 +6,8 @@ mod evaluator;
 mod expr;
 mod model;
 mod newton;
+mod problem;
+mod shooting;
 
 use pyo3::prelude::*;
 
@@ -15,7 +17,9 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<expr::PyExpr>()?;
     m.add_class::<expr::PyTable>()?;
     m.add_class::<model::PyModel>()?;
+    m.add_class::<problem::PyProblem>()?;
     m.add_class::<collocation::PyCollocation>()?;
+    m.add_class::<shooting::PyShooting>()?;
     m.add_class::<evaluator::PyEvaluator>()?;
     m.add_class::<newton::PySolution>()?;
     m.add_function(wrap_pyfunction!(newton::newton, m)?)?;

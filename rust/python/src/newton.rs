@@ -6,8 +6,8 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1};
 use phugoid::solver::{Control, Iteration, Settings, Solution, solve};
 use pyo3::prelude::*;
 
-use crate::collocation::PyCollocation;
 use crate::errors::named;
+use crate::problem::PyProblem;
 
 /// Where the solver ended.
 #[pyclass(name = "NewtonSolution", module = "phugoid._core", frozen)]
@@ -94,7 +94,7 @@ impl PySolution {
 #[allow(clippy::type_complexity)] // a tuple for Python
 pub fn information<'py>(
     py: Python<'py>,
-    problem: &PyCollocation,
+    problem: &PyProblem,
     xi: PyReadonlyArray1<'py, f64>,
     multipliers: PyReadonlyArray1<'py, f64>,
     wanted: Vec<usize>,
@@ -115,7 +115,7 @@ pub fn information<'py>(
 #[allow(clippy::too_many_arguments)] // options, all by name in Python
 pub fn newton(
     py: Python<'_>,
-    problem: &PyCollocation,
+    problem: &PyProblem,
     xi: PyReadonlyArray1<'_, f64>,
     multipliers: Option<PyReadonlyArray1<'_, f64>>,
     max_iterations: usize,
@@ -155,7 +155,7 @@ pub fn newton(
         return Err(e);
     }
     solved.map(PySolution).map_err(|_| {
-        let what = py.detach(|| phugoid::nlp::Nlp::explain(nlp, &xi));
+        let what = py.detach(|| nlp.explain(&xi));
         let what = what.unwrap_or_else(|| "a function of the model is not finite".into());
         named("EvaluationError", format!("at the starting point, {what}; give other start values, or bounds"))
     })

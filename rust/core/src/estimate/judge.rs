@@ -3,9 +3,8 @@
 
 use crate::diagnosis::Information;
 use crate::model::Model;
-use crate::nlp::Nlp;
 use crate::solver::Status;
-use crate::transcription::Collocation;
+use crate::transcription::Transcribed;
 
 /// A point is the optimum when the Newton step left is this small a part of every standard error.
 const CLOSE: f64 = 1e-3;
@@ -14,7 +13,7 @@ const SMALL: f64 = 0.01;
 
 /// What the information at the end says about how the run ended.
 pub(super) fn judge(
-    problem: &Collocation,
+    problem: &dyn Transcribed,
     found: &Information,
     wanted: &[usize],
     (status, message): (&mut Status, &mut String),
@@ -53,12 +52,12 @@ pub(super) fn judge(
 }
 
 /// Defects add up along the path; unless they stay far below σ, the likelihood is not that of a solution.
-pub(super) fn large_defects(model: &Model, problem: &Collocation, xi: &[f64]) -> Vec<String> {
+pub(super) fn large_defects(model: &Model, problem: &dyn Transcribed, xi: &[f64]) -> Vec<String> {
     let mut defects = vec![0.0; problem.m()];
     if problem.constraints(xi, &mut defects).is_err() {
         return vec!["the equations are not finite at the result".into()];
     }
-    let sigmas = problem.noise.sigmas(&xi[problem.n_model_parameters..problem.layout.n_theta]);
+    let sigmas = problem.posed().noise.sigmas(&xi[problem.posed().n_model_parameters..problem.layout().n_theta]);
     let mut found = Vec::new();
     for (i, state) in model.states.iter().enumerate() {
         let total: f64 = defects.iter().skip(i).step_by(model.states.len()).map(|c| c.abs()).sum();

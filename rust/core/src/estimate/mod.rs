@@ -13,10 +13,9 @@ use crate::error::{Error, did_you_mean};
 use crate::experiment::Experiment;
 use crate::mesh::Grid;
 use crate::model::Model;
-use crate::nlp::Nlp;
-use crate::noise::{SIGMA, Sigma};
+use crate::noise::{Noise, SIGMA, Sigma};
 use crate::solver::{Control, Iteration, Settings, solve};
-use crate::transcription::{self, Collocation};
+use crate::transcription::{self, Collocation, Shooting, Shots, Transcribed};
 
 /// The maximum-likelihood estimate of a model's parameters from records (Eq. ml_loglike), as it is put
 /// together: what is not said has a default.
@@ -55,6 +54,7 @@ pub struct Estimation<'a> {
     model: &'a Model,
     experiments: &'a [Experiment],
     transcription: transcription::Settings,
+    shots: Option<Shots>,
     solver: Settings,
     regression: Option<bool>,
     noise: Vec<(String, Sigma)>,
@@ -69,6 +69,7 @@ impl<'a> Estimation<'a> {
             model,
             experiments,
             transcription: transcription::Settings::default(),
+            shots: None,
             solver: Settings::default(),
             regression: None,
             noise: Vec::new(),
@@ -89,9 +90,19 @@ impl<'a> Estimation<'a> {
         self
     }
 
+    /// Single or multiple shooting in place of collocation. No regression precedes it unless asked for: between
+    /// nodes far apart, the states as measured say little.
+    pub fn shooting(mut self, settings: Shots) -> Self {
+        self.shots = Some(settings);
+        self
+    }
+
     /// Threads; as many as there are cores unless said.
     pub fn threads(mut self, threads: usize) -> Self {
         self.transcription.threads = threads;
+        if let Some(shots) = &mut self.shots {
+            shots.threads = threads;
+        }
         self
     }
 
@@ -144,12 +155,16 @@ impl<'a> Estimation<'a> {
     /// As [`Estimation::solve`].
     pub fn solve_with(&self, mut watch: impl FnMut(&Iteration) -> Control) -> Result<Fit, Error> {
         self.solver.check()?;
-        let (problem, xi) = self.transcribe()?;
-        let multipliers = self.same(&problem).map(|fit| &fit.solution.multipliers[..]);
+        let (problem, xi): (Box<dyn Transcribed>, Vec<f64>) = match &self.shots {
+            None => self.transcribe().map(|(p, xi)| (Box::new(p) as _, xi))?,
+            Some(shots) => self.transcribe_shooting(shots).map(|(p, xi)| (Box::new(p) as _, xi))?,
+        };
+        let problem = &*problem;
+        let multipliers = self.same(problem).map(|fit| &fit.solution.multipliers[..]);
         let known = || self.states_known();
-        let regression = self.regression.unwrap_or_else(|| self.warm.is_none() && known());
+        let regression = self.regression.unwrap_or_else(|| self.warm.is_none() && self.shots.is_none() && known());
         let settings = Settings { regression, ..self.solver.clone() };
-        let solution = solve(&problem, &xi, multipliers, &settings, &mut watch).map_err(|_| {
+        let solution = solve(problem, &xi, multipliers, &settings, &mut watch).map_err(|_| {
             let what = problem.explain(&xi).map_or_else(
                 || "near the starting point, a derivative of the model is not finite".into(),
                 |what| format!("at the starting point, {what}"),
@@ -158,26 +173,45 @@ impl<'a> Estimation<'a> {
                 "{what}; give other start values, or bounds that keep functions finite"
             ))
         })?;
-        Ok(Fit::new(self.model, self.experiments, &problem, solution))
+        Ok(Fit::new(self.model, self.experiments, problem, solution))
     }
 
-    /// The nonlinear program and the point to start from: for a solver of one's own.
+    /// The nonlinear program of collocation and the point to start from: for a solver of one's own.
     ///
     /// # Errors
     /// As [`Estimation::solve`].
     pub fn transcribe(&self) -> Result<(Collocation, Vec<f64>), Error> {
+        let noise = self.checked_noise()?;
+        let problem = Collocation::new(self.model, self.experiments, noise, &self.transcription)?;
+        let xi = self.first_point(&problem)?;
+        Ok((problem, xi))
+    }
+
+    /// That of shooting, alike.
+    ///
+    /// # Errors
+    /// As [`Estimation::solve`].
+    pub fn transcribe_shooting(&self, settings: &Shots) -> Result<(Shooting, Vec<f64>), Error> {
+        let noise = self.checked_noise()?;
+        let problem = Shooting::new(self.model, self.experiments, noise, settings)?;
+        let xi = self.first_point(&problem)?;
+        Ok((problem, xi))
+    }
+
+    fn checked_noise(&self) -> Result<Noise, Error> {
         self.model.check()?;
         let inputs: Vec<&str> = self.model.inputs.iter().map(|v| v.name.as_str()).collect();
         let outputs: Vec<&str> = self.model.outputs.iter().map(|o| o.name.as_str()).collect();
         self.experiments.iter().try_for_each(|e| e.check(&inputs, &outputs))?;
         self.check_names(&outputs)?;
-        let noise = self.resolve_noise(&outputs)?;
-        let problem = Collocation::new(self.model, self.experiments, noise, &self.transcription)?;
-        let xi = match self.same(&problem) {
-            Some(fit) => fit.solution.xi.clone(),
-            None => self.starting_point(&problem)?,
-        };
-        Ok((problem, xi))
+        self.resolve_noise(&outputs)
+    }
+
+    fn first_point(&self, problem: &dyn Transcribed) -> Result<Vec<f64>, Error> {
+        match self.same(problem) {
+            Some(fit) => Ok(fit.solution.xi.clone()),
+            None => self.starting_point(problem),
+        }
     }
 
     fn check_names(&self, outputs: &[&str]) -> Result<(), Error> {
@@ -205,9 +239,9 @@ impl<'a> Estimation<'a> {
     }
 
     /// The fit to go on from, where it is of this problem and nothing else is asked for.
-    fn same(&self, problem: &Collocation) -> Option<&'a Fit> {
+    fn same(&self, problem: &dyn Transcribed) -> Option<&'a Fit> {
         let fit = self.warm.filter(|_| self.start.is_empty())?;
-        let names = fit.parameters.iter().map(|p| &p.name).eq(problem.parameters.iter().map(|p| &p.name));
+        let names = fit.parameters.iter().map(|p| &p.name).eq(problem.posed().parameters.iter().map(|p| &p.name));
         let sizes = (fit.solution.xi.len(), fit.solution.multipliers.len()) == (problem.n(), problem.m());
         (names && sizes && fit.model.states == self.model.states).then_some(fit)
     }

@@ -9,9 +9,8 @@ use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::interpolate::{Interpolation, interpolate};
 use crate::model::TIME;
-use crate::nlp::Nlp;
 use crate::noise::{Noise, SIGMA, Sigma};
-use crate::transcription::Collocation;
+use crate::transcription::Transcribed;
 
 /// A starting value. It is made from a number, from the path of a state in the only experiment, or from
 /// its paths in all of them.
@@ -166,25 +165,25 @@ impl Estimation<'_> {
     }
 
     /// Parameters, precision roots of the noise, states at all points.
-    pub(super) fn starting_point(&self, problem: &Collocation) -> Result<Vec<f64>, Error> {
+    pub(super) fn starting_point(&self, problem: &dyn Transcribed) -> Result<Vec<f64>, Error> {
         let declared = self.parameters()?;
         let measured = self.measured_states(&declared);
         let mut xi = Vec::with_capacity(problem.n());
-        for (i, p) in problem.parameters.iter().enumerate() {
-            let value = if i >= problem.n_model_parameters {
+        for (i, p) in problem.posed().parameters.iter().enumerate() {
+            let value = if i >= problem.posed().n_model_parameters {
                 p.start
-            } else if problem.estimands.experiment[i].is_some() && !p.fixed {
+            } else if problem.posed().estimands.experiment[i].is_some() && !p.fixed {
                 let bounds = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
-                self.value(&p.name, declared[problem.estimands.parameter[i]], bounds)?
+                self.value(&p.name, declared[problem.posed().estimands.parameter[i]], bounds)?
             } else {
-                declared[problem.estimands.parameter[i]]
+                declared[problem.posed().estimands.parameter[i]]
             };
-            xi.push(problem.estimands.transforms[i].inverse(value));
+            xi.push(problem.posed().estimands.transforms[i].inverse(value));
         }
         xi.resize(problem.n(), 0.0);
         for (i, state) in self.model.states.iter().enumerate() {
             for (e, experiment) in self.experiments.iter().enumerate() {
-                let (t, mesh) = (&experiment.t, &problem.meshes[e].times);
+                let (t, mesh) = (&experiment.t, problem.point_times(e));
                 let at_points = |t: &[f64], x: &[f64]| interpolate(Interpolation::Linear, t, x, mesh);
                 let fitted =
                     self.warm.and_then(|fit| fit.state(e, &state.name)).filter(|x| x.len() == t.len());
@@ -214,8 +213,8 @@ impl Estimation<'_> {
                     }
                     (None, None, None) => continue,
                 };
-                let first = problem.layout.first_point[e];
-                path.iter().enumerate().for_each(|(p, x)| xi[problem.layout.state(first + p) + i] = *x);
+                let first = problem.layout().first_point[e];
+                path.iter().enumerate().for_each(|(p, x)| xi[problem.layout().state(first + p) + i] = *x);
             }
         }
         Ok(xi)

@@ -1,0 +1,312 @@
+//! Transcribed problems: what all have in common.
+
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
+use phugoid::experiment::Experiment;
+use phugoid::interpolate::Interpolation;
+use phugoid::mesh::Grid;
+use phugoid::nlp::{NotFinite, Structure, check::check_derivatives};
+use phugoid::noise::{Noise, Sigma};
+use phugoid::transcription::{Posed, Transcribed};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use crate::errors::named;
+
+/// A record as Python hands it over: name, times, inputs, outputs, interpolation.
+pub type Record<'py> = (
+    String,
+    PyReadonlyArray1<'py, f64>,
+    Vec<PyReadonlyArray1<'py, f64>>,
+    Vec<PyReadonlyArray1<'py, f64>>,
+    String,
+);
+
+/// σ of an output: (known, value or start, lower, upper).
+pub type SigmaSpec = (bool, f64, f64, f64);
+
+/// Segments: ("samples", n, None), ("uniform", n, None) or ("edges", 0, times).
+pub type GridSpec = (String, usize, Option<Vec<f64>>);
+
+/// A problem on its own threads, without the interpreter lock. Each transcription is a class of its own below.
+#[pyclass(name = "Problem", module = "phugoid._core", frozen, subclass)]
+pub struct PyProblem(pub Box<dyn Transcribed>);
+
+type Array<'py> = Bound<'py, PyArray1<f64>>;
+type Indices<'py> = (Bound<'py, PyArray1<u32>>, Bound<'py, PyArray1<u32>>);
+
+fn vector(v: &PyReadonlyArray1<'_, f64>) -> Vec<f64> {
+    v.as_array().to_vec()
+}
+
+fn arrays<'py>(py: Python<'py>, channels: Vec<Vec<f64>>) -> Vec<Array<'py>> {
+    channels.into_iter().map(|c| PyArray1::from_vec(py, c)).collect()
+}
+
+fn indices<'py>(py: Python<'py>, s: &Structure) -> Indices<'py> {
+    (PyArray1::from_slice(py, &s.rows), PyArray1::from_slice(py, &s.columns))
+}
+
+/// Divisions into segments.
+pub fn grids(specs: Vec<GridSpec>) -> PyResult<Vec<Grid>> {
+    specs.into_iter().map(grid).collect()
+}
+
+fn grid((kind, n, edges): GridSpec) -> PyResult<Grid> {
+    match (kind.as_str(), edges) {
+        ("samples", _) => Ok(Grid::Samples(n)),
+        ("uniform", _) => Ok(Grid::Uniform(n)),
+        ("edges", Some(edges)) => Ok(Grid::Edges(edges)),
+        _ => Err(PyValueError::new_err(format!("unknown grid '{kind}'"))),
+    }
+}
+
+/// Records of experiments.
+pub fn records(experiments: Vec<Record<'_>>) -> Vec<Experiment> {
+    let one = |(name, t, inputs, outputs, kind): Record<'_>| Experiment {
+        name,
+        t: vector(&t),
+        inputs: inputs.iter().map(vector).collect(),
+        outputs: outputs.iter().map(vector).collect(),
+        interpolation: if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear },
+    };
+    experiments.into_iter().map(one).collect()
+}
+
+/// The noise model.
+pub fn noise(sigmas: Vec<SigmaSpec>) -> Noise {
+    let sigma = |(known, value, lower, upper): SigmaSpec| {
+        if known { Sigma::Known(value) } else { Sigma::Unknown { start: value, lower, upper } }
+    };
+    Noise::Gaussian(sigmas.into_iter().map(sigma).collect())
+}
+
+impl PyProblem {
+    /// The problem itself.
+    pub fn inner(&self) -> &dyn Transcribed {
+        &*self.0
+    }
+
+    fn posed(&self) -> &Posed {
+        self.0.posed()
+    }
+
+    fn slice<'a>(&self, x: &'a PyReadonlyArray1<'_, f64>, n: usize, what: &str) -> PyResult<&'a [f64]> {
+        let x = x.as_slice().map_err(|_| PyValueError::new_err(format!("{what} must be contiguous")))?;
+        if x.len() != n {
+            return Err(PyValueError::new_err(format!("{what} has {} entries, the problem {n}", x.len())));
+        }
+        Ok(x)
+    }
+
+    /// Fills a new array outside the interpreter lock; `None` where something is not finite.
+    fn fill<'py>(
+        &self,
+        py: Python<'py>,
+        len: usize,
+        f: impl FnOnce(&dyn Transcribed, &mut [f64]) -> Result<(), NotFinite> + Send,
+    ) -> Option<Array<'py>> {
+        // SAFETY: every callback writes all entries of its output.
+        let array = unsafe { PyArray1::<f64>::new(py, len, false) };
+        // SAFETY: the array was made here and is seen by nobody else yet.
+        let out = unsafe { array.as_slice_mut().expect("a new array is contiguous") };
+        py.detach(|| f(&*self.0, out)).ok().map(|()| array)
+    }
+}
+
+#[pymethods]
+impl PyProblem {
+    /// Number of variables.
+    #[getter]
+    fn n(&self) -> usize {
+        self.0.n()
+    }
+
+    /// Number of constraints.
+    #[getter]
+    fn m(&self) -> usize {
+        self.0.m()
+    }
+
+    /// Number of parameters, those of the noise among them.
+    #[getter]
+    fn n_theta(&self) -> usize {
+        self.0.layout().n_theta
+    }
+
+    /// Number of states.
+    #[getter]
+    fn n_states(&self) -> usize {
+        self.0.layout().n_x
+    }
+
+    /// First point of each experiment, and the total.
+    #[getter]
+    fn first_point(&self) -> Vec<usize> {
+        self.0.layout().first_point.clone()
+    }
+
+    /// For each variable that is a parameter of the model: its name, the parameter's place in the model, and the
+    /// experiment that it belongs to, if it is of one.
+    #[getter]
+    fn estimands(&self) -> Vec<(String, usize, Option<usize>)> {
+        let all = &self.posed().estimands;
+        (0..self.posed().n_model_parameters)
+            .map(|i| (self.posed().parameters[i].name.clone(), all.parameter[i], all.experiment[i]))
+            .collect()
+    }
+
+    /// The variables of parameters with these values, in the order of `estimands`.
+    fn variables(&self, values: Vec<f64>) -> Vec<f64> {
+        values.iter().zip(&self.posed().estimands.transforms).map(|(v, t)| t.inverse(*v)).collect()
+    }
+
+    /// Values of the parameters, and their derivatives with respect to the variables.
+    fn values(&self, variables: Vec<f64>) -> Vec<(f64, f64)> {
+        variables.iter().zip(&self.posed().estimands.transforms).map(|(v, t)| (t.value(*v), t.slope(*v))).collect()
+    }
+
+    /// What priors add to the objective.
+    fn prior_terms(&self, xi: PyReadonlyArray1<'_, f64>) -> PyResult<f64> {
+        Ok(self.posed().prior_terms(self.slice(&xi, self.0.n(), "xi")?))
+    }
+
+    /// Names of the noise parameters.
+    #[getter]
+    fn noise_parameters(&self) -> Vec<String> {
+        self.posed().parameters[self.posed().n_model_parameters..].iter().map(|p| p.name.clone()).collect()
+    }
+
+    /// Times of the points of an experiment whose states are variables.
+    fn point_times<'py>(&self, py: Python<'py>, experiment: usize) -> Array<'py> {
+        PyArray1::from_slice(py, self.0.point_times(experiment))
+    }
+
+    /// Times of the mesh on which the equations of an experiment are solved, and the states there, one array a state.
+    fn path<'py>(
+        &self,
+        py: Python<'py>,
+        xi: PyReadonlyArray1<'py, f64>,
+        experiment: usize,
+    ) -> PyResult<(Array<'py>, Vec<Array<'py>>)> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        let (times, states) = py.detach(|| self.0.path(xi, experiment));
+        Ok((PyArray1::from_vec(py, times), arrays(py, states)))
+    }
+
+    /// States at the samples of an experiment, one array a state.
+    fn states<'py>(
+        &self,
+        py: Python<'py>,
+        xi: PyReadonlyArray1<'py, f64>,
+        experiment: usize,
+    ) -> PyResult<Vec<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(arrays(py, py.detach(|| self.0.states_at_samples(xi, experiment))))
+    }
+
+    fn bounds<'py>(&self, py: Python<'py>) -> (Array<'py>, Array<'py>) {
+        let (lower, upper) = self.0.bounds();
+        (PyArray1::from_vec(py, lower), PyArray1::from_vec(py, upper))
+    }
+
+    /// φ = −ℓ; NaN where something is not finite.
+    fn objective(&self, py: Python<'_>, xi: PyReadonlyArray1<'_, f64>) -> PyResult<f64> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(py.detach(|| self.0.objective(xi)).unwrap_or(f64::NAN))
+    }
+
+    fn gradient<'py>(&self, py: Python<'py>, xi: PyReadonlyArray1<'py, f64>) -> PyResult<Option<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(self.fill(py, self.0.n(), |p, out| p.gradient(xi, out)))
+    }
+
+    fn constraints<'py>(
+        &self,
+        py: Python<'py>,
+        xi: PyReadonlyArray1<'py, f64>,
+    ) -> PyResult<Option<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(self.fill(py, self.0.m(), |p, out| p.constraints(xi, out)))
+    }
+
+    fn jacobian_structure<'py>(&self, py: Python<'py>) -> Indices<'py> {
+        indices(py, self.0.jacobian_structure())
+    }
+
+    fn jacobian<'py>(&self, py: Python<'py>, xi: PyReadonlyArray1<'py, f64>) -> PyResult<Option<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(self.fill(py, self.0.jacobian_structure().len(), |p, out| p.jacobian(xi, out)))
+    }
+
+    fn hessian_structure<'py>(&self, py: Python<'py>) -> Indices<'py> {
+        indices(py, self.0.hessian_structure())
+    }
+
+    fn hessian<'py>(
+        &self,
+        py: Python<'py>,
+        xi: PyReadonlyArray1<'py, f64>,
+        factor: f64,
+        multipliers: PyReadonlyArray1<'py, f64>,
+    ) -> PyResult<Option<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        let lambda = self.slice(&multipliers, self.0.m(), "the multipliers")?;
+        Ok(self.fill(py, self.0.hessian_structure().len(), |p, out| p.hessian(xi, factor, lambda, out)))
+    }
+
+    /// Entries, at the places of the Hessian, of its Gauss-Newton approximation.
+    fn gauss_newton<'py>(
+        &self,
+        py: Python<'py>,
+        xi: PyReadonlyArray1<'py, f64>,
+        factor: f64,
+    ) -> PyResult<Option<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(self.fill(py, self.0.hessian_structure().len(), |p, out| p.gauss_newton(xi, factor, out)))
+    }
+
+    /// Model outputs at the samples of an experiment, one array an output.
+    fn outputs<'py>(
+        &self,
+        py: Python<'py>,
+        xi: PyReadonlyArray1<'py, f64>,
+        experiment: usize,
+    ) -> PyResult<Vec<Array<'py>>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(arrays(py, py.detach(|| self.0.outputs_at_samples(xi, experiment))))
+    }
+
+    fn variable_name(&self, i: usize) -> String {
+        self.0.variable_name(i)
+    }
+
+    fn constraint_name(&self, i: usize) -> String {
+        self.0.constraint_name(i)
+    }
+
+    /// What is not finite at xi, where and from what.
+    fn explain(&self, py: Python<'_>, xi: PyReadonlyArray1<'_, f64>) -> PyResult<Option<String>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(py.detach(|| self.0.explain(xi)))
+    }
+
+    /// Entries of derivatives that differ from difference quotients: (entry, computed, difference).
+    fn check_derivatives(
+        &self,
+        xi: PyReadonlyArray1<'_, f64>,
+        multipliers: PyReadonlyArray1<'_, f64>,
+        columns: Vec<usize>,
+        tolerance: f64,
+    ) -> PyResult<Vec<(String, f64, f64)>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        let lambda = self.slice(&multipliers, self.0.m(), "the multipliers")?;
+        let wrong = check_derivatives(&*self.0, xi, lambda, &columns, tolerance)
+            .map_err(|_| named("EvaluationError", self.0.explain(xi).unwrap_or_default()))?;
+        Ok(wrong.into_iter().map(|w| (w.entry, w.computed, w.difference)).collect())
+    }
+
+    /// Instructions on lanes of the tapes of f, ∂f, ∂²f, ℓ, ∂ℓ, ∂²ℓ.
+    fn instructions(&self) -> [usize; 6] {
+        self.posed().instructions()
+    }
+}

@@ -13,13 +13,13 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "transform", "tape", "model", "evaluator", "experiment", "noise",
-    "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
+    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "transform", "tape", "model", "evaluator",
+    "experiment", "noise", "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "shooting", "guess",
-    "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "estimate",
+    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "shooting",
+    "guess", "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

@@ -130,7 +130,7 @@ class Ipopt:
         message = HINTS[status]
         if status in ("acceptable", "infeasible", "diverging", "failed"):
             message += f" (Ipopt: {said})"
-        if status in ("failed", "infeasible"):
+        if status in ("failed", "infeasible") and problem.m:
             message += f"; {_worst_defect(problem, x, scaling)}"
         return Solution(
             xi=x,

@@ -77,7 +77,7 @@
 //! | [`model`], [`evaluator`] | states, inputs, parameters, equations; f and g at points |
 //! | [`experiment`], [`noise`], [`mesh`] | records, the density of the noise, segments and their points |
 //! | [`nlp`] | the seam to solvers: a nonlinear program with names |
-//! | [`transcription`] | from all these to the program of collocation |
+//! | [`transcription`] | from all these to the program of collocation, or of single or multiple shooting |
 //! | [`linalg`] | the seam to linear algebra: Newton systems; the factorisation of an arrow, and a sparse one |
 //! | [`solver`] | Gauss-Newton, then Newton |
 //! | [`diagnosis`] | covariance, and what the data leave open |

@@ -22,11 +22,11 @@ impl PyCollocation {
         order: usize,
         divisions: Vec<GridSpec>,
         threads: usize,
-    ) -> PyResult<(Self, PyProblem)> {
+    ) -> PyResult<PyClassInitializer<Self>> {
         let (records, noise) = (records(experiments), noise(sigmas));
         let settings = Settings { order, grid: grids(divisions)?, threads };
         let model = &model.0;
         let problem = py.detach(|| Collocation::new(model, &records, noise, &settings)).map_err(raise)?;
-        Ok((PyCollocation, PyProblem(Box::new(problem))))
+        Ok(PyClassInitializer::from(PyProblem(Box::new(problem))).add_subclass(PyCollocation))
     }
 }

@@ -162,7 +162,11 @@ impl PyProblem {
 
     /// Values of the parameters, and their derivatives with respect to the variables.
     fn values(&self, variables: Vec<f64>) -> Vec<(f64, f64)> {
-        variables.iter().zip(&self.posed().estimands.transforms).map(|(v, t)| (t.value(*v), t.slope(*v))).collect()
+        variables
+            .iter()
+            .zip(&self.posed().estimands.transforms)
+            .map(|(v, t)| (t.value(*v), t.slope(*v)))
+            .collect()
     }
 
     /// What priors add to the objective.

@@ -28,7 +28,7 @@ impl PyShooting {
         integrator: &str,
         steps: StepSpec,
         threads: usize,
-    ) -> PyResult<(Self, PyProblem)> {
+    ) -> PyResult<PyClassInitializer<Self>> {
         let (records, noise) = (records(experiments), noise(sigmas));
         let unknown = |what: &str| PyValueError::new_err(format!("unknown {what}"));
         let integrator = Integrator::from_name(integrator).ok_or_else(|| unknown("integrator"))?;
@@ -41,6 +41,6 @@ impl PyShooting {
         let settings = Shots { grid: grids(divisions)?, integrator, steps, threads };
         let model = &model.0;
         let problem = py.detach(|| Shooting::new(model, &records, noise, &settings)).map_err(raise)?;
-        Ok((PyShooting, PyProblem(Box::new(problem))))
+        Ok(PyClassInitializer::from(PyProblem(Box::new(problem))).add_subclass(PyShooting))
     }
 }

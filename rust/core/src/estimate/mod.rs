@@ -162,7 +162,8 @@ impl<'a> Estimation<'a> {
         let problem = &*problem;
         let multipliers = self.same(problem).map(|fit| &fit.solution.multipliers[..]);
         let known = || self.states_known();
-        let regression = self.regression.unwrap_or_else(|| self.warm.is_none() && self.shots.is_none() && known());
+        let regression =
+            self.regression.unwrap_or_else(|| self.warm.is_none() && self.shots.is_none() && known());
         let settings = Settings { regression, ..self.solver.clone() };
         let solution = solve(problem, &xi, multipliers, &settings, &mut watch).map_err(|_| {
             let what = problem.explain(&xi).map_or_else(
@@ -241,7 +242,8 @@ impl<'a> Estimation<'a> {
     /// The fit to go on from, where it is of this problem and nothing else is asked for.
     fn same(&self, problem: &dyn Transcribed) -> Option<&'a Fit> {
         let fit = self.warm.filter(|_| self.start.is_empty())?;
-        let names = fit.parameters.iter().map(|p| &p.name).eq(problem.posed().parameters.iter().map(|p| &p.name));
+        let names =
+            fit.parameters.iter().map(|p| &p.name).eq(problem.posed().parameters.iter().map(|p| &p.name));
         let sizes = (fit.solution.xi.len(), fit.solution.multipliers.len()) == (problem.n(), problem.m());
         (names && sizes && fit.model.states == self.model.states).then_some(fit)
     }

@@ -53,6 +53,25 @@ impl Default for Shots {
 /// are those of the steps.
 ///
 /// Nodes form [`Chains`], which the arrow factorisation serves; a single segment leaves no constraint at all.
+///
+/// ```
+/// use phugoid::transcription::{Shots, Steps};
+/// use phugoid::{Estimation, Experiment, Grid, Model, Parameter};
+///
+/// let mut m = Model::new("decay");
+/// let (x, rate) = (m.state("x", "m")?, m.parameter(Parameter::new("rate", 0.1))?);
+/// m.equation("x", -rate * &x, None)?;
+/// m.output("x", x, "", None)?;
+/// let t: Vec<f64> = (0..50).map(|k| 0.1 * k as f64).collect();
+/// let x = t.iter().map(|t| (-0.7 * t).exp() + 1e-3 * (1e4 * t).sin()).collect();
+/// let runs = [Experiment::new(&m, "run", t, [("x", x)])?];
+///
+/// // Five segments, steps of 0.07 s at most: samples lie within them.
+/// let shots = Shots { grid: vec![Grid::Uniform(5)], steps: Steps::Length(0.07), ..Shots::default() };
+/// let fit = Estimation::new(&m, &runs).shooting(shots).solve()?;
+/// assert!((fit["rate"].value - 0.7).abs() < 4.0 * fit["rate"].std_error);
+/// # Ok::<(), phugoid::Error>(())
+/// ```
 #[derive(Debug)]
 pub struct Shooting {
     /// Parameters, functions, records: its fields are also found as the problem's own.

@@ -1,0 +1,159 @@
+//! Integration by shooting: orders of convergence, ends of solutions, fits.
+
+mod common;
+
+use common::flights;
+use common::models::linear;
+use phugoid::mesh::Grid;
+use phugoid::nlp::Nlp;
+use phugoid::noise::{Noise, Sigma};
+use phugoid::solver::Status;
+use phugoid::transcription::{Integrator, Shooting, Shots, Steps, Transcribed};
+use phugoid::{Estimation, Experiment, Model, Parameter};
+
+/// ẋ = −2 t x² from x(0) = 1 has the solution 1/(1 + t²): nonlinear, and depends on time.
+fn bell() -> Model {
+    let mut m = Model::new("bell");
+    let (x, time) = (m.state("x", "").unwrap(), m.time());
+    let a = m.parameter(Parameter::new("a", -2.0)).unwrap();
+    m.equation("x", a * &time * &x * &x, None).unwrap();
+    m.output("y", x, "", None).unwrap();
+    m
+}
+
+/// Greatest error at the samples that lie within steps, and that at the end.
+fn errors(integrator: Integrator, segments: usize, steps: usize) -> (f64, f64) {
+    let model = bell();
+    // Many, in all places of a step.
+    let t: Vec<f64> = (0..=300).map(|k| 2.0 * (f64::from(k) / 300.0).powf(1.1)).collect();
+    let x: Vec<f64> = t.iter().map(|t| 1.0 / (1.0 + t * t)).collect();
+    let run = Experiment::new(&model, "run", t, [("y", x.clone())]).unwrap();
+    let settings = Shots {
+        grid: vec![Grid::Uniform(segments)],
+        integrator,
+        steps: Steps::Number(steps / segments),
+        threads: 1,
+    };
+    let noise = Noise::Gaussian(vec![Sigma::Known(1.0)]);
+    let problem = Shooting::new(&model, std::slice::from_ref(&run), noise, &settings).unwrap();
+    // Nodes on the path that the integration gives: each segment starts where the one before it ended.
+    let mut xi = vec![-2.0];
+    xi.resize(problem.n(), 1.0);
+    for _ in 0..segments {
+        let mut defects = vec![0.0; problem.m()];
+        problem.constraints(&xi, &mut defects).unwrap();
+        xi[2..].iter_mut().zip(&defects).for_each(|(x, d)| *x -= d);
+    }
+    let found = &problem.states_at_samples(&xi, 0)[0];
+    let error: Vec<f64> = found.iter().zip(&x).map(|(a, b)| (a - b).abs()).collect();
+    let (end, within) = error.split_last().unwrap();
+    (within.iter().copied().fold(0.0, f64::max), *end)
+}
+
+/// The error at the end falls with the order of the method, that within steps with no more than that of the cubic, 4.
+#[test]
+fn integrators_converge_with_their_order() {
+    for integrator in Integrator::ALL {
+        for segments in [1, 4] {
+            let (steps, order) = (64, integrator.order() as f64);
+            let (coarse, fine) =
+                (errors(integrator, segments, steps), errors(integrator, segments, 2 * steps));
+            let measured = ((coarse.0 / fine.0).log2(), (coarse.1 / fine.1).log2());
+            println!(
+                "{integrator:?}, {segments} segments: at the end {:.2}, within {:.2}",
+                measured.1, measured.0
+            );
+            assert!((measured.1 - order).abs() < 0.35, "{integrator:?}: {measured:?} {coarse:?} {fine:?}");
+            assert!(
+                (measured.0 - order.min(4.0)).abs() < 0.5,
+                "{integrator:?}: {measured:?} {coarse:?} {fine:?}"
+            );
+        }
+    }
+}
+
+/// Where the solution ceases to exist, when and why is said.
+#[test]
+fn a_solution_that_ceases_to_exist() {
+    let mut m = Model::new("escape");
+    let x = m.state("x", "").unwrap();
+    let a = m.parameter(Parameter::new("a", 1.0)).unwrap();
+    m.equation("x", a * &x * &x * &x, None).unwrap();
+    m.output("x", x, "", None).unwrap();
+    let t: Vec<f64> = (0..200).map(|k| 0.1 * f64::from(k)).collect();
+    let z = t.iter().map(|t| 1.0 + 0.01 * t.sin()).collect();
+    let runs = [Experiment::new(&m, "run", t, [("x", z)]).unwrap()];
+    let error = Estimation::new(&m, &runs).shooting(Shots::default()).solve().unwrap_err().to_string();
+    assert!(
+        error.contains("the solution of 'run' that starts at t = 0 s ceases to exist at t = "),
+        "{error}"
+    );
+    let time: f64 = error.split("at t = ").nth(2).unwrap().split(' ').next().unwrap().parse().unwrap();
+    // It leaves to infinity at 0.5 s; fixed steps follow a little longer.
+    assert!((0.5..2.0).contains(&time), "{error}");
+    // Segments shorter than that are no trouble.
+    let shots = Shots { grid: vec![Grid::Uniform(100)], ..Shots::default() };
+    let fit = Estimation::new(&m, &runs).shooting(shots).solve().unwrap();
+    assert_eq!(fit.status, Status::Converged);
+}
+
+#[test]
+fn a_slope_that_is_not_finite_is_named() {
+    let mut m = Model::new("tank");
+    let h = m.state("h", "m").unwrap();
+    let c = m.parameter(Parameter::new("c", 1.0)).unwrap();
+    m.equation("h", -c * h.sqrt(), None).unwrap();
+    m.output("h", h, "", None).unwrap();
+    let t: Vec<f64> = (0..40).map(|k| 0.2 * f64::from(k)).collect();
+    let z = t.iter().map(|t| (1.0 - 0.1 * t).powi(2)).collect();
+    let runs = [Experiment::new(&m, "run", t, [("h", z)]).unwrap()];
+    let error = Estimation::new(&m, &runs).shooting(Shots::default()).solve().unwrap_err().to_string();
+    for words in ["ceases to exist", "the equation of h' is not finite", "sqrt(h)"] {
+        assert!(error.contains(words), "{error}");
+    }
+}
+
+/// Collocation and multiple shooting find the same optimum of an unstable aircraft.
+#[test]
+fn fits_agree_with_collocation() {
+    let model = linear();
+    let run = [flights::record(301, 5)];
+    let reference = Estimation::new(&model, &run).order(6).solve().unwrap();
+    for (segments, steps) in [(30, Steps::Samples(4)), (7, Steps::Length(0.0025)), (1, Steps::Samples(4))] {
+        let grid = vec![Grid::Uniform(segments)];
+        let shots = Shots { grid, steps: steps.clone(), integrator: Integrator::DormandPrince, threads: 1 };
+        let warm = Estimation::new(&model, &run).shooting(shots.clone()).start_from(&reference);
+        let cold = Estimation::new(&model, &run).shooting(shots);
+        for (how, fit) in [("warm", warm.solve().unwrap()), ("cold", cold.solve().unwrap())] {
+            if segments == 1 && how == "cold" {
+                continue; // single shooting of an unstable system promises nothing from zeros
+            }
+            assert_eq!(fit.status, Status::Converged, "{segments} segments, {steps:?}, {how}");
+            for p in &reference.parameters {
+                let off = (fit[p.name.as_str()].value - p.value).abs() / p.std_error;
+                assert!(off < 1e-4, "{segments} segments, {how}: {} is {off} standard errors off", p.name);
+                let ratio = fit[p.name.as_str()].std_error / p.std_error;
+                assert!((ratio - 1.0).abs() < 1e-4, "{}: {ratio}", p.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn wrong_options() {
+    let model = bell();
+    let t = vec![0.0, 1.0, 2.0];
+    let run = Experiment::new(&model, "run", t, [("y", vec![1.0, 0.5, 0.2])]).unwrap();
+    let build = |settings: Shots, runs: usize| {
+        let noise = Noise::Gaussian(vec![Sigma::Known(1.0)]);
+        Shooting::new(&model, &vec![run.clone(); runs], noise, &settings).map(|_| ()).unwrap_err().to_string()
+    };
+    for steps in [Steps::Samples(0), Steps::Number(0), Steps::Length(0.0), Steps::Length(f64::NAN)] {
+        let error = build(Shots { steps, ..Shots::default() }, 1);
+        assert!(error.contains("at least one step of positive length"), "{error}");
+    }
+    let grid = vec![Grid::Uniform(1); 2];
+    assert!(build(Shots { grid, ..Shots::default() }, 3).contains("2 grids for 3 experiments"));
+    let grid = vec![Grid::Edges(vec![0.0, 1.5])];
+    assert!(build(Shots { grid, ..Shots::default() }, 1).contains("end at the last"));
+}

@@ -3,6 +3,7 @@ from typing import Any, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import disjoint_base
 
 __all__ = [
     "Collocation",
@@ -157,6 +158,7 @@ class Model:
     @property
     def outputs(self) -> list[_Equation]: ...
 
+@disjoint_base
 class Problem:
     @property
     def n(self) -> int: ...

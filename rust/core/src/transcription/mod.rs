@@ -11,6 +11,7 @@ mod group;
 mod layout;
 mod likelihood;
 mod objective;
+mod pieces;
 mod posed;
 mod samples;
 mod shooting;

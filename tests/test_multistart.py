@@ -885,7 +885,11 @@ def test_fixed_and_known_are_not_drawn() -> None:
         ({"executor": 4}, OptionError, r"executor: give a concurrent.futures.Executor, .* not 4"),
         ({"executor": ProcessPoolExecutor}, OptionError, "executor: give a concurrent.futures.Executor"),
         ({"progress": "yes"}, OptionError, "progress is True, False or a function"),
-        ({"transcription": 2}, OptionError, "transcription is a Collocation, not 2"),
+        (
+            {"transcription": 2},
+            OptionError,
+            "a Collocation, MultipleShooting or SingleShooting, not 2",
+        ),
         ({"noise": 2}, OptionError, "noise is a Gaussian, not 2"),
         ({"start": 2}, OptionError, "start holds values by name, or is a fit"),
         ({"start": {"b": 2}}, ModelError, "start: 'b' is no parameter, sigma or state"),

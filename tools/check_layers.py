@@ -13,7 +13,7 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "model", "evaluator", "experiment", "noise",
+    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "transform", "condition", "model", "evaluator", "experiment", "noise",
     "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
 ]
 

@@ -13,14 +13,15 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "transform", "condition", "model", "evaluator", "experiment", "noise",
-    "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
+    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "transform", "condition", "model",
+    "evaluator", "experiment", "noise", "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "guess",
-    "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "estimate",
-    "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
+    "_core", "errors", "symbols", "parameters", "noise", "delayed", "model", "experiment", "multirate", "read",
+    "transcription", "guess", "solvers", "progress", "records", "io", "plot", "summary", "result", "late", "simulate",
+    "estimate", "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__",
+    "__main__",
 ]
 # fmt: on
 

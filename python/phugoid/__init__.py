@@ -23,6 +23,7 @@ from .errors import (
 from .estimate import estimate
 from .experiment import Experiment
 from .model import Model
+from .multirate import multirate
 from .multistart import Multistart, multistart
 from .noise import Gaussian, Sigma
 from .optima import Optimum
@@ -99,6 +100,7 @@ __all__ = [
     "log",
     "maximum",
     "minimum",
+    "multirate",
     "multistart",
     "read",
     "sign",

@@ -28,7 +28,9 @@ _Indices: TypeAlias = tuple[NDArray[np.uint32], NDArray[np.uint32]]  # rows, col
 _Operand: TypeAlias = Expr | float
 _Equation: TypeAlias = tuple[str, Expr, str, str | None]  # name, expression, unit, source
 _Prior: TypeAlias = tuple[float, float] | None  # mean, standard deviation
-_Record: TypeAlias = tuple[str, _Array, list[_Array], list[_Array], str]  # name, t, inputs, outputs, interpolation
+_Signal: TypeAlias = tuple[_Array, _Array, float, int]  # times, samples, delay, derivative
+# name, t, inputs, outputs, interpolation, signals
+_Record: TypeAlias = tuple[str, _Array, list[_Array], list[_Array], str, list[_Signal | None]]
 _Sigma: TypeAlias = tuple[bool, float, float, float]  # known?, value or start, lower, upper
 _Grid: TypeAlias = tuple[str, int, list[float] | None]  # kind, number, edges
 

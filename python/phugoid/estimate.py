@@ -12,6 +12,7 @@ from . import _core
 from .errors import DataError, ModelError, OptionError
 from .experiment import Experiment, moves
 from .guess import check_names, measured_states, parameter_start, spread, state_start
+from .late import estimate_late
 from .model import Model
 from .noise import Gaussian
 from .progress import Progress
@@ -55,11 +56,11 @@ def estimate(
     transcription = transcription or Collocation()
     noise = noise or model.noise_model
     solver = solver or Newton()
-    options = {
+    kinds = {
         "transcription": (transcription, Collocation),
         "noise": (noise, Gaussian),
     }
-    for what, (value, kind) in options.items():
+    for what, (value, kind) in kinds.items():
         if not isinstance(value, kind):
             raise OptionError(f"estimate: {what} is a {kind.__name__}, not {value!r}")
     if not isinstance(solver, (Newton, Ipopt)):
@@ -68,6 +69,10 @@ def estimate(
         raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
     if not isinstance(start, (Mapping, Fit, type(None))):
         raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
+
+    if model.delays:
+        options = {"transcription": transcription, "noise": noise, "solver": solver, "progress": progress}
+        return estimate_late(estimate, model, experiments, start, options)
 
     moving = [_moving(e, model.output_names) for e in experiments]
     for i, experiment in enumerate(experiments):

@@ -11,7 +11,8 @@ from typing import Any
 
 from . import _core
 from ._core import Expr
-from .errors import ModelError
+from .delayed import Delays, at_delays
+from .errors import ModelError, did_you_mean
 from .noise import Gaussian, Sigma
 from .parameters import Parameter
 
@@ -73,6 +74,7 @@ class Model:
     def __init__(self, name: str = "model") -> None:
         self._core = _core.Model(str(name))
         self._noise = Gaussian()
+        self._delays = Delays()
 
     @property
     def name(self) -> str:
@@ -107,6 +109,39 @@ class Model:
                 self._core.parameter(name, p.unit, p.start, low, high, p.prior, p.fixed, p.per_experiment, log, p.scale)
             )
         return tuple(symbols)
+
+    def delay(self, input: Expr, by: Expr, name: str | None = None) -> Expr:
+        """The symbol of an input that acts late, u(t - tau), with ``by`` the parameter tau (s), which is estimated.
+
+        ``name`` is what to call it, ``<input>_delayed`` unless given. Before the first sample the input is taken as
+        constant. A delay below zero is a lead.
+        """
+        u = self._declared(input, self.input_names, "delay", "an input")
+        tau = self._declared(by, self.parameter_names, f"delay of {u}", "a parameter")
+        late = name or f"{u}_delayed"
+        symbol = self._core.input(late, self.units.get(u, ""))
+        self._delays = self._delays.with_input(late, u, tau)
+        return symbol
+
+    def sensor_delay(self, **by: Expr) -> None:
+        """Says that outputs are measured late, z(t) = y(t - tau): ``sensor_delay(alpha=tau)``, tau a parameter (s)."""
+        for output, tau in by.items():
+            if output not in self.output_names:
+                hint = did_you_mean(output, self.output_names)
+                raise ModelError(f"sensor_delay: '{output}' is not an output.{hint}")
+            parameter = self._declared(tau, self.parameter_names, f"sensor_delay of {output}", "a parameter")
+            self._delays = self._delays.with_output(output, parameter)
+
+    def _declared(self, symbol: Any, names: tuple[str, ...], where: str, what: str) -> str:
+        found = Expr(symbol).symbols if isinstance(symbol, Expr) else []
+        if len(found) != 1 or str(symbol) != next(iter(found)) or str(symbol) not in names:
+            raise ModelError(f"{where}: give the symbol of {what} of this model, not {symbol!r}")
+        return str(symbol)
+
+    @property
+    def delays(self) -> Delays:
+        """Inputs and outputs that are late."""
+        return self._delays
 
     @property
     def time(self) -> Expr:
@@ -190,8 +225,8 @@ class Model:
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs, in order."""
-        return tuple(name for name, _ in self._core.inputs)
+        """Names of the inputs that data must have, in order."""
+        return tuple(name for name, _ in self._core.inputs if name not in self._delays.inputs)
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -235,7 +270,10 @@ class Model:
 
     def check(self) -> None:
         """Raises ModelError where the model is incomplete: a state without equation, an unknown symbol, ..."""
-        self._core.check()
+        if self._delays:
+            at_delays(self, {name: self.declared_parameters[name].start for name in self._delays.parameters}).check()
+        else:
+            self._core.check()
 
     def latex(self) -> str:
         """The equations as a LaTeX ``aligned`` block."""
@@ -247,15 +285,18 @@ class Model:
     def to_json(self) -> str:
         """The model as text that `from_json`, and (but for the noise) the Rust crate, read back exactly."""
         text = self._core.to_json()
-        noise = self._noise.to_dict()
-        return json.dumps({**json.loads(text), "noise": noise}) if noise else text
+        more = {"noise": self._noise.to_dict(), "delays": self._delays.to_dict()}
+        more = {key: value for key, value in more.items() if value}
+        return json.dumps({**json.loads(text), **more}) if more else text
 
     @classmethod
     def from_json(cls, text: str) -> Model:
         """Reads `to_json`. Raises ModelError for other text."""
         model = cls.__new__(cls)
         model._core = _core.Model.from_json(text)
-        model._noise = Gaussian.from_dict(json.loads(text).get("noise", {}))
+        saved = json.loads(text)
+        model._noise = Gaussian.from_dict(saved.get("noise", {}))
+        model._delays = Delays.from_dict(saved.get("delays", {}))
         return model
 
     def save(self, path: str | os.PathLike[str]) -> None:

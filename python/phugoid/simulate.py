@@ -14,6 +14,7 @@ from . import _core
 from .errors import DataError, EvaluationError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
 from .guess import measured_states
+from .late import simulated_late
 from .model import Model
 from .records import Record
 from .result import Fit
@@ -56,6 +57,9 @@ def simulate(
     data.check_for(model.input_names, [])
     values = _values(model, parameters, data.name)
     x0 = _initial(model, values, parameters, data, initial or {})
+    if model.delays:
+        first = dict(zip(model.state_names, x0, strict=True))
+        return simulated_late(simulate, model, values, data, initial=first, method=method, rtol=rtol)
     flow = _Flow(model, values, data)
     states = flow.path(x0, method, float(rtol))
     y = flow.outputs(states)

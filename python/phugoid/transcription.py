@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from . import _core
 from .errors import OptionError
-from .experiment import Experiment
+from .experiment import Experiment, FloatArray
 from .model import Model
 
 __all__ = ["Collocation"]
@@ -54,7 +54,12 @@ class Collocation:
         Raises OptionError for segment ends that do not fit the experiments.
         """
         if self.segments is None:
-            return [("samples", self.substeps, None)]
+            if all(e.mesh_times is None for e in experiments):
+                return [("samples", self.substeps, None)]
+            return [
+                ("edges", 0, _divided(e.t if e.mesh_times is None else e.mesh_times, self.substeps))
+                for e in experiments
+            ]
         if isinstance(self.segments, int):
             return [("uniform", self.segments, None)]
         lists: Any = self.segments if isinstance(self.segments[0], tuple) else (self.segments,)  # type: ignore[index]
@@ -83,6 +88,7 @@ class Collocation:
                 [np.ascontiguousarray(e.input(n)) for n in model.input_names],
                 [np.ascontiguousarray(e.output(n)) for n in model.output_names],
                 e.interpolation,
+                [e.signal(n) for n in model.input_names],
             )
             for e in experiments
         ]
@@ -97,6 +103,12 @@ class Collocation:
         else:
             grid = "given segments"
         return f"collocation of order {self.order}, {grid}"
+
+
+def _divided(times: FloatArray, parts: int) -> list[float]:
+    """Times with every interval divided into parts."""
+    share = np.arange(parts * (times.size - 1) + 1) / parts
+    return [float(t) for t in np.interp(share, np.arange(times.size), times)]
 
 
 def _whole(value: Any) -> bool:

@@ -69,6 +69,7 @@ fn errors(known: &Known, order: usize, n: usize, samples: usize) -> (f64, f64) {
         t,
         inputs: vec![],
         interpolation: Interpolation::Linear,
+        signals: Vec::new(),
     };
     let noise = Noise::Gaussian(vec![Sigma::Known(1.0); n_x]);
     let settings = Settings { order, grid: vec![Grid::Uniform(n)], threads: 1 };

@@ -862,6 +862,7 @@ fn large(order: usize, samples: usize) -> Collocation {
         inputs: vec![channel(), channel()],
         outputs: (0..7).map(|_| channel()).collect(),
         interpolation: Interpolation::Linear,
+        signals: Vec::new(),
     };
     let noise = Noise::Gaussian(vec![Sigma::Unknown { start: 0.5, lower: 1e-3, upper: 1e3 }; 7]);
     let settings = Settings { order, grid: vec![Grid::Samples(1)], threads: 1 };

@@ -1,7 +1,7 @@
 //! The collocation problem.
 
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
-use phugoid::experiment::Experiment;
+use phugoid::experiment::{Experiment, Signal};
 use phugoid::interpolate::Interpolation;
 use phugoid::mesh::Grid;
 use phugoid::nlp::{Nlp, NotFinite, Structure, check::check_derivatives};
@@ -13,13 +13,17 @@ use pyo3::prelude::*;
 use crate::errors::{named, raise};
 use crate::model::PyModel;
 
-/// A record as Python hands it over: name, times, inputs, outputs, interpolation.
+/// An input sampled at times of its own: times, samples, delay, derivative.
+type SignalSpec<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, f64, usize);
+
+/// A record as Python hands it over: name, times, inputs, outputs, interpolation, signals in place of inputs.
 type Record<'py> = (
     String,
     PyReadonlyArray1<'py, f64>,
     Vec<PyReadonlyArray1<'py, f64>>,
     Vec<PyReadonlyArray1<'py, f64>>,
     String,
+    Vec<Option<SignalSpec<'py>>>,
 );
 
 /// σ of an output: (known, value or start, lower, upper).
@@ -37,6 +41,10 @@ type Indices<'py> = (Bound<'py, PyArray1<u32>>, Bound<'py, PyArray1<u32>>);
 
 fn vector(v: &PyReadonlyArray1<'_, f64>) -> Vec<f64> {
     v.as_array().to_vec()
+}
+
+fn signal((t, values, delay, derivative): &SignalSpec<'_>) -> Signal {
+    Signal { t: vector(t), values: vector(values), delay: *delay, derivative: *derivative }
 }
 
 fn indices<'py>(py: Python<'py>, s: &Structure) -> Indices<'py> {
@@ -95,12 +103,13 @@ impl PyCollocation {
     ) -> PyResult<Self> {
         let records: Vec<Experiment> = experiments
             .into_iter()
-            .map(|(name, t, inputs, outputs, kind)| Experiment {
+            .map(|(name, t, inputs, outputs, kind, signals)| Experiment {
                 name,
                 t: vector(&t),
                 inputs: inputs.iter().map(vector).collect(),
                 outputs: outputs.iter().map(vector).collect(),
                 interpolation: if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear },
+                signals: signals.iter().map(|s| s.as_ref().map(signal)).collect(),
             })
             .collect();
         let sigma = |(known, value, lower, upper): SigmaSpec| {

@@ -5,7 +5,6 @@ use super::layout::Layout;
 use crate::condition::{Condition, End};
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
-use crate::interpolate::interpolate;
 use crate::mesh::Mesh;
 use crate::nlp::Structure;
 use crate::tape::{Arguments, Function, LANE_MULTIPLE, Tape, Workspace};
@@ -63,8 +62,7 @@ impl Boundary {
             Arguments { data: u.concat(), states: x.concat(), parameters: symbols.theta.to_vec() };
         let ends = |(e, mesh): (&Experiment, &Mesh)| {
             let times = [mesh.times[0], mesh.times[mesh.n_mesh - 1]];
-            let channels: Vec<Vec<f64>> =
-                e.inputs.iter().map(|c| interpolate(e.interpolation, &e.t, c, &times)).collect();
+            let channels: Vec<Vec<f64>> = (0..e.inputs.len()).map(|c| e.input(c, &times)).collect();
             (0..2).flat_map(|i| std::iter::once(times[i]).chain(channels.iter().map(move |c| c[i]))).collect()
         };
         debug_assert_eq!(n, x[0].len());

@@ -18,7 +18,6 @@ use crate::condition::Condition;
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
-use crate::interpolate::interpolate;
 use crate::mesh::{Grid, Mesh};
 use crate::model::{Compiled, Model, Parameter};
 use crate::nlp::{self, Chains, Nlp, NotFinite, Structure};
@@ -246,10 +245,8 @@ impl Collocation {
     /// Fills chunks and blocks of samples with data in the order of their lanes.
     fn place_data(&mut self, present: &[Option<Id>]) {
         for (e, (experiment, mesh)) in self.experiments.iter().zip(&self.meshes).enumerate() {
-            let at_points = |channel: &Vec<f64>| {
-                interpolate(experiment.interpolation, &experiment.t, channel, &mesh.times)
-            };
-            let inputs: Vec<Vec<f64>> = experiment.inputs.iter().map(at_points).collect();
+            let channels = 0..experiment.inputs.len();
+            let inputs: Vec<Vec<f64>> = channels.clone().map(|c| experiment.input(c, &mesh.times)).collect();
             let first = self.layout.first_point[e] as u32;
             for mut chunk in Chunk::cut(e, mesh, &self.layout) {
                 for column in std::iter::once(&mesh.times).chain(&inputs) {
@@ -258,7 +255,7 @@ impl Collocation {
                 self.chunks.push(chunk);
             }
             let mut columns = vec![experiment.t.clone()];
-            columns.extend(experiment.inputs.iter().cloned());
+            columns.extend(channels.map(|c| experiment.input(c, &experiment.t)));
             let filled = |c: &Vec<f64>| c.iter().map(|v| if v.is_nan() { 0.0 } else { *v }).collect();
             columns.extend(experiment.outputs.iter().map(filled));
             let flags = |c: &Vec<f64>| c.iter().map(|v| f64::from(u8::from(!v.is_nan()))).collect();

@@ -19,7 +19,8 @@ RUST = [
 
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "guess",
-    "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "estimate",
+    "solvers", "progress", "records", "io", "plot", "summary",
+    "differentiate", "regression", "equations", "equation_error", "result", "simulate", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

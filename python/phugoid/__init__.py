@@ -12,6 +12,8 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 """
 
 from ._core import Expr, __version__
+from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
+from .equation_error import EquationError, equation_error
 from .errors import (
     DataError,
     EvaluationError,
@@ -64,11 +66,13 @@ from .transcription import Collocation
 __all__ = [
     "Collocation",
     "DataError",
+    "EquationError",
     "Estimate",
     "EvaluationError",
     "Experiment",
     "Expr",
     "Fit",
+    "FourierSmoothing",
     "Gaussian",
     "Ipopt",
     "Iteration",
@@ -83,7 +87,9 @@ __all__ = [
     "Parameter",
     "PhugoidError",
     "Record",
+    "SavitzkyGolay",
     "Sigma",
+    "SmoothingSpline",
     "Table",
     "__version__",
     "acos",
@@ -92,6 +98,7 @@ __all__ = [
     "atan2",
     "cos",
     "cosh",
+    "equation_error",
     "estimate",
     "exp",
     "from_sympy",

@@ -133,7 +133,7 @@ def test_a_measured_slope_replaces_the_differentiated_one() -> None:
     x, y = m.states("x y")
     (u,) = m.inputs("u")
     a, b, c = m.parameters("a b c")
-    m.dynamics(x=a * x + u, y=b * y + u)
+    m.dynamics(y=b * y + u, x=a * x + u)
     m.outputs(x=x, y=y, xdot=u + a * x, ydot=b * y + u + c)
     e = Experiment(T, {"u": U}, interpolation="cubic")
     data = e.with_outputs(ph.simulate(m, {"a": -1.0, "b": -2.0, "c": 0.1}, e, initial={"x": 0, "y": 0}).outputs)

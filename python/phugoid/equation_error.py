@@ -86,7 +86,7 @@ class EquationError:
         header = ["equation", "RMS residual", "unit", "R²", "lag-1 corr.", "samples"]
         t = self.t_statistics
         lines = []
-        for name, e in self.parameters.items():
+        for name in self.parameters:
             white = self.white_std_errors[name]
             known = np.isfinite(t[name])
             lines.append([name, f"{white:.2g}" if known else "", f"{abs(t[name]):.1f}" if known else ""])

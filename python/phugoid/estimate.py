@@ -39,8 +39,8 @@ def estimate(
 
     ``data``: one experiment or several with shared parameters. Initial states are free.
     ``start``: values by name of parameters, of ``sigma_<output>`` and of states (a number or one value a sample),
-    or a fit to go on from, or the result of `equation_error`. Parameters not named start as declared, standard deviations at the spread of the
-    measurements, states as measured where an output measures them and else at 0.
+    or a fit to go on from, or the result of `equation_error`. Parameters not named start as declared, standard
+    deviations at the spread of the measurements, states as measured where an output measures them and else at 0.
     ``noise``: instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints
     the iterations; a function is called with each.
 

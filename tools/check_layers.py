@@ -20,7 +20,8 @@ RUST = [
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "guess",
     "solvers", "progress", "records", "io", "plot", "summary",
-    "differentiate", "regression", "equations", "equation_error", "result", "simulate", "estimate",
+    "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
+    "result", "refine", "simulate", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

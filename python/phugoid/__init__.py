@@ -24,6 +24,7 @@ from .errors import (
 )
 from .estimate import estimate
 from .experiment import Experiment
+from .integration import IntegrationError
 from .model import Model
 from .multistart import Multistart, multistart
 from .noise import Gaussian, Sigma
@@ -32,6 +33,7 @@ from .outcome import Outcome
 from .parameters import Estimate, Parameter
 from .read import read
 from .records import Record
+from .refinement import Refinement
 from .result import Fit, load
 from .simulate import simulate
 from .solvers import Ipopt, Iteration, Newton
@@ -74,6 +76,7 @@ __all__ = [
     "Fit",
     "FourierSmoothing",
     "Gaussian",
+    "IntegrationError",
     "Ipopt",
     "Iteration",
     "MissingDependency",
@@ -87,6 +90,7 @@ __all__ = [
     "Parameter",
     "PhugoidError",
     "Record",
+    "Refinement",
     "SavitzkyGolay",
     "Sigma",
     "SmoothingSpline",

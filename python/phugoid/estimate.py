@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from .guess import check_names, measured_states, parameter_start, spread, state_
 from .model import Model
 from .noise import Gaussian
 from .progress import Progress
+from .refine import refined
 from .result import Fit, make_fit
 from .solvers import Ipopt, Iteration, Newton, Solution
 from .transcription import Collocation
@@ -69,6 +71,15 @@ def estimate(
         raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
     if not isinstance(start, (Mapping, Fit, EquationError, type(None))):
         raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
+    if transcription.refine:
+        # A mesh that is only finer needs no regression: the path is there.
+        again = replace(solver, regression=False) if isinstance(solver, Newton) else solver
+
+        def solve(mesh: Collocation, fit: Fit | None) -> Fit:
+            begin, by = (fit, again) if fit else (start, solver)
+            return estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
+
+        return refined(solve, transcription)
 
     moving = [_moving(e, model.output_names) for e in experiments]
     for i, experiment in enumerate(experiments):

@@ -25,7 +25,7 @@ __all__ = ["IntegrationError", "integration_error"]
 _Array: TypeAlias = NDArray[np.float64]
 
 # Nodes of the finer rule beyond those of the segment; two more for every sample inside it, up to a limit.
-_MORE, _MOST = 3, 24
+_MORE, _MOST = 5, 24
 # No scale is smaller than this part of how far the state moves; a state that is not measured counts as measured to so
 # much of that.
 _FLOOR, _UNMEASURED = 1e-6, 1e-2
@@ -63,7 +63,7 @@ class IntegrationError:
     def plot(self, axes: Axes, tolerance: float | None = None) -> None:
         """Relative errors over time, on a logarithmic scale, into axes of your own."""
         for name, e in self.relative.items():
-            axes.stairs(np.maximum(e, 1e-300), self.edges, label=name, linewidth=0.9)
+            axes.stairs(np.maximum(e, 1e-300), self.edges, label=name, linewidth=0.9, baseline=None)
         axes.set_yscale("log")
         largest = float(self.worst.max())
         axes.set_ylim(max(1e-8 * largest, 1e-14), 3.0 * max(largest, tolerance or 0.0))

@@ -89,7 +89,7 @@ def estimate(
 
     warm = start if isinstance(start, (Fit, EquationError)) else None
     given: Mapping[str, Any] = warm.as_start() if warm else dict(start or {})  # type: ignore[arg-type]
-    check_names(model, given)
+    check_names(model, given, experiments)
     parameters = parameter_start(model, given)
     spreads = {name: spread(experiments, name) for name in model.output_names}
     sigmas = noise.resolve(model.output_names, spreads, given)
@@ -113,10 +113,14 @@ def starting_point(
 ) -> _Array:
     """The decision variables to start from: parameters, 1/sigma, states at all points."""
     roots = [1 / value for is_known, value, _, _ in sigmas if not is_known]
-    parts = [np.array([*parameters.values(), *roots])]
+    each = [list(parameter_start(model, given, e.name).values()) for e in experiments]
+    shared = list(parameters.values())
+    values = [(shared if e is None else each[e])[p] for _, p, e in problem.estimands]
+    parts = [np.array([*problem.variables(values), *roots])]
     for i, experiment in enumerate(experiments):
         times = problem.point_times(i)
-        states = state_start(model, experiment, times, parameters, given)
+        own = dict(zip(parameters, each[i], strict=True))
+        states = state_start(model, experiment, times, own, given)
         if warm is not None and i < len(warm.records):
             record = warm.records[i]
             for k, name in enumerate(model.state_names):

@@ -19,19 +19,23 @@ __all__ = ["check_names", "measured_states", "parameter_start", "state_start"]
 _Array = NDArray[np.float64]
 
 
-def check_names(model: Model, start: Mapping[str, Any]) -> None:
+def check_names(model: Model, start: Mapping[str, Any], experiments: Sequence[Experiment] = ()) -> None:
     """Raises ModelError for a start that names nothing: not a parameter, a sigma or a state."""
     known = [*model.parameter_names, *(f"sigma_{n}" for n in model.output_names), *model.state_names]
+    local = [name for name, p in model.declared_parameters.items() if p.per_experiment]
+    known += [f"{name}[{e.name}]" for name in local for e in experiments]
     for name in start:
         if name not in known:
             raise ModelError(f"start: '{name}' is no parameter, sigma or state.{did_you_mean(name, known)}")
 
 
-def parameter_start(model: Model, start: Mapping[str, Any]) -> dict[str, float]:
-    """Starting values of the model's parameters: as declared, or as given."""
+def parameter_start(model: Model, start: Mapping[str, Any], experiment: str | None = None) -> dict[str, float]:
+    """Starting values of the model's parameters: as declared, or as given, if need be for this experiment alone."""
     values: dict[str, float] = {}
     for name, p in model.declared_parameters.items():
         given = start.get(name, p.start)
+        if p.per_experiment:
+            given = start.get(f"{name}[{experiment}]", given)
         try:
             value = float(given)
         except (TypeError, ValueError):

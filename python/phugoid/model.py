@@ -102,7 +102,10 @@ class Model:
             except (ModelError, TypeError) as error:
                 raise ModelError(f"parameter '{name}': {error}") from None
             low, high = p.bounds
-            symbols.append(self._core.parameter(name, p.unit, p.start, low, high, p.prior, p.fixed))
+            log = p.transform == "log"
+            symbols.append(
+                self._core.parameter(name, p.unit, p.start, low, high, p.prior, p.fixed, p.per_experiment, log, p.scale)
+            )
         return tuple(symbols)
 
     @property
@@ -184,8 +187,8 @@ class Model:
     def declared_parameters(self) -> dict[str, Parameter]:
         """The parameters as declared."""
         return {
-            name: Parameter(start, (low, high), unit, prior, fixed)
-            for name, unit, start, low, high, prior, fixed in self._core.parameters
+            name: Parameter(start, (low, high), unit, prior, fixed, local, "log" if log else None, scale)
+            for name, unit, start, low, high, prior, fixed, local, log, scale in self._core.parameters
         }
 
     @property

@@ -26,6 +26,10 @@ class Parameter:
     unit     for labels and tables only; nothing is converted.
     prior    ``(mean, std)`` of a Gaussian prior, or None.
     fixed    True keeps the parameter at ``start``.
+    per_experiment  True gives each experiment a value of its own, called ``name[experiment]`` in the fit: biases, wind.
+    transform       "log" lets the solver search in the logarithm, for positive parameters that may be wrong by
+                    orders of magnitude; value, bounds, prior and standard error stay those of the parameter.
+    scale           a typical size, in whose units the solver searches. `Newton` needs none.
 
     Raises ModelError where a value is not a number, the bounds are reversed or equal, ``start`` lies outside
     them, or the prior's standard deviation is not positive.
@@ -39,6 +43,9 @@ class Parameter:
     unit: str = ""
     prior: tuple[float, float] | None = None
     fixed: bool = False
+    per_experiment: bool = False
+    transform: Literal["log"] | None = None
+    scale: float | None = None
 
     def __post_init__(self) -> None:
         start = _number(self.start, "start")
@@ -68,6 +75,17 @@ class Parameter:
                 )
         if not isinstance(self.unit, str):
             raise ModelError(f"a parameter's unit must be text, but it is {self.unit!r}")
+        if self.transform not in (None, "log"):
+            raise ModelError(f'a parameter\'s transform is "log" or None, not {self.transform!r}')
+        if self.transform == "log" and not start > 0.0:
+            raise ModelError(f'a parameter\'s start {start:g} has no logarithm: transform="log" is for positive ones')
+        if self.scale is not None:
+            if self.transform is not None:
+                raise ModelError("a parameter has a transform or a scale, not both: a logarithm has no unit")
+            scale = _number(self.scale, "scale")
+            if not 0.0 < scale < _INF:
+                raise ModelError(f"a parameter's scale {scale:g} must be positive and finite")
+            object.__setattr__(self, "scale", scale)
         object.__setattr__(self, "start", start)
         object.__setattr__(self, "bounds", (lower, upper))
         object.__setattr__(self, "prior", prior)

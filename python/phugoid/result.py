@@ -155,7 +155,7 @@ def make_fit(
 ) -> Fit:
     """The fit at a solution."""
     xi = solution.xi
-    n_theta, n_x, n_model = problem.n_theta, len(model.state_names), len(model.parameter_names)
+    n_theta, n_x, n_model = problem.n_theta, len(model.state_names), len(problem.estimands)
     lower, upper = problem.bounds()
     active = _active(xi[:n_theta], lower[:n_theta], upper[:n_theta], solution)
     held = np.flatnonzero([a is not None for a in active])
@@ -187,10 +187,13 @@ def make_fit(
         elif status == "acceptable" and np.all(np.abs(step[proper]) < _CLOSE * np.sqrt(variance[proper])):
             # Rounding kept the solver from its tolerance, but there is nowhere left to go.
             status, message = "converged", HINTS["converged"]
-        warnings += _confounded([*model.parameter_names, *problem.noise_parameters], cov)
+        names = [name for name, *_ in problem.estimands]
+        warnings += _confounded([*names, *problem.noise_parameters], cov)
 
-    parameters = _model_estimates(model, xi, full, active)
+    values = problem.values(xi[:n_model].tolist())
+    parameters = _model_estimates(model, problem, values, full, active)
     jacobian = np.ones(n_theta)
+    jacobian[:n_model] = [slope for _, slope in values]
     for k, name in enumerate(problem.noise_parameters, start=n_model):
         root = xi[k]
         jacobian[k] = -1 / root**2  # sigma = 1/root
@@ -220,7 +223,7 @@ def make_fit(
         parameters=estimates,
         initial_states=initial,
         covariance=cov,
-        log_likelihood=-problem.objective(xi) - _prior_terms(model, xi),
+        log_likelihood=problem.prior_terms(xi) - problem.objective(xi),
         records=records,
         status=status,
         message=message,
@@ -277,19 +280,27 @@ def _active(theta: _Array, lower: _Array, upper: _Array, solution: Solution) -> 
     return found
 
 
-def _model_estimates(model: Model, xi: _Array, errors: _Array, active: Sequence[_Activity]) -> list[Estimate]:
+def _model_estimates(
+    model: Model,
+    problem: _core.Collocation,
+    values: Sequence[tuple[float, float]],
+    errors: _Array,
+    active: Sequence[_Activity],
+) -> list[Estimate]:
+    """``values`` holds those of the parameters, and their slopes with respect to what the solver sees."""
+    declared = list(model.declared_parameters.values())
     return [
         Estimate(
             name,
-            float(xi[i]),
-            float(errors[i]),
-            p.unit,
-            p.start,
-            p.bounds,
-            p.fixed,
+            value,
+            float(errors[i] * abs(slope)),
+            declared[p].unit,
+            declared[p].start,
+            declared[p].bounds,
+            declared[p].fixed,
             _BOUND[active[i]],
         )
-        for i, (name, p) in enumerate(model.declared_parameters.items())
+        for i, ((name, p, _), (value, slope)) in enumerate(zip(problem.estimands, values, strict=True))
     ]
 
 
@@ -314,12 +325,6 @@ def _record(model: Model, experiment: Experiment, problem: _core.Collocation, xi
         units=model.units,
         interpolation=experiment.interpolation,
     )
-
-
-def _prior_terms(model: Model, xi: _Array) -> float:
-    """What priors add to the objective: not part of the likelihood."""
-    declared = model.declared_parameters.values()
-    return -sum(0.5 * ((float(xi[i]) - p.prior[0]) / p.prior[1]) ** 2 for i, p in enumerate(declared) if p.prior)
 
 
 def _defect_warning(

@@ -53,7 +53,7 @@ def simulate(
         raise OptionError(f"simulate: rtol is a number between 0 and 1, not {rtol!r}")
     model.check()
     data.check_for(model.input_names, [])
-    values = _values(model, parameters)
+    values = _values(model, parameters, data.name)
     x0 = _initial(model, values, parameters, data, initial or {})
     flow = _Flow(model, values, data)
     states = flow.path(x0, method, float(rtol))
@@ -161,17 +161,21 @@ class _Flow:
         return y
 
 
-def _values(model: Model, parameters: Mapping[str, Any] | Fit) -> dict[str, float]:
+def _values(model: Model, parameters: Mapping[str, Any] | Fit, experiment: str) -> dict[str, float]:
     given = parameters.parameters if isinstance(parameters, Fit) else parameters
     if not isinstance(given, Mapping):
         raise ModelError(f"simulate: parameters are values by name, or a fit, not {given!r}")
+    local = [name for name, p in model.declared_parameters.items() if p.per_experiment]
     for name in given:
-        if name not in model.parameter_names and not str(name).startswith("sigma_"):
+        of_one = str(name).endswith("]") and str(name).partition("[")[0] in local
+        if name not in model.parameter_names and not of_one and not str(name).startswith("sigma_"):
             raise ModelError(f"simulate: '{name}' is no parameter.{did_you_mean(name, model.parameter_names)}")
-    missing = [name for name in model.parameter_names if name not in given]
+    # A parameter that each experiment has its own of: that of this one, before one for all.
+    found = {name: f"{name}[{experiment}]" for name in local if f"{name}[{experiment}]" in given}
+    missing = [name for name in model.parameter_names if name not in given and name not in found]
     if missing:
         raise ModelError(f"simulate: no value was given for {', '.join(missing)}")
-    return {name: _finite(f"parameter '{name}'", given[name]) for name in model.parameter_names}
+    return {name: _finite(f"parameter '{name}'", given[found.get(name, name)]) for name in model.parameter_names}
 
 
 def _initial(

@@ -105,6 +105,7 @@ pub mod solver;
 pub mod table;
 pub mod tape;
 pub mod transcription;
+pub mod transform;
 
 pub use error::Error;
 pub use estimate::{Estimate, Estimation, Fit};

@@ -11,6 +11,7 @@ use crate::error::{Error, did_you_mean};
 use crate::expr::Expr;
 use crate::expr::graph::{Graph, Id};
 use crate::expr::pool::Pool;
+use crate::transform::Transform;
 
 /// Name of the symbol of time.
 pub const TIME: &str = "time";
@@ -41,13 +42,33 @@ pub struct Parameter {
     pub prior: Option<(f64, f64)>,
     /// Whether it is held at its start.
     pub fixed: bool,
+    /// Whether each experiment has its own value: biases, wind.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub local: bool,
+    /// How a solver sees it.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub transform: Transform,
+}
+
+fn is_none(transform: &Transform) -> bool {
+    *transform == Transform::None
 }
 
 impl Parameter {
     /// A free parameter that starts at a value.
     pub fn new(name: &str, start: f64) -> Self {
         let name = name.to_owned();
-        Parameter { name, unit: String::new(), start, lower: None, upper: None, prior: None, fixed: false }
+        Parameter {
+            name,
+            unit: String::new(),
+            start,
+            lower: None,
+            upper: None,
+            prior: None,
+            fixed: false,
+            local: false,
+            transform: Transform::None,
+        }
     }
 }
 
@@ -186,6 +207,14 @@ impl Model {
             Some(format!("its bounds ({low}, {high}) are not a lower and an upper bound"))
         } else if *start < low || *start > high {
             Some(format!("its start {start} lies outside its bounds ({low}, {high}); move one of them"))
+        } else if parameter.transform == Transform::Log && *start <= 0.0 {
+            Some(format!(
+                "its start {start} has no logarithm; a parameter with transform \"log\" is positive"
+            ))
+        } else if let Transform::Scale(scale) = parameter.transform
+            && !(scale > 0.0 && scale.is_finite())
+        {
+            Some(format!("its scale {scale} is not a positive number"))
         } else {
             prior.filter(|(mean, std)| !mean.is_finite() || !std.is_finite() || *std <= 0.0).map(
                 |(mean, std)| {

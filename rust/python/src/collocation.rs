@@ -143,6 +143,31 @@ impl PyCollocation {
         self.0.layout.first_point.clone()
     }
 
+    /// For each variable that is a parameter of the model: its name, the parameter's place in the model, and the
+    /// experiment that it belongs to, if it is of one.
+    #[getter]
+    fn estimands(&self) -> Vec<(String, usize, Option<usize>)> {
+        let all = &self.0.estimands;
+        (0..self.0.n_model_parameters)
+            .map(|i| (self.0.parameters[i].name.clone(), all.parameter[i], all.experiment[i]))
+            .collect()
+    }
+
+    /// The variables of parameters with these values, in the order of `estimands`.
+    fn variables(&self, values: Vec<f64>) -> Vec<f64> {
+        values.iter().zip(&self.0.estimands.transforms).map(|(v, t)| t.inverse(*v)).collect()
+    }
+
+    /// Values of the parameters, and their derivatives with respect to the variables.
+    fn values(&self, variables: Vec<f64>) -> Vec<(f64, f64)> {
+        variables.iter().zip(&self.0.estimands.transforms).map(|(v, t)| (t.value(*v), t.slope(*v))).collect()
+    }
+
+    /// What priors add to the objective.
+    fn prior_terms(&self, xi: PyReadonlyArray1<'_, f64>) -> PyResult<f64> {
+        Ok(self.0.prior_terms(self.slice(&xi, self.0.n(), "xi")?))
+    }
+
     /// Names of the noise parameters.
     #[getter]
     fn noise_parameters(&self) -> Vec<String> {

@@ -1,6 +1,7 @@
 //! Models.
 
 use phugoid::model::{Model, Parameter};
+use phugoid::transform::Transform;
 use pyo3::prelude::*;
 
 use crate::errors::raise;
@@ -40,7 +41,7 @@ impl PyModel {
         self.0.input(name, unit).map(PyExpr).map_err(raise)
     }
 
-    #[pyo3(signature = (name, unit, start, lower, upper, prior, fixed))]
+    #[pyo3(signature = (name, unit, start, lower, upper, prior, fixed, local, log, scale))]
     #[allow(clippy::too_many_arguments)] // the fields of one parameter, from one call in Python
     fn parameter(
         &mut self,
@@ -51,14 +52,20 @@ impl PyModel {
         upper: f64,
         prior: Option<(f64, f64)>,
         fixed: bool,
+        local: bool,
+        log: bool,
+        scale: Option<f64>,
     ) -> PyResult<PyExpr> {
         let bound = |b: f64| (!b.is_infinite()).then_some(b);
+        let transform = if log { Transform::Log } else { scale.map_or(Transform::None, Transform::Scale) };
         let parameter = Parameter {
             unit: unit.to_owned(),
             lower: bound(lower),
             upper: bound(upper),
             prior,
             fixed,
+            local,
+            transform,
             ..Parameter::new(name, start)
         };
         self.0.parameter(parameter).map(PyExpr).map_err(raise)
@@ -92,13 +99,17 @@ impl PyModel {
         self.0.inputs.iter().map(|v| (v.name.clone(), v.unit.clone())).collect()
     }
 
-    /// Name, unit, start, lower and upper bound, prior, fixed.
+    /// Name, unit, start, lower and upper bound, prior, fixed, one an experiment, by its logarithm, scale.
     #[getter]
     #[allow(clippy::type_complexity)]
-    fn parameters(&self) -> Vec<(String, String, f64, f64, f64, Option<(f64, f64)>, bool)> {
+    fn parameters(
+        &self,
+    ) -> Vec<(String, String, f64, f64, f64, Option<(f64, f64)>, bool, bool, bool, Option<f64>)> {
         let one = |p: &Parameter| {
             let (lower, upper) = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
-            (p.name.clone(), p.unit.clone(), p.start, lower, upper, p.prior, p.fixed)
+            let scale = if let Transform::Scale(s) = p.transform { Some(s) } else { None };
+            let log = p.transform == Transform::Log;
+            (p.name.clone(), p.unit.clone(), p.start, lower, upper, p.prior, p.fixed, p.local, log, scale)
         };
         self.0.parameters.iter().map(one).collect()
     }

@@ -43,8 +43,13 @@ impl Fit {
                 judge(problem, &found, &wanted, (&mut status, &mut message), &mut warnings);
                 let k = wanted.len();
                 // σ = 1/root, so dσ = −droot/root².
-                let slope =
-                    |i: usize| if i < problem.n_model_parameters { 1.0 } else { -1.0 / (xi[i] * xi[i]) };
+                let slope = |i: usize| {
+                    if i < problem.n_model_parameters {
+                        problem.estimands.transforms[i].slope(xi[i])
+                    } else {
+                        -1.0 / (xi[i] * xi[i])
+                    }
+                };
                 for (a, &i) in wanted.iter().enumerate() {
                     let variance = found.covariance[a * k + a];
                     if variance > 0.0 {
@@ -63,7 +68,7 @@ impl Fit {
                 p.name.strip_prefix(SIGMA).and_then(|name| model.outputs.iter().find(|o| o.name == name));
             let (value, unit, bound) = match output.filter(|_| i >= problem.n_model_parameters) {
                 Some(output) => (1.0 / xi[i], &output.unit, bounds[i].map(flipped)),
-                None => (xi[i], &p.unit, bounds[i]),
+                None => (problem.estimands.value(i, xi), &p.unit, bounds[i]),
             };
             Estimate { name: p.name.clone(), unit: unit.clone(), value, std_error: errors[i], bound }
         };
@@ -78,9 +83,7 @@ impl Fit {
         warnings.extend(large_defects(model, problem, xi));
 
         let record = |e: usize| record(model, &experiments[e], problem, xi, &errors, e);
-        let priors = problem.parameters.iter().zip(xi);
-        let priors: f64 =
-            priors.filter_map(|(p, x)| p.prior.map(|(mean, std)| 0.5 * ((x - mean) / std).powi(2))).sum();
+        let priors = problem.prior_terms(xi);
         Fit {
             model: model.clone(),
             covariance,

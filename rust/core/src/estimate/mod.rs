@@ -190,7 +190,12 @@ impl<'a> Estimation<'a> {
         let sigmas: Vec<String> = outputs.iter().map(|o| format!("{SIGMA}{o}")).collect();
         let parameters = self.model.parameters.iter().map(|p| &p.name);
         let states = self.model.states.iter().map(|s| &s.name);
-        let known: Vec<&str> = parameters.chain(&sigmas).chain(states).map(String::as_str).collect();
+        let local = self.model.parameters.iter().filter(|p| p.local);
+        let local: Vec<String> = local
+            .flat_map(|p| self.experiments.iter().map(|e| format!("{}[{}]", p.name, e.name)))
+            .collect();
+        let known = parameters.chain(&sigmas).chain(states).chain(&local);
+        let known: Vec<&str> = known.map(String::as_str).collect();
         for (name, _) in &self.start {
             if !known.contains(&name.as_str()) {
                 let hint = did_you_mean(name, known);

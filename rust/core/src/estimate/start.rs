@@ -167,9 +167,20 @@ impl Estimation<'_> {
 
     /// Parameters, precision roots of the noise, states at all points.
     pub(super) fn starting_point(&self, problem: &Collocation) -> Result<Vec<f64>, Error> {
-        let mut xi = self.parameters()?;
-        let measured = self.measured_states(&xi);
-        xi.extend(problem.parameters[xi.len()..].iter().map(|p| p.start));
+        let declared = self.parameters()?;
+        let measured = self.measured_states(&declared);
+        let mut xi = Vec::with_capacity(problem.n());
+        for (i, p) in problem.parameters.iter().enumerate() {
+            let value = if i >= problem.n_model_parameters {
+                p.start
+            } else if problem.estimands.experiment[i].is_some() && !p.fixed {
+                let bounds = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
+                self.value(&p.name, declared[problem.estimands.parameter[i]], bounds)?
+            } else {
+                declared[problem.estimands.parameter[i]]
+            };
+            xi.push(problem.estimands.transforms[i].inverse(value));
+        }
         xi.resize(problem.n(), 0.0);
         for (i, state) in self.model.states.iter().enumerate() {
             for (e, experiment) in self.experiments.iter().enumerate() {

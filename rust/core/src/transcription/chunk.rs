@@ -13,6 +13,7 @@ use crate::tape::{BLOCK, LANE_MULTIPLE};
 
 #[derive(Clone, Debug)]
 pub(super) struct Chunk {
+    pub(super) experiment: usize,
     pub(super) rule: Arc<Rule>,
     /// Lengths of the S segments, s.
     pub(super) h: Vec<f64>,
@@ -67,6 +68,7 @@ impl Chunk {
         for (i, segments) in mesh.segments.chunks(size).enumerate() {
             let (first, n) = (i * size, segments.len());
             let mut chunk = Chunk {
+                experiment,
                 rule: mesh.rule.clone(),
                 h: segments.iter().map(|s| s.h).collect(),
                 h_before: first.checked_sub(1).map(|p| mesh.segments[p].h),

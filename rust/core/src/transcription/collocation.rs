@@ -9,18 +9,20 @@ use rayon::prelude::*;
 use super::chunk::Chunk;
 use super::defects::{self, Dynamics};
 use super::disjoint::Disjoint;
+use super::estimands::Estimands;
 use super::layout::{Layout, Place};
 use super::likelihood;
 use super::samples::Samples;
 use crate::error::Error;
 use crate::experiment::Experiment;
-use crate::expr::graph::Id;
+use crate::expr::graph::{Graph, Id};
 use crate::interpolate::interpolate;
 use crate::mesh::{Grid, Mesh};
-use crate::model::{Model, Parameter};
+use crate::model::{Compiled, Model, Parameter};
 use crate::nlp::{Chains, Nlp, NotFinite, Structure};
 use crate::noise::{Noise, Sample};
 use crate::tape::{Arguments, Function, Tape, Workspace};
+use crate::transform::Transform;
 
 /// How a problem is transcribed.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,10 +77,12 @@ impl Default for Settings {
 pub struct Collocation {
     /// Where variables and constraints stand.
     pub layout: Layout,
-    /// Model parameters, then noise parameters.
+    /// The parameters that are variables: the model's (local ones once an experiment), then the noise's.
     pub parameters: Vec<Parameter>,
-    /// Number of model parameters.
+    /// Number of variables that are parameters of the model.
     pub n_model_parameters: usize,
+    /// Which variable is which parameter of which experiment.
+    pub estimands: Estimands,
     /// The noise model.
     pub noise: Noise,
     /// One mesh an experiment.
@@ -107,8 +111,9 @@ pub struct Collocation {
 struct PairPlaces {
     /// The first of them; they are the last entries.
     first: usize,
-    dynamics: Vec<usize>,
-    likelihood: Vec<usize>,
+    /// One list an experiment; a single one where they do not differ.
+    dynamics: Vec<Vec<usize>>,
+    likelihood: Vec<Vec<usize>>,
     priors: Vec<(usize, usize)>,
 }
 
@@ -123,8 +128,11 @@ thread_local! {
 /// What a call needs beside.
 #[derive(Default)]
 struct Buffers {
-    /// Uniform values of a tape.
+    /// Parameters of an experiment.
+    theta: Vec<f64>,
+    /// Uniform values of a tape, one experiment after the other, and those of one.
     uniforms: Vec<f64>,
+    one: Vec<f64>,
     /// Sums of each item.
     parts: Vec<f64>,
 }
@@ -158,17 +166,18 @@ impl Collocation {
         let meshes = meshes(experiments, settings)?;
 
         let noise_parameters = noise.parameters(&output_names);
-        let n_theta = model.parameters.len() + noise_parameters.len();
-        let layout = Layout::new(n_theta, model.states.len(), &meshes);
-        let parameters: Vec<Parameter> = model.parameters.iter().cloned().chain(noise_parameters).collect();
+        let n_model = model.parameters.len();
+        let seen: Vec<Parameter> = model.parameters.iter().cloned().chain(noise_parameters).collect();
+        let (estimands, parameters) = Estimands::new(&seen, experiments);
+        let n_model_parameters = estimands.parameter.iter().filter(|&&p| p < n_model).count();
+        let layout = Layout::new(parameters.len(), model.states.len(), &meshes);
 
         // All functions of a point see all parameters, so that θ has one order everywhere.
         let mut graph = compiled.graph.clone();
-        let noise_symbols: Vec<Id> = parameters[model.parameters.len()..]
-            .iter()
-            .map(|p| graph.symbol(&format!("1/{}", p.name)))
-            .collect();
-        let theta: Vec<Id> = compiled.parameters.iter().chain(&noise_symbols).copied().collect();
+        let noise_symbols: Vec<Id> =
+            seen[n_model..].iter().map(|p| graph.symbol(&format!("1/{}", p.name))).collect();
+        let (variables, compiled) = in_variables(&mut graph, &seen[..n_model], compiled);
+        let theta: Vec<Id> = variables.iter().chain(&noise_symbols).copied().collect();
         let arguments =
             Arguments { data: compiled.data.clone(), states: compiled.states.clone(), parameters: theta };
         let dynamics = Dynamics::new(Function::new(graph.clone(), &arguments, compiled.dynamics.clone()));
@@ -187,8 +196,9 @@ impl Collocation {
 
         let mut problem = Collocation {
             layout,
-            n_model_parameters: model.parameters.len(),
+            n_model_parameters,
             parameters,
+            estimands,
             noise,
             meshes,
             inputs: Vec::new(),
@@ -245,10 +255,11 @@ impl Collocation {
     fn place_derivatives(&mut self) {
         for chunk in &mut self.chunks {
             chunk.jacobian = self.jacobian_structure.len();
-            self.dynamics.jacobian_structure(chunk, &self.layout, &mut self.jacobian_structure);
+            let map = &self.estimands.maps[chunk.experiment];
+            self.dynamics.jacobian_structure(chunk, &self.layout, map, &mut self.jacobian_structure);
             chunk.jacobian_entries = self.jacobian_structure.len() - chunk.jacobian;
             chunk.hessian = self.hessian_structure.len();
-            self.dynamics.hessian_structure(chunk, &self.layout, &mut self.hessian_structure);
+            self.dynamics.hessian_structure(chunk, &self.layout, map, &mut self.hessian_structure);
         }
         for samples in &mut self.samples {
             samples.hessian = self.hessian_structure.len();
@@ -256,6 +267,7 @@ impl Collocation {
                 &self.likelihood,
                 samples,
                 &self.layout,
+                &self.estimands.maps[samples.experiment],
                 &mut self.hessian_structure,
             );
         }
@@ -269,59 +281,70 @@ impl Collocation {
                 structure.len() - 1
             })
         };
-        self.pair_places.dynamics = self.dynamics.parameter_pairs().map(&mut place).collect();
-        let likelihood = self.likelihood.hessian_pattern.iter().filter(|(_, c)| *c >= n_x);
-        self.pair_places.likelihood = likelihood.map(|(r, c)| place((r - n_x, c - n_x))).collect();
+        let differ = if self.estimands.any_local() { self.estimands.maps.len() } else { 1 };
+        for map in &self.estimands.maps[..differ] {
+            // Variables of different experiments stand in another order than the parameters they are.
+            let mut place = |r: usize, c: usize| place((map[r].max(map[c]), map[r].min(map[c])));
+            let pairs = self.dynamics.parameter_pairs().map(|(r, c)| place(r, c));
+            self.pair_places.dynamics.push(pairs.collect());
+            let likelihood = self.likelihood.hessian_pattern.iter().filter(|(_, c)| *c >= n_x);
+            self.pair_places.likelihood.push(likelihood.map(|(r, c)| place(r - n_x, c - n_x)).collect());
+        }
         let with_prior = (0..self.parameters.len()).filter(|&i| self.parameters[i].prior.is_some());
         self.pair_places.priors = with_prior.map(|i| (i, place((i, i)))).collect();
     }
 
-    fn theta<'a>(&self, xi: &'a [f64]) -> &'a [f64] {
-        &xi[..self.layout.n_theta]
-    }
-
-    fn uniforms(&self, tape: &Tape, xi: &[f64]) -> Vec<f64> {
-        let mut out = Vec::new();
-        tape.uniforms(self.theta(xi), &mut out);
+    fn uniforms(&self, tape: &Tape, xi: &[f64], experiment: usize) -> Vec<f64> {
+        let (mut theta, mut out) = (Vec::new(), Vec::new());
+        self.estimands.theta(experiment, xi, &mut theta);
+        tape.uniforms(&theta, &mut out);
         out
     }
 
     /// Runs `work` on every item, in parallel where it pays, with the uniform values of a tape and `width`
     /// zeros to add to; then `collect` on those, in the order of items. Whether all work was finite.
-    fn each<T: Sync>(
+    fn each<T: OfExperiment + Sync>(
         &self,
         items: &[T],
         (tape, xi): (&Tape, &[f64]),
         width: usize,
         work: impl Fn(&T, &[f64], &mut Scratch, &mut [f64]) -> bool + Sync,
-        mut collect: impl FnMut(&[f64]),
+        mut collect: impl FnMut(usize, &[f64]),
     ) -> Result<(), NotFinite> {
         // Taken and put back: nothing is allocated after the first call.
-        let Buffers { mut uniforms, mut parts } = BUFFERS.take();
-        tape.uniforms(self.theta(xi), &mut uniforms);
+        let Buffers { mut theta, mut uniforms, mut one, mut parts } = BUFFERS.take();
+        let differ = if self.estimands.any_local() { self.estimands.maps.len() } else { 1 };
+        uniforms.clear();
+        for e in 0..differ {
+            self.estimands.theta(e, xi, &mut theta);
+            tape.uniforms(&theta, &mut one);
+            uniforms.extend_from_slice(&one);
+        }
+        let (length, of) = (one.len(), |item: &T| if differ > 1 { item.experiment() } else { 0 });
         // Each item has a part, an empty one too.
         let step = width.max(1);
         parts.clear();
         parts.resize(items.len() * step, 0.0);
-        let one = |(item, part): (&T, &mut [f64])| {
-            SCRATCH.with(|s| work(item, &uniforms, &mut s.borrow_mut(), &mut part[..width]))
+        let run = |(item, part): (&T, &mut [f64])| {
+            let uniforms = &uniforms[of(item) * length..][..length];
+            SCRATCH.with(|s| work(item, uniforms, &mut s.borrow_mut(), &mut part[..width]))
         };
         let threads = self
             .pool
             .as_ref()
             .map_or_else(rayon::current_num_threads, rayon::ThreadPool::current_num_threads);
         let finite = if threads == 1 || items.len() < PARALLEL_BLOCKS {
-            items.iter().zip(parts.chunks_exact_mut(step)).map(one).fold(true, |a, b| a & b)
+            items.iter().zip(parts.chunks_exact_mut(step)).map(run).fold(true, |a, b| a & b)
         } else {
             let pairs = items.par_iter().zip(parts.par_chunks_exact_mut(step));
-            let all = || pairs.with_min_len(8).map(one).reduce(|| true, |a, b| a & b);
+            let all = || pairs.with_min_len(8).map(run).reduce(|| true, |a, b| a & b);
             match &self.pool {
                 Some(pool) => pool.install(all),
                 None => all(),
             }
         };
-        parts.chunks_exact(step).for_each(|part| collect(&part[..width]));
-        BUFFERS.set(Buffers { uniforms, parts });
+        items.iter().zip(parts.chunks_exact(step)).for_each(|(item, part)| collect(of(item), &part[..width]));
+        BUFFERS.set(Buffers { theta, uniforms, one, parts });
         if finite { Ok(()) } else { Err(NotFinite) }
     }
 
@@ -338,14 +361,25 @@ impl Collocation {
         likelihood::Job { likelihood: &self.likelihood, layout: &self.layout, samples, xi, uniforms }
     }
 
-    fn priors(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
-        self.parameters.iter().enumerate().filter_map(|(i, p)| p.prior.map(|(mean, std)| (i, mean, std)))
+    /// For each prior its variable, and the value's distance from the mean in standard deviations with its
+    /// first two derivatives.
+    fn priors<'a>(&'a self, xi: &'a [f64]) -> impl Iterator<Item = (usize, [f64; 3])> + 'a {
+        self.parameters.iter().enumerate().filter_map(move |(i, p)| {
+            let ((mean, std), transform) = (p.prior?, self.estimands.transforms[i]);
+            let value = transform.value(xi[i]) - mean;
+            Some((i, [value, transform.slope(xi[i]), transform.bend(xi[i])].map(|v| v / std)))
+        })
+    }
+
+    /// What priors add to φ.
+    pub fn prior_terms(&self, xi: &[f64]) -> f64 {
+        self.priors(xi).map(|(_, [e, ..])| 0.5 * e * e).sum()
     }
 
     /// Model outputs at the samples of an experiment: `[output][sample]`.
     pub fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
         let tape = &self.outputs.value;
-        let uniforms = self.uniforms(tape, xi);
+        let uniforms = self.uniforms(tape, xi, experiment);
         let mut out = vec![Vec::new(); tape.outputs.len()];
         let mut workspace = Workspace::default();
         for block in self.samples.iter().filter(|s| s.experiment == experiment) {
@@ -373,6 +407,7 @@ impl Collocation {
     fn objective_hessian(
         &self,
         tape: &Tape,
+        exact: bool,
         xi: &[f64],
         factor: f64,
         out: &mut [f64],
@@ -384,19 +419,52 @@ impl Collocation {
         let finite = self.each(
             &self.samples,
             (tape, xi),
-            pairs.len(),
+            pairs[0].len(),
             |s, uniforms, scratch, part| {
                 let job = self.sample_job(s, xi, uniforms);
                 job.hessian(tape, &mut scratch.workspace, factor, &shared, part)
             },
-            |part| add(between, self.pair_places.first, pairs, part),
+            |e, part| add(between, self.pair_places.first, &pairs[e], part),
         );
-        for &(i, at) in &self.pair_places.priors {
-            let (_, std) = self.parameters[i].prior.expect("listed for its prior");
-            out[at] += factor / (std * std);
+        for ((_, [e, slope, bend]), &(_, at)) in self.priors(xi).zip(&self.pair_places.priors) {
+            // Gauss-Newton leaves the curvature of the residual out.
+            let bend = if exact { e * bend } else { 0.0 };
+            out[at] += factor * (slope * slope + bend);
         }
         finite
     }
+}
+
+/// What belongs to an experiment.
+trait OfExperiment {
+    fn experiment(&self) -> usize;
+}
+
+impl OfExperiment for Chunk {
+    fn experiment(&self) -> usize {
+        self.experiment
+    }
+}
+
+impl OfExperiment for Samples {
+    fn experiment(&self) -> usize {
+        self.experiment
+    }
+}
+
+/// The symbols of the variables in place of transformed parameters, and the model written in them.
+fn in_variables(graph: &mut Graph, parameters: &[Parameter], compiled: Compiled) -> (Vec<Id>, Compiled) {
+    let mut variables = compiled.parameters.clone();
+    let (mut from, mut to) = (Vec::new(), Vec::new());
+    for (variable, p) in variables.iter_mut().zip(parameters).filter(|(_, p)| p.transform != Transform::None)
+    {
+        from.push(*variable);
+        *variable = graph.symbol(&p.transform.name(&p.name));
+        to.push(p.transform.express(graph, *variable));
+    }
+    let dynamics = graph.replace(&compiled.dynamics, &from, &to);
+    let outputs = graph.replace(&compiled.outputs, &from, &to);
+    (variables, Compiled { dynamics, outputs, ..compiled })
 }
 
 /// Adds values at places, counted from `first`.
@@ -436,8 +504,10 @@ impl Nlp for Collocation {
     fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
         let (mut lower, mut upper) = (vec![f64::NEG_INFINITY; self.n()], vec![f64::INFINITY; self.n()]);
         for (i, p) in self.parameters.iter().enumerate() {
-            lower[i] = if p.fixed { p.start } else { p.lower.unwrap_or(f64::NEG_INFINITY) };
-            upper[i] = if p.fixed { p.start } else { p.upper.unwrap_or(f64::INFINITY) };
+            let transform = self.estimands.transforms[i];
+            let (low, high) = if p.fixed { (Some(p.start), Some(p.start)) } else { (p.lower, p.upper) };
+            lower[i] = low.map_or(f64::NEG_INFINITY, |p| transform.inverse(p));
+            upper[i] = high.map_or(f64::INFINITY, |p| transform.inverse(p));
         }
         (lower, upper)
     }
@@ -452,27 +522,28 @@ impl Nlp for Collocation {
                 part[0] = self.sample_job(s, xi, uniforms).objective(&mut scratch.workspace);
                 true
             },
-            |part| sum += part[0],
+            |_, part| sum += part[0],
         )?;
-        sum += self.priors().map(|(i, mean, std)| 0.5 * ((xi[i] - mean) / std).powi(2)).sum::<f64>();
+        sum += self.prior_terms(xi);
         if sum.is_finite() { Ok(sum) } else { Err(NotFinite) }
     }
 
     fn gradient(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
         out.fill(0.0);
+        let maps = &self.estimands.maps;
         let (theta, states) = out.split_at_mut(self.layout.n_theta);
         let shared = Disjoint::new(states);
         let finite = self.each(
             &self.samples,
             (&self.likelihood.jacobian, xi),
-            theta.len(),
+            maps[0].len(),
             |s, uniforms, scratch, part| {
                 self.sample_job(s, xi, uniforms).gradient(&mut scratch.workspace, &shared, part)
             },
-            |part| theta.iter_mut().zip(part).for_each(|(o, t)| *o += t),
+            |e, part| maps[e].iter().zip(part).for_each(|(&i, t)| theta[i] += t),
         );
-        for (i, mean, std) in self.priors() {
-            out[i] += (xi[i] - mean) / (std * std);
+        for (i, [e, slope, _]) in self.priors(xi) {
+            out[i] += e * slope;
         }
         finite
     }
@@ -486,7 +557,7 @@ impl Nlp for Collocation {
             |chunk, uniforms, scratch, _| {
                 self.dynamics_job(chunk, xi, uniforms).defects(&mut scratch.workspace, &out)
             },
-            |_| (),
+            |_, _| (),
         )
     }
 
@@ -503,7 +574,7 @@ impl Nlp for Collocation {
             |chunk, uniforms, scratch, _| {
                 self.dynamics_job(chunk, xi, uniforms).jacobian(&mut scratch.workspace, &out)
             },
-            |_| (),
+            |_, _| (),
         )
     }
 
@@ -521,20 +592,20 @@ impl Nlp for Collocation {
         let finite = self.each(
             &self.chunks,
             (&self.dynamics.f.hessian, xi),
-            pairs.len(),
+            pairs[0].len(),
             |chunk, uniforms, scratch, part| {
                 let job = self.dynamics_job(chunk, xi, uniforms);
                 job.hessian(&mut scratch.workspace, lambda, &shared, part, &mut scratch.weights)
             },
-            |part| add(between, first, pairs, part),
+            |e, part| add(between, first, &pairs[e], part),
         );
-        finite.and(self.objective_hessian(&self.likelihood.hessian, xi, factor, out))
+        finite.and(self.objective_hessian(&self.likelihood.hessian, true, xi, factor, out))
     }
 
     fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
         out.fill(0.0);
         let tape = self.likelihood.gauss_newton.as_ref().unwrap_or(&self.likelihood.hessian);
-        self.objective_hessian(tape, xi, factor, out)
+        self.objective_hessian(tape, false, xi, factor, out)
     }
 
     fn chains(&self) -> Option<&Chains> {
@@ -559,7 +630,9 @@ impl Nlp for Collocation {
 
     fn variable_name(&self, i: usize) -> String {
         match self.layout.place(i) {
-            Place::Parameter(p) if p < self.n_model_parameters => self.parameters[p].name.clone(),
+            Place::Parameter(p) if p < self.n_model_parameters => {
+                self.estimands.transforms[p].name(&self.parameters[p].name)
+            }
             Place::Parameter(p) => format!("1/{}", self.parameters[p].name),
             Place::State { experiment, point, state } => {
                 let t = self.meshes[experiment].times[point];

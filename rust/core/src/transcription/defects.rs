@@ -56,7 +56,13 @@ impl Dynamics {
     }
 
     /// Places of the Jacobian entries of a chunk, in the order in which [`Job::jacobian`] writes them.
-    pub(super) fn jacobian_structure(&self, chunk: &Chunk, layout: &Layout, out: &mut Structure) {
+    pub(super) fn jacobian_structure(
+        &self,
+        chunk: &Chunk,
+        layout: &Layout,
+        map: &[usize],
+        out: &mut Structure,
+    ) {
         let (m, n) = (chunk.rule.order(), chunk.segments());
         for k in 0..m - 1 {
             let row = |s: usize, r: usize| (chunk.row + s * (m - 1) + k) * layout.n_x + r;
@@ -69,7 +75,7 @@ impl Dynamics {
                 }
             }
             for &(r, p, _) in &self.parameter_entries {
-                (0..n).for_each(|s| out.push(row(s, r), p));
+                (0..n).for_each(|s| out.push(row(s, r), map[p]));
             }
         }
         for tie in &chunk.between {
@@ -82,7 +88,7 @@ impl Dynamics {
                 }
             }
             for &(r, p, _) in &self.parameter_entries {
-                out.push(row(r), p);
+                out.push(row(r), map[p]);
             }
         }
     }
@@ -93,13 +99,19 @@ impl Dynamics {
     }
 
     /// Places of the Hessian entries of a chunk; those between parameters are summed elsewhere.
-    pub(super) fn hessian_structure(&self, chunk: &Chunk, layout: &Layout, out: &mut Structure) {
+    pub(super) fn hessian_structure(
+        &self,
+        chunk: &Chunk,
+        layout: &Layout,
+        map: &[usize],
+        out: &mut Structure,
+    ) {
         let n_x = self.f.n_states;
         for (a, b) in self.f.hessian_pattern.iter().filter(|(_, c)| *c < n_x) {
             for lane in chunk.own().flatten() {
                 let x = layout.state(chunk.points[lane] as usize);
                 // θ comes before x, so an entry between them has the state for its row.
-                if a < n_x { out.push(x + a, x + b) } else { out.push(x + b, a - n_x) }
+                if a < n_x { out.push(x + a, x + b) } else { out.push(x + b, map[a - n_x]) }
             }
         }
     }

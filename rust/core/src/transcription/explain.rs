@@ -49,8 +49,7 @@ impl Collocation {
     /// Values of all symbols at a point.
     fn symbols_at(&self, xi: &[f64], e: usize, point: usize) -> HashMap<Arc<str>, f64> {
         let mut names: HashMap<Arc<str>, f64> = HashMap::new();
-        for (i, p) in self.parameters.iter().enumerate() {
-            let name = if i < self.n_model_parameters { p.name.clone() } else { format!("1/{}", p.name) };
+        for (name, &i) in self.seen().into_iter().zip(&self.estimands.maps[e]) {
             names.insert(name.into(), xi[i]);
         }
         names.insert(crate::model::TIME.into(), self.meshes[e].times[point]);
@@ -104,9 +103,7 @@ impl Collocation {
 
     /// Where values are finite but a derivative is not (a square root at 0, say).
     fn explain_derivatives(&self, xi: &[f64]) -> Option<String> {
-        let names: Vec<&str> = (self.state_names.iter().map(String::as_str))
-            .chain(self.parameters[..self.n_model_parameters].iter().map(|p| p.name.as_str()))
-            .collect();
+        let names: Vec<String> = self.state_names.iter().cloned().chain(self.seen()).collect();
         for is_output in [false, true] {
             let (what, function) =
                 if is_output { ("an output", &self.outputs) } else { ("a state equation", &self.dynamics.f) };
@@ -119,7 +116,7 @@ impl Collocation {
             for &root in &function.roots {
                 let second = graph.hessian(root, &symbols);
                 for ((&a, &b), &id) in second.rows.iter().zip(&second.columns).zip(&second.values) {
-                    let (a, b) = (names[a], names[b]);
+                    let (a, b) = (&names[a], &names[b]);
                     entries.push((
                         format!("the second derivative of {what} with respect to {a} and {b} is"),
                         id,
@@ -144,6 +141,20 @@ impl Collocation {
             }
         }
         None
+    }
+
+    /// Names of the parameters as functions of a point see them.
+    fn seen(&self) -> Vec<String> {
+        let name = |&i: &usize| {
+            let name = &self.parameters[i].name;
+            let name = name.split('[').next().unwrap_or(name); // without that of the experiment
+            if i < self.n_model_parameters {
+                self.estimands.transforms[i].name(name)
+            } else {
+                format!("1/{name}")
+            }
+        };
+        self.estimands.maps[0].iter().map(name).collect()
     }
 
     /// A standard deviation that is not positive has no logarithm.

@@ -30,13 +30,14 @@ pub(super) fn hessian_structure(
     likelihood: &Function,
     samples: &Samples,
     layout: &Layout,
+    map: &[usize],
     out: &mut Structure,
 ) {
     let n_x = likelihood.n_states;
     for (a, b) in likelihood.hessian_pattern.iter().filter(|(_, c)| *c < n_x) {
         for &point in &samples.points[..samples.n] {
             let x = layout.state(point as usize);
-            if a < n_x { out.push(x + a, x + b) } else { out.push(x + b, a - n_x) }
+            if a < n_x { out.push(x + a, x + b) } else { out.push(x + b, map[a - n_x]) }
         }
     }
 }

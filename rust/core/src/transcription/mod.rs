@@ -4,6 +4,7 @@ mod chunk;
 mod collocation;
 mod defects;
 mod disjoint;
+mod estimands;
 mod explain;
 mod layout;
 mod likelihood;
@@ -11,4 +12,5 @@ mod samples;
 
 pub use chunk::segments_in_chunk;
 pub use collocation::{Collocation, Settings};
+pub use estimands::Estimands;
 pub use layout::{Layout, Place};

@@ -216,6 +216,36 @@ def test_two_experiments_together_are_better_than_each() -> None:
         _ = both.residuals
 
 
+def test_parameters_of_each_experiment() -> None:
+    m = Model("biases")
+    (x,) = m.states("x")
+    (u,) = m.inputs("u")
+    a, bias = m.parameters(a=0.0, bias=Parameter(per_experiment=True))
+    m.dynamics(x=a * x + u + bias)
+    m.outputs(x=x)
+    runs = []
+    for name, value in (("one", 0.3), ("two", -0.2)):
+        e = Experiment(T, {"u": U}, name=name, interpolation="cubic")
+        clean = ph.simulate(m, {"a": -0.9, "bias": value}, e, initial={"x": 0.0}).outputs
+        runs.append(e.with_outputs({"x": clean["x"]}))
+    result = equation_error(m, runs)
+    assert values(result) == pytest.approx({"a": -0.9, "bias[one]": 0.3, "bias[two]": -0.2}, rel=1e-2)
+    assert all(np.isfinite(e.std_error) for e in result.parameters.values())
+    alone = equation_error(m, runs[1])
+    assert values(alone)["bias[two]"] == pytest.approx(-0.2, rel=1e-2)
+    assert ph.estimate(m, runs, start=result).converged
+
+
+def test_positive_parameters_stay_positive() -> None:
+    m = Model("decay")
+    (x,) = m.states("x")
+    (rate,) = m.parameters(rate=Parameter(1.0, transform="log"))
+    m.dynamics(x=-rate * x)
+    m.outputs(x=x)
+    growing = Experiment(T, {}, {"x": np.exp(0.1 * T)})
+    assert 0 < equation_error(m, growing).parameters["rate"].value < 1e-9
+
+
 def test_fixed_bounded_and_prior_parameters() -> None:
     data = record(0.01)
     fixed = equation_error(short_period(Mw=Parameter(-1.5, fixed=True)), data)

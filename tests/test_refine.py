@@ -173,6 +173,24 @@ def test_several_experiments_are_refined_each_for_itself() -> None:
     assert fit.refinement.steps[-1].segments == sum(e.edges.size - 1 for e in errors)
 
 
+def test_parameters_of_each_experiment_enter_their_errors() -> None:
+    m = Model("rates")
+    (x,) = m.states("x")
+    (rate,) = m.parameters(rate=ph.Parameter(0.5, per_experiment=True))
+    m.dynamics(x=-rate * x)
+    m.outputs(x=x)
+    rng = np.random.default_rng(0)
+    runs = [
+        Experiment(T, {}, {"x": np.exp(-r * T) + 1e-3 * rng.standard_normal(T.size)}, name=n)
+        for n, r in (("slow", 0.2), ("fast", 2.0))
+    ]
+    fit = ph.estimate(m, runs, transcription=Collocation(order=2))
+    slow, fast = fit.integration_error()
+    # Of the first segment, the trapezoid's error is (rate h)^3/12 of the state.
+    for error, rate_found in ((slow, fit.parameters["rate[slow]"]), (fast, fit.parameters["rate[fast]"])):
+        assert error.errors["x"][0] == pytest.approx((rate_found.value * 0.1) ** 3 / 12, rel=0.25)
+
+
 def test_refinement_goes_no_further_than_a_solver_that_fails() -> None:
     grid = Collocation(order=2, refine=True)
     fit = ph.estimate(oscillator(), SMOOTH, transcription=grid, solver=ph.Newton(max_iterations=1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,10 @@ __all__ = ["EquationError", "equation_error"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Mask: TypeAlias = NDArray[np.bool_]
+_Of = TypeVar("_Of", bound=Mapping[str, float])
+
+# A positive parameter falls no lower than this part of its start.
+_POSITIVE = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -147,10 +151,10 @@ def equation_error(
         raise OptionError(f"equation_error: start holds values by name, not {start!r}")
     for run in runs:
         run.check_for(model.input_names, model.output_names, model.output_names)
-    check_names(model, start or {})
-    values = parameter_start(model, start or {})
-    measured = channels(model, values)
-    listed = equations(model, measured, values, runs)
+    check_names(model, start or {}, runs)
+    values = [parameter_start(model, start or {}, run.name) for run in runs]  # those of each experiment
+    measured = channels(model, values[0])
+    listed = equations(model, measured, values[0], runs)
     sides = [_Sides(model, run, measured, listed, way) for run in runs]
 
     declared = model.declared_parameters
@@ -161,21 +165,26 @@ def equation_error(
     together = groups(inside)
     for members in together:
         names = [n for n in model.parameter_names if any(n in inside[k] for k in members)]
-        solved = _solve(model, names, [listed[k] for k in members], members, sides, values)
-        values |= dict(zip(names, map(float, solved.values), strict=True))
-        found |= {name: (solved, j) for j, name in enumerate(names)}
-        collinear += [(tuple(names[j] for j in c.parameters), c.condition_index) for c in solved.collinear]
+        unknowns = _unknowns(model, names, runs)
+        solved = _solve(model, unknowns, [listed[k] for k in members], members, sides, values)
+        for j, unknown in enumerate(unknowns):
+            found[unknown.label] = solved, j
+            for own in unknown.among(values):
+                own[unknown.name] = float(solved.values[j])
+        labels = [unknown.label for unknown in unknowns]
+        collinear += [(tuple(labels[j] for j in c.parameters), c.condition_index) for c in solved.collinear]
         if not solved.settled:
-            warnings.append(f"the regression of {', '.join(names)} did not settle: give another start, or fix some")
+            warnings.append(f"the regression of {', '.join(labels)} did not settle: give another start, or fix some")
     warnings += [_warning(names, index) for names, index in collinear]
-    idle = [n for n, p in declared.items() if not p.fixed and n not in found]
+    everything = _unknowns(model, model.parameter_names, runs)
+    idle = [u.label for u in everything if not declared[u.name].fixed and u.label not in found]
     if idle:
         warnings.append(f"{', '.join(idle)} stands in no equation and stays at its start")
-    records = [side.record(values) for side in sides]
+    records = [side.record(own) for side, own in zip(sides, values, strict=True)]
     return EquationError(
         model=model,
-        parameters=Estimates(_estimate(model, name, values[name], found.get(name)) for name in model.parameter_names),
-        white_std_errors={n: _deviation(found[n], white=True) if n in found else np.nan for n in model.parameter_names},
+        parameters=Estimates(_estimate(model, u, u.among(values)[0][u.name], found.get(u.label)) for u in everything),
+        white_std_errors={u.label: _deviation(found.get(u.label), white=True) for u in everything},
         r_squared={e.name: _r_squared(records, e.name) for e in listed},
         sigmas={e.name: _rms(records, e.name) for e in listed},
         groups=[tuple(listed[k].name for k in members) for members in together],
@@ -183,6 +192,30 @@ def equation_error(
         records=records,
         warnings=tuple(warnings),
     )
+
+
+@dataclass(frozen=True)
+class _Unknown:
+    """A parameter, of all experiments or of one alone."""
+
+    label: str
+    name: str
+    experiment: int | None
+
+    def among(self, each: Sequence[_Of]) -> Sequence[_Of]:
+        """Those experiments' values that it belongs to."""
+        return each if self.experiment is None else each[self.experiment : self.experiment + 1]
+
+
+def _unknowns(model: Model, names: Sequence[str], runs: Sequence[Experiment]) -> list[_Unknown]:
+    declared = model.declared_parameters
+    found = []
+    for name in names:
+        if declared[name].per_experiment:
+            found += [_Unknown(f"{name}[{run.name}]", name, i) for i, run in enumerate(runs)]
+        else:
+            found.append(_Unknown(name, name, None))
+    return found
 
 
 class _Sides:
@@ -249,33 +282,43 @@ def _smooth(run: Experiment, channel: Channel, way: Differentiator) -> tuple[_Ar
 
 def _solve(
     model: Model,
-    names: Sequence[str],
+    unknowns: Sequence[_Unknown],
     listed: Sequence[Equation],
     members: Sequence[int],
     sides: Sequence[_Sides],
-    values: Mapping[str, float],
+    values: Sequence[Mapping[str, float]],
 ) -> Regression:
+    names = list(dict.fromkeys(u.name for u in unknowns))
     evaluation = Evaluation(model, listed, names)
     lefts = [side.left[members] for side in sides]
     masks = [side.mask[members] for side in sides]
 
+    # Which unknowns, and which columns of the derivatives, an experiment has.
+    own = [[k for k, u in enumerate(unknowns) if u.experiment in (None, i)] for i in range(len(sides))]
+    columns = [[names.index(unknowns[k].name) for k in inside] for inside in own]
+
     def rows(theta: _Array) -> list[tuple[_Array, _Array]]:
-        now = {**values, **dict(zip(names, theta, strict=True))}
         parts = []
-        for side, left, mask in zip(sides, lefts, masks, strict=True):
+        for i, (side, left, mask) in enumerate(zip(sides, lefts, masks, strict=True)):
+            now = {**values[i], **{unknowns[k].name: theta[k] for k in own[i]}}
             right, derivatives = evaluation(now, side.columns)
-            parts.append((np.where(mask, left - right, 0.0), np.where(mask[:, :, None], derivatives, 0.0)))
+            regressors = np.zeros((*mask.shape, theta.size))
+            regressors[:, :, own[i]] = np.where(mask[:, :, None], derivatives[:, :, columns[i]], 0.0)
+            parts.append((np.where(mask, left - right, 0.0), regressors))
         return parts
 
-    start = np.array([values[n] for n in names])
-    for side, mask in zip(sides, masks, strict=True):
-        evaluation.check(*evaluation(values, side.columns), mask, side.run)
+    start = np.array([u.among(values)[0][u.name] for u in unknowns])
+    for i, (side, mask) in enumerate(zip(sides, masks, strict=True)):
+        evaluation.check(*evaluation(values[i], side.columns), mask, side.run)
     scales = np.empty(len(listed))
     for i in range(len(listed)):
         left = np.concatenate([left[i][mask[i]] for left, mask in zip(lefts, masks, strict=True)])
         scales[i] = (float(left.std()) if left.size else 0.0) or 1.0
-    declared = [model.declared_parameters[n] for n in names]
-    bounds = (np.array([p.bounds[0] for p in declared]), np.array([p.bounds[1] for p in declared]))
+    declared = [model.declared_parameters[u.name] for u in unknowns]
+    # What is estimated in its logarithm afterwards has to stay positive.
+    least = [_POSITIVE * p.start if p.transform == "log" else -np.inf for p in declared]
+    lower = np.maximum([p.bounds[0] for p in declared], least)
+    bounds = (lower, np.array([p.bounds[1] for p in declared]))
     return regress(rows, masks, scales, start, bounds, [p.prior for p in declared], evaluation.linear)
 
 
@@ -283,18 +326,19 @@ def _number(e: Any, values: Mapping[str, float]) -> float:
     return float(e.evaluate({n: values[n] for n in e.symbols}))
 
 
-def _deviation(of: tuple[Regression, int], white: bool = False) -> float:
+def _deviation(of: tuple[Regression, int] | None, white: bool = False) -> float:
+    if of is None:
+        return np.nan
     solved, j = of
     variance = (solved.white_covariance if white else solved.covariance)[j, j]
     return float(np.sqrt(variance)) if variance >= 0 else np.nan
 
 
-def _estimate(model: Model, name: str, value: float, of: tuple[Regression, int] | None) -> Estimate:
-    p = model.declared_parameters[name]
+def _estimate(model: Model, unknown: _Unknown, value: float, of: tuple[Regression, int] | None) -> Estimate:
+    p = model.declared_parameters[unknown.name]
     side = of[0].active[of[1]] if of else 0
     active: Any = {-1: "lower", 1: "upper"}.get(int(side))
-    error = _deviation(of) if of else np.nan
-    return Estimate(name, value, error, p.unit, p.start, p.bounds, p.fixed, active)
+    return Estimate(unknown.label, value, _deviation(of), p.unit, p.start, p.bounds, p.fixed, active)
 
 
 def _warning(names: Sequence[str], index: float) -> str:

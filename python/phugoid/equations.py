@@ -44,7 +44,6 @@ class Equation:
     name: str
     right: Expr
     channel: Channel | None  # whose slope stands on the left; None: the output itself
-    experiment: int | None = None
 
 
 def channels(model: Model, values: Mapping[str, float]) -> list[Channel]:
@@ -163,7 +162,7 @@ class Evaluation:
         self.order = [name for name in model.parameter_names if name in used]
         aux = _core.Model("equations")
         for name in self.order:
-            aux.parameter(name, "", 0.0, -np.inf, np.inf, None, False)
+            aux.parameter(name, "", 0.0, -np.inf, np.inf, None, False, False, False, None)
         for name in model.input_names:
             aux.input(name, "")
         for name in model.state_names:

@@ -121,11 +121,15 @@ class Fit:
         """
         if not isinstance(self.transcription, Collocation):
             raise OptionError("integration_error: only collocation has a mesh whose error can be estimated")
-        values = {name: self.parameters[name].value for name in self.model.parameter_names}
         named = {n: f"sigma_{n}" for n in self.model.output_names}
         sigmas = {n: self.parameters[s].value for n, s in named.items() if s in self.parameters} | self.noise.known
         order = self.transcription.order
-        return tuple(integration_error(self.model, values, sigmas, record, order) for record in self.records)
+        return tuple(integration_error(self.model, self._own(r.name), sigmas, r, order) for r in self.records)
+
+    def _own(self, experiment: str) -> dict[str, float]:
+        """The model's parameters as they are in one experiment."""
+        labels = {name: f"{name}[{experiment}]" for name in self.model.parameter_names}
+        return {n: self.parameters[label if label in self.parameters else n].value for n, label in labels.items()}
 
     def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
         """The proof-of-match figure of an experiment: measured points, model, residuals, inputs."""

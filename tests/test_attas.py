@@ -13,6 +13,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 import attas
 from records import find
 
+import phugoid as ph
+
 needs_records = pytest.mark.skipif(
     not all(find(name) for name in attas.RECORDS), reason=f"the records {', '.join(attas.RECORDS)} are not there"
 )
@@ -36,6 +38,23 @@ def test_each_record_predicts_the_other() -> None:
         record = there.records[0]
         for name in attas.OUTPUTS:
             assert attas.theil(record.measured[name], record.outputs[name]) < 0.05
+
+
+@needs_records
+def test_a_late_vane_misleads_the_regression() -> None:
+    """With alpha put right for the delay and the scale that the fit finds, the regression comes near it."""
+    runs, model = attas.records(), attas.model(vane=False)
+    fit = attas.estimate(runs).parameters
+    K, tau = fit["K"].value, fit["tau"].value
+
+    def right(run: ph.Experiment) -> ph.Experiment:
+        alpha = np.interp(run.t + tau, run.t, run.outputs["alpha"]) / K
+        return run.with_outputs({**run.outputs, "alpha": alpha}).window(0.8, 24.2)
+
+    late, put_right = (ph.equation_error(model, data).parameters for data in (runs, [right(run) for run in runs]))
+    assert late["Zde"].value > 0 > fit["Zde"].value
+    for name, off in (("Zde", 0.02), ("Mq", 0.2)):
+        assert abs(put_right[name].value - fit[name].value) < off < abs(late[name].value - fit[name].value)
 
 
 @needs_records

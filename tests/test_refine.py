@@ -81,6 +81,30 @@ def test_errors_are_those_of_the_exact_solution(order: int) -> None:
             assert error.errors[name][s] == pytest.approx(true, rel=0.1)
 
 
+def test_errors_of_stiff_segments_are_those_of_the_exact_solution() -> None:
+    """x' = -x, y' = 200 (x - y) with steps of 0.1: far beyond the reach of iteration. Solution in closed form."""
+    m = Model("stiff")
+    x, y = m.states("x y")
+    (k,) = m.parameters("k")
+    m.dynamics(x=-x, y=k * (x - y))
+    m.outputs(x=x, y=y)
+    clean = np.exp(-T)
+    rng = np.random.default_rng(0)
+    noisy = {n: c * clean + 1e-3 * rng.standard_normal(T.size) for n, c in (("x", 1.0), ("y", 1.005))}
+    fit = ph.estimate(m, Experiment(T, {}, noisy), start={"k": 200.0}, transcription=Collocation(order=3))
+    (error,), r, rate = fit.integration_error(), fit.records[0], fit.parameters["k"].value
+    assert rate * 0.1 > 10
+    for s in (0, 10, 60):
+        t = r.mesh_t[2 * s : 2 * s + 3] - r.mesh_t[2 * s]
+        xs, ys = (r.mesh_states[n][2 * s : 2 * s + 3] for n in ("x", "y"))
+        at = np.linspace(0.0, t[-1], 2000)
+        path = ys[0] + np.polynomial.Polynomial.fit(t, rate * (xs - ys), 2).convert().integ()(at)
+        forced = xs[0] * rate / (rate - 1) * np.exp(-at)
+        exact_path = forced + (ys[0] - forced[0]) * np.exp(-rate * at)
+        # The largest error at the nodes of the finer rule, and over the whole segment.
+        assert error.errors["y"][s] == pytest.approx(np.abs(path - exact_path).max(), rel=0.2)
+
+
 @pytest.mark.parametrize("order", [2, 3, 4])
 def test_errors_fall_with_the_order_of_the_method(order: int) -> None:
     """Half the step divides the error of a segment by 2^(m+1)."""

@@ -30,7 +30,8 @@ class SmoothingSpline:
 
     ``penalty`` is the weight of the squared curvature, in units of the median sampling interval to the power 3; None
     chooses it by generalised cross-validation (Wahba, Spline Models for Observational Data, SIAM 1990, ch. 4).
-    Cross-validation takes noise to be white: where it is not, the spline follows it too closely.
+    Cross-validation takes noise to be white: where it is not, the spline follows it too closely. It also takes about
+    half a millisecond a sample: on long records with even sampling `FourierSmoothing` is far quicker.
     """
 
     penalty: float | None = None

@@ -29,8 +29,10 @@ _MORE, _MOST = 5, 24
 # No scale is smaller than this part of how far the state moves; a state that is not measured counts as measured to so
 # much of that.
 _FLOOR, _UNMEASURED = 1e-6, 1e-2
-# Most numbers of the systems that are solved at a time.
+# Most numbers of Jacobians that are held at a time.
 _CHUNK = 4_000_000
+# Most sweeps of Picard's iteration, and the change after which they end.
+_SWEEPS, _SETTLED = 12, 1e-4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,31 +102,47 @@ def integration_error(
     flow = _Flow(model, values, record)
     mesh = np.array([record.mesh_states[name] for name in model.state_names])
     f_mesh = flow.slopes(record.mesh_t, mesh)
+    to, rise, there = _integrals(fine, fine), _integrals(rough, fine), _lagrange(rough, fine)
     points = (order - 1) * np.arange(s)[:, None] + np.arange(order)  # of each segment
-    f_rough = f_mesh[:, points]  # (n, s, order)
-    path = mesh[:, points[:, :1]] + h[:, None] * (f_rough @ _integrals(rough, fine))  # (n, s, m)
-    t = edges[:-1, None] + h[:, None] * fine
-    f_fine, jacobian = flow.slopes_and_jacobian(t.ravel(), path.reshape(n, -1))
-    defect = f_fine.reshape(n, s, m) - f_rough @ _lagrange(rough, fine)
-
-    to = _integrals(fine, fine)[:, 1:]  # (m, m - 1): from the start to each node but the first
-    right = (h[:, None] * (defect @ to)).transpose(1, 2, 0).reshape(s, -1)
-    jacobian = jacobian.reshape(n, s, m, n)[:, :, 1:].transpose(1, 2, 0, 3)  # (s, m - 1, n, n)
-    e = np.empty((s, (m - 1) * n))
-    step = max(1, _CHUNK // ((m - 1) * n) ** 2)
+    errors = np.empty((n, s))
+    step = max(1, _CHUNK // (m * n * n))
     for first in range(0, s, step):
         part = slice(first, first + step)
-        # Row (j, a), column (l, b): what e_b at node l adds to e_a at node j.
-        coupling = np.einsum("lj,slab->sjalb", to[1:], jacobian[part], optimize=True)
-        system = np.eye((m - 1) * n) - h[part, None, None] * coupling.reshape(-1, (m - 1) * n, (m - 1) * n)
-        e[part] = np.linalg.solve(system, right[part, :, None])[:, :, 0]
-    errors = np.abs(e).reshape(s, m - 1, n).max(axis=1)
+        f = f_mesh[:, points[part]]  # (n, s, order)
+        path = mesh[:, points[part, :1]] + h[part, None] * (f @ rise)  # (n, s, m)
+        t = edges[:-1][part, None] + h[part, None] * fine
+        true, jacobian = flow.slopes_and_jacobian(t.ravel(), path.reshape(n, -1))
+        defect = true.reshape(path.shape) - f @ there
+        e = _departure(jacobian.reshape(*path.shape, n), defect, h[part], to)
+        errors[:, part] = np.abs(e).max(axis=2)
     return IntegrationError(
         name=record.name,
         edges=edges,
-        errors=dict(zip(model.state_names, errors.T.copy(), strict=True)),
+        errors=dict(zip(model.state_names, errors, strict=True)),
         scales=_scales(model, values, sigmas, mesh),
     )
+
+
+def _departure(jacobian: _Array, defect: _Array, h: _Array, to: _Array) -> _Array:
+    """e, (n, s, m), of e' = J e + d, e = 0 at the first node: J (n, s, m, n), d (n, s, m), integrals ``to`` (m, m)."""
+    forced = h[:, None] * (defect @ to)
+    e = forced
+    # Picard's iterations are enough where segments are short beside the time constants.
+    left = np.arange(h.size)
+    with np.errstate(all="ignore"):  # of stiff ones they diverge
+        for _ in range(_SWEEPS):
+            before, e = e, forced + h[:, None] * (np.einsum("aslb,bsl->asl", jacobian, e, optimize=True) @ to)
+            moved, size = np.abs(e - before).max(axis=(0, 2)), np.abs(e).max(axis=(0, 2))
+            left = np.flatnonzero(~(moved <= _SETTLED * size))
+            if not left.size:
+                break
+    n, _, m = defect.shape
+    for k in left:  # the others: all nodes but the first at once
+        # Row (j, a), column (l, b): what e_b at node l adds to e_a at node j.
+        coupling = h[k] * np.einsum("lj,alb->jalb", to[1:, 1:], jacobian[:, k, 1:])
+        system = np.eye((m - 1) * n) - coupling.reshape((m - 1) * n, -1)
+        e[:, k, 1:] = np.linalg.solve(system, forced[:, k, 1:].T.ravel()).reshape(m - 1, n).T
+    return np.asarray(e)
 
 
 class _Flow:

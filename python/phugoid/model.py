@@ -126,6 +126,26 @@ class Model:
         source = _source()
         self._each("dynamics", expressions, lambda n, e: self._core.equation(n, e, source))
 
+    def initial(self, **expressions: Any) -> None:
+        """Gives states at the first sample, which are else free: ``initial(q=0.0)``, ``initial(h=h0)``.
+
+        An expression may hold parameters, and inputs, time and other states at that sample: a trim condition.
+        """
+        self._conditions("initial", expressions)
+
+    def final(self, **expressions: Any) -> None:
+        """Gives states at the last sample, as `initial` does at the first."""
+        self._conditions("final", expressions)
+
+    def periodic(self, *states: str, **differences: Any) -> None:
+        """Lets states end as they began: ``periodic("q")``; ``periodic(psi=2*math.pi)`` but for a difference, which may
+        depend on parameters."""
+        self._conditions("periodic", {**dict.fromkeys(states, 0.0), **differences})
+
+    def _conditions(self, end: str, expressions: Mapping[str, Any]) -> None:
+        source = _source()
+        self._each(f"{end} condition", expressions, lambda n, e: self._core.condition(end, n, e, source))
+
     def outputs(self, *args: Any, **expressions: Any) -> None:
         """Declares what is measured: ``outputs(name=expression)`` or ``name=(expression, "unit")``."""
         if args:
@@ -258,4 +278,5 @@ class Model:
         lines = [f"{name} = {e}" for name, e, *_ in self._core.quantities]
         lines += [f"{name}' = {e}" for name, e, *_ in self._core.dynamics]
         lines += [f"{name} (measured) = {e}" for name, e, *_ in self._core.outputs]
+        lines += [f"{state} ({end}) = {e}" for end, state, e, _ in self._core.conditions]
         return "\n".join([self.name, *(f"  {line}" for line in lines)])

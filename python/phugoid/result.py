@@ -338,7 +338,8 @@ def _defect_warning(
     defects = problem.constraints(xi)
     if defects is None:
         return ["the equations are not finite at the result"]
-    total = np.abs(defects.reshape(-1, len(model.state_names))).sum(axis=0)
+    along = defects[: defects.size - len(problem.boundary_states)]
+    total = np.abs(along.reshape(-1, len(model.state_names))).sum(axis=0)
     found = []
     for i, name in enumerate(model.state_names):
         if name not in model.output_names:

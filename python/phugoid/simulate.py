@@ -37,7 +37,7 @@ def simulate(
     """Integrates the model over an experiment's inputs; returns its outputs and states at the samples.
 
     ``parameters``: values by name (numbers or estimates), or a fit. ``initial``: states at the first sample; those
-    not given are the fit's for this experiment, else as measured at the first sample that has a value, else 0.
+    not given are the fit's for this experiment, else as the model's initial conditions say, else as measured at the first sample that has a value, else 0.
     ``method`` and ``rtol`` are those of `scipy.integrate.solve_ivp`.
 
     Raises ModelError for a missing or unknown parameter, DataError for missing inputs, OptionError for a wrong
@@ -201,7 +201,13 @@ def _initial(
             x0.append((float(z[0]) - offset) / slope if z.size else 0.0)
         else:
             x0.append(0.0)
-    return np.array(x0)
+    found = dict(zip(model.state_names, x0, strict=True))
+    known = {**values, "time": float(data.t[0]), **{n: float(data.input(n)[0]) for n in model.input_names}}
+    for end, state, expression, _ in model._core.conditions:
+        if end == "initial" and state not in initial and state not in of_fit:
+            numbers = {**known, **found}
+            found[state] = expression.evaluate({n: numbers[n] for n in expression.symbols})
+    return np.array(list(found.values()))
 
 
 def _finite(what: str, value: Any) -> float:

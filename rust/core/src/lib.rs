@@ -86,6 +86,7 @@
 // Documentation names private items too, for those who read on in the source.
 #![allow(rustdoc::private_intra_doc_links)]
 
+pub mod condition;
 pub mod diagnosis;
 pub mod error;
 pub mod estimate;

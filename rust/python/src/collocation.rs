@@ -137,6 +137,13 @@ impl PyCollocation {
         self.0.layout.n_x
     }
 
+    /// For each boundary condition, which follow all other constraints, the state in whose unit it is.
+    #[getter]
+    fn boundary_states(&self) -> Vec<usize> {
+        let chains = self.0.chains().into_iter().flat_map(|c| &c.chains);
+        chains.flat_map(|c| c.boundary.states.iter().copied()).collect()
+    }
+
     /// First point of each experiment, and the total.
     #[getter]
     fn first_point(&self) -> Vec<usize> {

@@ -191,9 +191,8 @@ impl<'a> Estimation<'a> {
         let parameters = self.model.parameters.iter().map(|p| &p.name);
         let states = self.model.states.iter().map(|s| &s.name);
         let local = self.model.parameters.iter().filter(|p| p.local);
-        let local: Vec<String> = local
-            .flat_map(|p| self.experiments.iter().map(|e| format!("{}[{}]", p.name, e.name)))
-            .collect();
+        let local: Vec<String> =
+            local.flat_map(|p| self.experiments.iter().map(|e| format!("{}[{}]", p.name, e.name))).collect();
         let known = parameters.chain(&sigmas).chain(states).chain(&local);
         let known: Vec<&str> = known.map(String::as_str).collect();
         for (name, _) in &self.start {

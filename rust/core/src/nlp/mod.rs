@@ -8,7 +8,7 @@ pub mod check;
 
 use std::ops::Range;
 
-pub use chains::{Chain, Chains, Tie};
+pub use chains::{Boundary, Chain, Chains, Tie};
 
 /// Rows and columns of sparse entries, 0-based.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

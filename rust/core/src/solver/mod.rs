@@ -33,6 +33,7 @@ use crate::nlp::{Nlp, NotFinite};
 use bounds::Active;
 use point::Point;
 use search::{Merit, Watchdog};
+use units::Units;
 
 /// Most by which a standard deviation changes in a step.
 const TENFOLD: f64 = 10.0;
@@ -163,7 +164,7 @@ struct Run<'a> {
     began: Instant,
     kkt: Box<dyn KktSolver>,
     bounds: (Vec<f64>, Vec<f64>),
-    units: Vec<f64>,
+    units: Units,
     here: Point,
     trial: Point,
     gradient: Vec<f64>,
@@ -210,14 +211,14 @@ impl<'a> Run<'a> {
     ) -> Result<Self, NotFinite> {
         let (n, m) = (nlp.n(), nlp.m());
         let bounds = nlp.bounds();
-        let units = state_units(nlp, start);
+        let units = Units::new(nlp, start);
         let mut here = Point::new(start, m);
         here.step(start, 0.0, &vec![0.0; n], &bounds);
         let mut run = Run {
             nlp,
             settings,
             began: Instant::now(),
-            kkt: kkt_for(nlp, &units),
+            kkt: kkt_for(nlp, &units.states),
             active: Active::new(&bounds),
             bounds,
             units,
@@ -520,14 +521,13 @@ impl<'a> Run<'a> {
             defect: self.here.worst,
             evaluations: self.count,
             time: self.began.elapsed(),
-            units: self.units,
+            units: self.units.states,
             history: self.history,
         }
     }
 
     fn worst_defect(&self) -> String {
-        let rows = self.units.iter().cycle();
-        let worst = self.here.c.iter().zip(rows).map(|(c, u)| c.abs() / u).enumerate();
+        let worst = self.here.c.iter().zip(self.units.each()).map(|(c, u)| c.abs() / u).enumerate();
         let Some((i, _)) = worst.max_by(|a, b| a.1.total_cmp(&b.1)) else { return String::new() };
         format!("the largest is the {}: {:.2e}", self.nlp.constraint_name(i), self.here.c[i])
     }

@@ -6,6 +6,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use super::boundary::{Boundary, Symbols};
 use super::chunk::Chunk;
 use super::defects::{self, Dynamics};
 use super::disjoint::Disjoint;
@@ -13,13 +14,14 @@ use super::estimands::Estimands;
 use super::layout::{Layout, Place};
 use super::likelihood;
 use super::samples::Samples;
+use crate::condition::Condition;
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
 use crate::interpolate::interpolate;
 use crate::mesh::{Grid, Mesh};
 use crate::model::{Compiled, Model, Parameter};
-use crate::nlp::{Chains, Nlp, NotFinite, Structure};
+use crate::nlp::{self, Chains, Nlp, NotFinite, Structure};
 use crate::noise::{Noise, Sample};
 use crate::tape::{Arguments, Function, Tape, Workspace};
 use crate::transform::Transform;
@@ -102,6 +104,7 @@ pub struct Collocation {
     /// Where the Hessian entries between parameters stand, for each pair of f, of ℓ and each prior.
     pair_places: PairPlaces,
     chains: Chains,
+    boundary: Option<Boundary>,
     /// Number of measurements of each output, all experiments together.
     measured: Vec<usize>,
     pool: Option<rayon::ThreadPool>,
@@ -192,6 +195,15 @@ impl Collocation {
         let density = noise.log_density(&mut graph, &sample, &noise_symbols);
         let mut with_samples = arguments.clone();
         with_samples.data.extend(measured.iter().chain(present.iter().flatten()));
+
+        let boundary = (!model.conditions.is_empty()).then(|| {
+            let place = |c: &Condition| model.states.iter().position(|s| s.name == c.state);
+            let states = model.conditions.iter().filter_map(place).collect();
+            let symbols =
+                Symbols { data: &compiled.data, states: &compiled.states, theta: &arguments.parameters };
+            let conditions = (&model.conditions[..], &compiled.conditions[..], states);
+            Boundary::new(graph.clone(), &symbols, conditions, experiments, &meshes, layout.m())
+        });
         let likelihood = Function::of_squares(graph, &with_samples, &density.residuals, density.rest);
 
         let mut problem = Collocation {
@@ -214,6 +226,7 @@ impl Collocation {
             hessian_structure: Structure::default(),
             pair_places: PairPlaces::default(),
             chains: Chains::default(),
+            boundary,
             measured: (0..output_names.len())
                 .map(|c| experiments.iter().flat_map(|e| &e.outputs[c]).filter(|z| !z.is_nan()).count())
                 .collect(),
@@ -222,6 +235,11 @@ impl Collocation {
         problem.place_data(&present);
         problem.place_derivatives();
         problem.chains = problem.layout.chains(&problem.meshes);
+        if let Some(boundary) = &problem.boundary {
+            for (e, chain) in problem.chains.chains.iter_mut().enumerate() {
+                chain.boundary = nlp::Boundary { row: boundary.row(e), states: boundary.states.clone() };
+            }
+        }
         Ok(problem)
     }
 
@@ -292,6 +310,10 @@ impl Collocation {
         }
         let with_prior = (0..self.parameters.len()).filter(|&i| self.parameters[i].prior.is_some());
         self.pair_places.priors = with_prior.map(|i| (i, place((i, i)))).collect();
+        if let Some(boundary) = &mut self.boundary {
+            let structures = (&mut self.jacobian_structure, &mut self.hessian_structure);
+            boundary.place(&self.layout, &self.meshes, &self.estimands, structures);
+        }
     }
 
     fn uniforms(&self, tape: &Tape, xi: &[f64], experiment: usize) -> Vec<f64> {
@@ -369,6 +391,15 @@ impl Collocation {
             let value = transform.value(xi[i]) - mean;
             Some((i, [value, transform.slope(xi[i]), transform.bend(xi[i])].map(|v| v / std)))
         })
+    }
+
+    /// Evaluates what there is of boundary conditions.
+    fn at_ends(
+        &self,
+        work: impl FnOnce(&Boundary, (&Layout, &[Mesh], &Estimands)) -> bool,
+    ) -> Result<(), NotFinite> {
+        let Some(boundary) = &self.boundary else { return Ok(()) };
+        if work(boundary, (&self.layout, &self.meshes, &self.estimands)) { Ok(()) } else { Err(NotFinite) }
     }
 
     /// What priors add to φ.
@@ -464,7 +495,8 @@ fn in_variables(graph: &mut Graph, parameters: &[Parameter], compiled: Compiled)
     }
     let dynamics = graph.replace(&compiled.dynamics, &from, &to);
     let outputs = graph.replace(&compiled.outputs, &from, &to);
-    (variables, Compiled { dynamics, outputs, ..compiled })
+    let conditions = graph.replace(&compiled.conditions, &from, &to);
+    (variables, Compiled { dynamics, outputs, conditions, ..compiled })
 }
 
 /// Adds values at places, counted from `first`.
@@ -498,7 +530,7 @@ impl Nlp for Collocation {
     }
 
     fn m(&self) -> usize {
-        self.layout.m()
+        self.layout.m() + self.boundary.as_ref().map_or(0, Boundary::rows)
     }
 
     fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
@@ -549,6 +581,7 @@ impl Nlp for Collocation {
     }
 
     fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.at_ends(|b, problem| b.values(problem, xi, out))?;
         let out = Disjoint::new(out);
         self.each(
             &self.chunks,
@@ -566,6 +599,7 @@ impl Nlp for Collocation {
     }
 
     fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.at_ends(|b, problem| b.jacobian(problem, xi, out))?;
         let out = Disjoint::new(out);
         self.each(
             &self.chunks,
@@ -599,7 +633,8 @@ impl Nlp for Collocation {
             },
             |e, part| add(between, first, &pairs[e], part),
         );
-        finite.and(self.objective_hessian(&self.likelihood.hessian, true, xi, factor, out))
+        let finite = finite.and(self.objective_hessian(&self.likelihood.hessian, true, xi, factor, out));
+        finite.and(self.at_ends(|b, problem| b.hessian(problem, xi, lambda, out)))
     }
 
     fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
@@ -642,6 +677,10 @@ impl Nlp for Collocation {
     }
 
     fn constraint_name(&self, i: usize) -> String {
+        if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
+            let (e, name) = boundary.name(i);
+            return format!("{name} of '{}'", self.experiments[e].name);
+        }
         let (e, row, state) = self.layout.constraint(i);
         let t = &self.meshes[e].times;
         let name = &self.state_names[state];

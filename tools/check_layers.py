@@ -13,8 +13,8 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "transform", "model", "evaluator",
-    "experiment", "noise", "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
+    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "transform", "condition", "model",
+    "evaluator", "experiment", "noise", "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
 ]
 
 PYTHON = [

@@ -37,7 +37,8 @@ def simulate(
     """Integrates the model over an experiment's inputs; returns its outputs and states at the samples.
 
     ``parameters``: values by name (numbers or estimates), or a fit. ``initial``: states at the first sample; those
-    not given are the fit's for this experiment, else as the model's initial conditions say, else as measured at the first sample that has a value, else 0.
+    not given are the fit's for this experiment, else as the model's initial conditions say, else as measured at the
+    first sample that has a value, else 0.
     ``method`` and ``rtol`` are those of `scipy.integrate.solve_ivp`.
 
     Raises ModelError for a missing or unknown parameter, DataError for missing inputs, OptionError for a wrong

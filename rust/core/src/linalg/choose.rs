@@ -18,9 +18,10 @@ pub fn kkt_for(nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
     if chains.chains.iter().all(|c| c.boundary.states.is_empty()) {
         return Box::new(arrow);
     }
+    let (columns, rows) = scales(nlp, units);
     Box::new(Either {
         now: Box::new(arrow),
-        other: Some((structures.0.clone(), structures.1.clone(), scales(nlp, units))),
+        other: Some(Parts { hessian: structures.0.clone(), jacobian: structures.1.clone(), columns, rows }),
     })
 }
 
@@ -46,8 +47,15 @@ fn scales(nlp: &dyn Nlp, units: &[f64]) -> (Vec<f64>, Vec<f64>) {
 /// sparse factorisation takes over.
 struct Either {
     now: Box<dyn KktSolver>,
-    /// Structures and units for the other, while the arrow is in use.
-    other: Option<(Structure, Structure, (Vec<f64>, Vec<f64>))>,
+    /// What the other is made from, while the arrow is in use.
+    other: Option<Parts>,
+}
+
+struct Parts {
+    hessian: Structure,
+    jacobian: Structure,
+    columns: Vec<f64>,
+    rows: Vec<f64>,
 }
 
 impl KktSolver for Either {
@@ -56,9 +64,9 @@ impl KktSolver for Either {
         if done.is_ok() {
             return done;
         }
-        let Some((h, a, (columns, rows))) = self.other.take() else { return done };
-        let (n, m) = self.now.sizes();
-        self.now = Box::new(SparseKkt::new(n, m, &h, &a, &columns, &rows));
+        let Some(parts) = self.other.take() else { return done };
+        let Parts { hessian: h, jacobian: a, columns, rows } = &parts;
+        self.now = Box::new(SparseKkt::new(columns.len(), rows.len(), h, a, columns, rows));
         self.now.factorize(hessian, jacobian)
     }
 

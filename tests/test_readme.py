@@ -64,3 +64,16 @@ def test_second_example_takes_several_runs_and_options(folder: Path) -> None:
     assert best.converged and many.success_rate == 1.0
     assert [r.name for r in fit.records] == ["run1", "run2"]
     assert "sigma_az" not in fit.parameters
+
+
+def test_regression_example_starts_a_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict[str, object] = {}
+    exec(blocks()[0], names)
+    data = names["data"]
+    assert isinstance(data, ph.Experiment)
+    names.update(run1=data.window(0, 7, name="run1"), run2=data.window(7.05, 12.5, name="run2"))
+    (block,) = (b for b in blocks() if "equation_error" in b)
+    exec(block, names)
+    regression, fit = names["regression"], names["fit"]
+    assert isinstance(regression, ph.EquationError) and isinstance(fit, ph.Fit) and fit.converged
+    assert "equation error" in capsys.readouterr().out

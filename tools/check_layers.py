@@ -19,9 +19,10 @@ RUST = [
 
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "delayed", "model", "experiment", "multirate", "read",
-    "transcription", "guess", "solvers", "progress", "records", "io", "plot", "summary", "result", "late", "simulate",
-    "estimate", "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__",
-    "__main__",
+    "transcription", "guess", "solvers", "progress", "records", "io", "plot", "summary",
+    "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
+    "result", "refine", "late", "simulate", "estimate",
+    "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on
 

@@ -12,6 +12,8 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 """
 
 from ._core import Expr, __version__
+from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
+from .equation_error import EquationError, equation_error
 from .errors import (
     DataError,
     EvaluationError,
@@ -22,6 +24,7 @@ from .errors import (
 )
 from .estimate import estimate
 from .experiment import Experiment
+from .integration import IntegrationError
 from .model import Model
 from .multirate import multirate
 from .multistart import Multistart, multistart
@@ -31,6 +34,7 @@ from .outcome import Outcome
 from .parameters import Estimate, Parameter
 from .read import read
 from .records import Record
+from .refinement import Refinement
 from .result import Fit, load
 from .simulate import simulate
 from .solvers import Ipopt, Iteration, Newton
@@ -65,12 +69,15 @@ from .transcription import Collocation
 __all__ = [
     "Collocation",
     "DataError",
+    "EquationError",
     "Estimate",
     "EvaluationError",
     "Experiment",
     "Expr",
     "Fit",
+    "FourierSmoothing",
     "Gaussian",
+    "IntegrationError",
     "Ipopt",
     "Iteration",
     "MissingDependency",
@@ -84,7 +91,10 @@ __all__ = [
     "Parameter",
     "PhugoidError",
     "Record",
+    "Refinement",
+    "SavitzkyGolay",
     "Sigma",
+    "SmoothingSpline",
     "Table",
     "__version__",
     "acos",
@@ -93,6 +103,7 @@ __all__ = [
     "atan2",
     "cos",
     "cosh",
+    "equation_error",
     "estimate",
     "exp",
     "from_sympy",

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _core
-from .errors import DataError, ModelError, OptionError
-from .experiment import Experiment, moves
+from .equation_error import EquationError
+from .errors import ModelError, OptionError
+from .experiment import Experiment, as_experiments, moves
 from .guess import check_names, measured_states, parameter_start, spread, state_start
 from .late import estimate_late
 from .model import Model
 from .noise import Gaussian
 from .progress import Progress
+from .refine import refined
 from .result import Fit, make_fit
 from .solvers import Ipopt, Iteration, Newton, Solution
 from .transcription import Collocation
@@ -31,7 +34,7 @@ def estimate(
     *,
     transcription: Collocation | None = None,
     noise: Gaussian | None = None,
-    start: Mapping[str, Any] | Fit | None = None,
+    start: Mapping[str, Any] | Fit | EquationError | None = None,
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
 ) -> Fit:
@@ -39,8 +42,8 @@ def estimate(
 
     ``data``: one experiment or several with shared parameters. Initial states are free.
     ``start``: values by name of parameters, of ``sigma_<output>`` and of states (a number or one value a sample),
-    or a fit to go on from. Parameters not named start as declared, standard deviations at the spread of the
-    measurements, states as measured where an output measures them and else at 0.
+    or a fit to go on from, or the result of `equation_error`. Parameters not named start as declared, standard
+    deviations at the spread of the measurements, states as measured where an output measures them and else at 0.
     ``noise``: instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints
     the iterations; a function is called with each.
 
@@ -67,8 +70,17 @@ def estimate(
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
     if not isinstance(progress, bool) and not callable(progress):
         raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
-    if not isinstance(start, (Mapping, Fit, type(None))):
+    if not isinstance(start, (Mapping, Fit, EquationError, type(None))):
         raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
+    if transcription.refine:
+        # A mesh that is only finer needs no regression: the path is there.
+        again = replace(solver, regression=False) if isinstance(solver, Newton) else solver
+
+        def solve(mesh: Collocation, fit: Fit | None) -> Fit:
+            begin, by = (fit, again) if fit else (start, solver)
+            return estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
+
+        return refined(solve, transcription)
 
     if model.delays:
         options = {"transcription": transcription, "noise": noise, "solver": solver, "progress": progress}
@@ -80,7 +92,7 @@ def estimate(
         elsewhere = set().union(*moving[:i], *moving[i + 1 :])
         experiment.check_for(model.input_names, model.output_names, {*noise.known, *elsewhere})
 
-    warm = start if isinstance(start, Fit) else None
+    warm = start if isinstance(start, (Fit, EquationError)) else None
     given: Mapping[str, Any] = warm.as_start() if warm else dict(start or {})  # type: ignore[arg-type]
     check_names(model, given, experiments)
     parameters = parameter_start(model, given)
@@ -102,7 +114,7 @@ def starting_point(
     parameters: Mapping[str, float],
     sigmas: Sequence[tuple[bool, float, float, float]],
     given: Mapping[str, Any],
-    warm: Fit | None = None,
+    warm: Fit | EquationError | None = None,
 ) -> _Array:
     """The decision variables to start from: parameters, 1/sigma, states at all points."""
     roots = [1 / value for is_known, value, _, _ in sigmas if not is_known]
@@ -124,7 +136,7 @@ def starting_point(
     return np.concatenate(parts)
 
 
-def _warm(fit: Fit | None, problem: _core.Collocation, xi: _Array) -> Solution | None:
+def _warm(fit: Fit | EquationError | None, problem: _core.Collocation, xi: _Array) -> Solution | None:
     """The solution of an earlier fit, where the problem has the same size: its multipliers serve again."""
     if fit is None or fit.solution is None or fit.solution.xi.size != xi.size:
         return None
@@ -138,13 +150,4 @@ def _moving(experiment: Experiment, outputs: Sequence[str]) -> set[str]:
 
 
 def _experiments(data: Any) -> list[Experiment]:
-    experiments = [data] if isinstance(data, Experiment) else list(data) if isinstance(data, (list, tuple)) else None
-    if experiments is None or not all(isinstance(e, Experiment) for e in experiments):
-        raise DataError("estimate: data is an Experiment or a list of them; make one with ph.read or ph.Experiment")
-    if not experiments:
-        raise DataError("estimate: the list of experiments is empty")
-    names = [e.name for e in experiments]
-    if len(set(names)) < len(names):
-        twice = next(n for n in names if names.count(n) > 1)
-        raise DataError(f"estimate: two experiments are called '{twice}'; give each a name of its own")
-    return experiments
+    return as_experiments(data, "estimate")

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import DataError, listing
 
-__all__ = ["Experiment", "FloatArray", "Interpolation"]
+__all__ = ["Experiment", "FloatArray", "Interpolation", "as_experiments"]
 
 FloatArray = NDArray[np.float64]
 Interpolation = Literal["linear", "cubic"]
@@ -335,6 +335,20 @@ def moves(values: FloatArray) -> bool:
     """Whether the samples that are there differ by more than rounding."""
     present = values[np.isfinite(values)]
     return bool(present.size) and bool(np.ptp(present) > 4.0 * np.finfo(np.float64).eps * np.abs(present).max())
+
+
+def as_experiments(data: Any, caller: str) -> list[Experiment]:
+    """One experiment or several as a list; DataError, in the caller's name, for anything else or repeated names."""
+    runs = [data] if isinstance(data, Experiment) else list(data) if isinstance(data, (list, tuple)) else None
+    if runs is None or not all(isinstance(e, Experiment) for e in runs):
+        raise DataError(f"{caller}: data is an Experiment or a list of them; make one with ph.read or ph.Experiment")
+    if not runs:
+        raise DataError(f"{caller}: the list of experiments is empty")
+    names = [e.name for e in runs]
+    if len(set(names)) < len(names):
+        twice = next(n for n in names if names.count(n) > 1)
+        raise DataError(f"{caller}: two experiments are called '{twice}'; give each a name of its own")
+    return runs
 
 
 def _sample(i: int | np.intp, t: FloatArray | None) -> str:

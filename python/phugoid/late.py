@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import _core
 from .delayed import at_delays
@@ -138,7 +139,8 @@ def simulated_late(
     t = data.t
     later = [t + delays[tau] for _, tau in model.delays.inputs.values()]
     earlier = {name: t - delays[tau] for name, tau in model.delays.outputs.items()}
-    times = np.unique(np.concatenate([t, *later, *earlier.values()]))
+    times = np.sort(np.concatenate([t, *later, *earlier.values()]))
+    times = times[np.concatenate([[True], np.diff(times) > 1e-9 * float(np.median(np.diff(t)))])]
     if data.interpolation == "cubic":
         # A spline through samples of a spline that was moved is another: on a finer grid hardly so.
         share = np.arange(4 * (times.size - 1) + 1) / 4
@@ -159,9 +161,9 @@ def simulated_late(
     outputs = {}
     for name in model.output_names:
         own = earlier.get(name, t)
-        at_own = np.searchsorted(times, np.clip(own, t[0], t[-1]))
+        at_own = _nearest(times, np.clip(own, t[0], t[-1]))
         outputs[name] = np.where((own >= t[0]) & (own <= t[-1]), path.outputs[name][at_own], np.nan)
-    at_samples = np.searchsorted(times, t)
+    at_samples = _nearest(times, t)
     return replace(
         path,
         t=t,
@@ -172,3 +174,9 @@ def simulated_late(
         residuals={n: z - outputs[n] for n, z in measured.items()},
         units=model.units,
     )
+
+
+def _nearest(times: FloatArray, t: FloatArray) -> NDArray[np.intp]:
+    """Indices of the times nearest to some."""
+    after = np.clip(np.searchsorted(times, t), 1, times.size - 1)
+    return np.where(t - times[after - 1] < times[after] - t, after - 1, after)

@@ -31,6 +31,7 @@ class Record:
     mesh_t       (M,) time of the mesh points of the transcription, s.
     mesh_states  name -> (M,): the states there.
     units        name -> unit, for every kind of channel.
+    interpolation  of the inputs between samples, "linear" or "cubic".
     """
 
     name: str
@@ -43,6 +44,7 @@ class Record:
     mesh_t: _Array = field(default_factory=_no_times)
     mesh_states: Mapping[str, _Array] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    interpolation: str = "linear"
 
     @property
     def n(self) -> int:

@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _core, io, plot, summary
-from .errors import DataError
+from .errors import DataError, OptionError
 from .experiment import Experiment
+from .integration import IntegrationError, integration_error
 from .model import Model
 from .noise import Gaussian
 from .parameters import Estimate, Estimates
 from .records import Record
+from .refinement import Refinement
 from .solvers import HINTS, Iteration, Solution
 from .transcription import Collocation
 
@@ -56,6 +58,7 @@ class Fit:
     status          "converged", or what else happened; ``message`` says what to do.
     warnings        what to beware of in the result, in words.
     covariance      (n, n) of the parameters in their order; NaN where there is none.
+    refinement      what ``Collocation(refine=True)`` did.
     """
 
     model: Model
@@ -73,6 +76,7 @@ class Fit:
     warnings: tuple[str, ...] = ()
     history: Sequence[Iteration] = ()
     solution: Solution | None = field(default=None)
+    refinement: Refinement | None = None
 
     @property
     def converged(self) -> bool:
@@ -107,8 +111,25 @@ class Fit:
 
     def summary(self) -> str:
         """The fit as a plain-text table."""
-        text = summary.fit_summary(self)
+        text = summary.fit_summary(self) + (f"\n\n{self.refinement.summary()}" if self.refinement else "")
         return text + "".join(f"\n\nWarning: {w}" for w in self.warnings)
+
+    def integration_error(self) -> tuple[IntegrationError, ...]:
+        """The error that each segment of the mesh adds to the path, one for each experiment.
+
+        Raises OptionError for a fit that was not transcribed by collocation.
+        """
+        if not isinstance(self.transcription, Collocation):
+            raise OptionError("integration_error: only collocation has a mesh whose error can be estimated")
+        named = {n: f"sigma_{n}" for n in self.model.output_names}
+        sigmas = {n: self.parameters[s].value for n, s in named.items() if s in self.parameters} | self.noise.known
+        order = self.transcription.order
+        return tuple(integration_error(self.model, self._own(r.name), sigmas, r, order) for r in self.records)
+
+    def _own(self, experiment: str) -> dict[str, float]:
+        """The model's parameters as they are in one experiment."""
+        labels = {name: f"{name}[{experiment}]" for name in self.model.parameter_names}
+        return {n: self.parameters[label if label in self.parameters else n].value for n, label in labels.items()}
 
     def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
         """The proof-of-match figure of an experiment: measured points, model, residuals, inputs."""
@@ -306,6 +327,7 @@ def _record(model: Model, experiment: Experiment, problem: _core.Collocation, xi
         mesh_t=problem.point_times(index)[:mesh],
         mesh_states={name: paths[:mesh, i].copy() for i, name in enumerate(model.state_names)},
         units=model.units,
+        interpolation=experiment.interpolation,
     )
 
 
@@ -351,6 +373,7 @@ def _payload(fit: Fit) -> dict[str, Any]:
         "time": fit.time,
         "warnings": list(fit.warnings),
         "history": [vars(line) for line in fit.history],
+        "refinement": fit.refinement.to_dict() if fit.refinement else None,
     }
 
 
@@ -381,7 +404,8 @@ def load(path: str | os.PathLike[str]) -> Fit:
         groups = ("inputs", "outputs", "states", "measured", "residuals", "mesh_states")
         arrays = {k: {n: io.to_array(v) for n, v in saved[k].items()} for k in groups}
         t, mesh_t = io.to_array(saved["t"]), io.to_array(saved["mesh_t"])
-        return Record(name=saved["name"], units=saved["units"], t=t, mesh_t=mesh_t, **arrays)
+        kind = saved.get("interpolation", "linear")
+        return Record(name=saved["name"], units=saved["units"], t=t, mesh_t=mesh_t, interpolation=kind, **arrays)
 
     try:
         return Fit(
@@ -399,6 +423,7 @@ def load(path: str | os.PathLike[str]) -> Fit:
             time=io.to_float(saved["time"]),
             warnings=tuple(saved["warnings"]),
             history=[Iteration(**line) for line in saved["history"]],
+            refinement=Refinement.from_dict(saved["refinement"]) if saved.get("refinement") else None,
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise DataError(f"{path}: is damaged ({type(error).__name__}: {error})") from error

@@ -75,6 +75,7 @@ def simulate(
         measured=measured,
         residuals={n: z - outputs[n] for n, z in measured.items()},
         units=model.units,
+        interpolation=data.interpolation,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -28,12 +28,18 @@ class Collocation:
     2m - 2. By default every interval between samples is a segment; ``substeps`` divides each further;
     ``segments`` gives a number of equal segments, or the times of their ends (s), instead, which need not be
     sample times (a list of such for several experiments). ``threads`` 0 is one a core.
+
+    ``refine``: estimate the integration error of each segment, split those where it is above ``tolerance`` (in units
+    of the noise of the state's measurement; see `IntegrationError`), or raise the order where most are, and estimate
+    again, until none is. ``Fit.refinement`` says what was done and by how much the estimates moved.
     """
 
     order: int = 4
     substeps: int = 1
     segments: int | ArrayLike | Sequence[ArrayLike] | None = None
     threads: int = 0
+    refine: bool = False
+    tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
         if not _whole(self.order) or not 2 <= self.order <= 64:
@@ -44,6 +50,10 @@ class Collocation:
             raise OptionError("Collocation: substeps divides sample intervals and segments replaces them; give one")
         if not _whole(self.threads) or self.threads < 0:
             raise OptionError(f"Collocation: threads is a whole number from 0, not {self.threads!r}")
+        if not isinstance(self.refine, bool):
+            raise OptionError(f"Collocation: refine is True or False, not {self.refine!r}")
+        if not isinstance(self.tolerance, Real) or not 0 < self.tolerance < 1:
+            raise OptionError(f"Collocation: tolerance is a number between 0 and 1, not {self.tolerance!r}")
         for name in ("order", "substeps", "threads"):
             object.__setattr__(self, name, int(getattr(self, name)))
         object.__setattr__(self, "segments", _checked_segments(self.segments))

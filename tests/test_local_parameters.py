@@ -144,3 +144,32 @@ def test_wrong_options_are_refused() -> None:
 def test_a_saved_model_keeps_them() -> None:
     m = lag(T=ph.Parameter(1.0, transform="log"), k=ph.Parameter(1.0, scale=2.0))
     assert ph.Model.from_json(m.to_json()).declared_parameters == m.declared_parameters
+
+
+# ---------------------------------------------------------------- expressions of parameters
+
+
+def test_a_tie_is_a_quantity_and_a_derived_estimate_has_its_error() -> None:
+    """k = 2 a, as a quantity: the same fit, and the same estimate and error of k."""
+    m = ph.Model("lag, tied")
+    (x,) = m.states(x="m")
+    (u,) = m.inputs(u="m")
+    T, b, a = m.parameters(T=1.0, b=ph.Parameter(0.0, per_experiment=True), a=0.5)
+    (k,) = m.quantities(k=2.0 * a)
+    m.dynamics(x=(k * u - x) / T)
+    m.outputs(x=x + b)
+    plain, tied = ph.estimate(lag(), runs()), ph.estimate(m, runs())
+    assert tied.log_likelihood == pytest.approx(plain.log_likelihood, abs=1e-8)
+    derived = tied.derived(k=m.equations["k"], ratio=k.substitute({"k": 2.0 * a}) / T)
+    assert derived["k"].value == pytest.approx(plain.parameters["k"].value, rel=1e-9)
+    assert derived["k"].std_error == pytest.approx(plain.parameters["k"].std_error, rel=1e-6)
+    # k/T by hand, with the covariance between both.
+    names = list(plain.parameters)
+    i, j = names.index("T"), names.index("k")
+    t, gain = plain.parameters["T"].value, plain.parameters["k"].value
+    slope = np.array([-gain / t**2, 1 / t])
+    variance = slope @ plain.covariance[np.ix_([i, j], [i, j])] @ slope
+    assert derived["ratio"].value == pytest.approx(gain / t, rel=1e-9)
+    assert derived["ratio"].std_error == pytest.approx(np.sqrt(variance), rel=1e-6)
+    with pytest.raises(ph.ModelError, match="derived 'z': 'x' is no parameter"):
+        tied.derived(z=2.0 * x)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _core, io, plot, summary
-from .errors import DataError, OptionError
+from ._core import Expr
+from .errors import DataError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
 from .integration import IntegrationError, integration_error
 from .model import Model
@@ -108,6 +109,32 @@ class Fit:
         """Parameters as start values of another estimation."""
         known = {f"sigma_{n}" for n in self.noise.known}
         return {name: e.value for name, e in self.parameters.items() if name not in known}
+
+    def derived(self, **expressions: Expr) -> Estimates:
+        """Estimates of expressions in the parameters, with standard errors to first order (the delta method).
+
+        ``fit.derived(natural_frequency=sqrt(k / mass))``; a quantity of the model is given by its expression,
+        ``fit.derived(static_margin=fit.model.equations["static_margin"])``. Raises ModelError for other symbols.
+        """
+        names = list(self.parameters)
+        values = self.parameters.to_dict()
+        found = []
+        for name, expression in expressions.items():
+            e = Expr(expression)
+            for symbol in e.symbols:
+                if symbol not in values:
+                    raise ModelError(f"derived '{name}': '{symbol}' is no parameter.{did_you_mean(symbol, names)}")
+            numbers = {symbol: values[symbol] for symbol in e.symbols}
+            slope = np.zeros(len(names))
+            for symbol in e.symbols:
+                d = e.diff(symbol)
+                slope[names.index(symbol)] = d.evaluate({s: values[s] for s in d.symbols})
+            # What is held has no error of its own.
+            held = [i for i, p in enumerate(self.parameters.values()) if p.fixed or p.bounds_active]
+            free = (slope != 0) & ~np.isin(np.arange(len(names)), held)
+            variance = slope[free] @ self.covariance[np.ix_(free, free)] @ slope[free]
+            found.append(Estimate(name, e.evaluate(numbers), float(np.sqrt(variance))))
+        return Estimates(found)
 
     def summary(self) -> str:
         """The fit as a plain-text table."""

@@ -13,12 +13,12 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "model", "evaluator", "experiment", "noise",
-    "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
+    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "model", "evaluator", "experiment", "nlp",
+    "noise", "mesh", "transcription", "linalg", "solver", "diagnosis", "estimate",
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "guess",
+    "_core", "errors", "symbols", "parameters", "noise", "densities", "model", "experiment", "read", "transcription", "guess",
     "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]

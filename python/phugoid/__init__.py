@@ -12,6 +12,7 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 """
 
 from ._core import Expr, __version__
+from .densities import Density, Huber, Laplace, PerOutput, StudentT
 from .errors import (
     DataError,
     EvaluationError,
@@ -64,14 +65,17 @@ from .transcription import Collocation
 __all__ = [
     "Collocation",
     "DataError",
+    "Density",
     "Estimate",
     "EvaluationError",
     "Experiment",
     "Expr",
     "Fit",
     "Gaussian",
+    "Huber",
     "Ipopt",
     "Iteration",
+    "Laplace",
     "MissingDependency",
     "Model",
     "ModelError",
@@ -81,9 +85,11 @@ __all__ = [
     "OptionError",
     "Outcome",
     "Parameter",
+    "PerOutput",
     "PhugoidError",
     "Record",
     "Sigma",
+    "StudentT",
     "Table",
     "__version__",
     "acos",

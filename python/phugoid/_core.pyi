@@ -10,6 +10,7 @@ __all__ = [
     "Expr",
     "Model",
     "NewtonSolution",
+    "Noise",
     "Table",
     "__version__",
     "apply",
@@ -30,6 +31,8 @@ _Equation: TypeAlias = tuple[str, Expr, str, str | None]  # name, expression, un
 _Prior: TypeAlias = tuple[float, float] | None  # mean, standard deviation
 _Record: TypeAlias = tuple[str, _Array, list[_Array], list[_Array], str]  # name, t, inputs, outputs, interpolation
 _Sigma: TypeAlias = tuple[bool, float, float, float]  # known?, value or start, lower, upper
+_Shape: TypeAlias = tuple[str, Sequence[float], Expr | None, Sequence[tuple[str, float, float, float]]]
+_Reported: TypeAlias = tuple[str, int | None, float, list[float], int | None, float, float]
 _Grid: TypeAlias = tuple[str, int, list[float] | None]  # kind, number, edges
 
 @final
@@ -146,12 +149,22 @@ class Model:
     def outputs(self) -> list[_Equation]: ...
 
 @final
+class Noise:
+    @staticmethod
+    def independent(sigmas: Sequence[_Sigma], densities: Sequence[_Shape]) -> Noise: ...
+    @staticmethod
+    def correlated(sigmas: Sequence[_Sigma], correlation: Sequence[float]) -> Noise: ...
+    @staticmethod
+    def covariance(n: int, matrix: Sequence[float]) -> Noise: ...
+    def check(self, outputs: Sequence[str]) -> None: ...
+
+@final
 class Collocation:
     def __new__(
         cls,
         model: Model,
         experiments: Sequence[_Record],
-        sigmas: Sequence[_Sigma],
+        noise: Noise,
         order: int,
         grids: Sequence[_Grid],
         threads: int,
@@ -168,6 +181,12 @@ class Collocation:
     def first_point(self) -> list[int]: ...
     @property
     def noise_parameters(self) -> list[str]: ...
+    @property
+    def noise_start(self) -> list[float]: ...
+    @property
+    def precision_roots(self) -> list[int]: ...
+    def sigmas(self, xi: _Array) -> list[float]: ...
+    def noise_report(self, xi: _Array) -> list[_Reported]: ...
     def point_times(self, experiment: int) -> _Array: ...
     def mesh_points(self, experiment: int) -> int: ...
     def sample_points(self, experiment: int) -> list[int]: ...

@@ -13,7 +13,7 @@ from .errors import DataError, ModelError, OptionError
 from .experiment import Experiment, moves
 from .guess import check_names, measured_states, parameter_start, spread, state_start
 from .model import Model
-from .noise import Gaussian
+from .noise import Noise
 from .progress import Progress
 from .result import Fit, make_fit
 from .solvers import Ipopt, Iteration, Newton, Solution
@@ -29,7 +29,7 @@ def estimate(
     data: Experiment | Sequence[Experiment],
     *,
     transcription: Collocation | None = None,
-    noise: Gaussian | None = None,
+    noise: Noise | None = None,
     start: Mapping[str, Any] | Fit | None = None,
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
@@ -37,10 +37,10 @@ def estimate(
     """The maximum-likelihood estimate of a model's parameters from measured data (Eq. ml_loglike of the paper).
 
     ``data``: one experiment or several with shared parameters. Initial states are free.
-    ``start``: values by name of parameters, of ``sigma_<output>`` and of states (a number or one value a sample),
+    ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number or one value a sample),
     or a fit to go on from. Parameters not named start as declared, standard deviations at the spread of the
     measurements, states as measured where an output measures them and else at 0.
-    ``noise``: instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints
+    ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints
     the iterations; a function is called with each.
 
     Ctrl-C ends the run and returns the best point so far, with status "interrupted".
@@ -57,11 +57,12 @@ def estimate(
     solver = solver or Newton()
     options = {
         "transcription": (transcription, Collocation),
-        "noise": (noise, Gaussian),
     }
     for what, (value, kind) in options.items():
         if not isinstance(value, kind):
             raise OptionError(f"estimate: {what} is a {kind.__name__}, not {value!r}")
+    if not isinstance(noise, Noise):
+        raise OptionError(f"estimate: noise is a Gaussian, StudentT, Huber, Laplace, Density or PerOutput, not {noise!r}")
     if not isinstance(solver, (Newton, Ipopt)):
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
     if not isinstance(progress, bool) and not callable(progress):
@@ -73,17 +74,15 @@ def estimate(
     for i, experiment in enumerate(experiments):
         # An output that stands still in this experiment may move in another, which then gives its sigma.
         elsewhere = set().union(*moving[:i], *moving[i + 1 :])
-        experiment.check_for(model.input_names, model.output_names, {*noise.known, *elsewhere})
+        experiment.check_for(model.input_names, model.output_names, {*noise.known_sigmas(model.output_names), *elsewhere})
 
     warm = start if isinstance(start, Fit) else None
-    given: Mapping[str, Any] = warm.as_start() if warm else dict(start or {})  # type: ignore[arg-type]
-    check_names(model, given)
+    given: Mapping[str, Any] = warm.as_start(noise) if warm else dict(start or {})  # type: ignore[arg-type]
+    check_names(model, given, noise.names(model.output_names))
     parameters = parameter_start(model, given)
     spreads = {name: spread(experiments, name) for name in model.output_names}
-    sigmas = noise.resolve(model.output_names, spreads, given)
-
-    problem = transcription.problem(model, experiments, sigmas)
-    xi = starting_point(problem, model, experiments, parameters, sigmas, given, warm)
+    problem = transcription.problem(model, experiments, noise.resolve(model.output_names, spreads, given))
+    xi = starting_point(problem, model, experiments, parameters, given, warm)
     known = {*measured_states(model, parameters), *given}.issuperset(model.state_names)
     with Progress.of(progress, model.name) as watch:
         solution = solver.solve(problem, xi, _warm(warm, problem, xi), watch, states_known=known)
@@ -95,13 +94,11 @@ def starting_point(
     model: Model,
     experiments: Sequence[Experiment],
     parameters: Mapping[str, float],
-    sigmas: Sequence[tuple[bool, float, float, float]],
     given: Mapping[str, Any],
     warm: Fit | None = None,
 ) -> _Array:
-    """The decision variables to start from: parameters, 1/sigma, states at all points."""
-    roots = [1 / value for is_known, value, _, _ in sigmas if not is_known]
-    parts = [np.array([*parameters.values(), *roots])]
+    """The decision variables to start from: parameters, those of the noise, states at all points."""
+    parts = [np.array([*parameters.values(), *problem.noise_start])]
     for i, experiment in enumerate(experiments):
         times = problem.point_times(i)
         states = state_start(model, experiment, times, parameters, given)

@@ -19,9 +19,9 @@ __all__ = ["check_names", "measured_states", "parameter_start", "state_start"]
 _Array = NDArray[np.float64]
 
 
-def check_names(model: Model, start: Mapping[str, Any]) -> None:
-    """Raises ModelError for a start that names nothing: not a parameter, a sigma or a state."""
-    known = [*model.parameter_names, *(f"sigma_{n}" for n in model.output_names), *model.state_names]
+def check_names(model: Model, start: Mapping[str, Any], noise: Sequence[str] = ()) -> None:
+    """Raises ModelError for a start that names nothing: not a parameter, a sigma or a state; nor one of ``noise``."""
+    known = [*model.parameter_names, *(f"sigma_{n}" for n in model.output_names), *noise, *model.state_names]
     for name in start:
         if name not in known:
             raise ModelError(f"start: '{name}' is no parameter, sigma or state.{did_you_mean(name, known)}")

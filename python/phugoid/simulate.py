@@ -161,12 +161,17 @@ class _Flow:
         return y
 
 
+# Names of what is estimated of the noise begin like this; they may be there, as in Estimates.to_dict().
+_NOISE = ("sigma_", "corr_", "dof_")
+
+
 def _values(model: Model, parameters: Mapping[str, Any] | Fit) -> dict[str, float]:
     given = parameters.parameters if isinstance(parameters, Fit) else parameters
     if not isinstance(given, Mapping):
         raise ModelError(f"simulate: parameters are values by name, or a fit, not {given!r}")
+    noise = parameters.noise.names(parameters.model.output_names) if isinstance(parameters, Fit) else ()
     for name in given:
-        if name not in model.parameter_names and not str(name).startswith("sigma_"):
+        if name not in model.parameter_names and not str(name).startswith(_NOISE) and name not in noise:
             raise ModelError(f"simulate: '{name}' is no parameter.{did_you_mean(name, model.parameter_names)}")
     missing = [name for name in model.parameter_names if name not in given]
     if missing:

@@ -20,6 +20,8 @@ def fit_summary(fit: Any) -> str:
     """
     outputs = list(dict.fromkeys(name for record in fit.records for name in record.outputs))
     noise_names = {f"sigma_{name}" for name in outputs}
+    if getattr(fit, "noise", None) is not None:
+        noise_names.update(fit.noise.names(tuple(outputs)))
     noise = [e for e in fit.parameters.values() if e.name in noise_names]
     physical = [e for e in fit.parameters.values() if e.name not in noise_names]
     parts = [_header(fit)]
@@ -43,6 +45,9 @@ def _header(fit: Any) -> str:
         "data": f"{runs}{samples} samples" + (f", {mesh} mesh points" if mesh else ""),
         "transcription": str(fit.transcription),
     }
+    noise = getattr(getattr(fit, "noise", None), "description", "")
+    if noise:
+        entries["noise"] = noise
     width = max(map(len, entries))
     lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
     return "\n".join([str(fit.model.name), *lines])

@@ -113,7 +113,7 @@ pub use expr::Expr;
 pub use interpolate::Interpolation;
 pub use mesh::Grid;
 pub use model::{Model, Parameter};
-pub use noise::Sigma;
+pub use noise::{Density, Dof, Noise, Sigma};
 
 /// The code in the README.
 #[cfg(doctest)]

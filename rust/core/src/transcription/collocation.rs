@@ -18,8 +18,8 @@ use crate::expr::graph::Id;
 use crate::interpolate::interpolate;
 use crate::mesh::{Grid, Mesh};
 use crate::model::{Model, Parameter};
-use crate::nlp::{Chains, Nlp, NotFinite, Structure};
-use crate::noise::{Noise, Sample};
+use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
+use crate::noise::{Counts, Missing, Noise, Reported, Sample};
 use crate::tape::{Arguments, Function, Tape, Workspace};
 
 /// How a problem is transcribed.
@@ -81,12 +81,15 @@ pub struct Collocation {
     pub n_model_parameters: usize,
     /// The noise model.
     pub noise: Noise,
+    /// What its parameters are called as unknowns.
+    pub(super) noise_names: Vec<String>,
     /// One mesh an experiment.
     pub meshes: Vec<Mesh>,
     /// Inputs at all points of each experiment: `inputs[experiment][channel][point]`.
     pub inputs: Vec<Vec<Vec<f64>>>,
     pub(super) state_names: Vec<String>,
     pub(super) input_names: Vec<String>,
+    output_names: Vec<String>,
     pub(super) experiments: Vec<Experiment>,
     pub(super) dynamics: Dynamics,
     likelihood: Function,
@@ -98,8 +101,8 @@ pub struct Collocation {
     /// Where the Hessian entries between parameters stand, for each pair of f, of ℓ and each prior.
     pair_places: PairPlaces,
     chains: Chains,
-    /// Number of measurements of each output, all experiments together.
-    measured: Vec<usize>,
+    /// How many measurements there are.
+    counts: Counts,
     pool: Option<rayon::ThreadPool>,
 }
 
@@ -157,43 +160,51 @@ impl Collocation {
         noise.check(&output_names)?;
         let meshes = meshes(experiments, settings)?;
 
+        let counts = Counts::new(experiments.iter().map(|e| &e.outputs));
+        let noise = noise.for_counts(&counts);
         let noise_parameters = noise.parameters(&output_names);
+        let noise_names = noise.variable_names(&output_names);
         let n_theta = model.parameters.len() + noise_parameters.len();
         let layout = Layout::new(n_theta, model.states.len(), &meshes);
         let parameters: Vec<Parameter> = model.parameters.iter().cloned().chain(noise_parameters).collect();
 
         // All functions of a point see all parameters, so that θ has one order everywhere.
         let mut graph = compiled.graph.clone();
-        let noise_symbols: Vec<Id> = parameters[model.parameters.len()..]
-            .iter()
-            .map(|p| graph.symbol(&format!("1/{}", p.name)))
-            .collect();
+        let noise_symbols: Vec<Id> = noise_names.iter().map(|name| graph.symbol(name)).collect();
         let theta: Vec<Id> = compiled.parameters.iter().chain(&noise_symbols).copied().collect();
         let arguments =
             Arguments { data: compiled.data.clone(), states: compiled.states.clone(), parameters: theta };
         let dynamics = Dynamics::new(Function::new(graph.clone(), &arguments, compiled.dynamics.clone()));
         let outputs = Function::new(graph.clone(), &arguments, compiled.outputs.clone());
 
-        let missing = |c: usize| experiments.iter().any(|e| e.outputs[c].iter().any(|v| v.is_nan()));
+        let missing = Missing::new(experiments.iter().map(|e| &e.outputs));
         let measured: Vec<Id> = output_names.iter().map(|n| graph.symbol(&format!("measured {n}"))).collect();
-        let present: Vec<Option<Id>> = (0..output_names.len())
-            .map(|c| missing(c).then(|| graph.symbol(&format!("{} present", output_names[c]))))
+        let present: Vec<Option<Id>> = (output_names.iter().zip(&missing.outputs))
+            .map(|(name, &any)| any.then(|| graph.symbol(&format!("{name} present"))))
             .collect();
-        let sample = Sample { outputs: &compiled.outputs, measured: &measured, present: &present };
-        let density = noise.log_density(&mut graph, &sample, &noise_symbols);
+        let patterns: Vec<(Vec<bool>, Id)> = (missing.patterns.iter().enumerate())
+            .filter(|_| noise.needs_patterns())
+            .map(|(k, set)| (set.clone(), graph.symbol(&format!("pattern {k} of missing samples"))))
+            .collect();
+        let sample =
+            Sample { outputs: &compiled.outputs, measured: &measured, present: &present, patterns: &patterns };
+        let terms = noise.log_density(&mut graph, &sample, &noise_symbols);
         let mut with_samples = arguments.clone();
-        with_samples.data.extend(measured.iter().chain(present.iter().flatten()));
-        let likelihood = Function::of_squares(graph, &with_samples, &density.residuals, density.rest);
+        let flags = present.iter().flatten().chain(patterns.iter().map(|p| &p.1));
+        with_samples.data.extend(measured.iter().chain(flags));
+        let likelihood = Function::of_terms(graph, &with_samples, &terms);
 
         let mut problem = Collocation {
             layout,
             n_model_parameters: model.parameters.len(),
             parameters,
             noise,
+            noise_names,
             meshes,
             inputs: Vec::new(),
             state_names: model.states.iter().map(|s| s.name.clone()).collect(),
             input_names: model.inputs.iter().map(|s| s.name.clone()).collect(),
+            output_names: model.outputs.iter().map(|o| o.name.clone()).collect(),
             experiments: experiments.to_vec(),
             dynamics,
             likelihood,
@@ -204,19 +215,17 @@ impl Collocation {
             hessian_structure: Structure::default(),
             pair_places: PairPlaces::default(),
             chains: Chains::default(),
-            measured: (0..output_names.len())
-                .map(|c| experiments.iter().flat_map(|e| &e.outputs[c]).filter(|z| !z.is_nan()).count())
-                .collect(),
+            counts,
             pool: pool(settings.threads)?,
         };
-        problem.place_data(&present);
+        problem.place_data(&missing, patterns.len());
         problem.place_derivatives();
         problem.chains = problem.layout.chains(&problem.meshes);
         Ok(problem)
     }
 
     /// Fills chunks and blocks of samples with data in the order of their lanes.
-    fn place_data(&mut self, present: &[Option<Id>]) {
+    fn place_data(&mut self, missing: &Missing, patterns: usize) {
         for (e, (experiment, mesh)) in self.experiments.iter().zip(&self.meshes).enumerate() {
             let at_points = |channel: &Vec<f64>| {
                 interpolate(experiment.interpolation, &experiment.t, channel, &mesh.times)
@@ -233,9 +242,7 @@ impl Collocation {
             columns.extend(experiment.inputs.iter().cloned());
             let filled = |c: &Vec<f64>| c.iter().map(|v| if v.is_nan() { 0.0 } else { *v }).collect();
             columns.extend(experiment.outputs.iter().map(filled));
-            let flags = |c: &Vec<f64>| c.iter().map(|v| f64::from(u8::from(!v.is_nan()))).collect();
-            columns
-                .extend(experiment.outputs.iter().zip(present).filter(|c| c.1.is_some()).map(|c| flags(c.0)));
+            columns.extend(missing.flags(&experiment.outputs, patterns));
             self.samples.extend(Samples::cut(e, mesh, &self.layout, &columns));
             self.inputs.push(inputs);
         }
@@ -340,6 +347,12 @@ impl Collocation {
 
     fn priors(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
         self.parameters.iter().enumerate().filter_map(|(i, p)| p.prior.map(|(mean, std)| (i, mean, std)))
+    }
+
+    /// What the noise is at ξ, in the user's terms.
+    pub fn noise_report(&self, xi: &[f64]) -> Vec<Reported> {
+        let outputs: Vec<&str> = self.output_names.iter().map(String::as_str).collect();
+        self.noise.report(&outputs, &xi[self.n_model_parameters..self.layout.n_theta])
     }
 
     /// Model outputs at the samples of an experiment: `[output][sample]`.
@@ -546,21 +559,18 @@ impl Nlp for Collocation {
     }
 
     fn profiled(&self) -> Range<usize> {
-        self.n_model_parameters..self.layout.n_theta
+        self.n_model_parameters..self.n_model_parameters + self.noise.n_scales()
     }
 
-    fn profile(&self, xi: &[f64], gradient: &[f64], out: &mut [f64]) {
-        let roots = self.profiled();
-        self.noise.profile(&self.measured, &xi[roots.clone()], &gradient[roots.clone()], out);
-        for (value, p) in out.iter_mut().zip(&self.parameters[roots]) {
-            *value = value.clamp(p.lower.unwrap_or(0.0), p.upper.unwrap_or(f64::INFINITY));
-        }
+    fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
+        let scales = self.profiled();
+        self.noise.profile(&self.counts, &xi[scales.clone()], &gradient[scales], reach, out)
     }
 
     fn variable_name(&self, i: usize) -> String {
         match self.layout.place(i) {
             Place::Parameter(p) if p < self.n_model_parameters => self.parameters[p].name.clone(),
-            Place::Parameter(p) => format!("1/{}", self.parameters[p].name),
+            Place::Parameter(p) => self.noise_names[p - self.n_model_parameters].clone(),
             Place::State { experiment, point, state } => {
                 let t = self.meshes[experiment].times[point];
                 format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)

@@ -49,9 +49,8 @@ impl Collocation {
     /// Values of all symbols at a point.
     fn symbols_at(&self, xi: &[f64], e: usize, point: usize) -> HashMap<Arc<str>, f64> {
         let mut names: HashMap<Arc<str>, f64> = HashMap::new();
-        for (i, p) in self.parameters.iter().enumerate() {
-            let name = if i < self.n_model_parameters { p.name.clone() } else { format!("1/{}", p.name) };
-            names.insert(name.into(), xi[i]);
+        for (i, value) in xi[..self.layout.n_theta].iter().enumerate() {
+            names.insert(self.variable_name(i).into(), *value);
         }
         names.insert(crate::model::TIME.into(), self.meshes[e].times[point]);
         for (name, channel) in self.input_names.iter().zip(&self.inputs[e]) {
@@ -148,7 +147,8 @@ impl Collocation {
 
     /// A standard deviation that is not positive has no logarithm.
     fn explain_noise(&self, xi: &[f64]) -> Option<String> {
-        let i = (self.n_model_parameters..self.layout.n_theta).find(|&i| xi[i] <= 0.0)?;
+        let roots = self.noise.precision_roots();
+        let i = roots.iter().map(|k| self.n_model_parameters + k).find(|&i| xi[i] <= 0.0)?;
         Some(format!("{} is {}; a standard deviation must be positive", self.variable_name(i), xi[i]))
     }
 }

@@ -203,8 +203,10 @@ impl<'a> Estimation<'a> {
     /// The fit to go on from, where it is of this problem and nothing else is asked for.
     fn same(&self, problem: &Collocation) -> Option<&'a Fit> {
         let fit = self.warm.filter(|_| self.start.is_empty())?;
-        let names = fit.parameters.iter().map(|p| &p.name).eq(problem.parameters.iter().map(|p| &p.name));
         let sizes = (fit.solution.xi.len(), fit.solution.multipliers.len()) == (problem.n(), problem.m());
-        (names && sizes && fit.model.states == self.model.states).then_some(fit)
+        let of_model = problem.parameters[..problem.n_model_parameters].iter().map(|p| p.name.clone());
+        let of_noise = || problem.noise_report(&fit.solution.xi).into_iter().map(|r| r.name);
+        let names = sizes && of_model.chain(of_noise()).eq(fit.parameters.iter().map(|p| p.name.clone()));
+        (names && fit.model.states == self.model.states).then_some(fit)
     }
 }

@@ -11,7 +11,7 @@
 
 use nalgebra::{DMatrix, SymmetricEigen};
 
-use super::{Reported, SIGMA, Sample, Sigma};
+use super::{Counts, Reported, SIGMA, Sample, Sigma};
 use crate::error::Error;
 use crate::expr::Op;
 use crate::expr::graph::{Graph, Id};
@@ -31,6 +31,8 @@ pub struct Covariance {
     order: Vec<usize>,
 }
 
+/// Standard deviations have all but settled when they change by less than this part.
+const SETTLED: f64 = 0.1;
 /// A correlation matrix may differ from a symmetric one with unit diagonal by so much.
 const ROUNDING: f64 = 1e-9;
 
@@ -203,7 +205,7 @@ impl Covariance {
         sigmas
     }
 
-    /// Standard deviations and correlations in the order of the parameters. From R = BBᵀ, B = W⁻¹:
+    /// Standard deviations in the order of the outputs, then correlations. From R = BBᵀ, B = W⁻¹:
     /// dB = −B dW B, so ∂R_ij/∂w_ab = −(B_ia R_bj + R_ib B_ja).
     pub(super) fn report(&self, outputs: &[&str], values: &[f64]) -> Vec<Reported> {
         if self.known {
@@ -212,13 +214,15 @@ impl Covariance {
         let b = self.inverse(&self.root(values));
         let r = &b * b.transpose();
         let slope = |i: usize, j: usize, (p, q): (usize, usize)| -(b[(i, p)] * r[(q, j)] + r[(i, q)] * b[(j, p)]);
-        let one = |(k, (i, j)): (usize, (usize, usize))| {
+        let row = |output: usize| self.order.iter().position(|&c| c == output).expect("each has a row");
+        let one = |(i, j): (usize, usize)| {
             let name = self.name((i, j), outputs);
             let (si, sj) = (r[(i, i)].sqrt(), r[(j, j)].sqrt());
             if i == j {
                 let gradient = self.places().map(|at| 0.5 * slope(i, i, at) / si).collect();
                 let (output, bounds) = (self.order[i], self.sigmas[self.order[i]].bounds());
-                return Reported { name, output: Some(output), value: si, gradient, bounded_by: Some(k), bounds };
+                let bounded_by = self.places().position(|at| at == (i, i));
+                return Reported { name, output: Some(output), value: si, gradient, bounded_by, bounds };
             }
             let value = r[(i, j)] / (si * sj);
             let gradient = |at: (usize, usize)| {
@@ -228,7 +232,9 @@ impl Covariance {
             let gradient = self.places().map(gradient).collect();
             Reported { name, output: None, value, gradient, bounded_by: None, bounds: (-1.0, 1.0) }
         };
-        (0..).zip(self.places()).map(one).collect()
+        let outputs = 0..self.n();
+        let pairs = outputs.clone().flat_map(|a| (a + 1..self.n()).map(move |b| (a, b)));
+        outputs.map(|c| (c, c)).chain(pairs).map(|(a, b)| one((row(a), row(b)))).collect()
     }
 
     /// W with the diagonal within its bounds: a row beyond is multiplied, so that what it says of how
@@ -244,38 +250,41 @@ impl Covariance {
         w
     }
 
-    /// As [`Noise::profile`](super::Noise::profile): R is the mean square of the residuals of `n` samples.
+    /// As [`Noise::profile`](super::Noise::profile): R is the mean square of the residuals of the samples.
     ///
     /// The gradient, W S − n diag(1/w_ii) above the diagonal, gives S = Σ rrᵀ. Where a part of a sample is
     /// missing it gives, by Fisher's identity, what S is expected to be. What is within reach is measured in
     /// units of the noise: by the eigenvalues of W S Wᵀ/n for the W that the reach is counted from.
+    ///
+    /// Correlations that are 0 stay so until standard deviations have all but settled: those of residuals far from
+    /// the optimum lead to other optima, where some combination of outputs is matched too well.
     pub(super) fn profile(
         &self,
-        n: usize,
+        counts: &Counts,
         at: &[f64],
         gradient: &[f64],
         reach: &Reach<'_>,
         out: &mut [f64],
     ) -> f64 {
-        let (size, samples) = (self.n(), n as f64);
         if self.known {
             return 0.0;
         }
         let (w, g) = (self.root(at), self.root(gradient));
-        let mut s = DMatrix::zeros(size, size);
-        for i in (0..size).rev() {
-            for j in (i..size).rev() {
-                let after: f64 = (i + 1..size).map(|k| w[(i, k)] * s[(k, j)]).sum();
-                let own = if i == j { samples / w[(i, i)] } else { 0.0 };
-                let entry = (g[(i, j)] + own - after) / w[(i, i)];
-                (s[(i, j)], s[(j, i)]) = (entry, entry);
+        if is_diagonal(&w) {
+            let next = self.bounded(self.diagonal_profile(counts, &w, &g, reach));
+            let change = next.diagonal().zip_map(&w.diagonal(), |a, b| (a / b - 1.0).abs()).max();
+            let free = matches!(reach, Reach::Free { .. });
+            if free || change > SETTLED {
+                self.write(&next, out);
+                return change;
             }
         }
+        let s = squares(&w, &g, counts.samples as f64) / counts.samples as f64;
         let from = match *reach {
             Reach::Step { .. } => w.clone(),
             Reach::Free { start, .. } => self.root(start),
         };
-        let seen = &from * s * from.transpose() / samples;
+        let seen = &from * s * from.transpose();
         if !seen.iter().all(|x| x.is_finite()) {
             out.copy_from_slice(at);
             return f64::INFINITY;
@@ -283,11 +292,7 @@ impl Covariance {
         let SymmetricEigen { eigenvectors, eigenvalues } = SymmetricEigen::new(seen);
         let mut root = eigenvectors.transpose() * from;
         for (mut row, square) in root.row_iter_mut().zip(&eigenvalues) {
-            let best = if *square > 0.0 { square.sqrt().recip() } else { f64::INFINITY };
-            row.scale_mut(match *reach {
-                Reach::Step { up, down } => best.clamp(1.0 / up, down),
-                Reach::Free { most, .. } => if best < most { best } else { 1.0 },
-            });
+            row.scale_mut(within(*square, reach));
         }
         // RᵀR of its QR factors is WᵀW.
         let mut next = root.qr().r();
@@ -296,11 +301,36 @@ impl Covariance {
             row.scale_mut(first.signum());
         }
         let next = self.bounded(next);
-        let change = &next * self.inverse(&w) - DMatrix::identity(size, size);
-        for (value, (i, j)) in out.iter_mut().zip(self.places()) {
-            *value = next[(i, j)];
-        }
+        let change = &next * self.inverse(&w) - DMatrix::identity(self.n(), self.n());
+        self.write(&next, out);
         change.amax()
+    }
+
+    /// The same with correlations 0, of each output by its own measurements: what is expected of those missing,
+    /// σ² each, is in the gradient and taken out.
+    fn diagonal_profile(
+        &self,
+        counts: &Counts,
+        w: &DMatrix<f64>,
+        g: &DMatrix<f64>,
+        reach: &Reach<'_>,
+    ) -> DMatrix<f64> {
+        let from = match *reach {
+            Reach::Step { .. } => w.clone(),
+            Reach::Free { start, .. } => DMatrix::from_diagonal(&self.root(start).diagonal()),
+        };
+        let mut next = DMatrix::zeros(self.n(), self.n());
+        for (i, &output) in self.order.iter().enumerate() {
+            let n = counts.outputs[output] as f64;
+            let own = w[(i, i)];
+            let square = (g[(i, i)] + n / own) / (own * n);
+            next[(i, i)] = from[(i, i)] * within(square * from[(i, i)].powi(2), reach);
+        }
+        next
+    }
+
+    fn write(&self, w: &DMatrix<f64>, out: &mut [f64]) {
+        self.places().zip(out).for_each(|((i, j), value)| *value = w[(i, j)]);
     }
 
     pub(super) fn log_density(&self, graph: &mut Graph, sample: &Sample<'_>, parameters: &[Id]) -> Terms {
@@ -336,6 +366,35 @@ impl Covariance {
             squares.push(sum);
         }
         Terms { squares, losses: Vec::new(), rest }
+    }
+}
+
+/// Whether there are no correlations.
+fn is_diagonal(w: &DMatrix<f64>) -> bool {
+    (0..w.nrows()).all(|i| (i + 1..w.ncols()).all(|j| w[(i, j)] == 0.0))
+}
+
+/// S = Σ rrᵀ of n samples from the upper triangle of W S − n diag(1/w_ii), row by row from the last.
+fn squares(w: &DMatrix<f64>, gradient: &DMatrix<f64>, n: f64) -> DMatrix<f64> {
+    let size = w.nrows();
+    let mut s = DMatrix::zeros(size, size);
+    for i in (0..size).rev() {
+        for j in (i..size).rev() {
+            let after: f64 = (i + 1..size).map(|k| w[(i, k)] * s[(k, j)]).sum();
+            let own = if i == j { n / w[(i, i)] } else { 0.0 };
+            let entry = (gradient[(i, j)] + own - after) / w[(i, i)];
+            (s[(i, j)], s[(j, i)]) = (entry, entry);
+        }
+    }
+    s
+}
+
+/// The factor of a precision root within reach whose residual has this mean square in units of it.
+fn within(square: f64, reach: &Reach<'_>) -> f64 {
+    let best = if square > 0.0 { square.sqrt().recip() } else { f64::INFINITY };
+    match *reach {
+        Reach::Step { up, down } => best.clamp(1.0 / up, down),
+        Reach::Free { most, .. } => if best < most { best } else { 1.0 },
     }
 }
 

@@ -177,7 +177,7 @@ impl Noise {
                 let sigmas = channels.iter().map(|c| &c.sigma).zip(&counts.outputs);
                 channel::profile(sigmas, at, gradient, reach, out)
             }
-            Noise::Correlated(covariance) => covariance.profile(counts.samples, at, gradient, reach, out),
+            Noise::Correlated(covariance) => covariance.profile(counts, at, gradient, reach, out),
         }
     }
 

@@ -18,8 +18,8 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "densities", "model", "experiment", "read", "transcription", "guess",
-    "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "estimate",
+    "_core", "errors", "symbols", "parameters", "noise", "densities", "model", "experiment", "read", "transcription",
+    "guess", "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

@@ -26,7 +26,7 @@ class StudentT(Noise):
     ``bounds``: of unknown degrees of freedom. At the upper one the noise is Gaussian for all the data say.
     """
 
-    dof: float | None | Mapping[str, float | None] = 4.0
+    dof: float | Mapping[str, float | None] | None = 4.0
     bounds: tuple[float, float] = (1.0, 100.0)
     kind: ClassVar[str] = "student t"
 

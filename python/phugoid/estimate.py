@@ -13,7 +13,7 @@ from .errors import DataError, ModelError, OptionError
 from .experiment import Experiment, moves
 from .guess import check_names, measured_states, parameter_start, spread, state_start
 from .model import Model
-from .noise import Noise
+from .noise import KINDS, Noise
 from .progress import Progress
 from .result import Fit, make_fit
 from .solvers import Ipopt, Iteration, Newton, Solution
@@ -37,11 +37,12 @@ def estimate(
     """The maximum-likelihood estimate of a model's parameters from measured data (Eq. ml_loglike of the paper).
 
     ``data``: one experiment or several with shared parameters. Initial states are free.
-    ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number or one value a sample),
-    or a fit to go on from. Parameters not named start as declared, standard deviations at the spread of the
-    measurements, states as measured where an output measures them and else at 0.
-    ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints
-    the iterations; a function is called with each.
+    ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number
+    or one value a sample), or a fit to go on from. Parameters not named start as declared, standard deviations at the
+    spread of the measurements, states as measured where an output measures them and else at 0.
+    ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, instead of the model's own.
+    ``solver``: `Newton` unless asked otherwise.
+    ``progress``: True prints the iterations; a function is called with each.
 
     Ctrl-C ends the run and returns the best point so far, with status "interrupted".
 
@@ -62,7 +63,7 @@ def estimate(
         if not isinstance(value, kind):
             raise OptionError(f"estimate: {what} is a {kind.__name__}, not {value!r}")
     if not isinstance(noise, Noise):
-        raise OptionError(f"estimate: noise is a Gaussian, StudentT, Huber, Laplace, Density or PerOutput, not {noise!r}")
+        raise OptionError(f"estimate: noise is {KINDS}, not {noise!r}")
     if not isinstance(solver, (Newton, Ipopt)):
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
     if not isinstance(progress, bool) and not callable(progress):
@@ -74,7 +75,8 @@ def estimate(
     for i, experiment in enumerate(experiments):
         # An output that stands still in this experiment may move in another, which then gives its sigma.
         elsewhere = set().union(*moving[:i], *moving[i + 1 :])
-        experiment.check_for(model.input_names, model.output_names, {*noise.known_sigmas(model.output_names), *elsewhere})
+        known_sigma = {*noise.known_sigmas(model.output_names), *elsewhere}
+        experiment.check_for(model.input_names, model.output_names, known_sigma)
 
     warm = start if isinstance(start, Fit) else None
     given: Mapping[str, Any] = warm.as_start(noise) if warm else dict(start or {})  # type: ignore[arg-type]

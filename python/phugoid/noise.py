@@ -13,7 +13,10 @@ from numpy.typing import ArrayLike
 from . import _core
 from .errors import ModelError, did_you_mean
 
-__all__ = ["Gaussian", "Noise", "Sigma", "SigmaSpec", "saved_sigma"]
+__all__ = ["KINDS", "Gaussian", "Noise", "Sigma", "SigmaSpec", "saved_sigma"]
+
+KINDS = "a Gaussian, StudentT, Huber, Laplace, Density or PerOutput"
+"""What a noise model is, for messages."""
 
 SigmaSpec = tuple[bool, float, float, float]
 """Known?, value or start, lower bound, upper bound."""
@@ -99,7 +102,7 @@ class Noise:
         ``spread`` is the standard deviation of the measurements, ``start`` holds starts by name (`names`).
         """
         sigmas = self._sigmas(outputs, spread, start)
-        noise = _core.Noise.independent(sigmas, [self.shape(name, start) for name in outputs])  # type: ignore[misc]
+        noise = _core.Noise.independent(sigmas, [self.shape(name, start) for name in outputs])
         noise.check(outputs)
         return noise
 
@@ -190,7 +193,7 @@ class Gaussian(Noise):
         """The known standard deviations of a model with these outputs."""
         if self.covariance is None:
             return self.known
-        return dict(zip(outputs, np.sqrt(np.diag(self.matrix(outputs))).tolist(), strict=True))
+        return dict(zip(outputs, np.sqrt(np.maximum(np.diag(self.matrix(outputs)), 0)).tolist(), strict=True))
 
     def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
         """``sigma_<output>``, and of correlated noise ``corr_<output>_<output>``."""

@@ -56,7 +56,10 @@ def uniform(problem: Problem, ranges: Any, seed: int) -> Uniform:
         raise OptionError(f"ranges: give (low, high) by name, such as {{'Mw': (-1, 1)}}, not {ranges!r}")
     model = problem.model
     sigmas = [f"sigma_{name}" for name in model.output_names]
-    known = [*dict.fromkeys([*model.parameter_names, *sigmas, *problem.noise.names(model.output_names)]), *model.state_names]
+    known = [
+        *dict.fromkeys([*model.parameter_names, *sigmas, *problem.noise.names(model.output_names)]),
+        *model.state_names,
+    ]
     for name in ranges:
         if name not in known:
             raise ModelError(f"ranges: '{name}' is no parameter, sigma or state.{did_you_mean(str(name), known)}")

@@ -66,7 +66,9 @@ impl PyNoise {
     fn correlated(sigmas: Vec<SigmaSpec>, correlation: Vec<f64>) -> PyResult<Self> {
         let n = sigmas.len();
         if correlation.len() != n * n {
-            return Err(PyValueError::new_err(format!("a correlation matrix of {n} outputs has {n}² entries")));
+            return Err(PyValueError::new_err(format!(
+                "a correlation matrix of {n} outputs has {n}² entries"
+            )));
         }
         let sigmas = sigmas.into_iter().map(sigma).collect();
         Ok(PyNoise(Noise::Correlated(Covariance::unknown(sigmas).starting_at(&correlation))))

@@ -68,7 +68,9 @@ impl Fit {
             bound: bounds[i],
         });
         let of_noise = reported.iter().enumerate().map(|(i, r)| {
-            let of = |k: usize| if r.gradient[k] < 0.0 { bounds[n_model + k].map(flipped) } else { bounds[n_model + k] };
+            let of = |k: usize| {
+                if r.gradient[k] < 0.0 { bounds[n_model + k].map(flipped) } else { bounds[n_model + k] }
+            };
             Estimate {
                 name: r.name.clone(),
                 unit: r.output.map_or_else(String::new, |c| model.outputs[c].unit.clone()),

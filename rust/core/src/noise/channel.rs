@@ -127,7 +127,13 @@ pub(super) fn profile<'a>(
         change = change.max((best / at[i] - 1.0).abs());
         out[i] = match *reach {
             Reach::Step { up, down } => best.clamp(at[i] / up, at[i] * down),
-            Reach::Free { start, most } => if best < most * start[i] { best } else { start[i] },
+            Reach::Free { start, most } => {
+                if best < most * start[i] {
+                    best
+                } else {
+                    start[i]
+                }
+            }
         };
     }
     change

@@ -44,13 +44,18 @@ impl Covariance {
     pub fn known(n: usize, matrix: &[f64]) -> Result<Covariance, Error> {
         if matrix.len() != n * n {
             let have = matrix.len();
-            return Err(Error::Option(format!("noise: a covariance of {n} outputs has {n}² entries, not {have}")));
+            return Err(Error::Option(format!(
+                "noise: a covariance of {n} outputs has {n}² entries, not {have}"
+            )));
         }
         let r = DMatrix::from_row_slice(n, n, matrix);
         let deviations = r.diagonal().map(f64::sqrt);
         if let Some(i) = deviations.iter().position(|s| !(*s > 0.0 && s.is_finite())) {
             let bad = r[(i, i)];
-            return Err(Error::Option(format!("noise: the variance {bad} of output number {} is not positive", i + 1)));
+            return Err(Error::Option(format!(
+                "noise: the variance {bad} of output number {} is not positive",
+                i + 1
+            )));
         }
         let correlation = DMatrix::from_fn(n, n, |i, j| r[(i, j)] / (deviations[i] * deviations[j]));
         let sigmas = deviations.iter().map(|&s| Sigma::Known(s)).collect();
@@ -97,7 +102,10 @@ impl Covariance {
             for j in 0..=i {
                 let expected = if i == j { 1.0 } else { c[(j, i)] };
                 if !((c[(i, j)] - expected).abs() <= ROUNDING) {
-                    return fail(format!("the {what} is not symmetric in '{}' and '{}'", outputs[i], outputs[j]));
+                    return fail(format!(
+                        "the {what} is not symmetric in '{}' and '{}'",
+                        outputs[i], outputs[j]
+                    ));
                 }
             }
         }
@@ -213,7 +221,8 @@ impl Covariance {
         }
         let b = self.inverse(&self.root(values));
         let r = &b * b.transpose();
-        let slope = |i: usize, j: usize, (p, q): (usize, usize)| -(b[(i, p)] * r[(q, j)] + r[(i, q)] * b[(j, p)]);
+        let slope =
+            |i: usize, j: usize, (p, q): (usize, usize)| -(b[(i, p)] * r[(q, j)] + r[(i, q)] * b[(j, p)]);
         let row = |output: usize| self.order.iter().position(|&c| c == output).expect("each has a row");
         let one = |(i, j): (usize, usize)| {
             let name = self.name((i, j), outputs);
@@ -394,7 +403,13 @@ fn within(square: f64, reach: &Reach<'_>) -> f64 {
     let best = if square > 0.0 { square.sqrt().recip() } else { f64::INFINITY };
     match *reach {
         Reach::Step { up, down } => best.clamp(1.0 / up, down),
-        Reach::Free { most, .. } => if best < most { best } else { 1.0 },
+        Reach::Free { most, .. } => {
+            if best < most {
+                best
+            } else {
+                1.0
+            }
+        }
     }
 }
 

@@ -69,7 +69,9 @@ impl Density {
             Density::StudentT(Dof::Unknown { start, lower, upper })
                 if !(positive(*lower) && lower <= start && start <= upper && upper.is_finite()) =>
             {
-                fail(format!("degrees of freedom start at {start}, not within positive bounds ({lower}, {upper})"))
+                fail(format!(
+                    "degrees of freedom start at {start}, not within positive bounds ({lower}, {upper})"
+                ))
             }
             Density::Huber(k) if !positive(*k) => fail(format!("Huber's k is {k}; give a positive number")),
             Density::Laplace(s) if !positive(*s) => {
@@ -327,9 +329,13 @@ mod tests {
         let half_pi = 0.5 * std::f64::consts::PI.ln();
         // Γ(½) = √π, Γ(10) = 9!, Γ(100) = 99!
         let factorial = |n: u32| (2..=n).map(|k| f64::from(k).ln()).sum::<f64>();
-        for (x, expected) in
-            [(0.5, half_pi), (1.0, 0.0), (2.5, half_pi + 0.75_f64.ln()), (10.0, factorial(9)), (100.0, factorial(99))]
-        {
+        for (x, expected) in [
+            (0.5, half_pi),
+            (1.0, 0.0),
+            (2.5, half_pi + 0.75_f64.ln()),
+            (10.0, factorial(9)),
+            (100.0, factorial(99)),
+        ] {
             let mut g = Graph::new();
             let x = g.constant(x);
             let found = log_gamma(&mut g, x);

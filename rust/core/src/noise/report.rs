@@ -20,7 +20,13 @@ pub struct Reported {
 
 impl Reported {
     /// 1/p of parameter `i` of `n`.
-    pub(super) fn inverse(name: String, output: Option<usize>, i: usize, values: &[f64], bounds: (f64, f64)) -> Self {
+    pub(super) fn inverse(
+        name: String,
+        output: Option<usize>,
+        i: usize,
+        values: &[f64],
+        bounds: (f64, f64),
+    ) -> Self {
         let mut gradient = vec![0.0; values.len()];
         gradient[i] = -1.0 / (values[i] * values[i]);
         Reported { name, output, value: 1.0 / values[i], gradient, bounded_by: Some(i), bounds }

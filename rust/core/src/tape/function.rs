@@ -100,7 +100,8 @@ impl Function {
         let variables = arguments.variables();
         let (squares, losses, rest) = (&terms.squares, &terms.losses, terms.rest);
         let losses: Vec<Slopes> = losses.iter().map(|loss| loss.slopes(&mut graph, &variables)).collect();
-        let residuals: Vec<Id> = squares.iter().copied().chain(terms.losses.iter().map(|l| l.residual)).collect();
+        let residuals: Vec<Id> =
+            squares.iter().copied().chain(terms.losses.iter().map(|l| l.residual)).collect();
         let slopes = graph.jacobian(&residuals, &variables);
         let of_rest = graph.hessian(rest, &variables);
         let mut sum = graph.zero();
@@ -138,7 +139,8 @@ impl Function {
                     continue;
                 }
                 let smooth = entry.unwrap_or_else(|| graph.zero());
-                let (full, part) = more.map_or((smooth, smooth), |m| (graph.add(smooth, m.0), graph.add(smooth, m.1)));
+                let (full, part) =
+                    more.map_or((smooth, smooth), |m| (graph.add(smooth, m.0), graph.add(smooth, m.1)));
                 second.rows.push(a);
                 second.columns.push(b);
                 approximate.push(part);

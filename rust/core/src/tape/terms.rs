@@ -79,7 +79,9 @@ impl Loss {
             curvature: found[2],
             weight: found[3],
             own: self.own.iter().map(place).collect(),
-            mixed: (4..simple).map(|k| (graph.as_constant(found[k]) != Some(0.0)).then_some(found[k])).collect(),
+            mixed: (4..simple)
+                .map(|k| (graph.as_constant(found[k]) != Some(0.0)).then_some(found[k]))
+                .collect(),
             pairs: found[simple..].chunks_exact(2).map(|p| (p[0], p[1])).collect(),
         }
     }

@@ -186,8 +186,12 @@ impl Collocation {
             .filter(|_| noise.needs_patterns())
             .map(|(k, set)| (set.clone(), graph.symbol(&format!("pattern {k} of missing samples"))))
             .collect();
-        let sample =
-            Sample { outputs: &compiled.outputs, measured: &measured, present: &present, patterns: &patterns };
+        let sample = Sample {
+            outputs: &compiled.outputs,
+            measured: &measured,
+            present: &present,
+            patterns: &patterns,
+        };
         let terms = noise.log_density(&mut graph, &sample, &noise_symbols);
         let mut with_samples = arguments.clone();
         let flags = present.iter().flatten().chain(patterns.iter().map(|p| &p.1));

@@ -243,6 +243,16 @@ def test_full_covariance_uses_what_other_outputs_say_of_missing_samples() -> Non
     assert full.parameters["level_y1"].std_error < 0.95 * diagonal.parameters["level_y1"].std_error
 
 
+def test_too_many_combinations_of_missing_outputs_are_refused() -> None:
+    names = tuple(f"y{i}" for i in range(8))
+    noise = some_noise(8, 300)
+    noise[np.random.default_rng(1).random(noise.shape) < 0.1] = np.nan
+    m, e = steady(8, names), record(noise, names)
+    with pytest.raises(ph.DataError, match="different combinations, more than noise with an unknown covariance"):
+        ph.estimate(m, e, noise=Gaussian(correlated=True))
+    assert ph.estimate(m, e, noise=Gaussian(covariance=0.09 * np.eye(8))).converged
+
+
 def test_known_diagonal_covariance_is_as_known_standard_deviations() -> None:
     m, e = steady(3), record(some_noise(3, 50))
     sigma = {"y1": 0.3, "y2": 0.2, "y3": 0.4}

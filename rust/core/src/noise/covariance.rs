@@ -9,9 +9,11 @@
 //! its own until none but its own depends on it, and that row goes. Outputs are ordered by the number of
 //! their measurements, the fewest first: those at the start go without a rotation.
 
+use std::collections::HashSet;
+
 use nalgebra::{DMatrix, SymmetricEigen};
 
-use super::{Counts, Reported, SIGMA, Sample, Sigma};
+use super::{Counts, Missing, Reported, SIGMA, Sample, Sigma};
 use crate::error::Error;
 use crate::expr::Op;
 use crate::expr::graph::{Graph, Id};
@@ -33,6 +35,9 @@ pub struct Covariance {
 
 /// Standard deviations have all but settled when they change by less than this part.
 const SETTLED: f64 = 0.1;
+/// Most second derivatives of roots, as [`Covariance::effort`] estimates them: a tape holds four times as many
+/// numbers, and more take minutes.
+const MOST_EFFORT: usize = 16_000;
 /// A correlation matrix may differ from a symmetric one with unit diagonal by so much.
 const ROUNDING: f64 = 1e-9;
 
@@ -121,6 +126,41 @@ impl Covariance {
     pub(super) fn ordered(mut self, measured: &[usize]) -> Covariance {
         self.order.sort_by_key(|&c| (measured[c], c));
         self
+    }
+
+    /// Whether the roots of all patterns can be differentiated in good time.
+    ///
+    /// # Errors
+    /// When outputs are missing in too many different combinations.
+    pub(super) fn check_missing(&self, missing: &Missing) -> Result<(), Error> {
+        if self.known || self.effort(missing) <= MOST_EFFORT {
+            return Ok(());
+        }
+        Err(Error::Data(format!(
+            "outputs are missing in {} different combinations, more than noise with an unknown covariance can take in; \
+             let samples be missing as a whole (NaN in all outputs) where some outputs are, or take independent noise",
+            missing.patterns.len()
+        )))
+    }
+
+    /// About how many second derivatives the roots of all patterns have. A row depends on which outputs after
+    /// it are missing, and on the entries of its own and the rows down to the last of them.
+    fn effort(&self, missing: &Missing) -> usize {
+        let n = self.n();
+        let mut seen: HashSet<(usize, Vec<usize>)> = HashSet::new();
+        let mut effort = 0;
+        for set in &missing.patterns {
+            let present = |i: usize| set[self.order[i]];
+            for i in (0..n).filter(|&i| present(i)) {
+                let gone: Vec<usize> = (i + 1..n).filter(|&m| !present(m)).collect();
+                let Some(&last) = gone.last() else { continue };
+                let (own, entries) = (n - i - gone.len(), (i..=last).map(|k| n - k).sum::<usize>());
+                if seen.insert((i, gone)) {
+                    effort += own * entries * (entries + 1) / 2;
+                }
+            }
+        }
+        effort
     }
 
     /// Rows and columns of the upper triangle, in the order of the parameters.

@@ -72,11 +72,14 @@ impl Noise {
 
     /// The same with the data in view: correlated noise puts the outputs with the fewest measurements
     /// first, so that most patterns of missing samples cost nothing.
-    pub(crate) fn for_counts(self, counts: &Counts) -> Noise {
-        match self {
-            Noise::Correlated(covariance) => Noise::Correlated(covariance.ordered(&counts.outputs)),
-            other => other,
-        }
+    ///
+    /// # Errors
+    /// When outputs are missing in too many different combinations.
+    pub(crate) fn for_data(self, counts: &Counts, missing: &Missing) -> Result<Noise, Error> {
+        let Noise::Correlated(covariance) = self else { return Ok(self) };
+        let covariance = covariance.ordered(&counts.outputs);
+        covariance.check_missing(missing)?;
+        Ok(Noise::Correlated(covariance))
     }
 
     /// Scales and densities of independent noise.

@@ -161,7 +161,8 @@ impl Collocation {
         let meshes = meshes(experiments, settings)?;
 
         let counts = Counts::new(experiments.iter().map(|e| &e.outputs));
-        let noise = noise.for_counts(&counts);
+        let missing = Missing::new(experiments.iter().map(|e| &e.outputs));
+        let noise = noise.for_data(&counts, &missing)?;
         let noise_parameters = noise.parameters(&output_names);
         let noise_names = noise.variable_names(&output_names);
         let n_theta = model.parameters.len() + noise_parameters.len();
@@ -177,7 +178,6 @@ impl Collocation {
         let dynamics = Dynamics::new(Function::new(graph.clone(), &arguments, compiled.dynamics.clone()));
         let outputs = Function::new(graph.clone(), &arguments, compiled.outputs.clone());
 
-        let missing = Missing::new(experiments.iter().map(|e| &e.outputs));
         let measured: Vec<Id> = output_names.iter().map(|n| graph.symbol(&format!("measured {n}"))).collect();
         let present: Vec<Option<Id>> = (output_names.iter().zip(&missing.outputs))
             .map(|(name, &any)| any.then(|| graph.symbol(&format!("{name} present"))))

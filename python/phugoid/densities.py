@@ -124,7 +124,8 @@ class Laplace(Noise):
 
     ``sigma`` as for `Gaussian`; it is the scale of the density, which without smoothing is the mean absolute residual
     (the standard deviation is sqrt(2) times that).
-    ``smoothing``: the smaller, the nearer to Laplace, and the more iterations it takes.
+    ``smoothing``: the smaller, the nearer to Laplace, and the more iterations it takes. Standard errors come from the
+    curvature, which only residuals within it have: they are rough where it is small.
     """
 
     smoothing: float = 0.1

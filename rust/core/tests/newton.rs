@@ -263,13 +263,7 @@ impl Nlp for Shapeless {
     fn profiled(&self) -> std::ops::Range<usize> {
         self.0.profiled()
     }
-    fn profile(
-        &self,
-        xi: &[f64],
-        gradient: &[f64],
-        reach: &phugoid::nlp::Reach<'_'>,
-        out: &mut [f64],
-    ) -> f64 {
+    fn profile(&self, xi: &[f64], gradient: &[f64], reach: &phugoid::nlp::Reach<'_>, out: &mut [f64]) -> f64 {
         self.0.profile(xi, gradient, reach, out)
     }
     fn variable_name(&self, i: usize) -> String {

@@ -9,7 +9,7 @@ use crate::nlp::Reach;
 use crate::tape::{Loss, Terms};
 
 /// Scale of the noise of one output: the standard deviation, where it is Gaussian.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Sigma {
     /// To be estimated.
     Unknown {

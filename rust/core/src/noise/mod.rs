@@ -86,7 +86,8 @@ impl Noise {
     fn channels(&self) -> Vec<Channel> {
         match self {
             Noise::Gaussian(sigmas) => {
-                sigmas.iter().map(|&sigma| Channel { sigma, density: Density::Gaussian }).collect()
+                let gaussian = |sigma: &Sigma| Channel { sigma: sigma.clone(), density: Density::Gaussian };
+                sigmas.iter().map(gaussian).collect()
             }
             Noise::Independent(channels) => channels.clone(),
             Noise::Correlated(_) => Vec::new(),

@@ -280,7 +280,7 @@ def test_option_that_ipopt_does_not_know(options: dict[str, Any], words: str) ->
     [
         ({"transcription": "collocation"}, "transcription is a Collocation, not 'collocation'"),
         ({"transcription": Collocation}, "transcription is a Collocation, not <class"),
-        ({"noise": {"x": 0.1}}, r"noise is a Gaussian, not {'x': 0\.1}"),
+        ({"noise": {"x": 0.1}}, r"noise is a Gaussian, StudentT, .* or PerOutput, not {'x': 0\.1}"),
         ({"solver": "ipopt"}, r"solver is Newton\(...\) or Ipopt\(...\), not 'ipopt'"),
         ({"progress": "yes"}, "progress is True, False or a function, not 'yes'"),
     ],

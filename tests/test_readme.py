@@ -58,7 +58,7 @@ def test_second_example_takes_several_runs_and_options(folder: Path) -> None:
     fit = names["fit"]
     assert isinstance(fit, ph.Fit) and fit.converged
     # And on from there: many starts.
-    exec(blocks()[2], names)
+    exec(blocks()[3], names)
     many, best = names["many"], names["best"]
     assert isinstance(many, ph.Multistart) and isinstance(best, ph.Fit)
     assert best.converged and many.success_rate == 1.0
@@ -77,3 +77,13 @@ def test_regression_example_starts_a_fit(folder: Path, capsys: pytest.CaptureFix
     regression, fit = names["regression"], names["fit"]
     assert isinstance(regression, ph.EquationError) and isinstance(fit, ph.Fit) and fit.converged
     assert "equation error" in capsys.readouterr().out
+
+
+def test_noise_models_are_noise_of_three_outputs() -> None:
+    lines = [line for line in next(b for b in blocks() if "StudentT" in b).splitlines() if line.startswith("ph.")]
+    assert len(lines) == 7
+    outputs, spread = ["w", "q", "az"], dict.fromkeys(["w", "q", "az"], 1.0)
+    for line in lines:
+        models = eval(f"({line.split('  #')[0]},)", {"ph": ph, "R": np.eye(3)})
+        for noise in models[0] if isinstance(models[0], tuple) else models:
+            noise.resolve(outputs, spread, {})

@@ -14,12 +14,12 @@ from pathlib import Path
 # fmt: off
 RUST = [
     "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "transform", "condition", "model",
-    "evaluator", "experiment", "noise", "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
+    "evaluator", "experiment", "nlp", "noise", "mesh", "transcription", "linalg", "solver", "diagnosis", "estimate",
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "delayed", "model", "experiment", "multirate", "read",
-    "transcription", "guess", "solvers", "progress", "records", "io", "plot", "summary",
+    "_core", "errors", "symbols", "parameters", "noise", "densities", "delayed", "model", "experiment", "multirate",
+    "read", "transcription", "guess", "solvers", "progress", "records", "io", "plot", "summary",
     "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",

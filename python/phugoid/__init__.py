@@ -12,6 +12,7 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 """
 
 from ._core import Expr, __version__
+from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
 from .equation_error import EquationError, equation_error
 from .errors import (
@@ -69,6 +70,7 @@ from .transcription import Collocation
 __all__ = [
     "Collocation",
     "DataError",
+    "Density",
     "EquationError",
     "Estimate",
     "EvaluationError",
@@ -77,9 +79,11 @@ __all__ = [
     "Fit",
     "FourierSmoothing",
     "Gaussian",
+    "Huber",
     "IntegrationError",
     "Ipopt",
     "Iteration",
+    "Laplace",
     "MissingDependency",
     "Model",
     "ModelError",
@@ -89,12 +93,15 @@ __all__ = [
     "OptionError",
     "Outcome",
     "Parameter",
+    "PerExperiment",
+    "PerOutput",
     "PhugoidError",
     "Record",
     "Refinement",
     "SavitzkyGolay",
     "Sigma",
     "SmoothingSpline",
+    "StudentT",
     "Table",
     "__version__",
     "acos",

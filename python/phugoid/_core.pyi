@@ -10,6 +10,7 @@ __all__ = [
     "Expr",
     "Model",
     "NewtonSolution",
+    "Noise",
     "Table",
     "__version__",
     "apply",
@@ -32,6 +33,8 @@ _Signal: TypeAlias = tuple[_Array, _Array, float, int]  # times, samples, delay,
 # name, t, inputs, outputs, interpolation, signals
 _Record: TypeAlias = tuple[str, _Array, list[_Array], list[_Array], str, list[_Signal | None]]
 _Sigma: TypeAlias = tuple[bool, float, float, float]  # known?, value or start, lower, upper
+_Shape: TypeAlias = tuple[str, Sequence[float], Expr | None, Sequence[tuple[str, float, float, float]]]
+_Reported: TypeAlias = tuple[str, int | None, float, list[float], int | None, float, float]
 _Grid: TypeAlias = tuple[str, int, list[float] | None]  # kind, number, edges
 
 @final
@@ -161,12 +164,23 @@ class Model:
     def conditions(self) -> list[tuple[str, str, Expr, str | None]]: ...
 
 @final
+class Noise:
+    @staticmethod
+    def independent(sigmas: Sequence[_Sigma], densities: Sequence[_Shape]) -> Noise: ...
+    @staticmethod
+    def correlated(sigmas: Sequence[_Sigma], correlation: Sequence[float]) -> Noise: ...
+    @staticmethod
+    def covariance(n: int, matrix: Sequence[float]) -> Noise: ...
+    def per_experiment(self) -> Noise: ...
+    def check(self, outputs: Sequence[str]) -> None: ...
+
+@final
 class Collocation:
     def __new__(
         cls,
         model: Model,
         experiments: Sequence[_Record],
-        sigmas: Sequence[_Sigma],
+        noise: Noise,
         order: int,
         grids: Sequence[_Grid],
         threads: int,
@@ -190,6 +204,12 @@ class Collocation:
     def prior_terms(self, xi: _Array) -> float: ...
     @property
     def noise_parameters(self) -> list[str]: ...
+    @property
+    def noise_start(self) -> list[float]: ...
+    @property
+    def precision_roots(self) -> list[int]: ...
+    def sigmas(self, xi: _Array) -> list[float]: ...
+    def noise_report(self, xi: _Array) -> list[_Reported]: ...
     def point_times(self, experiment: int) -> _Array: ...
     def mesh_points(self, experiment: int) -> int: ...
     def sample_points(self, experiment: int) -> list[int]: ...

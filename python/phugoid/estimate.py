@@ -16,7 +16,7 @@ from .experiment import Experiment, as_experiments, moves
 from .guess import check_names, measured_states, parameter_start, spread, state_start
 from .late import estimate_late
 from .model import Model
-from .noise import Gaussian
+from .noise import KINDS, Noise
 from .progress import Progress
 from .refine import refined
 from .result import Fit, make_fit
@@ -33,7 +33,7 @@ def estimate(
     data: Experiment | Sequence[Experiment],
     *,
     transcription: Collocation | None = None,
-    noise: Gaussian | None = None,
+    noise: Noise | None = None,
     start: Mapping[str, Any] | Fit | EquationError | None = None,
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
@@ -41,11 +41,13 @@ def estimate(
     """The maximum-likelihood estimate of a model's parameters from measured data (Eq. ml_loglike of the paper).
 
     ``data``: one experiment or several with shared parameters. Initial states are free.
-    ``start``: values by name of parameters, of ``sigma_<output>`` and of states (a number or one value a sample),
-    or a fit to go on from, or the result of `equation_error`. Parameters not named start as declared, standard
-    deviations at the spread of the measurements, states as measured where an output measures them and else at 0.
-    ``noise``: instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints
-    the iterations; a function is called with each.
+    ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number
+    or one value a sample), or a fit to go on from, or the result of `equation_error`. Parameters not named start as
+    declared, standard deviations at the spread of the measurements, states as measured where an output measures them
+    and else at 0.
+    ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, instead of the model's own.
+    ``solver``: `Newton` unless asked otherwise.
+    ``progress``: True prints the iterations; a function is called with each.
 
     Ctrl-C ends the run and returns the best point so far, with status "interrupted".
 
@@ -61,11 +63,12 @@ def estimate(
     solver = solver or Newton()
     kinds = {
         "transcription": (transcription, Collocation),
-        "noise": (noise, Gaussian),
     }
     for what, (value, kind) in kinds.items():
         if not isinstance(value, kind):
             raise OptionError(f"estimate: {what} is a {kind.__name__}, not {value!r}")
+    if not isinstance(noise, Noise):
+        raise OptionError(f"estimate: noise is {KINDS}, not {noise!r}")
     if not isinstance(solver, (Newton, Ipopt)):
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
     if not isinstance(progress, bool) and not callable(progress):
@@ -90,21 +93,27 @@ def estimate(
     for i, experiment in enumerate(experiments):
         # An output that stands still in this experiment may move in another, which then gives its sigma.
         elsewhere = set().union(*moving[:i], *moving[i + 1 :])
-        experiment.check_for(model.input_names, model.output_names, {*noise.known, *elsewhere})
+        known_sigma = {*noise.known_sigmas(model.output_names), *elsewhere}
+        experiment.check_for(model.input_names, model.output_names, known_sigma)
 
     warm = start if isinstance(start, (Fit, EquationError)) else None
-    given: Mapping[str, Any] = warm.as_start() if warm else dict(start or {})  # type: ignore[arg-type]
-    check_names(model, given, experiments)
+    given: Mapping[str, Any] = _given(start, noise)
+    check_names(model, given, experiments, noise.names(model.output_names))
     parameters = parameter_start(model, given)
     spreads = {name: spread(experiments, name) for name in model.output_names}
-    sigmas = noise.resolve(model.output_names, spreads, given)
-
-    problem = transcription.problem(model, experiments, sigmas)
-    xi = starting_point(problem, model, experiments, parameters, sigmas, given, warm)
+    problem = transcription.problem(model, experiments, noise.resolve(model.output_names, spreads, given))
+    xi = starting_point(problem, model, experiments, parameters, given, warm)
     known = {*measured_states(model, parameters), *given}.issuperset(model.state_names)
     with Progress.of(progress, model.name) as watch:
         solution = solver.solve(problem, xi, _warm(warm, problem, xi), watch, states_known=known)
     return make_fit(model, experiments, noise, transcription, problem, solution)
+
+
+def _given(start: Any, noise: Noise) -> Mapping[str, Any]:
+    """Start values by name."""
+    if isinstance(start, Fit):
+        return start.as_start(noise)
+    return start.as_start() if isinstance(start, EquationError) else dict(start or {})
 
 
 def starting_point(
@@ -112,16 +121,14 @@ def starting_point(
     model: Model,
     experiments: Sequence[Experiment],
     parameters: Mapping[str, float],
-    sigmas: Sequence[tuple[bool, float, float, float]],
     given: Mapping[str, Any],
     warm: Fit | EquationError | None = None,
 ) -> _Array:
-    """The decision variables to start from: parameters, 1/sigma, states at all points."""
-    roots = [1 / value for is_known, value, _, _ in sigmas if not is_known]
+    """The decision variables to start from: parameters, those of the noise, states at all points."""
     each = [list(parameter_start(model, given, e.name).values()) for e in experiments]
     shared = list(parameters.values())
     values = [(shared if e is None else each[e])[p] for _, p, e in problem.estimands]
-    parts = [np.array([*problem.variables(values), *roots])]
+    parts = [np.array([*problem.variables(values), *problem.noise_start])]
     for i, experiment in enumerate(experiments):
         times = problem.point_times(i)
         own = dict(zip(parameters, each[i], strict=True))

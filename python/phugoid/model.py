@@ -12,8 +12,9 @@ from typing import Any
 from . import _core
 from ._core import Expr
 from .delayed import Delays, at_delays
+from .densities import PerOutput, noise_from_dict
 from .errors import ModelError, did_you_mean
-from .noise import Gaussian, Sigma
+from .noise import Gaussian, Noise, Sigma
 from .parameters import Parameter
 
 __all__ = ["Model"]
@@ -73,7 +74,7 @@ class Model:
 
     def __init__(self, name: str = "model") -> None:
         self._core = _core.Model(str(name))
-        self._noise = Gaussian()
+        self._noise: Noise = Gaussian()
         self._delays = Delays()
 
     @property
@@ -204,17 +205,34 @@ class Model:
                 raise ModelError(f"{kind} of '{name}' ({_source()}): {error}") from None
         return results
 
-    def noise(self, *args: Gaussian, **sigma: float | Sigma) -> None:
+    def noise(self, *args: Noise, **sigma: float | Sigma | Noise) -> None:
         """States what is known of the noise: ``noise(alpha=0.002)`` for a known standard deviation of an output,
-        ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, or a whole noise model."""
+        ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, ``noise(az=StudentT())`` for the
+        density of an output, or a whole noise model, ``noise(Gaussian(correlated=True))``."""
         if (args and sigma) or len(args) > 1:
             raise ModelError("noise: give a noise model or standard deviations by output, not both")
-        if args and not isinstance(args[0], Gaussian):
-            raise ModelError(f"noise: a noise model is a Gaussian, not {args[0]!r}; name outputs, as in noise(q=0.01)")
-        self._noise = args[0] if args else Gaussian({**self._noise.sigma, **sigma})
+        if args and not isinstance(args[0], Noise):
+            raise ModelError(
+                f"noise: a noise model is a Gaussian, StudentT, Huber, Laplace, Density or PerOutput, not {args[0]!r}; "
+                "name outputs, as in noise(q=0.01)"
+            )
+        if args:
+            self._noise = args[0]
+            return
+        before = self._noise
+        densities = dict(before.outputs) if isinstance(before, PerOutput) else {}
+        densities |= {name: noise for name, noise in sigma.items() if isinstance(noise, Noise)}
+        scales = {name: s for name, s in sigma.items() if not isinstance(s, Noise)}
+        joint = isinstance(before, Gaussian) and (before.correlated or before.covariance is not None)
+        if joint or not isinstance(before, (Gaussian, PerOutput)):
+            raise ModelError(
+                f"noise: the model has {before.kind} noise for all outputs; give the whole noise model anew, with sigma"
+            )
+        scales = {**before.sigma, **scales}
+        self._noise = PerOutput(densities, scales) if densities else Gaussian(scales)
 
     @property
-    def noise_model(self) -> Gaussian:
+    def noise_model(self) -> Noise:
         """The noise model, unless `estimate` is given another."""
         return self._noise
 
@@ -295,7 +313,7 @@ class Model:
         model = cls.__new__(cls)
         model._core = _core.Model.from_json(text)
         saved = json.loads(text)
-        model._noise = Gaussian.from_dict(saved.get("noise", {}))
+        model._noise = noise_from_dict(saved.get("noise", {}))
         model._delays = Delays.from_dict(saved.get("delays", {}))
         return model
 

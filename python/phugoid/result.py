@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from . import _core, io, plot, summary
 from ._core import Expr
+from .densities import PerExperiment, noise_from_dict
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
 from .integration import IntegrationError, integration_error
 from .model import Model
-from .noise import Gaussian
+from .noise import Noise
 from .parameters import Estimate, Estimates
 from .records import Record
 from .refinement import Refinement
@@ -52,9 +53,9 @@ _FLIPPED: dict[_Activity, Literal["lower", "upper"] | None] = {**_BOUND, "lower"
 class Fit:
     """The result of `estimate`.
 
-    parameters      by name, the standard deviations of the noise (``sigma_<output>``) among them.
+    parameters      by name, what was estimated of the noise (``sigma_<output>``, and more) among them.
     initial_states  experiment -> state -> estimate of the state at the first sample.
-    log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi.
+    log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi, whatever the noise.
     records         one an experiment: measured, outputs, residuals, states.
     status          "converged", or what else happened; ``message`` says what to do.
     warnings        what to beware of in the result, in words.
@@ -63,7 +64,7 @@ class Fit:
     """
 
     model: Model
-    noise: Gaussian
+    noise: Noise
     transcription: Collocation
     parameters: Estimates
     initial_states: Mapping[str, Estimates]
@@ -105,10 +106,13 @@ class Fit:
         """Output -> (N,) measured minus model, NaN where missing, of the only experiment."""
         return self._only("residuals").residuals
 
-    def as_start(self) -> dict[str, float]:
-        """Parameters as start values of another estimation."""
-        known = {f"sigma_{n}" for n in self.noise.known}
-        return {name: e.value for name, e in self.parameters.items() if name not in known}
+    def as_start(self, noise: Noise | None = None) -> dict[str, float]:
+        """Parameters as start values of another estimation; of the noise those that ``noise`` has, or all."""
+        outputs = self.model.output_names
+        gone = set() if noise is None else {*self.noise.names(outputs)}.difference(noise.names(outputs))
+        if isinstance(self.noise, PerExperiment):  # starts are for all experiments
+            gone |= {name for name in self.parameters if name.partition("[")[0] in self.noise.names(outputs)}
+        return {name: e.value for name, e in self.parameters.items() if name not in gone}
 
     def derived(self, **expressions: Expr) -> Estimates:
         """Estimates of expressions in the parameters, with standard errors to first order (the delta method).
@@ -179,7 +183,7 @@ class Fit:
 def make_fit(
     model: Model,
     experiments: Sequence[Experiment],
-    noise: Gaussian,
+    noise: Noise,
     transcription: Collocation,
     problem: _core.Collocation,
     solution: Solution,
@@ -223,21 +227,24 @@ def make_fit(
 
     values = problem.values(xi[:n_model].tolist())
     parameters = _model_estimates(model, problem, values, full, active)
-    jacobian = np.ones(n_theta)
-    jacobian[:n_model] = [slope for _, slope in values]
-    for k, name in enumerate(problem.noise_parameters, start=n_model):
-        root = xi[k]
-        jacobian[k] = -1 / root**2  # sigma = 1/root
-        # A lower bound of the root is an upper bound of sigma.
-        side = _FLIPPED[active[k]]
-        unit = model.units.get(name.removeprefix("sigma_"), "")
-        bounds = (1 / upper[k], 1 / lower[k] if lower[k] > 0 else np.inf)
-        parameters.append(Estimate(name, 1 / root, full[k] / root**2, unit, bounds=bounds, bounds_active=side))
-        if side == "lower":
+    slopes = np.ones(n_theta)
+    slopes[:n_model] = [slope for _, slope in values]
+    cov *= np.outer(slopes, slopes)
+    reported = problem.noise_report(xi)
+    cov = _delta(cov, n_model, np.array([gradient for _, _, _, gradient, *_ in reported]))
+    for i, (name, output, value, gradient, bounded_by, low, high) in enumerate(reported, start=n_model):
+        side = None
+        if bounded_by is not None:
+            activity = active[n_model + bounded_by]
+            # A lower bound of 1/sigma is an upper bound of sigma.
+            side = _FLIPPED[activity] if gradient[bounded_by] < 0 else _BOUND[activity]
+        unit = "" if output is None else model.units.get(model.output_names[output], "")
+        error = float(np.sqrt(cov[i, i])) if cov[i, i] > 0 else np.nan
+        parameters.append(Estimate(name, value, error, unit, bounds=(low, high), bounds_active=side))
+        if side == "lower" and output is not None:
             warnings.append(
-                f"{name} sits at its lower bound {1 / root:.3g}: the fit of this output is exact for all we know"
+                f"{name} sits at its lower bound {value:.3g}: the fit of this output is exact for all we know"
             )
-    cov *= np.outer(jacobian, jacobian)
 
     initial = {}
     for experiment, first in zip(experiments, firsts, strict=True):
@@ -246,7 +253,7 @@ def make_fit(
         initial[experiment.name] = Estimates(each)
     records = [_record(model, e, problem, xi, i) for i, e in enumerate(experiments)]
     estimates = Estimates(parameters)
-    warnings += _defect_warning(model, problem, xi, estimates, noise)
+    warnings += _defect_warning(model, problem, xi)
     return Fit(
         model=model,
         noise=noise,
@@ -264,6 +271,22 @@ def make_fit(
         history=solution.history,
         solution=solution,
     )
+
+
+def _delta(cov: _Array, n_model: int, gradients: _Array) -> _Array:
+    """The covariance with the unknowns of the noise replaced by what is reported of it: the delta method.
+
+    ``gradients`` (k, k): row i holds the derivatives of the i-th reported value. An unknown without covariance (NaN)
+    leaves those values without that depend on it.
+    """
+    jacobian = np.eye(cov.shape[0])
+    if gradients.size:
+        jacobian[n_model:, n_model:] = gradients
+    unknown = np.isnan(np.diag(cov))
+    result = jacobian @ np.where(np.isnan(cov), 0.0, cov) @ jacobian.T
+    lost = (jacobian != 0) @ unknown
+    result[lost], result[:, lost] = np.nan, np.nan
+    return np.asarray(result)
 
 
 def _undetermined(names: Sequence[str]) -> str:
@@ -358,9 +381,7 @@ def _record(model: Model, experiment: Experiment, problem: _core.Collocation, xi
     )
 
 
-def _defect_warning(
-    model: Model, problem: _core.Collocation, xi: _Array, estimates: Estimates, noise: Gaussian
-) -> list[str]:
+def _defect_warning(model: Model, problem: _core.Collocation, xi: _Array) -> list[str]:
     """Defects add up along the path; unless they stay far below sigma, the likelihood is not that of a solution."""
     defects = problem.constraints(xi)
     if defects is None:
@@ -368,10 +389,11 @@ def _defect_warning(
     along = defects[: defects.size - len(problem.boundary_states)]
     total = np.abs(along.reshape(-1, len(model.state_names))).sum(axis=0)
     found = []
+    sigmas = problem.sigmas(xi)
     for i, name in enumerate(model.state_names):
         if name not in model.output_names:
             continue
-        sigma = noise.known[name] if name in noise.known else estimates[f"sigma_{name}"].value
+        sigma = sigmas[model.output_names.index(name)]
         if total[i] > 0.01 * sigma:
             found.append(
                 f"the defects of {name} sum to {total[i]:.1e}, not far below sigma_{name} = {sigma:.1e}: "
@@ -437,7 +459,7 @@ def load(path: str | os.PathLike[str]) -> Fit:
     try:
         return Fit(
             model=Model.from_json(saved["model"]),
-            noise=Gaussian.from_dict(saved["noise"]),
+            noise=noise_from_dict(saved["noise"]),
             transcription=Collocation(**saved["transcription"]),
             parameters=estimates(saved["parameters"]),
             initial_states={name: estimates(group) for name, group in saved["initial_states"].items()},

@@ -167,14 +167,20 @@ class _Flow:
         return y
 
 
+# Names of what is estimated of the noise begin like this; they may be there, as in Estimates.to_dict().
+_NOISE = ("sigma_", "corr_", "dof_")
+
+
 def _values(model: Model, parameters: Mapping[str, Any] | Fit, experiment: str) -> dict[str, float]:
     given = parameters.parameters if isinstance(parameters, Fit) else parameters
     if not isinstance(given, Mapping):
         raise ModelError(f"simulate: parameters are values by name, or a fit, not {given!r}")
+    noise = parameters.noise.names(parameters.model.output_names) if isinstance(parameters, Fit) else ()
     local = [name for name, p in model.declared_parameters.items() if p.per_experiment]
     for name in given:
-        of_one = str(name).endswith("]") and str(name).partition("[")[0] in local
-        if name not in model.parameter_names and not of_one and not str(name).startswith("sigma_"):
+        of_one = str(name).endswith("]") and str(name).partition("[")[0] in {*local, *noise}
+        known = name in model.parameter_names or of_one or name in noise
+        if not known and not str(name).startswith(_NOISE):
             raise ModelError(f"simulate: '{name}' is no parameter.{did_you_mean(name, model.parameter_names)}")
     # A parameter that each experiment has its own of: that of this one, before one for all.
     found = {name: f"{name}[{experiment}]" for name in local if f"{name}[{experiment}]" in given}

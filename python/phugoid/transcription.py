@@ -87,9 +87,7 @@ class Collocation:
                 )
         return [("edges", 0, list(edges)) for edges in lists]
 
-    def problem(
-        self, model: Model, experiments: Sequence[Experiment], sigmas: list[tuple[bool, float, float, float]]
-    ) -> _core.Collocation:
+    def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Collocation:
         """The nonlinear program."""
         records = [
             (
@@ -102,7 +100,7 @@ class Collocation:
             )
             for e in experiments
         ]
-        return _core.Collocation(model._core, records, sigmas, self.order, self.grids(experiments), self.threads)
+        return _core.Collocation(model._core, records, noise, self.order, self.grids(experiments), self.threads)
 
     def __str__(self) -> str:
         if self.segments is None:

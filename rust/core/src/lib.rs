@@ -16,9 +16,9 @@
 //!                ŷ(t, θ) = g(x̂(t, θ), u(t), θ)
 //! ```
 //!
-//! where ℓ_e is the log-density of the noise, here ℓ_e(ε, θ) = −½ Σ_c (ε_c/σ_c)² − Σ_c ln σ_c (Eqs. pe_gaussian,
-//! r_diag). To solve the differential equation for every trial θ fails where the system is unstable or θ far
-//! off. Instead, time is divided into n_s segments with m Legendre-Gauss-Lobatto points τ_k each, and the states
+//! where ℓ_e is the log-density of the noise, ℓ_e(ε, θ) = −½ Σ_c (ε_c/σ_c)² − Σ_c ln σ_c (Eqs. pe_gaussian,
+//! r_diag) unless another [`noise`] is chosen. To solve the differential equation for every trial θ fails where the
+//! system is unstable or θ far off. Instead, time is divided into n_s segments with m Legendre-Gauss-Lobatto points τ_k each, and the states
 //! there are unknowns too (Eq. oem_coll):
 //!
 //! ```text
@@ -115,7 +115,7 @@ pub use expr::Expr;
 pub use interpolate::Interpolation;
 pub use mesh::Grid;
 pub use model::{Model, Parameter};
-pub use noise::Sigma;
+pub use noise::{Density, Dof, Noise, Sigma};
 
 /// The code in the README.
 #[cfg(doctest)]

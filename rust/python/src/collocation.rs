@@ -5,13 +5,13 @@ use phugoid::experiment::{Experiment, Signal};
 use phugoid::interpolate::Interpolation;
 use phugoid::mesh::Grid;
 use phugoid::nlp::{Nlp, NotFinite, Structure, check::check_derivatives};
-use phugoid::noise::{Noise, Sigma};
 use phugoid::transcription::{Collocation, Settings};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::errors::{named, raise};
 use crate::model::PyModel;
+use crate::noise::PyNoise;
 
 /// An input sampled at times of its own: times, samples, delay, derivative.
 type SignalSpec<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, f64, usize);
@@ -26,11 +26,11 @@ type Record<'py> = (
     Vec<Option<SignalSpec<'py>>>,
 );
 
-/// σ of an output: (known, value or start, lower, upper).
-type SigmaSpec = (bool, f64, f64, f64);
-
 /// Segments: ("samples", n, None), ("uniform", n, None) or ("edges", 0, times).
 type GridSpec = (String, usize, Option<Vec<f64>>);
+
+/// A value of the noise: name, output, value, gradient, bounded by, bounds.
+type Reported = (String, Option<usize>, f64, Vec<f64>, Option<usize>, f64, f64);
 
 /// The collocation problem on its own threads, without the interpreter lock.
 #[pyclass(name = "Collocation", module = "phugoid._core", frozen)]
@@ -96,7 +96,7 @@ impl PyCollocation {
         py: Python<'_>,
         model: &PyModel,
         experiments: Vec<Record<'_>>,
-        sigmas: Vec<SigmaSpec>,
+        noise: &PyNoise,
         order: usize,
         grids: Vec<GridSpec>,
         threads: usize,
@@ -112,13 +112,10 @@ impl PyCollocation {
                 signals: signals.iter().map(|s| s.as_ref().map(signal)).collect(),
             })
             .collect();
-        let sigma = |(known, value, lower, upper): SigmaSpec| {
-            if known { Sigma::Known(value) } else { Sigma::Unknown { start: value, lower, upper } }
-        };
-        let noise = Noise::Gaussian(sigmas.into_iter().map(sigma).collect());
         let grid = grids.into_iter().map(grid).collect::<PyResult<_>>()?;
-        let settings = Settings { order, grid, threads };
-        let model = &model.0;
+        let noise_per_experiment = noise.per_experiment;
+        let settings = Settings { order, grid, threads, noise_per_experiment };
+        let (model, noise) = (&model.0, noise.noise.clone());
         py.detach(|| Collocation::new(model, &records, noise, &settings)).map(PyCollocation).map_err(raise)
     }
 
@@ -188,6 +185,34 @@ impl PyCollocation {
     #[getter]
     fn noise_parameters(&self) -> Vec<String> {
         self.0.parameters[self.0.n_model_parameters..].iter().map(|p| p.name.clone()).collect()
+    }
+
+    /// Where the noise parameters start.
+    #[getter]
+    fn noise_start(&self) -> Vec<f64> {
+        self.0.parameters[self.0.n_model_parameters..].iter().map(|p| p.start).collect()
+    }
+
+    /// Variables that are 1/sigma of an output, given others where noise is correlated.
+    #[getter]
+    fn precision_roots(&self) -> Vec<usize> {
+        self.0.precision_roots()
+    }
+
+    /// Scales of all outputs.
+    fn sigmas(&self, xi: PyReadonlyArray1<'_, f64>) -> PyResult<Vec<f64>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(self.0.sigmas(xi))
+    }
+
+    /// The noise in the user's terms: name, number of the output whose unit it has, value, gradient with respect
+    /// to the noise parameters, number of the one whose bounds are its own, lower and upper bound.
+    fn noise_report(&self, xi: PyReadonlyArray1<'_, f64>) -> PyResult<Vec<Reported>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        let one = |r: phugoid::noise::Reported| {
+            (r.name, r.output, r.value, r.gradient, r.bounded_by, r.bounds.0, r.bounds.1)
+        };
+        Ok(self.0.noise_report(xi).into_iter().map(one).collect())
     }
 
     /// Times of all points of an experiment; those after the mesh points are samples between them.

@@ -6,6 +6,7 @@ mod evaluator;
 mod expr;
 mod model;
 mod newton;
+mod noise;
 
 use pyo3::prelude::*;
 
@@ -15,6 +16,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<expr::PyExpr>()?;
     m.add_class::<expr::PyTable>()?;
     m.add_class::<model::PyModel>()?;
+    m.add_class::<noise::PyNoise>()?;
     m.add_class::<collocation::PyCollocation>()?;
     m.add_class::<evaluator::PyEvaluator>()?;
     m.add_class::<newton::PySolution>()?;

@@ -29,7 +29,7 @@ pub use status::Status;
 pub use units::state_units;
 
 use crate::linalg::{Curvature, KktSolver, kkt_for};
-use crate::nlp::{Nlp, NotFinite};
+use crate::nlp::{Nlp, NotFinite, Reach};
 use bounds::Active;
 use point::Point;
 use search::{Merit, Watchdog};
@@ -427,17 +427,12 @@ impl<'a> Run<'a> {
         if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() {
             return false;
         }
-        self.nlp.profile(&self.here.xi, &self.gradient, &mut self.profile);
-        let mut settled = true;
-        for (i, best) in roots.zip(&self.profile) {
-            let x = &mut self.here.xi[i];
-            settled &= (best / *x - 1.0).abs() < SETTLED;
-            let most = if step == 1.0 { *x * TENFOLD } else { *x };
-            *x = best.clamp(*x / TENFOLD, most);
-        }
+        let reach = Reach::Step { up: TENFOLD, down: if step == 1.0 { TENFOLD } else { 1.0 } };
+        let change = self.nlp.profile(&self.here.xi, &self.gradient, &reach, &mut self.profile);
+        self.here.xi[roots].copy_from_slice(&self.profile);
         // It was finite, and can only come down.
         let _ = self.here.evaluate_objective(self.nlp, &mut self.count);
-        settled
+        change < SETTLED
     }
 
     /// Whether a parameter has grown without limit.

@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::Run;
 use super::normal::Normal;
+use crate::nlp::Reach;
 
 /// Most passes: a model linear in its parameters needs three or so for the weights to settle.
 const PASSES: usize = 12;
@@ -108,10 +109,9 @@ impl Run<'_> {
         if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() {
             return;
         }
-        self.nlp.profile(&self.here.xi, &self.gradient, &mut self.profile);
-        for ((i, best), first) in roots.zip(&self.profile).zip(first) {
-            self.here.xi[i] = if *best < RANGE * first { *best } else { *first };
-        }
+        let reach = Reach::Free { start: first, most: RANGE };
+        self.nlp.profile(&self.here.xi, &self.gradient, &reach, &mut self.profile);
+        self.here.xi[roots].copy_from_slice(&self.profile);
     }
 
     /// 1/σ² of the defects of each state.

@@ -20,8 +20,8 @@ use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
 use crate::mesh::{Grid, Mesh};
 use crate::model::{Compiled, Model, Parameter};
-use crate::nlp::{self, Chains, Nlp, NotFinite, Structure};
-use crate::noise::{Noise, Sample};
+use crate::nlp::{self, Chains, Nlp, NotFinite, Reach, Structure};
+use crate::noise::{Counts, Missing, Noise, Reported, Sample};
 use crate::tape::{Arguments, Function, Tape, Workspace};
 use crate::transform::Transform;
 
@@ -34,12 +34,14 @@ pub struct Settings {
     pub grid: Vec<Grid>,
     /// Threads; 0 for as many as there are cores.
     pub threads: usize,
+    /// Whether each experiment has noise of its own.
+    pub noise_per_experiment: bool,
 }
 
 impl Default for Settings {
     /// Order 4, one segment between samples.
     fn default() -> Self {
-        Settings { order: 4, grid: vec![Grid::Samples(1)], threads: 0 }
+        Settings { order: 4, grid: vec![Grid::Samples(1)], threads: 0, noise_per_experiment: false }
     }
 }
 
@@ -60,7 +62,7 @@ impl Default for Settings {
 /// let run = Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 3.1, 5.0])])?;
 ///
 /// let noise = Noise::Gaussian(vec![Sigma::Known(0.1)]);
-/// let settings = Settings { order: 2, grid: vec![Grid::Samples(1)], threads: 1 };
+/// let settings = Settings { order: 2, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
 /// let problem = Collocation::new(&m, &[run], noise, &settings)?;
 /// assert_eq!((problem.n(), problem.m()), (4, 2)); // the slope and x at three points; two defects
 /// assert_eq!(problem.variable_name(2), "x at t = 1 s of 'run'");
@@ -86,12 +88,16 @@ pub struct Collocation {
     pub estimands: Estimands,
     /// The noise model.
     pub noise: Noise,
+    /// What its parameters are called as unknowns.
+    pub(super) noise_names: Vec<String>,
     /// One mesh an experiment.
     pub meshes: Vec<Mesh>,
     /// Inputs at all points of each experiment: `inputs[experiment][channel][point]`.
     pub inputs: Vec<Vec<Vec<f64>>>,
+    pub(super) model_names: Vec<String>,
     pub(super) state_names: Vec<String>,
     pub(super) input_names: Vec<String>,
+    output_names: Vec<String>,
     pub(super) experiments: Vec<Experiment>,
     pub(super) dynamics: Dynamics,
     likelihood: Function,
@@ -104,8 +110,8 @@ pub struct Collocation {
     pair_places: PairPlaces,
     chains: Chains,
     boundary: Option<Boundary>,
-    /// Number of measurements of each output, all experiments together.
-    measured: Vec<usize>,
+    /// How many measurements there are, of all experiments or of each where each has noise of its own.
+    counts: Vec<Counts>,
     pool: Option<rayon::ThreadPool>,
 }
 
@@ -167,17 +173,22 @@ impl Collocation {
         noise.check(&output_names)?;
         let meshes = meshes(experiments, settings)?;
 
+        let counts = Counts::new(experiments.iter().map(|e| &e.outputs));
+        let missing = Missing::new(experiments.iter().map(|e| &e.outputs));
+        let noise = noise.for_data(&counts, &missing)?;
         let noise_parameters = noise.parameters(&output_names);
         let n_model = model.parameters.len();
+        let local = settings.noise_per_experiment && experiments.len() > 1;
+        let noise_parameters = noise_parameters.into_iter().map(|p| Parameter { local, ..p });
         let seen: Vec<Parameter> = model.parameters.iter().cloned().chain(noise_parameters).collect();
         let (estimands, parameters) = Estimands::new(&seen, experiments);
         let n_model_parameters = estimands.parameter.iter().filter(|&&p| p < n_model).count();
         let layout = Layout::new(parameters.len(), model.states.len(), &meshes);
+        let noise_names = noise.variable_names(&output_names);
 
         // All functions of a point see all parameters, so that θ has one order everywhere.
         let mut graph = compiled.graph.clone();
-        let noise_symbols: Vec<Id> =
-            seen[n_model..].iter().map(|p| graph.symbol(&format!("1/{}", p.name))).collect();
+        let noise_symbols: Vec<Id> = noise_names.iter().map(|name| graph.symbol(name)).collect();
         let (variables, compiled) = in_variables(&mut graph, &seen[..n_model], compiled);
         let theta: Vec<Id> = variables.iter().chain(&noise_symbols).copied().collect();
         let arguments =
@@ -185,15 +196,24 @@ impl Collocation {
         let dynamics = Dynamics::new(Function::new(graph.clone(), &arguments, compiled.dynamics.clone()));
         let outputs = Function::new(graph.clone(), &arguments, compiled.outputs.clone());
 
-        let missing = |c: usize| experiments.iter().any(|e| e.outputs[c].iter().any(|v| v.is_nan()));
         let measured: Vec<Id> = output_names.iter().map(|n| graph.symbol(&format!("measured {n}"))).collect();
-        let present: Vec<Option<Id>> = (0..output_names.len())
-            .map(|c| missing(c).then(|| graph.symbol(&format!("{} present", output_names[c]))))
+        let present: Vec<Option<Id>> = (output_names.iter().zip(&missing.outputs))
+            .map(|(name, &any)| any.then(|| graph.symbol(&format!("{name} present"))))
             .collect();
-        let sample = Sample { outputs: &compiled.outputs, measured: &measured, present: &present };
-        let density = noise.log_density(&mut graph, &sample, &noise_symbols);
+        let patterns: Vec<(Vec<bool>, Id)> = (missing.patterns.iter().enumerate())
+            .filter(|_| noise.needs_patterns())
+            .map(|(k, set)| (set.clone(), graph.symbol(&format!("pattern {k} of missing samples"))))
+            .collect();
+        let sample = Sample {
+            outputs: &compiled.outputs,
+            measured: &measured,
+            present: &present,
+            patterns: &patterns,
+        };
+        let terms = noise.log_density(&mut graph, &sample, &noise_symbols);
         let mut with_samples = arguments.clone();
-        with_samples.data.extend(measured.iter().chain(present.iter().flatten()));
+        let flags = present.iter().flatten().chain(patterns.iter().map(|p| &p.1));
+        with_samples.data.extend(measured.iter().chain(flags));
 
         let boundary = (!model.conditions.is_empty()).then(|| {
             let place = |c: &Condition| model.states.iter().position(|s| s.name == c.state);
@@ -203,7 +223,7 @@ impl Collocation {
             let conditions = (&model.conditions[..], &compiled.conditions[..], states);
             Boundary::new(graph.clone(), &symbols, conditions, experiments, &meshes, layout.m())
         });
-        let likelihood = Function::of_squares(graph, &with_samples, &density.residuals, density.rest);
+        let likelihood = Function::of_terms(graph, &with_samples, &terms);
 
         let mut problem = Collocation {
             layout,
@@ -211,10 +231,13 @@ impl Collocation {
             parameters,
             estimands,
             noise,
+            noise_names,
             meshes,
             inputs: Vec::new(),
+            model_names: model.parameters.iter().map(|p| p.name.clone()).collect(),
             state_names: model.states.iter().map(|s| s.name.clone()).collect(),
             input_names: model.inputs.iter().map(|s| s.name.clone()).collect(),
+            output_names: model.outputs.iter().map(|o| o.name.clone()).collect(),
             experiments: experiments.to_vec(),
             dynamics,
             likelihood,
@@ -226,12 +249,14 @@ impl Collocation {
             pair_places: PairPlaces::default(),
             chains: Chains::default(),
             boundary,
-            measured: (0..output_names.len())
-                .map(|c| experiments.iter().flat_map(|e| &e.outputs[c]).filter(|z| !z.is_nan()).count())
-                .collect(),
+            counts: if local {
+                experiments.iter().map(|e| Counts::new([&e.outputs].into_iter())).collect()
+            } else {
+                vec![counts]
+            },
             pool: pool(settings.threads)?,
         };
-        problem.place_data(&present);
+        problem.place_data(&missing, patterns.len());
         problem.place_derivatives();
         problem.chains = problem.layout.chains(&problem.meshes);
         if let Some(boundary) = &problem.boundary {
@@ -243,7 +268,7 @@ impl Collocation {
     }
 
     /// Fills chunks and blocks of samples with data in the order of their lanes.
-    fn place_data(&mut self, present: &[Option<Id>]) {
+    fn place_data(&mut self, missing: &Missing, patterns: usize) {
         for (e, (experiment, mesh)) in self.experiments.iter().zip(&self.meshes).enumerate() {
             let channels = 0..experiment.inputs.len();
             let inputs: Vec<Vec<f64>> = channels.clone().map(|c| experiment.input(c, &mesh.times)).collect();
@@ -258,9 +283,7 @@ impl Collocation {
             columns.extend(channels.map(|c| experiment.input(c, &experiment.t)));
             let filled = |c: &Vec<f64>| c.iter().map(|v| if v.is_nan() { 0.0 } else { *v }).collect();
             columns.extend(experiment.outputs.iter().map(filled));
-            let flags = |c: &Vec<f64>| c.iter().map(|v| f64::from(u8::from(!v.is_nan()))).collect();
-            columns
-                .extend(experiment.outputs.iter().zip(present).filter(|c| c.1.is_some()).map(|c| flags(c.0)));
+            columns.extend(missing.flags(&experiment.outputs, patterns));
             self.samples.extend(Samples::cut(e, mesh, &self.layout, &columns));
             self.inputs.push(inputs);
         }
@@ -402,6 +425,51 @@ impl Collocation {
     /// What priors add to φ.
     pub fn prior_terms(&self, xi: &[f64]) -> f64 {
         self.priors(xi).map(|(_, [e, ..])| 0.5 * e * e).sum()
+    }
+
+    /// What the noise is at ξ, in the user's terms.
+    pub fn noise_report(&self, xi: &[f64]) -> Vec<Reported> {
+        let outputs: Vec<&str> = self.output_names.iter().map(String::as_str).collect();
+        let k = self.layout.n_theta - self.n_model_parameters;
+        let mut found = Vec::new();
+        for (e, map) in self.noise_maps() {
+            let own: Vec<f64> = map.iter().map(|&i| xi[i]).collect();
+            for mut r in self.noise.report(&outputs, &own) {
+                // Gradients with respect to the noise of all experiments.
+                let mut gradient = vec![0.0; k];
+                map.iter().zip(&r.gradient).for_each(|(&i, g)| gradient[i - self.n_model_parameters] = *g);
+                r.gradient = gradient;
+                r.bounded_by = r.bounded_by.map(|b| map[b] - self.n_model_parameters);
+                if let Some(e) = e {
+                    r.name = format!("{}[{}]", r.name, self.experiments[e].name);
+                }
+                found.push(r);
+            }
+        }
+        found
+    }
+
+    /// The variables of the noise, once or for each experiment that has noise of its own.
+    fn noise_maps(&self) -> impl Iterator<Item = (Option<usize>, &[usize])> {
+        let local = self.counts.len() > 1;
+        let n_model = self.model_names.len();
+        (0..self.counts.len()).map(move |e| (local.then_some(e), &self.estimands.maps[e][n_model..]))
+    }
+
+    /// Scales of the outputs, the least of all experiments.
+    pub fn sigmas(&self, xi: &[f64]) -> Vec<f64> {
+        let of = |map: &[usize]| {
+            let own: Vec<f64> = map.iter().map(|&i| xi[i]).collect();
+            self.noise.sigmas(&own)
+        };
+        let least = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(&b).map(|(a, b)| a.min(*b)).collect();
+        self.noise_maps().map(|(_, map)| of(map)).reduce(least).unwrap_or_default()
+    }
+
+    /// Variables that are 1/σ of an output, given others where noise is correlated.
+    pub fn precision_roots(&self) -> Vec<usize> {
+        let roots = self.noise.precision_roots();
+        self.noise_maps().flat_map(|(_, map)| roots.iter().map(|&k| map[k])).collect()
     }
 
     /// Model outputs at the samples of an experiment: `[output][sample]`.
@@ -649,15 +717,22 @@ impl Nlp for Collocation {
     }
 
     fn profiled(&self) -> Range<usize> {
-        self.n_model_parameters..self.layout.n_theta
+        self.n_model_parameters..self.n_model_parameters + self.noise.n_scales() * self.counts.len()
     }
 
-    fn profile(&self, xi: &[f64], gradient: &[f64], out: &mut [f64]) {
-        let roots = self.profiled();
-        self.noise.profile(&self.measured, &xi[roots.clone()], &gradient[roots.clone()], out);
-        for (value, p) in out.iter_mut().zip(&self.parameters[roots]) {
-            *value = value.clamp(p.lower.unwrap_or(0.0), p.upper.unwrap_or(f64::INFINITY));
+    fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
+        let (scales, n) = (self.profiled(), self.noise.n_scales());
+        if let [counts] = &self.counts[..] {
+            return self.noise.profile(counts, &xi[scales.clone()], &gradient[scales], reach, out);
         }
+        let mut change: f64 = 0.0;
+        for ((_, map), counts) in self.noise_maps().zip(&self.counts) {
+            let of = |all: &[f64]| map[..n].iter().map(|&i| all[i]).collect::<Vec<f64>>();
+            let mut own = vec![0.0; n];
+            change = change.max(self.noise.profile(counts, &of(xi), &of(gradient), reach, &mut own));
+            map.iter().zip(&own).for_each(|(&i, v)| out[i - scales.start] = *v);
+        }
+        change
     }
 
     fn variable_name(&self, i: usize) -> String {
@@ -665,7 +740,13 @@ impl Nlp for Collocation {
             Place::Parameter(p) if p < self.n_model_parameters => {
                 self.estimands.transforms[p].name(&self.parameters[p].name)
             }
-            Place::Parameter(p) => format!("1/{}", self.parameters[p].name),
+            Place::Parameter(p) => {
+                let name = &self.noise_names[self.estimands.parameter[p] - self.model_names.len()];
+                match self.estimands.experiment[p] {
+                    Some(e) => format!("{name}[{}]", self.experiments[e].name),
+                    None => name.clone(),
+                }
+            }
             Place::State { experiment, point, state } => {
                 let t = self.meshes[experiment].times[point];
                 format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)

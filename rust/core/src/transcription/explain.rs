@@ -145,21 +145,14 @@ impl Collocation {
 
     /// Names of the parameters as functions of a point see them.
     fn seen(&self) -> Vec<String> {
-        let name = |&i: &usize| {
-            let name = &self.parameters[i].name;
-            let name = name.split('[').next().unwrap_or(name); // without that of the experiment
-            if i < self.n_model_parameters {
-                self.estimands.transforms[i].name(name)
-            } else {
-                format!("1/{name}")
-            }
-        };
-        self.estimands.maps[0].iter().map(name).collect()
+        let model = self.model_names.iter().zip(&self.estimands.maps[0]);
+        let model = model.map(|(name, &i)| self.estimands.transforms[i].name(name));
+        model.chain(self.noise_names.iter().cloned()).collect()
     }
 
     /// A standard deviation that is not positive has no logarithm.
     fn explain_noise(&self, xi: &[f64]) -> Option<String> {
-        let i = (self.n_model_parameters..self.layout.n_theta).find(|&i| xi[i] <= 0.0)?;
+        let i = self.precision_roots().into_iter().find(|&i| xi[i] <= 0.0)?;
         Some(format!("{} is {}; a standard deviation must be positive", self.variable_name(i), xi[i]))
     }
 }

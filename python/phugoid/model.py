@@ -13,7 +13,7 @@ from . import _core
 from ._core import Expr
 from .densities import PerOutput, noise_from_dict
 from .errors import ModelError
-from .noise import Gaussian, Noise, Sigma
+from .noise import KINDS, Gaussian, Noise, Sigma
 from .parameters import Parameter
 
 __all__ = ["Model"]
@@ -154,10 +154,7 @@ class Model:
         if (args and sigma) or len(args) > 1:
             raise ModelError("noise: give a noise model or standard deviations by output, not both")
         if args and not isinstance(args[0], Noise):
-            raise ModelError(
-                f"noise: a noise model is a Gaussian, StudentT, Huber, Laplace, Density or PerOutput, not {args[0]!r}; "
-                "name outputs, as in noise(q=0.01)"
-            )
+            raise ModelError(f"noise: a noise model is {KINDS}, not {args[0]!r}; name outputs, as in noise(q=0.01)")
         if args:
             self._noise = args[0]
             return

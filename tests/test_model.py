@@ -423,7 +423,7 @@ def test_equation_that_is_not_finite() -> None:
         (lambda m: m.dynamics(), "dynamics: no equations were given"),
         (lambda m: m.outputs(Expr.symbol("x")), r"outputs: give each output a name, as in outputs\(q=q\)"),
         (lambda m: m.noise(Gaussian(), x=1), "a noise model or standard deviations by output, not both"),
-        (lambda m: m.noise(3), "a noise model is a Gaussian, not 3"),
+        (lambda m: m.noise(3), "a noise model is a Gaussian, StudentT, .* or PerOutput, not 3"),
         (lambda m: m.noise(x=-1), "noise of 'x': a known standard deviation is a positive number, not -1"),
         (lambda m: m.noise(x="small"), "a positive number, not 'small'"),
     ],

@@ -886,7 +886,7 @@ def test_fixed_and_known_are_not_drawn() -> None:
         ({"executor": ProcessPoolExecutor}, OptionError, "executor: give a concurrent.futures.Executor"),
         ({"progress": "yes"}, OptionError, "progress is True, False or a function"),
         ({"transcription": 2}, OptionError, "transcription is a Collocation, not 2"),
-        ({"noise": 2}, OptionError, "noise is a Gaussian, not 2"),
+        ({"noise": 2}, OptionError, "noise is a Gaussian, StudentT, .* not 2"),
         ({"start": 2}, OptionError, "start holds values by name, or is a fit"),
         ({"start": {"b": 2}}, ModelError, "start: 'b' is no parameter, sigma or state"),
         ({"solver": "newton"}, OptionError, "solver is Newton"),

@@ -412,6 +412,12 @@ def test_fit_is_saved_summarised_and_gone_on_from(noise: Any, tmp_path: Any) -> 
     assert set(ph.simulate(m, fit, e).outputs) == set(NAMES)
 
 
+def test_density_that_underflows_at_the_start() -> None:
+    noise = Density(some_bad, parameters=BAD)
+    with pytest.raises(ph.EvaluationError, match="the log-density of the noise is not finite: a residual is too large"):
+        ph.estimate(steady(2), record(some_noise(2, 30)), noise=noise, start={"sigma_y2": 1e-6})
+
+
 def test_noise_by_output_from_the_model() -> None:
     m = steady(3)
     m.noise(y1=StudentT(dof=None), y2=0.3)

@@ -14,7 +14,7 @@ from ._core import Expr
 from .delayed import Delays, at_delays
 from .densities import PerOutput, noise_from_dict
 from .errors import ModelError, did_you_mean
-from .noise import Gaussian, Noise, Sigma
+from .noise import KINDS, Gaussian, Noise, Sigma
 from .parameters import Parameter
 
 __all__ = ["Model"]
@@ -212,10 +212,7 @@ class Model:
         if (args and sigma) or len(args) > 1:
             raise ModelError("noise: give a noise model or standard deviations by output, not both")
         if args and not isinstance(args[0], Noise):
-            raise ModelError(
-                f"noise: a noise model is a Gaussian, StudentT, Huber, Laplace, Density or PerOutput, not {args[0]!r}; "
-                "name outputs, as in noise(q=0.01)"
-            )
+            raise ModelError(f"noise: a noise model is {KINDS}, not {args[0]!r}; name outputs, as in noise(q=0.01)")
         if args:
             self._noise = args[0]
             return

@@ -17,6 +17,7 @@ impl Collocation {
             .or_else(|| self.explain_dynamics(xi))
             .or_else(|| self.explain_outputs(xi))
             .or_else(|| self.explain_derivatives(xi))
+            .or_else(|| self.explain_density(xi))
     }
 
     fn describe(
@@ -154,5 +155,14 @@ impl Collocation {
     fn explain_noise(&self, xi: &[f64]) -> Option<String> {
         let i = self.precision_roots().into_iter().find(|&i| xi[i] <= 0.0)?;
         Some(format!("{} is {}; a standard deviation must be positive", self.variable_name(i), xi[i]))
+    }
+
+    /// Where all else is finite, a density far out in its tails may underflow.
+    fn explain_density(&self, xi: &[f64]) -> Option<String> {
+        self.objective(xi).is_err().then(|| {
+            "the log-density of the noise is not finite: a residual is too large for its scale sigma, which may start \
+             larger, or the density is not defined there"
+                .into()
+        })
     }
 }

@@ -123,7 +123,8 @@ def test_derivatives(order: int, segments: int | None) -> None:
     m = oscillator()
     g, u, x, v = (_core.Expr.symbol(name) for name in ("g", "u", "x", "v"))
     m.final(v=ph.sin(g * x) * v**2 + u)
-    problem = ph.Collocation(order, segments=segments).problem(m, [record()], [(False, 0.02, 1e-6, 10.0)] * 2)
+    noise = ph.Gaussian().resolve(["x", "v"], {"x": 1.0, "v": 1.0}, {})
+    problem = ph.Collocation(order, segments=segments).problem(m, [record()], noise)
     random = np.random.default_rng(0)
     xi = random.standard_normal(problem.n)
     xi[3:5] = 1.3

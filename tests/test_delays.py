@@ -101,7 +101,8 @@ def test_rates_of_signals_are_those_of_the_interpolation(interpolation: str) -> 
 
     m, data, base = model(), record(interpolation), {"tau": 0.2, "late": 0.1}
     slim = at_delays(m, base)
-    problem = ph.Collocation(3).problem(slim, [_moved(m, slim, data, base)], [(False, 0.02, 1e-6, 10.0)] * 3)
+    noise = ph.Gaussian().resolve(list("xva"), dict.fromkeys("xva", 1.0), {})
+    problem = ph.Collocation(3).problem(slim, [_moved(m, slim, data, base)], noise)
     random = np.random.default_rng(0)
     xi = random.standard_normal(problem.n)
     xi[:4], xi[4:7] = [2.0, 0.7, 0.21, 0.12], 1.3

@@ -121,7 +121,7 @@ def test_derivatives_with_priors_transforms_and_local_parameters() -> None:
         T=ph.Parameter(1.0, transform="log", prior=(1.0, 0.3)),
         b=ph.Parameter(0.5, per_experiment=True, scale=3.0, prior=(0.0, 1.0)),
     )
-    problem = ph.Collocation(order=3).problem(m, runs(2), [(False, 0.1, 1e-6, 10.0)])
+    problem = ph.Collocation(order=3).problem(m, runs(2), ph.Gaussian().resolve(["x"], {"x": 1.0}, {}))
     random = np.random.default_rng(0)
     xi = 1.0 + 0.1 * random.standard_normal(problem.n)
     columns = [*range(8), problem.n // 2, problem.n - 1]

@@ -14,12 +14,12 @@ from pathlib import Path
 # fmt: off
 RUST = [
     "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "model", "evaluator", "experiment", "noise",
-    "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
+    "mesh", "nlp", "transcription", "filter", "linalg", "solver", "diagnosis", "estimate",
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "guess",
-    "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "estimate",
+    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "filter_error", "guess",
+    "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "filter_fit", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

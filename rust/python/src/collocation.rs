@@ -14,7 +14,7 @@ use crate::errors::{named, raise};
 use crate::model::PyModel;
 
 /// A record as Python hands it over: name, times, inputs, outputs, interpolation.
-type Record<'py> = (
+pub type Record<'py> = (
     String,
     PyReadonlyArray1<'py, f64>,
     Vec<PyReadonlyArray1<'py, f64>>,
@@ -23,7 +23,7 @@ type Record<'py> = (
 );
 
 /// σ of an output: (known, value or start, lower, upper).
-type SigmaSpec = (bool, f64, f64, f64);
+pub type SigmaSpec = (bool, f64, f64, f64);
 
 /// Segments: ("samples", n, None), ("uniform", n, None) or ("edges", 0, times).
 type GridSpec = (String, usize, Option<Vec<f64>>);
@@ -37,6 +37,22 @@ type Indices<'py> = (Bound<'py, PyArray1<u32>>, Bound<'py, PyArray1<u32>>);
 
 fn vector(v: &PyReadonlyArray1<'_, f64>) -> Vec<f64> {
     v.as_array().to_vec()
+}
+
+/// A record of the core.
+pub fn experiment((name, t, inputs, outputs, kind): Record<'_>) -> Experiment {
+    Experiment {
+        name,
+        t: vector(&t),
+        inputs: inputs.iter().map(vector).collect(),
+        outputs: outputs.iter().map(vector).collect(),
+        interpolation: if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear },
+    }
+}
+
+/// A σ of the core.
+pub fn sigma((known, value, lower, upper): SigmaSpec) -> Sigma {
+    if known { Sigma::Known(value) } else { Sigma::Unknown { start: value, lower, upper } }
 }
 
 fn indices<'py>(py: Python<'py>, s: &Structure) -> Indices<'py> {
@@ -93,19 +109,7 @@ impl PyCollocation {
         grids: Vec<GridSpec>,
         threads: usize,
     ) -> PyResult<Self> {
-        let records: Vec<Experiment> = experiments
-            .into_iter()
-            .map(|(name, t, inputs, outputs, kind)| Experiment {
-                name,
-                t: vector(&t),
-                inputs: inputs.iter().map(vector).collect(),
-                outputs: outputs.iter().map(vector).collect(),
-                interpolation: if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear },
-            })
-            .collect();
-        let sigma = |(known, value, lower, upper): SigmaSpec| {
-            if known { Sigma::Known(value) } else { Sigma::Unknown { start: value, lower, upper } }
-        };
+        let records: Vec<Experiment> = experiments.into_iter().map(experiment).collect();
         let noise = Noise::Gaussian(sigmas.into_iter().map(sigma).collect());
         let grid = grids.into_iter().map(grid).collect::<PyResult<_>>()?;
         let settings = Settings { order, grid, threads };

@@ -22,6 +22,7 @@ from .errors import (
 )
 from .estimate import estimate
 from .experiment import Experiment
+from .filter_error import FilterError
 from .model import Model
 from .multistart import Multistart, multistart
 from .noise import Gaussian, Sigma
@@ -68,6 +69,7 @@ __all__ = [
     "EvaluationError",
     "Experiment",
     "Expr",
+    "FilterError",
     "Fit",
     "Gaussian",
     "Ipopt",

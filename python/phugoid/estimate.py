@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from . import _core
 from .errors import DataError, ModelError, OptionError
 from .experiment import Experiment, moves
+from .filter_error import FilterError
+from .filter_fit import filter_error
+from .filter_variables import split
 from .guess import check_names, measured_states, parameter_start, spread, state_start
 from .model import Model
 from .noise import Gaussian
@@ -28,7 +31,7 @@ def estimate(
     model: Model,
     data: Experiment | Sequence[Experiment],
     *,
-    transcription: Collocation | None = None,
+    transcription: Collocation | FilterError | None = None,
     noise: Gaussian | None = None,
     start: Mapping[str, Any] | Fit | None = None,
     solver: Newton | Ipopt | None = None,
@@ -40,6 +43,8 @@ def estimate(
     ``start``: values by name of parameters, of ``sigma_<output>`` and of states (a number or one value a sample),
     or a fit to go on from. Parameters not named start as declared, standard deviations at the spread of the
     measurements, states as measured where an output measures them and else at 0.
+    ``transcription``: `Collocation`, or `FilterError` where there is process noise, such as turbulence; the latter has a
+    solver of its own.
     ``noise``: instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints
     the iterations; a function is called with each.
 
@@ -54,14 +59,16 @@ def estimate(
     model.check()
     transcription = transcription or Collocation()
     noise = noise or model.noise_model
-    solver = solver or Newton()
     options = {
-        "transcription": (transcription, Collocation),
-        "noise": (noise, Gaussian),
+        "transcription": (transcription, (Collocation, FilterError)),
+        "noise": (noise, (Gaussian,)),
     }
-    for what, (value, kind) in options.items():
-        if not isinstance(value, kind):
-            raise OptionError(f"estimate: {what} is a {kind.__name__}, not {value!r}")
+    for what, (value, kinds) in options.items():
+        if not isinstance(value, kinds):
+            raise OptionError(f"estimate: {what} is a {' or a '.join(k.__name__ for k in kinds)}, not {value!r}")
+    if isinstance(transcription, FilterError) and solver is not None:
+        raise OptionError("estimate: FilterError has a solver of its own; leave out solver")
+    solver = solver or Newton()
     if not isinstance(solver, (Newton, Ipopt)):
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
     if not isinstance(progress, bool) and not callable(progress):
@@ -74,6 +81,13 @@ def estimate(
         # An output that stands still in this experiment may move in another, which then gives its sigma.
         elsewhere = set().union(*moving[:i], *moving[i + 1 :])
         experiment.check_for(model.input_names, model.output_names, {*noise.known, *elsewhere})
+
+    if isinstance(transcription, FilterError):
+        if transcription.output_error and not isinstance(start, Fit):
+            _, others = split(transcription, start or {})
+            ordinary = estimate(model, experiments, noise=noise, start=others, progress=progress)
+            return filter_error(model, experiments, transcription, noise, start, progress, ordinary)
+        return filter_error(model, experiments, transcription, noise, start, progress)
 
     warm = start if isinstance(start, Fit) else None
     given: Mapping[str, Any] = warm.as_start() if warm else dict(start or {})  # type: ignore[arg-type]

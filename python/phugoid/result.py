@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from . import _core, io, plot, summary
 from .errors import DataError
 from .experiment import Experiment
+from .filter_error import FilterError
 from .model import Model
 from .noise import Gaussian
 from .parameters import Estimate, Estimates
@@ -60,7 +61,7 @@ class Fit:
 
     model: Model
     noise: Gaussian
-    transcription: Collocation
+    transcription: Collocation | FilterError
     parameters: Estimates
     initial_states: Mapping[str, Estimates]
     covariance: _Array
@@ -100,10 +101,20 @@ class Fit:
         """Output -> (N,) measured minus model, NaN where missing, of the only experiment."""
         return self._only("residuals").residuals
 
+    @property
+    def _intensities(self) -> set[str]:
+        t = self.transcription
+        return {f"q_{name}" for name in t.states} if isinstance(t, FilterError) else set()
+
+    @property
+    def noise_parameters(self) -> set[str]:
+        """Names of the parameters that are those of the noise, not of the model."""
+        return {f"sigma_{n}" for n in self.model.output_names} | self._intensities
+
     def as_start(self) -> dict[str, float]:
         """Parameters as start values of another estimation."""
-        known = {f"sigma_{n}" for n in self.noise.known}
-        return {name: e.value for name, e in self.parameters.items() if name not in known}
+        left = {f"sigma_{n}" for n in self.noise.known} | self._intensities
+        return {name: e.value for name, e in self.parameters.items() if name not in left}
 
     def summary(self) -> str:
         """The fit as a plain-text table."""
@@ -329,11 +340,10 @@ def _payload(fit: Fit) -> dict[str, Any]:
     def estimates(group: Estimates) -> list[dict[str, Any]]:
         return [{**vars(e), "bounds": list(e.bounds)} for e in group.values()]
 
-    t = fit.transcription
     return {
         "model": fit.model.to_json(),
         "noise": fit.noise.to_dict(),
-        "transcription": {"order": t.order, "substeps": t.substeps, "segments": _plain_segments(t.segments)},
+        "transcription": _plain_transcription(fit.transcription),
         "parameters": estimates(fit.parameters),
         "initial_states": {name: estimates(group) for name, group in fit.initial_states.items()},
         "covariance": fit.covariance,
@@ -346,6 +356,12 @@ def _payload(fit: Fit) -> dict[str, Any]:
         "warnings": list(fit.warnings),
         "history": [vars(line) for line in fit.history],
     }
+
+
+def _plain_transcription(t: Collocation | FilterError) -> dict[str, Any]:
+    if isinstance(t, FilterError):
+        return t.to_dict()
+    return {"order": t.order, "substeps": t.substeps, "segments": _plain_segments(t.segments)}
 
 
 def _plain_segments(segments: Any) -> Any:
@@ -373,15 +389,20 @@ def load(path: str | os.PathLike[str]) -> Fit:
 
     def record(saved: dict[str, Any]) -> Record:
         groups = ("inputs", "outputs", "states", "measured", "residuals", "mesh_states")
-        arrays = {k: {n: io.to_array(v) for n, v in saved[k].items()} for k in groups}
+        added = ("state_std", "innovations", "innovation_std")  # by the filter-error method
+        each = {**{k: saved[k] for k in groups}, **{k: saved.get(k, {}) for k in added}}
+        arrays = {k: {n: io.to_array(v) for n, v in group.items()} for k, group in each.items()}
         t, mesh_t = io.to_array(saved["t"]), io.to_array(saved["mesh_t"])
         return Record(name=saved["name"], units=saved["units"], t=t, mesh_t=mesh_t, **arrays)
+
+    def transcription(saved: dict[str, Any]) -> Collocation | FilterError:
+        return FilterError(**saved) if "states" in saved else Collocation(**saved)
 
     try:
         return Fit(
             model=Model.from_json(saved["model"]),
             noise=Gaussian.from_dict(saved["noise"]),
-            transcription=Collocation(**saved["transcription"]),
+            transcription=transcription(saved["transcription"]),
             parameters=estimates(saved["parameters"]),
             initial_states={name: estimates(group) for name, group in saved["initial_states"].items()},
             covariance=io.to_array(saved["covariance"]),

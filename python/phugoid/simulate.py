@@ -162,7 +162,10 @@ class _Flow:
 
 
 def _values(model: Model, parameters: Mapping[str, Any] | Fit) -> dict[str, float]:
-    given = parameters.parameters if isinstance(parameters, Fit) else parameters
+    given: Any = parameters
+    if isinstance(parameters, Fit):
+        others = parameters.noise_parameters
+        given = {n: e for n, e in parameters.parameters.items() if n not in others}
     if not isinstance(given, Mapping):
         raise ModelError(f"simulate: parameters are values by name, or a fit, not {given!r}")
     for name in given:

@@ -1,0 +1,99 @@
+"""The options of the filter-error method."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Integral
+from typing import Any
+
+from . import _core
+from .errors import OptionError, did_you_mean
+from .experiment import Experiment
+from .model import Model
+
+__all__ = ["FilterError"]
+
+
+@dataclass(frozen=True)
+class FilterError:
+    """The filter-error method: output error with process noise, such as turbulence.
+
+    White noise drives the ``states`` (one name or several), independently and with unknown intensity:
+    x(k+1) = Phi(x(k)) + w(k), w ~ N(0, q**2 h) over the interval h between two samples, so that ``q_<state>`` has the
+    state's unit over √s. The others obey their equations exactly. The marginal likelihood of all parameters is
+    maximised, with the states integrated out: as by a Kalman filter where the model is linear in its states, by the
+    Laplace approximation elsewhere.
+
+    ``substeps``: Runge-Kutta steps (order 4) between samples. ``initial``: state -> (mean, standard deviation) where
+    something is known of first states; the others are free. ``output_error``: True starts from the fit of an ordinary
+    `estimate` (``start=fit`` does the same with one that is there already).
+
+    R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 5.
+
+    Raises OptionError for what cannot be right.
+    """
+
+    states: Sequence[str]
+    substeps: int = 1
+    initial: Mapping[str, tuple[float, float]] | None = None
+    output_error: bool = False
+    max_iterations: int = 200
+
+    def __post_init__(self) -> None:
+        names = (self.states,) if isinstance(self.states, str) else self.states
+        if not isinstance(names, Sequence) or not names or not all(isinstance(n, str) for n in names):
+            raise OptionError(f"FilterError: states names the states with process noise, not {self.states!r}")
+        for name in ("substeps", "max_iterations"):
+            value = getattr(self, name)
+            if not isinstance(value, Integral) or isinstance(value, bool) or value < 1:
+                raise OptionError(f"FilterError: {name} is a whole number from 1, not {value!r}")
+        if not isinstance(self.output_error, bool):
+            raise OptionError(f"FilterError: output_error is True or False, not {self.output_error!r}")
+        if self.initial is not None and not isinstance(self.initial, Mapping):
+            raise OptionError(f"FilterError: initial maps states to (mean, std), not {self.initial!r}")
+        initial = {name: _prior(name, value) for name, value in (self.initial or {}).items()}
+        object.__setattr__(self, "states", tuple(names))
+        object.__setattr__(self, "initial", initial)
+
+    def problem(
+        self, model: Model, experiments: Sequence[Experiment], sigmas: list[tuple[bool, float, float, float]]
+    ) -> _core.Filter:
+        """The marginal likelihood. Raises OptionError for names that are no states."""
+        initial = self.initial or {}
+        for name in (*self.states, *initial):
+            if name not in model.state_names:
+                raise OptionError(f"FilterError: '{name}' is not a state.{did_you_mean(name, model.state_names)}")
+        for name in self.states:
+            if f"q_{name}" in model.parameter_names:
+                raise OptionError(
+                    f"FilterError: the intensity of state '{name}' is called 'q_{name}', as is a parameter of the "
+                    "model: rename the parameter"
+                )
+        records = [
+            (e.name, e.t, [e.input(n) for n in model.input_names], [e.output(n) for n in model.output_names],
+             e.interpolation)
+            for e in experiments
+        ]  # fmt: skip
+        priors = [initial.get(name) for name in model.state_names]
+        return _core.Filter(model._core, records, sigmas, list(self.states), int(self.substeps), priors)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        initial = {name: list(pair) for name, pair in (self.initial or {}).items()}
+        return {**vars(self), "states": list(self.states), "initial": initial}
+
+    def __str__(self) -> str:
+        steps = "" if self.substeps == 1 else f", {self.substeps} steps between samples"
+        return f"filter error, process noise in {', '.join(self.states)}{steps}"
+
+
+def _prior(name: str, value: Any) -> tuple[float, float]:
+    try:
+        mean, std = map(float, value)
+    except (TypeError, ValueError):
+        mean = std = math.nan
+    if not (math.isfinite(mean) and 0 < std < math.inf):
+        raise OptionError(f"FilterError: initial '{name}' is a mean and a positive standard deviation, not {value!r}")
+    return mean, std

@@ -237,13 +237,10 @@ impl Chain {
             back.copy_from_slice(right);
             solve(&f.s[k * m * m..(k + 1) * m * m], right, m, 1);
             decrement += dot(&back, right);
-            // P G κ = Lᵀ S κ, and S κ is what stood on the right.
-            let gain = &f.gain[k * m * n..(k + 1) * m * n];
             for i in 0..n {
                 let through: f64 = (0..m).map(|j| next[i * n + self.noisy[j]] * g[j] * right[j]).sum();
                 slope[i] -= through;
             }
-            debug_assert_eq!(gain.len(), m * n);
             let a = &self.a[k * nn..(k + 1) * nn];
             add_transposed_product(&mut linear[k * n..(k + 1) * n], a, &slope, [n, n, 1]);
         }

@@ -1,25 +1,13 @@
-//! Φ, the solution of the state equations from a sample to the next, by steps of the classical Runge-Kutta method
-//! of order 4, with its exact derivatives.
+//! Φ, the solution of the state equations from a sample to the next, with its exact first and second derivatives.
 //!
-//! A Runge-Kutta step of the variational equations is the derivative of the Runge-Kutta step. Third derivatives,
-//! which the gradient of ln det needs, come the same way: with X = ∂x/∂x_k and a symmetric matrix W,
-//!
-//! ```text
-//!   ẋ = f,     Ẋ = f_x X,     ṡ = f_x s + Σ_ab f_ab (X W Xᵀ)_ab,         X = I and s = 0 at the start
-//! ```
-//!
-//! end in Φ, Φ_x and s = Σ_ab W_ab ∂²Φ/∂x_a∂x_b, and one reverse sweep through the steps of this system gives the
-//! gradient of any weighted sum of the three.
+//! A Runge-Kutta step of the variational equations is the derivative of the Runge-Kutta step; second derivatives
+//! weighted by multipliers are collected in a reverse sweep over the stages.
 
-use super::block::{Block, Loaded, blocks, compile, data_columns};
-use crate::experiment::Experiment;
-use crate::expr::graph::{Graph, Id};
+use super::block::{Loaded, blocks, compile};
+use super::jet::{symbols, weighted};
+use super::steps::{Intervals, REACH, WEIGHTS, add_scaled, forward};
 use crate::model::Compiled;
 use crate::tape::{Tape, Workspace};
-
-/// Weight of each stage in the step, and how far the point of a stage lies along the slope of the one before.
-const WEIGHTS: [f64; 4] = [1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0];
-const REACH: [f64; 4] = [0.0, 0.5, 0.5, 1.0];
 
 /// The state equations with their derivatives, compiled.
 #[derive(Clone, Debug)]
@@ -33,52 +21,6 @@ pub(super) struct Flow {
     /// Entries, row ≥ column, of the weighted ∂²f/∂x².
     hessian: Tape,
     hessian_entries: Vec<(usize, usize)>,
-    /// Slopes of x, X and, where f is curved, s.
-    jet: Tape,
-    /// Gradient of their weighted sum: by x, X, s, θ; `None` where it is zero.
-    back: Tape,
-    back_places: Vec<usize>,
-    /// n + n² + n, or n + n² where f is linear in x.
-    dimensions: usize,
-}
-
-/// Intervals of a record: step lengths and data at the nodes of the steps.
-#[derive(Clone, Debug)]
-pub(super) struct Intervals {
-    /// Lengths, s.
-    pub(super) h: Vec<f64>,
-    /// Time and inputs: [node][column][interval], 2 substeps + 1 nodes.
-    nodes: Vec<Vec<Vec<f64>>>,
-    substeps: usize,
-}
-
-impl Intervals {
-    pub(super) fn new(experiment: &Experiment, substeps: usize) -> Self {
-        let t = &experiment.t;
-        let pairs = || t.windows(2);
-        let share = |node: usize| node as f64 / (2 * substeps) as f64;
-        let at = |node: usize| {
-            let time =
-                |w: &[f64]| if node == 2 * substeps { w[1] } else { w[0] + share(node) * (w[1] - w[0]) };
-            data_columns(experiment, pairs().map(time).collect())
-        };
-        Intervals {
-            h: pairs().map(|w| w[1] - w[0]).collect(),
-            nodes: (0..=2 * substeps).map(at).collect(),
-            substeps,
-        }
-    }
-
-    /// Data of the four stages of a substep.
-    fn stages(&self, block: &Block, substep: usize) -> [Vec<f64>; 4] {
-        [0, 1, 1, 2].map(|node| block.cut(&self.nodes[2 * substep + node]))
-    }
-
-    /// Length of a substep on each lane.
-    fn steps(&self, block: &Block) -> Vec<f64> {
-        let h = block.gather(&self.h, 1);
-        h.into_iter().map(|h| h / self.substeps as f64).collect()
-    }
 }
 
 /// What linearisation gives, for all intervals of a record.
@@ -92,21 +34,6 @@ pub(super) struct Linear {
     pub(super) b: Vec<f64>,
     /// Σ_i λ_i ∂²Φ_i/∂x², of (n, n).
     pub(super) curvature: Vec<f64>,
-}
-
-/// The points of the stages of a forward run of the jet, kept for reverse sweeps.
-#[derive(Clone, Debug)]
-pub(super) struct Jet {
-    block: Block,
-    points: Vec<[Vec<f64>; 4]>,
-    w: Vec<f64>,
-}
-
-/// Weights of Φ, Φ_x and s, all intervals.
-pub(super) struct Weights<'a> {
-    pub(super) end: &'a [f64],
-    pub(super) a: &'a [f64],
-    pub(super) s: &'a [f64],
 }
 
 impl Flow {
@@ -125,19 +52,6 @@ impl Flow {
         let second = graph.hessian(sum, x);
         let hessian = compile(&graph, &[&model.data, x, &weights], theta, &second.values);
 
-        let mut jet =
-            JetSystem { sensitivity: symbols(&mut graph, "sensitivity", n * n), ..Default::default() };
-        jet.curvature = symbols(&mut graph, "curvature", if second.values.is_empty() { 0 } else { n });
-        jet.w = symbols(&mut graph, "covariance", n * (n + 1) / 2);
-        let slopes = jet.slopes(&mut graph, f, x, &first);
-        let state = [x.clone(), jet.sensitivity.clone(), jet.curvature.clone()].concat();
-        let tape = compile(&graph, &[&model.data, &state, &jet.w], theta, &slopes);
-        let weights = symbols(&mut graph, "weight of jet", slopes.len());
-        let sum = weighted(&mut graph, &weights, &slopes);
-        let gradient = graph.gradient(sum, &[state.clone(), theta.clone()].concat());
-        let (places, nodes): (Vec<usize>, Vec<Id>) =
-            gradient.iter().enumerate().filter_map(|(i, d)| d.map(|d| (i, d))).unzip();
-        let back = compile(&graph, &[&model.data, &state, &jet.w, &weights], theta, &nodes);
         Flow {
             n,
             p,
@@ -146,10 +60,6 @@ impl Flow {
             jacobian_entries: first.rows.into_iter().zip(first.columns).collect(),
             hessian,
             hessian_entries: second.rows.into_iter().zip(second.columns).collect(),
-            jet: tape,
-            back,
-            back_places: places,
-            dimensions: slopes.len(),
         }
     }
 
@@ -292,216 +202,6 @@ impl Flow {
                     }
                 }
             }
-        }
-    }
-
-    /// Runs the jet forward with covariances `w` ((n, n) an interval): the points of its stages, and
-    /// s = Σ W_ab ∂²Φ/∂x_a∂x_b, rows of n.
-    pub(super) fn jets(
-        &self,
-        theta: &[f64],
-        intervals: &Intervals,
-        x: &[f64],
-        w: &[f64],
-    ) -> (Vec<Jet>, Vec<f64>) {
-        let (n, count) = (self.n, intervals.h.len());
-        let (mut s, mut workspace) = (vec![0.0; count * n], Workspace::default());
-        let tape = Loaded::new(&self.jet, theta);
-        let lower: Vec<f64> = w.chunks_exact(n * n).flat_map(|w| lower(w, n)).collect();
-        let mut jets = Vec::new();
-        for block in blocks(count) {
-            let mut start = block.gather(x, n);
-            start.resize(self.dimensions * block.lanes, 0.0);
-            (0..n).for_each(|i| start[(n + i * n + i) * block.lanes..][..block.lanes].fill(1.0));
-            let w = block.gather(&lower, n * (n + 1) / 2);
-            let mut points = Vec::new();
-            let end = forward(&tape, intervals, &block, start, &w, &mut workspace, |p| points.push(p));
-            if self.dimensions > n + n * n {
-                block.scatter(&end[(n + n * n) * block.lanes..], &mut s, n);
-            }
-            jets.push(Jet { block, points, w });
-        }
-        (jets, s)
-    }
-
-    /// Gradient of the weighted sum of Φ, Φ_x and s: by x_k, added to rows of n, and by the parameters, added to
-    /// `by_theta`.
-    pub(super) fn pull_back(
-        &self,
-        theta: &[f64],
-        intervals: &Intervals,
-        jets: &[Jet],
-        weights: &Weights<'_>,
-        by_x: &mut [f64],
-        by_theta: &mut [f64],
-    ) {
-        let (n, all) = (self.n, self.dimensions);
-        let tape = Loaded::new(&self.back, theta);
-        let mut workspace = Workspace::default();
-        for Jet { block, points, w } in jets {
-            let lanes = block.lanes;
-            let steps = intervals.steps(block);
-            let mut adjoint = block.gather(weights.end, n);
-            adjoint.extend(block.gather(weights.a, n * n));
-            adjoint.extend(block.gather(weights.s, n));
-            adjoint.truncate(all * lanes);
-            let mut out = vec![0.0; self.back_places.len() * lanes];
-            for (substep, points) in points.iter().enumerate().rev() {
-                let data = intervals.stages(block, substep);
-                let mut sum = adjoint.clone();
-                let mut later = vec![0.0; all * lanes];
-                for stage in (0..4).rev() {
-                    let mut weight = vec![0.0; all * lanes];
-                    add_scaled(&mut weight, &adjoint, &steps, WEIGHTS[stage]);
-                    if stage < 3 {
-                        add_scaled(&mut weight, &later, &steps, REACH[stage + 1]);
-                    }
-                    tape.run(&mut workspace, lanes, &[&data[stage], &points[stage], w, &weight], &mut out);
-                    later.fill(0.0);
-                    for (&place, column) in self.back_places.iter().zip(out.chunks_exact(lanes)) {
-                        if place < all {
-                            later[place * lanes..][..lanes].copy_from_slice(column);
-                        } else {
-                            by_theta[place - all] += column[..block.count].iter().sum::<f64>();
-                        }
-                    }
-                    sum.iter_mut().zip(&later).for_each(|(s, v)| *s += v);
-                }
-                adjoint = sum;
-            }
-            block.scatter(&adjoint[..n * lanes], by_x, n);
-        }
-    }
-}
-
-/// Runge-Kutta steps of a system over an interval, from columns of lanes; `keep` is given the points of the four
-/// stages of every step.
-fn forward(
-    slope_of: &Loaded<'_>,
-    intervals: &Intervals,
-    block: &Block,
-    mut x: Vec<f64>,
-    constants: &[f64],
-    workspace: &mut Workspace,
-    mut keep: impl FnMut([Vec<f64>; 4]),
-) -> Vec<f64> {
-    let steps = intervals.steps(block);
-    let mut slope = vec![0.0; x.len()];
-    for substep in 0..intervals.substeps {
-        let data = intervals.stages(block, substep);
-        let mut total = x.clone();
-        let mut points = <[Vec<f64>; 4]>::default();
-        for stage in 0..4 {
-            let mut point = x.clone();
-            if stage > 0 {
-                add_scaled(&mut point, &slope, &steps, REACH[stage]);
-            }
-            slope_of.run(workspace, block.lanes, &[&data[stage], &point, constants], &mut slope);
-            add_scaled(&mut total, &slope, &steps, WEIGHTS[stage]);
-            points[stage] = point;
-        }
-        keep(points);
-        x = total;
-    }
-    x
-}
-
-/// Symbols and slopes of the jet.
-#[derive(Default)]
-struct JetSystem {
-    sensitivity: Vec<Id>,
-    curvature: Vec<Id>,
-    w: Vec<Id>,
-}
-
-impl JetSystem {
-    fn slopes(&self, graph: &mut Graph, f: &[Id], x: &[Id], first: &crate::expr::derive::Sparse) -> Vec<Id> {
-        let n = x.len();
-        let mut slopes = f.to_vec();
-        for r in 0..n {
-            for j in 0..n {
-                let along: Vec<Id> = (0..n).map(|c| self.sensitivity[c * n + j]).collect();
-                slopes.push(directional(graph, first, r, &along));
-            }
-        }
-        if self.curvature.is_empty() {
-            return slopes;
-        }
-        for r in 0..n {
-            let mut sum = directional(graph, first, r, &self.curvature);
-            let second = graph.hessian(f[r], x);
-            for (i, &entry) in second.values.iter().enumerate() {
-                let (a, b) = (second.rows[i], second.columns[i]);
-                let spread = self.spread(graph, a, b, n);
-                let twice = graph.constant(if a == b { 1.0 } else { 2.0 });
-                let term = graph.product(entry, spread);
-                let term = graph.mul(twice, term);
-                sum = graph.add(sum, term);
-            }
-            slopes.push(sum);
-        }
-        slopes
-    }
-
-    /// (X W Xᵀ)_ab.
-    fn spread(&self, graph: &mut Graph, a: usize, b: usize, n: usize) -> Id {
-        let mut sum = graph.zero();
-        for i in 0..n {
-            let mut inner = graph.zero();
-            for j in 0..n {
-                let term = graph.product(self.w[place(i, j)], self.sensitivity[b * n + j]);
-                inner = graph.add(inner, term);
-            }
-            let term = graph.product(self.sensitivity[a * n + i], inner);
-            sum = graph.add(sum, term);
-        }
-        sum
-    }
-}
-
-/// Σ_c ∂f_r/∂x_c v_c.
-fn directional(graph: &mut Graph, first: &crate::expr::derive::Sparse, r: usize, v: &[Id]) -> Id {
-    let mut sum = graph.zero();
-    for (c, &v) in v.iter().enumerate() {
-        if let Some(entry) = first.find(r, c) {
-            let term = graph.product(entry, v);
-            sum = graph.add(sum, term);
-        }
-    }
-    sum
-}
-
-/// Σ weights · nodes.
-pub(super) fn weighted(graph: &mut Graph, weights: &[Id], nodes: &[Id]) -> Id {
-    let mut sum = graph.zero();
-    for (&weight, &node) in weights.iter().zip(nodes) {
-        let term = graph.product(weight, node);
-        sum = graph.add(sum, term);
-    }
-    sum
-}
-
-/// New symbols; no name of a model holds a space.
-pub(super) fn symbols(graph: &mut Graph, name: &str, n: usize) -> Vec<Id> {
-    (0..n).map(|i| graph.symbol(&format!("{name} {i}"))).collect()
-}
-
-/// Place of an entry of a symmetric matrix among those of its lower triangle.
-pub(super) fn place(i: usize, j: usize) -> usize {
-    let (row, column) = (i.max(j), i.min(j));
-    row * (row + 1) / 2 + column
-}
-
-/// The lower triangle of a matrix, row by row.
-pub(super) fn lower(w: &[f64], n: usize) -> impl Iterator<Item = f64> + '_ {
-    (0..n).flat_map(move |i| w[i * n..=i * n + i].iter().copied())
-}
-
-/// to += factor · scale · from, with one scale a lane, for columns of lanes.
-fn add_scaled(to: &mut [f64], from: &[f64], scale: &[f64], factor: f64) {
-    for (to, from) in to.chunks_exact_mut(scale.len()).zip(from.chunks_exact(scale.len())) {
-        for ((t, f), s) in to.iter_mut().zip(from).zip(scale) {
-            *t += factor * s * f;
         }
     }
 }

@@ -30,7 +30,7 @@
 //! By the envelope theorem J* changes with θ only directly. Of ½ ln det H, with W the covariances of the path, the
 //! derivative by the Hessian's blocks is ½ W; by the path and the multipliers λ, which move with θ, it is ℓ_v,
 //! and one more solution ν of the Newton system, K ν = ℓ_v, gives what their motion contributes, −νᵀ ∂K/∂θ-residual.
-//! All derivatives are exact, up to the third of f and g ([`flow`], [`sample`]): a gradient costs about three times
+//! All derivatives are exact, up to the third of f and g ([`jet`], [`sample`]): a gradient costs about three times
 //! the value, whatever the number of parameters.
 
 mod block;
@@ -38,8 +38,10 @@ mod chain;
 mod dense;
 mod flow;
 mod innovations;
+mod jet;
 mod path;
 mod sample;
+mod steps;
 
 use crate::error::Error;
 use crate::experiment::Experiment;
@@ -49,7 +51,9 @@ use crate::noise::Noise;
 use dense::{add_transposed_product, product};
 use flow::Flow;
 pub use innovations::Innovations;
-use path::{At, Found, Lost, Path, Run};
+use jet::Jets;
+pub use path::Lost;
+use path::{At, Found, Path, Run};
 use sample::Samples;
 
 /// What is assumed of the process noise.
@@ -66,6 +70,31 @@ pub struct Settings {
 /// The marginal likelihood of a model's parameters. See the [module](self).
 ///
 /// Its parameters θ are the model's, then 1/σ of each output whose σ is unknown, then q of each noisy state.
+///
+/// ```
+/// use phugoid::filter::{Filter, Settings};
+/// use phugoid::noise::Noise;
+/// use phugoid::{Experiment, Model, Parameter, Sigma};
+///
+/// let mut m = Model::new("random walk with drift");
+/// let (x, slope) = (m.state("x", "m")?, m.parameter(Parameter::new("slope", 0.0))?);
+/// m.equation("x", slope, None)?;
+/// m.output("x", x, "m", None)?;
+/// let run = Experiment::new(&m, "run", vec![0.0, 1.0], [("x", vec![1.0, 3.0])])?;
+///
+/// let settings = Settings { states: vec!["x".into()], substeps: 1, initial: vec![Some((1.0, 0.5))] };
+/// let filter = Filter::new(&m, &[run], &Noise::Gaussian(vec![Sigma::Known(0.1)]), &settings)?;
+/// assert_eq!(filter.parameters, ["slope", "q_x"]);
+/// let found = filter.evaluate(&[1.0, 0.3], &filter.start(&[1.0, 3.0]), true).unwrap();
+///
+/// // z is Gaussian: mean (1, 2), variances 0.5² + 0.1² and 0.5² + 0.3² + 0.1², covariance 0.5².
+/// let (a, b, c) = (0.26, 0.35, 0.25);
+/// let det: f64 = a * b - c * c;
+/// let exact = -0.5 * det.ln() - 0.5 * a / det; // the residuals are (0, 1)
+/// assert!((found.log_likelihood - exact).abs() < 1e-12);
+/// assert!((found.gradient[0] - a / det).abs() < 1e-9); // by the slope
+/// # Ok::<(), phugoid::Error>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Filter {
     /// Names of the parameters.
@@ -79,6 +108,7 @@ pub struct Filter {
     n_noise: usize,
     n_data: usize,
     flow: Flow,
+    jets: Jets,
     samples: Samples,
     runs: Vec<Run>,
 }
@@ -148,6 +178,7 @@ impl Filter {
             n_noise: noise_parameters.len(),
             n_data: compiled.data.len(),
             flow: Flow::new(&compiled),
+            jets: Jets::new(&compiled),
             runs: experiments.iter().map(|e| Run::new(&samples, e, settings.substeps)).collect(),
             samples,
         })
@@ -283,11 +314,11 @@ impl Filter {
 
         // How ½ ln det changes with states and multipliers, and what their motion brings.
         let model = at.theta_model();
-        let (jets, s) = self.flow.jets(model, &run.intervals, &path.x, &w);
+        let (jets, s) = self.jets.run(model, &run.intervals, &path.x, &w);
         let (mut by_x, mut unused) = (vec![0.0; run.samples() * n], vec![0.0; gradient.len()]);
         let none = vec![0.0; run.samples() * n];
-        let weights = flow::Weights { end: &none[n..], a: &by_a, s: &half_lambda };
-        self.flow.pull_back(model, &run.intervals, &jets, &weights, &mut by_x, &mut unused);
+        let weights = jet::Weights { end: &none[n..], a: &by_a, s: &half_lambda };
+        self.jets.pull_back(model, &run.intervals, &jets, &weights, &mut by_x, &mut unused);
         let weights = sample::Weights { cost: 0.0, slope: &none, curvature: &half };
         self.samples.pull_back(at.theta, &run.data, &path.x, &weights, &mut by_x, &mut unused);
         let minus: Vec<f64> = by_x.iter().map(|v| -v).collect();
@@ -303,8 +334,8 @@ impl Filter {
             }
         }
         let end: Vec<f64> = path.lambda.iter().zip(&nu.lambda).map(|(l, v)| l - v).collect();
-        let weights = flow::Weights { end: &end, a: &by_a, s: &half_lambda };
-        self.flow.pull_back(model, &run.intervals, &jets, &weights, &mut by_x, gradient);
+        let weights = jet::Weights { end: &end, a: &by_a, s: &half_lambda };
+        self.jets.pull_back(model, &run.intervals, &jets, &weights, &mut by_x, gradient);
         let slope: Vec<f64> = nu.x.iter().map(|v| -v).collect();
         let weights = sample::Weights { cost: 1.0, slope: &slope, curvature: &half };
         self.samples.pull_back(at.theta, &run.data, &path.x, &weights, &mut by_x, gradient);

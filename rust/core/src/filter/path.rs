@@ -2,8 +2,9 @@
 
 use super::chain::{Chain, Factor, NotPositive};
 use super::dense::{add_transposed_product, dot};
-use super::flow::{Flow, Intervals, Linear};
+use super::flow::{Flow, Linear};
 use super::sample::{Costs, Samples};
+use super::steps::Intervals;
 use crate::experiment::Experiment;
 
 /// A record with what its path is found by.

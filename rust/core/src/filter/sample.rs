@@ -2,7 +2,7 @@
 //! third that the gradient of ln det needs.
 
 use super::block::{Loaded, blocks, compile, data_columns};
-use super::flow::{lower, symbols, weighted};
+use super::jet::{lower, place, symbols, weighted};
 use crate::experiment::Experiment;
 use crate::expr::graph::Id;
 use crate::model::Compiled;
@@ -109,7 +109,7 @@ impl Samples {
         for (i, &entry) in second.values.iter().enumerate() {
             let (a, b) = (second.rows[i], second.columns[i]);
             let twice = graph.constant(if a == b { 1.0 } else { 2.0 });
-            let factor = graph.mul(twice, w[super::flow::place(a, b)]);
+            let factor = graph.mul(twice, w[place(a, b)]);
             let term = graph.product(factor, entry);
             sum = graph.add(sum, term);
         }

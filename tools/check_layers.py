@@ -18,9 +18,9 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "filter_error", "guess",
-    "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "filter_variables", "filter_result", "filter_fit",
-    "estimate",
+    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "filter_error",
+    "guess", "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate",
+    "filter_variables", "filter_result", "filter_fit", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

@@ -210,6 +210,7 @@ class Filter:
         sigmas: Sequence[_Sigma],
         states: Sequence[str],
         substeps: int,
+        halves: bool,
         initial: Sequence[_Prior],
     ) -> Filter: ...
     @property

@@ -43,8 +43,8 @@ def estimate(
     ``start``: values by name of parameters, of ``sigma_<output>`` and of states (a number or one value a sample),
     or a fit to go on from. Parameters not named start as declared, standard deviations at the spread of the
     measurements, states as measured where an output measures them and else at 0.
-    ``transcription``: `Collocation`, or `FilterError` where there is process noise, such as turbulence; the latter has a
-    solver of its own.
+    ``transcription``: `Collocation`, or `FilterError` where there is process noise, such as turbulence; the latter
+    has a solver of its own.
     ``noise``: instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints
     the iterations; a function is called with each.
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import _core
 from .errors import EvaluationError
 from .experiment import Experiment
 from .filter_error import FilterError
@@ -59,8 +60,11 @@ def filter_error(
     sigmas = noise.resolve(model.output_names, spreads, rest)
     problem = options.problem(model, experiments, sigmas)
 
-    states = [_states(model, e, parameters, rest, warm, i) for i, e in enumerate(experiments)]
-    intensities = intensity_start(options, model, experiments, states, of_q)
+    times = [options.times(e) for e in experiments]
+    states = [
+        _states(model, e, t, parameters, rest, warm, i) for i, (e, t) in enumerate(zip(experiments, times, strict=True))
+    ]
+    intensities = intensity_start(options, model, times, states, of_q)
     unknown = [s for s in sigmas if not s[0]]
     declared = model.declared_parameters.values()
     infinite = np.full(len(intensities), np.inf)
@@ -91,14 +95,21 @@ def filter_error(
 
 
 def _states(
-    model: Model, e: Experiment, parameters: Mapping[str, float], given: Mapping[str, Any], warm: Fit | None, i: int
+    model: Model,
+    e: Experiment,
+    times: _Array,
+    parameters: Mapping[str, float],
+    given: Mapping[str, Any],
+    warm: Fit | None,
+    i: int,
 ) -> _Array:
-    """States at the samples to start from, (n_x, N)."""
-    states = state_start(model, e, e.t, parameters, given)
-    if warm is not None and i < len(warm.records) and np.array_equal(warm.records[i].t, e.t):
+    """States to start from, (n_x, points)."""
+    states = state_start(model, e, times, parameters, given)
+    if warm is not None and i < len(warm.records):
+        record = warm.records[i]
         for k, name in enumerate(model.state_names):
-            if name in warm.records[i].states:
-                states[k] = warm.records[i].states[name]
+            if name in record.states:
+                states[k] = _core.interpolate("linear", record.t.tolist(), record.states[name].tolist(), times.tolist())
     return states
 
 

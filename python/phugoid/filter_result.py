@@ -92,7 +92,7 @@ def make_filter_fit(
         active: Literal["lower"] | None = "lower" if none else None
         estimates.append(Estimate(name, values[i], errors[i], unit, bounds=(0.0, np.inf), bounds_active=active))
 
-    records, initial = _records(model, experiments, objective, z, covariance)
+    records, initial = _records(model, experiments, objective, z, covariance, options.stride)
     message = HINTS.get(status, "")
     return Fit(
         model=model,
@@ -139,7 +139,12 @@ def _invert(
 
 
 def _records(
-    model: Model, experiments: Sequence[Experiment], objective: Objective, z: _Array, covariance: _Array
+    model: Model,
+    experiments: Sequence[Experiment],
+    objective: Objective,
+    z: _Array,
+    covariance: _Array,
+    stride: int,
 ) -> tuple[list[Record], dict[str, Estimates]]:
     """Smoothed time histories, and the first states with their standard errors."""
     n, p = len(model.state_names), objective.n_model
@@ -150,6 +155,9 @@ def _records(
         experiments, smoothed, strict=True
     ):
         measured = {name: e.output(name) for name in model.output_names}
+        at = slice(None, None, stride)
+        states, deviations, outputs = states[:, at], deviations[:, at], outputs[:, at]
+        innovations, spreads = innovations[:, at], spreads[:, at]
         by_output = dict(zip(model.output_names, outputs, strict=True))
         by_state = dict(zip(model.state_names, states, strict=True))
         records.append(

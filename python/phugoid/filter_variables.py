@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from . import _core
 from .errors import ModelError, OptionError
-from .experiment import Experiment
 from .filter_error import FilterError
 from .model import Model
 
@@ -117,12 +116,13 @@ class Objective:
 
 
 def intensity_start(
-    options: FilterError, model: Model, experiments: Sequence[Experiment], states: Sequence[_Array], given: Any
+    options: FilterError, model: Model, times: Sequence[_Array], states: Sequence[_Array], given: Any
 ) -> list[float]:
     """Where intensities start: as given (``q_<state>``), else at half of what would explain all motion of the state
     as a random walk; from there they come down fast.
 
-    ``states``: one array (n_x, N) an experiment. Raises OptionError where a state stands still at the start.
+    ``times`` and ``states``, (n_x, points): one array an experiment. Raises OptionError where a state stands still at
+    the start.
     """
     starts = []
     for name in options.states:
@@ -130,7 +130,7 @@ def intensity_start(
             starts.append(_positive(f"q_{name}", given[f"q_{name}"]))
             continue
         row = model.state_names.index(name)
-        squares = [np.diff(x[row]) ** 2 / np.diff(e.t) for x, e in zip(states, experiments, strict=True)]
+        squares = [np.diff(x[row]) ** 2 / np.diff(t) for x, t in zip(states, times, strict=True)]
         q = 0.5 * float(np.sqrt(np.concatenate(squares).mean()))
         if not q > 0:
             raise OptionError(

@@ -49,22 +49,22 @@ fn gradient_with_products_tables_and_switches() {
     let model = models::nonlinear();
     // V, alpha and q, far from the kink of the switch.
     let near = [1.1, 0.6, 0.2, 0.9];
-    let runs = [record(&model, "one", 25, &near, 1), record(&model, "two", 12, &near, 2)];
-    let states: Vec<f64> = (0..37).flat_map(|_| [1.1, 0.6, 0.2]).collect();
+    let runs = [record(&model, "one", 25, &near, 1), record(&model, "two", 13, &near, 2)];
+    let states: Vec<f64> = (0..38).flat_map(|_| [1.1, 0.6, 0.2]).collect();
     let mut theta: Vec<f64> = model.parameters.iter().map(|p| p.start).collect();
     theta.extend([10.0, 12.0, 15.0, 9.0, 0.3]);
     for (noisy, initial) in [
         (vec!["alpha"], vec![None; 3]),
         (vec!["q", "V", "alpha"], vec![Some((1.1, 0.05)), None, Some((0.2, 0.03))]),
     ] {
-        for substeps in [1, 3] {
+        for (substeps, halves) in [(1, false), (3, true)] {
             let names = noisy.iter().map(|s| s.to_string()).collect();
-            let settings = Settings { states: names, substeps, initial: initial.clone() };
+            let settings = Settings { states: names, substeps, halves, initial: initial.clone() };
             let filter = Filter::new(&model, &runs, &unknown(4), &settings).unwrap();
             let mut theta = theta.clone();
             theta.resize(filter.n_theta(), 0.2);
             let error = gradient_error(&filter, &theta, &filter.start(&states));
-            assert!(error < 1e-6, "{noisy:?}, {substeps} steps: {error:e}");
+            assert!(error < 1e-6, "{noisy:?}, {substeps} steps, {halves}: {error:e}");
         }
     }
 }
@@ -78,7 +78,8 @@ fn two_samples(scale: f64) -> Filter {
     m.output("y", (1.0 + &x * &x).sqrt(), "", None).unwrap();
     let z = [1.3, 1.2].map(|z: f64| z + scale * 0.3).to_vec();
     let run = Experiment::new(&m, "run", vec![0.0, 0.1], [("y", z)]).unwrap();
-    let settings = Settings { states: vec!["x".into()], substeps: 1, initial: vec![Some((0.8, scale))] };
+    let settings =
+        Settings { states: vec!["x".into()], substeps: 1, halves: false, initial: vec![Some((0.8, scale))] };
     Filter::new(&m, &[run], &Noise::Gaussian(vec![Sigma::Known(scale)]), &settings).unwrap()
 }
 
@@ -134,7 +135,7 @@ fn what_has_no_path_is_said() {
     m.equation("y", y.sqrt() - &x, None).unwrap();
     m.output("x", x, "", None).unwrap();
     let run = Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 0.5, 0.2])]).unwrap();
-    let settings = Settings { states: vec!["x".into()], substeps: 1, initial: vec![None; 2] };
+    let settings = Settings { states: vec!["x".into()], substeps: 1, halves: false, initial: vec![None; 2] };
     let filter = Filter::new(&m, std::slice::from_ref(&run), &unknown(1), &settings).unwrap();
     let theta = [-1.0, 10.0, 0.1];
     let unseen = filter.evaluate(&theta, &filter.start(&[1.0, 4.0, 0.5, 4.0, 0.2, 4.0]), false).unwrap_err();
@@ -145,7 +146,7 @@ fn what_has_no_path_is_said() {
 
     let fails = |states: &[&str], substeps: usize| {
         let states = states.iter().map(|s| s.to_string()).collect();
-        let settings = Settings { states, substeps, initial: vec![None; 2] };
+        let settings = Settings { states, substeps, halves: false, initial: vec![None; 2] };
         Filter::new(&m, std::slice::from_ref(&run), &unknown(1), &settings).unwrap_err().to_string()
     };
     assert!(fails(&["X"], 1).contains("'X' is not a state. Did you mean 'x'?"));

@@ -48,6 +48,7 @@ impl PyFilter {
 #[pymethods]
 impl PyFilter {
     #[new]
+    #[allow(clippy::too_many_arguments)] // options, all by name in the core
     fn new(
         py: Python<'_>,
         model: &PyModel,
@@ -55,11 +56,12 @@ impl PyFilter {
         sigmas: Vec<SigmaSpec>,
         states: Vec<String>,
         substeps: usize,
+        halves: bool,
         initial: Vec<Option<(f64, f64)>>,
     ) -> PyResult<Self> {
         let records: Vec<_> = experiments.into_iter().map(experiment).collect();
         let noise = Noise::Gaussian(sigmas.into_iter().map(sigma).collect());
-        let settings = Settings { states, substeps, initial };
+        let settings = Settings { states, substeps, halves, initial };
         let model = &model.0;
         py.detach(|| Filter::new(model, &records, &noise, &settings)).map(PyFilter).map_err(raise)
     }

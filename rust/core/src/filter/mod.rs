@@ -63,6 +63,10 @@ pub struct Settings {
     pub states: Vec<String>,
     /// Runge-Kutta steps between samples.
     pub substeps: usize,
+    /// Whether intervals come in pairs, and the noise of a pair enters in its middle, not at the end of each. With
+    /// a point added in the middle of all intervals (no sample there), the covariance of the noise that gathers over an
+    /// interval is that of continuous noise to second order, ∫ Φ Q Φᵀ by the midpoint rule.
+    pub halves: bool,
     /// For each state of the model, mean and standard deviation of its first value, or `None` to maximise over it.
     pub initial: Vec<Option<(f64, f64)>>,
 }
@@ -82,7 +86,8 @@ pub struct Settings {
 /// m.output("x", x, "m", None)?;
 /// let run = Experiment::new(&m, "run", vec![0.0, 1.0], [("x", vec![1.0, 3.0])])?;
 ///
-/// let settings = Settings { states: vec!["x".into()], substeps: 1, initial: vec![Some((1.0, 0.5))] };
+/// let initial = vec![Some((1.0, 0.5))];
+/// let settings = Settings { states: vec!["x".into()], substeps: 1, halves: false, initial };
 /// let filter = Filter::new(&m, &[run], &Noise::Gaussian(vec![Sigma::Known(0.1)]), &settings)?;
 /// assert_eq!(filter.parameters, ["slope", "q_x"]);
 /// let found = filter.evaluate(&[1.0, 0.3], &filter.start(&[1.0, 3.0]), true).unwrap();
@@ -162,6 +167,10 @@ impl Filter {
         }
         experiments.iter().try_for_each(|e| e.check(&inputs, &outputs))?;
         noise.check(&outputs)?;
+        if let Some(e) = experiments.iter().find(|e| settings.halves && e.t.len() % 2 == 0) {
+            let text = format!("experiment '{}': an even number of points has no pairs of intervals", e.name);
+            return Err(Error::Data(text));
+        }
         let state_names: Vec<String> = model.states.iter().map(|s| s.name.clone()).collect();
         let noisy = settings.noisy(&state_names)?;
         let noise_parameters = noise.parameters(&outputs);
@@ -179,7 +188,10 @@ impl Filter {
             n_data: compiled.data.len(),
             flow: Flow::new(&compiled),
             jets: Jets::new(&compiled),
-            runs: experiments.iter().map(|e| Run::new(&samples, e, settings.substeps)).collect(),
+            runs: experiments
+                .iter()
+                .map(|e| Run::new(&samples, e, settings.substeps, settings.halves))
+                .collect(),
             samples,
         })
     }
@@ -343,7 +355,7 @@ impl Filter {
         // The intensities: they stand in G alone.
         let slopes = chain.noise_slopes(factor, &w);
         let of_q = &mut gradient[self.n_model + self.n_noise..];
-        for (k, h) in run.intervals.h.iter().enumerate() {
+        for (k, h) in run.gathered.iter().enumerate() {
             for (i, &state) in self.noisy.iter().enumerate() {
                 let (lambda, along) = (path.lambda[k * n + state], nu.lambda[k * n + state]);
                 let (e, moved) = (path.e[k * m + i], nu.e[k * m + i]);

@@ -11,6 +11,8 @@ use crate::experiment::Experiment;
 #[derive(Clone, Debug)]
 pub(super) struct Run {
     pub(super) intervals: Intervals,
+    /// How long noise has gathered when it enters at the end of an interval, s.
+    pub(super) gathered: Vec<f64>,
     /// Data columns at the samples.
     pub(super) data: Vec<Vec<f64>>,
 }
@@ -81,8 +83,13 @@ impl From<NotPositive> for Lost {
 }
 
 impl Run {
-    pub(super) fn new(samples: &Samples, experiment: &Experiment, substeps: usize) -> Run {
-        Run { intervals: Intervals::new(experiment, substeps), data: samples.data(experiment) }
+    /// With `halves`, intervals come in pairs, and noise enters in the middle of a pair.
+    pub(super) fn new(samples: &Samples, experiment: &Experiment, substeps: usize, halves: bool) -> Run {
+        let intervals = Intervals::new(experiment, substeps);
+        let pairs = |h: &[f64]| [h.iter().sum(), 0.0];
+        let gathered =
+            if halves { intervals.h.chunks(2).flat_map(pairs).collect() } else { intervals.h.clone() };
+        Run { intervals, gathered, data: samples.data(experiment) }
     }
 
     pub(super) fn samples(&self) -> usize {
@@ -99,9 +106,9 @@ impl At<'_> {
         self.initial.len()
     }
 
-    /// √h_k q_i.
+    /// √h_k q_i, h_k the time that noise has gathered.
     fn scales(&self) -> Vec<f64> {
-        self.run.intervals.h.iter().flat_map(|h| self.q.iter().map(move |q| h.sqrt() * q)).collect()
+        self.run.gathered.iter().flat_map(|h| self.q.iter().map(move |q| h.sqrt() * q)).collect()
     }
 
     /// The noise part of the cost, and that of the priors of first states, without constants.

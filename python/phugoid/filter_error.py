@@ -32,9 +32,13 @@ class FilterError:
     ``substeps``: Runge-Kutta steps (order 4) between samples. ``parts``: 0 has the noise enter at the samples, as in
     the formula; n from 1 has it enter in the middle of each of n equal parts of every interval, which comes closer to
     noise that never stops, at 2n times the cost: take 1 where states move much between two samples (``substeps`` then
-    divide half a part). ``initial``: state -> (mean, standard deviation) where something is known of first states; the
-    others are free. ``output_error``: True starts from the fit of an ordinary `estimate` (``start=fit`` does the same
+    divide half a part). ``output_error``: True starts from the fit of an ordinary `estimate` (``start=fit`` does so
     with one that is there already).
+
+    ``initial``: what is known of first states. (mean, standard deviation): that. Not named: nothing, a flat prior of
+    density 1. Either is integrated out. None: it is a parameter, as in the output-error method, and the likelihood with
+    q = 0 is that of output error; but where process noise can explain an output by itself, this likelihood grows
+    without bound as its sigma goes to 0. Likelihoods with different ``initial`` cannot be compared.
 
     R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 5.
 
@@ -44,7 +48,7 @@ class FilterError:
     states: Sequence[str]
     substeps: int = 1
     parts: int = 0
-    initial: Mapping[str, tuple[float, float]] | None = None
+    initial: Mapping[str, tuple[float, float] | None] | None = None
     output_error: bool = False
     max_iterations: int = 200
 
@@ -79,7 +83,7 @@ class FilterError:
                     "model: rename the parameter"
                 )
         records = [self._record(model, e) for e in experiments]
-        priors = [initial.get(name) for name in model.state_names]
+        priors = [initial.get(name, (0.0, math.inf)) for name in model.state_names]
         return _core.Filter(model._core, records, sigmas, list(self.states), int(self.substeps), self.parts > 0, priors)
 
     @property
@@ -111,7 +115,7 @@ class FilterError:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON takes it."""
-        initial = {name: list(pair) for name, pair in (self.initial or {}).items()}
+        initial = {name: list(pair) if pair else None for name, pair in (self.initial or {}).items()}
         return {**vars(self), "states": list(self.states), "initial": initial}
 
     def __str__(self) -> str:
@@ -120,11 +124,15 @@ class FilterError:
         return f"filter error, process noise in {', '.join(self.states)}{where}{steps}"
 
 
-def _prior(name: str, value: Any) -> tuple[float, float]:
+def _prior(name: str, value: Any) -> tuple[float, float] | None:
+    if value is None:
+        return None
     try:
         mean, std = map(float, value)
     except (TypeError, ValueError):
         mean = std = math.nan
     if not (math.isfinite(mean) and 0 < std < math.inf):
-        raise OptionError(f"FilterError: initial '{name}' is a mean and a positive standard deviation, not {value!r}")
+        raise OptionError(
+            f"FilterError: initial '{name}' is a mean and a positive standard deviation, or None, not {value!r}"
+        )
     return mean, std

@@ -29,6 +29,8 @@ _Array = NDArray[np.float64]
 
 # What a step must promise, in log-likelihood: 1e-4 of a standard error, as the other solver has it.
 _TOLERANCE = 0.5e-8
+# Least standard deviation, as a part of the spread of an output.
+_FLOOR = 1e-4
 # How often the exact Hessian takes the place of what the iterations have learnt of it.
 _ROUNDS = 6
 
@@ -58,6 +60,7 @@ def filter_error(
     parameters = parameter_start(model, rest)
     spreads = {name: spread(experiments, name) for name in model.output_names}
     sigmas = noise.resolve(model.output_names, spreads, rest)
+    sigmas = [_floored(s, n in noise.sigma, spreads[n]) for n, s in zip(model.output_names, sigmas, strict=True)]
     problem = options.problem(model, experiments, sigmas)
 
     times = [options.times(e) for e in experiments]
@@ -92,6 +95,14 @@ def filter_error(
     with Progress.of(progress, model.name) as watch:
         end, hessian = _maximise(objective, z, first, metric, options.max_iterations, watch)
     return make_filter_fit(model, experiments, noise, options, objective, end, hessian, time.perf_counter() - begin)
+
+
+def _floored(sigma: tuple[bool, float, float, float], given: bool, scale: float) -> tuple[bool, float, float, float]:
+    """A higher lower bound than that of the output-error method, unless the user gave one: process noise can explain an
+    output exactly, and then the likelihood is flat below what matters."""
+    known, value, low, high = sigma
+    low = low if known or given else max(low, _FLOOR * scale)
+    return known, max(value, low), low, high
 
 
 def _states(

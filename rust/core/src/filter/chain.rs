@@ -29,7 +29,7 @@ pub(super) struct Chain {
     pub(super) g: Vec<f64>,
     /// Q_k, N of (n, n).
     pub(super) q: Vec<f64>,
-    /// Standard deviation of the prior of each first state that has one.
+    /// Standard deviation of the prior of each first state that has one, infinite for a flat one.
     pub(super) prior: Vec<Option<f64>>,
 }
 
@@ -130,7 +130,9 @@ impl Chain {
 
     /// First states that have a prior.
     fn random(&self) -> Vec<(usize, f64)> {
-        self.prior.iter().enumerate().filter_map(|(i, s)| s.map(|s| (i, s))).collect()
+        // An infinite deviation is a flat prior, of density 1.
+        let unit = |s: f64| if s.is_finite() { s } else { 1.0 };
+        self.prior.iter().enumerate().filter_map(|(i, s)| s.map(|s| (i, unit(s)))).collect()
     }
 
     /// Cholesky factor of S P_0 S over the first states with a prior of standard deviations S.

@@ -25,7 +25,7 @@ pub(super) fn innovations(at: &At<'_>, found: &Found) -> Innovations {
     // Deviation of the filter's state from the path, and its covariance.
     let (mut dx, mut p) = (vec![0.0; n], vec![0.0; nn]);
     for (i, prior) in at.initial.iter().enumerate() {
-        if let Some((mean, std)) = prior {
+        if let Some((mean, std)) = prior.filter(|p| p.1.is_finite()) {
             dx[i] = mean - found.path.x[i];
             p[i * n + i] = std * std;
         }

@@ -166,9 +166,9 @@ impl JetSystem {
         if self.curvature.is_empty() {
             return slopes;
         }
-        for r in 0..n {
+        for (r, &f) in f.iter().enumerate() {
             let mut sum = directional(graph, first, r, &self.curvature);
-            let second = graph.hessian(f[r], x);
+            let second = graph.hessian(f, x);
             for (i, &entry) in second.values.iter().enumerate() {
                 let (a, b) = (second.rows[i], second.columns[i]);
                 let spread = self.spread(graph, a, b, n);

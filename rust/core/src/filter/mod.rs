@@ -17,8 +17,9 @@
 //! otherwise. The noise is described by ε and not by x_{k+1} − Φ: a state without process noise is then a
 //! constraint like any other, no noise at all (q = 0) is the output-error method, and nothing is singular there.
 //!
-//! First states without a prior are unknowns like θ and are maximised over; those with one are integrated out
-//! like the noises.
+//! First states are integrated out like the noises, over a prior that may be flat, or maximised over like θ, as the
+//! output-error method does. The latter makes the likelihood grow without bound where process noise explains
+//! an output by itself and its σ goes to 0: the first sample is then fitted exactly at no cost.
 //!
 //! Sources: R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 5; R. E. Maine
 //! and K. W. Iliff, *Formulation and implementation of a practical algorithm for parameter estimation with process and
@@ -67,7 +68,8 @@ pub struct Settings {
     /// a point added in the middle of all intervals (no sample there), the covariance of the noise that gathers over an
     /// interval is that of continuous noise to second order, ∫ Φ Q Φᵀ by the midpoint rule.
     pub halves: bool,
-    /// For each state of the model, mean and standard deviation of its first value, or `None` to maximise over it.
+    /// For each state of the model, mean and standard deviation of its first value, infinite for a flat prior of
+    /// density 1; or `None` to maximise over it.
     pub initial: Vec<Option<(f64, f64)>>,
 }
 
@@ -456,7 +458,7 @@ impl Settings {
             found.push(i);
         }
         for (name, prior) in states.iter().zip(&self.initial) {
-            let sound = |&(mean, std): &(f64, f64)| mean.is_finite() && std > 0.0 && std.is_finite();
+            let sound = |&(mean, std): &(f64, f64)| mean.is_finite() && std > 0.0;
             if prior.is_some() && !prior.as_ref().is_some_and(sound) {
                 return fail(format!("initial '{name}' is not a mean and a positive standard deviation"));
             }

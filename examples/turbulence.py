@@ -139,7 +139,6 @@ def draw(pairs: list[Pair]) -> Figure:
                 label=label if i == 0 else None,
             )
     top.axhspan(-2, 2, color="0.9", zorder=0)
-    top.set_yscale("symlog", linthresh=4)
     top.set_xticks(range(len(TRUTH)), list(TRUTH))
     top.set_ylabel("error / stated standard error")
     top.legend()

@@ -278,9 +278,9 @@ def test_option_that_ipopt_does_not_know(options: dict[str, Any], words: str) ->
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"transcription": "collocation"}, "transcription is a Collocation, not 'collocation'"),
-        ({"transcription": Collocation}, "transcription is a Collocation, not <class"),
-        ({"noise": {"x": 0.1}}, r"noise is a Gaussian, StudentT, .* or PerOutput, not {'x': 0\.1}"),
+        ({"transcription": "collocation"}, "transcription is a Collocation or a FilterError, not 'collocation'"),
+        ({"transcription": Collocation}, "transcription is a Collocation or a FilterError, not <class"),
+        ({"noise": {"x": 0.1}}, r"noise is a Gaussian, StudentT, .*, not {'x': 0\.1}"),
         ({"solver": "ipopt"}, r"solver is Newton\(...\) or Ipopt\(...\), not 'ipopt'"),
         ({"progress": "yes"}, "progress is True, False or a function, not 'yes'"),
     ],

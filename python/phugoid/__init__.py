@@ -25,6 +25,7 @@ from .errors import (
 )
 from .estimate import estimate
 from .experiment import Experiment
+from .filter_error import FilterError
 from .integration import IntegrationError
 from .model import Model
 from .multirate import multirate
@@ -76,6 +77,7 @@ __all__ = [
     "EvaluationError",
     "Experiment",
     "Expr",
+    "FilterError",
     "Fit",
     "FourierSmoothing",
     "Gaussian",

@@ -8,6 +8,7 @@ __all__ = [
     "Collocation",
     "Evaluator",
     "Expr",
+    "Filter",
     "Model",
     "NewtonSolution",
     "Noise",
@@ -236,6 +237,30 @@ class Evaluator:
     def __new__(cls, model: Model) -> Evaluator: ...
     def dynamics(self, parameters: _Array, columns: _Array) -> _Array: ...
     def outputs(self, parameters: _Array, columns: _Array) -> _Array: ...
+
+_Marginal: TypeAlias = tuple[float, _Array, _Array, int]  # log-likelihood, gradient, path, iterations
+_Matrix: TypeAlias = NDArray[np.float64]
+# states, deviations, outputs, innovations, their deviations; of the first state covariance and dependence
+_Smoothed: TypeAlias = tuple[_Matrix, _Matrix, _Matrix, _Matrix, _Matrix, _Array, _Array]
+
+@final
+class Filter:
+    def __new__(
+        cls,
+        model: Model,
+        experiments: Sequence[_Record],
+        sigmas: Sequence[_Sigma],
+        states: Sequence[str],
+        substeps: int,
+        halves: bool,
+        initial: Sequence[_Prior],
+    ) -> Filter: ...
+    @property
+    def parameters(self) -> list[str]: ...
+    def start(self, states: _Array) -> _Array: ...
+    def evaluate(self, theta: _Array, path: _Array, gradient: bool) -> _Marginal | str: ...
+    def information(self, theta: _Array, path: _Array) -> _Array | None: ...
+    def smooth(self, theta: _Array, path: _Array) -> list[_Smoothed] | None: ...
 
 @final
 class NewtonSolution:

@@ -13,6 +13,9 @@ from . import _core
 from .equation_error import EquationError
 from .errors import ModelError, OptionError
 from .experiment import Experiment, as_experiments, moves
+from .filter_error import FilterError
+from .filter_fit import filter_error
+from .filter_variables import split
 from .guess import check_names, measured_states, parameter_start, spread, state_start
 from .late import estimate_late
 from .model import Model
@@ -32,7 +35,7 @@ def estimate(
     model: Model,
     data: Experiment | Sequence[Experiment],
     *,
-    transcription: Collocation | None = None,
+    transcription: Collocation | FilterError | None = None,
     noise: Noise | None = None,
     start: Mapping[str, Any] | Fit | EquationError | None = None,
     solver: Newton | Ipopt | None = None,
@@ -45,7 +48,10 @@ def estimate(
     or one value a sample), or a fit to go on from, or the result of `equation_error`. Parameters not named start as
     declared, standard deviations at the spread of the measurements, states as measured where an output measures them
     and else at 0.
-    ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, instead of the model's own.
+    ``transcription``: `Collocation`, or `FilterError` where there is process noise, such as turbulence; the latter
+    has a solver of its own.
+    ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, or `PerExperiment` of these,
+    instead of the model's own.
     ``solver``: `Newton` unless asked otherwise.
     ``progress``: True prints the iterations; a function is called with each.
 
@@ -60,22 +66,20 @@ def estimate(
     model.check()
     transcription = transcription or Collocation()
     noise = noise or model.noise_model
-    solver = solver or Newton()
-    kinds = {
-        "transcription": (transcription, Collocation),
-    }
-    for what, (value, kind) in kinds.items():
-        if not isinstance(value, kind):
-            raise OptionError(f"estimate: {what} is a {kind.__name__}, not {value!r}")
+    if not isinstance(transcription, (Collocation, FilterError)):
+        raise OptionError(f"estimate: transcription is a Collocation or a FilterError, not {transcription!r}")
     if not isinstance(noise, Noise):
         raise OptionError(f"estimate: noise is {KINDS}, not {noise!r}")
+    if isinstance(transcription, FilterError) and solver is not None:
+        raise OptionError("estimate: FilterError has a solver of its own; leave out solver")
+    solver = solver or Newton()
     if not isinstance(solver, (Newton, Ipopt)):
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
     if not isinstance(progress, bool) and not callable(progress):
         raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
     if not isinstance(start, (Mapping, Fit, EquationError, type(None))):
         raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
-    if transcription.refine:
+    if isinstance(transcription, Collocation) and transcription.refine:
         # A mesh that is only finer needs no regression: the path is there.
         again = replace(solver, regression=False) if isinstance(solver, Newton) else solver
 
@@ -86,6 +90,8 @@ def estimate(
         return refined(solve, transcription)
 
     if model.delays:
+        if isinstance(transcription, FilterError):
+            raise OptionError("FilterError: delays are not supported")
         options = {"transcription": transcription, "noise": noise, "solver": solver, "progress": progress}
         return estimate_late(estimate, model, experiments, start, options)
 
@@ -95,6 +101,15 @@ def estimate(
         elsewhere = set().union(*moving[:i], *moving[i + 1 :])
         known_sigma = {*noise.known_sigmas(model.output_names), *elsewhere}
         experiment.check_for(model.input_names, model.output_names, known_sigma)
+
+    if isinstance(transcription, FilterError):
+        if isinstance(start, EquationError):
+            start = start.as_start()
+        if transcription.output_error and not isinstance(start, Fit):
+            _, others = split(transcription, start or {})
+            ordinary = estimate(model, experiments, noise=noise, start=others, progress=progress)
+            return filter_error(model, experiments, transcription, noise, start, progress, ordinary)
+        return filter_error(model, experiments, transcription, noise, start, progress)
 
     warm = start if isinstance(start, (Fit, EquationError)) else None
     given: Mapping[str, Any] = _given(start, noise)

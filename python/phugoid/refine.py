@@ -38,6 +38,7 @@ def refined(solve: Callable[[Collocation, Fit | None], Fit], transcription: Coll
     raising = True
     while True:
         found = fit.integration_error()
+        assert isinstance(fit.transcription, Collocation)  # or there was no error to estimate
         worst = np.concatenate([each.worst for each in found])
         step = Step(
             order=fit.transcription.order,

@@ -15,6 +15,7 @@ from ._core import Expr
 from .densities import PerExperiment, noise_from_dict
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
+from .filter_error import FilterError
 from .integration import IntegrationError, integration_error
 from .model import Model
 from .noise import Noise
@@ -65,7 +66,7 @@ class Fit:
 
     model: Model
     noise: Noise
-    transcription: Collocation
+    transcription: Collocation | FilterError
     parameters: Estimates
     initial_states: Mapping[str, Estimates]
     covariance: _Array
@@ -106,10 +107,23 @@ class Fit:
         """Output -> (N,) measured minus model, NaN where missing, of the only experiment."""
         return self._only("residuals").residuals
 
+    @property
+    def _intensities(self) -> set[str]:
+        t = self.transcription
+        return {f"q_{name}" for name in t.states} if isinstance(t, FilterError) else set()
+
+    @property
+    def noise_parameters(self) -> set[str]:
+        """Names of the parameters that are those of the noise, not of the model."""
+        names = {*self.noise.names(self.model.output_names), *(f"sigma_{n}" for n in self.model.output_names)}
+        # Also of a single experiment, as in sigma_q[run 1].
+        return {n for n in self.parameters if n.partition("[")[0] in names} | self._intensities
+
     def as_start(self, noise: Noise | None = None) -> dict[str, float]:
         """Parameters as start values of another estimation; of the noise those that ``noise`` has, or all."""
         outputs = self.model.output_names
         gone = set() if noise is None else {*self.noise.names(outputs)}.difference(noise.names(outputs))
+        gone |= {f"sigma_{name}" for name in self.noise.known_sigmas(outputs)} | self._intensities
         if isinstance(self.noise, PerExperiment):  # starts are for all experiments
             gone |= {name for name in self.parameters if name.partition("[")[0] in self.noise.names(outputs)}
         return {name: e.value for name, e in self.parameters.items() if name not in gone}
@@ -406,11 +420,10 @@ def _payload(fit: Fit) -> dict[str, Any]:
     def estimates(group: Estimates) -> list[dict[str, Any]]:
         return [{**vars(e), "bounds": list(e.bounds)} for e in group.values()]
 
-    t = fit.transcription
     return {
         "model": fit.model.to_json(),
         "noise": fit.noise.to_dict(),
-        "transcription": {"order": t.order, "substeps": t.substeps, "segments": _plain_segments(t.segments)},
+        "transcription": _plain_transcription(fit.transcription),
         "parameters": estimates(fit.parameters),
         "initial_states": {name: estimates(group) for name, group in fit.initial_states.items()},
         "covariance": fit.covariance,
@@ -424,6 +437,12 @@ def _payload(fit: Fit) -> dict[str, Any]:
         "history": [vars(line) for line in fit.history],
         "refinement": fit.refinement.to_dict() if fit.refinement else None,
     }
+
+
+def _plain_transcription(t: Collocation | FilterError) -> dict[str, Any]:
+    if isinstance(t, FilterError):
+        return t.to_dict()
+    return {"order": t.order, "substeps": t.substeps, "segments": _plain_segments(t.segments)}
 
 
 def _plain_segments(segments: Any) -> Any:
@@ -451,16 +470,21 @@ def load(path: str | os.PathLike[str]) -> Fit:
 
     def record(saved: dict[str, Any]) -> Record:
         groups = ("inputs", "outputs", "states", "measured", "residuals", "mesh_states")
-        arrays = {k: {n: io.to_array(v) for n, v in saved[k].items()} for k in groups}
+        added = ("state_std", "innovations", "innovation_std")  # by the filter-error method
+        each = {**{k: saved[k] for k in groups}, **{k: saved.get(k, {}) for k in added}}
+        arrays = {k: {n: io.to_array(v) for n, v in group.items()} for k, group in each.items()}
         t, mesh_t = io.to_array(saved["t"]), io.to_array(saved["mesh_t"])
         kind = saved.get("interpolation", "linear")
         return Record(name=saved["name"], units=saved["units"], t=t, mesh_t=mesh_t, interpolation=kind, **arrays)
+
+    def transcription(saved: dict[str, Any]) -> Collocation | FilterError:
+        return FilterError(**saved) if "states" in saved else Collocation(**saved)
 
     try:
         return Fit(
             model=Model.from_json(saved["model"]),
             noise=noise_from_dict(saved["noise"]),
-            transcription=Collocation(**saved["transcription"]),
+            transcription=transcription(saved["transcription"]),
             parameters=estimates(saved["parameters"]),
             initial_states={name: estimates(group) for name, group in saved["initial_states"].items()},
             covariance=io.to_array(saved["covariance"]),

@@ -172,7 +172,10 @@ _NOISE = ("sigma_", "corr_", "dof_")
 
 
 def _values(model: Model, parameters: Mapping[str, Any] | Fit, experiment: str) -> dict[str, float]:
-    given = parameters.parameters if isinstance(parameters, Fit) else parameters
+    given: Any = parameters
+    if isinstance(parameters, Fit):
+        others = parameters.noise_parameters
+        given = {n: e for n, e in parameters.parameters.items() if n not in others}
     if not isinstance(given, Mapping):
         raise ModelError(f"simulate: parameters are values by name, or a fit, not {given!r}")
     noise = parameters.noise.names(parameters.model.output_names) if isinstance(parameters, Fit) else ()

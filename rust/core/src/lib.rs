@@ -78,6 +78,7 @@
 //! | [`experiment`], [`noise`], [`mesh`] | records, the density of the noise, segments and their points |
 //! | [`nlp`] | the seam to solvers: a nonlinear program with names |
 //! | [`transcription`] | from all these to the program of collocation |
+//! | [`filter`] | process noise: the marginal likelihood of the filter-error method |
 //! | [`linalg`] | the seam to linear algebra: Newton systems; the factorisation of an arrow, and a sparse one |
 //! | [`solver`] | Gauss-Newton, then Newton |
 //! | [`diagnosis`] | covariance, and what the data leave open |
@@ -93,6 +94,7 @@ pub mod estimate;
 pub mod evaluator;
 pub mod experiment;
 pub mod expr;
+pub mod filter;
 pub mod interpolate;
 pub mod lgl;
 pub mod linalg;

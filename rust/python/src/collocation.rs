@@ -17,7 +17,7 @@ use crate::noise::PyNoise;
 type SignalSpec<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, f64, usize);
 
 /// A record as Python hands it over: name, times, inputs, outputs, interpolation, signals in place of inputs.
-type Record<'py> = (
+pub type Record<'py> = (
     String,
     PyReadonlyArray1<'py, f64>,
     Vec<PyReadonlyArray1<'py, f64>>,
@@ -45,6 +45,18 @@ fn vector(v: &PyReadonlyArray1<'_, f64>) -> Vec<f64> {
 
 fn signal((t, values, delay, derivative): &SignalSpec<'_>) -> Signal {
     Signal { t: vector(t), values: vector(values), delay: *delay, derivative: *derivative }
+}
+
+/// A record of the core.
+pub fn experiment((name, t, inputs, outputs, kind, signals): Record<'_>) -> Experiment {
+    Experiment {
+        name,
+        t: vector(&t),
+        inputs: inputs.iter().map(vector).collect(),
+        outputs: outputs.iter().map(vector).collect(),
+        interpolation: if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear },
+        signals: signals.iter().map(|s| s.as_ref().map(signal)).collect(),
+    }
 }
 
 fn indices<'py>(py: Python<'py>, s: &Structure) -> Indices<'py> {
@@ -101,17 +113,7 @@ impl PyCollocation {
         grids: Vec<GridSpec>,
         threads: usize,
     ) -> PyResult<Self> {
-        let records: Vec<Experiment> = experiments
-            .into_iter()
-            .map(|(name, t, inputs, outputs, kind, signals)| Experiment {
-                name,
-                t: vector(&t),
-                inputs: inputs.iter().map(vector).collect(),
-                outputs: outputs.iter().map(vector).collect(),
-                interpolation: if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear },
-                signals: signals.iter().map(|s| s.as_ref().map(signal)).collect(),
-            })
-            .collect();
+        let records: Vec<Experiment> = experiments.into_iter().map(experiment).collect();
         let grid = grids.into_iter().map(grid).collect::<PyResult<_>>()?;
         let noise_per_experiment = noise.per_experiment;
         let settings = Settings { order, grid, threads, noise_per_experiment };

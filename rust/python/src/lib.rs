@@ -4,6 +4,7 @@ mod collocation;
 mod errors;
 mod evaluator;
 mod expr;
+mod filter;
 mod model;
 mod newton;
 mod noise;
@@ -19,6 +20,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<noise::PyNoise>()?;
     m.add_class::<collocation::PyCollocation>()?;
     m.add_class::<evaluator::PyEvaluator>()?;
+    m.add_class::<filter::PyFilter>()?;
     m.add_class::<newton::PySolution>()?;
     m.add_function(wrap_pyfunction!(newton::newton, m)?)?;
     m.add_function(wrap_pyfunction!(newton::information, m)?)?;

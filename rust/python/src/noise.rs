@@ -9,7 +9,7 @@ use crate::errors::raise;
 use crate::expr::Operand;
 
 /// σ of an output: (known, value or start, lower, upper).
-type SigmaSpec = (bool, f64, f64, f64);
+pub type SigmaSpec = (bool, f64, f64, f64);
 
 /// A density: its kind, its numbers, and for one of the user's the expression and its parameters (name, start,
 /// lower, upper).
@@ -29,7 +29,8 @@ impl From<Noise> for PyNoise {
     }
 }
 
-fn sigma((known, value, lower, upper): SigmaSpec) -> Sigma {
+/// A σ of the core.
+pub fn sigma((known, value, lower, upper): SigmaSpec) -> Sigma {
     if known { Sigma::Known(value) } else { Sigma::Unknown { start: value, lower, upper } }
 }
 

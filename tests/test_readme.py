@@ -58,7 +58,7 @@ def test_second_example_takes_several_runs_and_options(folder: Path) -> None:
     fit = names["fit"]
     assert isinstance(fit, ph.Fit) and fit.converged
     # And on from there: many starts.
-    exec(blocks()[3], names)
+    exec(next(b for b in blocks() if "ph.multistart" in b), names)
     many, best = names["many"], names["best"]
     assert isinstance(many, ph.Multistart) and isinstance(best, ph.Fit)
     assert best.converged and many.success_rate == 1.0

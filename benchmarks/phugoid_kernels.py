@@ -21,8 +21,10 @@ class Callbacks:
 
     def __init__(self, mesh, threads):
         record = experiment(mesh.step * np.arange(len(mesh.x)), mesh.u, mesh.z)
-        sigmas = [(False, hfb.OPTIMUM[name], 0.0, np.inf) for name in hfb.SIGMAS]
-        self.problem = ph.Collocation(order=2, threads=threads).problem(model(), [record], sigmas)
+        m = model()
+        start = {name: hfb.OPTIMUM[name] for name in hfb.SIGMAS}
+        noise = m.noise_model.resolve(m.output_names, dict.fromkeys(m.output_names, np.inf), start)
+        self.problem = ph.Collocation(order=2, threads=threads).problem(m, [record], noise)
         self.xi = mesh.xi
         self.xi[N_MODEL : len(hfb.PARAMETERS)] **= -1
         self.multipliers = mesh.multipliers.ravel()

@@ -226,7 +226,7 @@ def test_text_that_is_no_model_is_refused(text: str) -> None:
 
 def test_model_of_a_later_version_is_refused() -> None:
     text = complete().to_json().replace('"version":1', '"version":99')
-    with pytest.raises(ModelError, match="version 99; this release reads phugoid-model up to 1"):
+    with pytest.raises(ModelError, match="version 99; this release reads phugoid-model up to 2"):
         Model.from_json(text)
 
 
@@ -423,7 +423,7 @@ def test_equation_that_is_not_finite() -> None:
         (lambda m: m.dynamics(), "dynamics: no equations were given"),
         (lambda m: m.outputs(Expr.symbol("x")), r"outputs: give each output a name, as in outputs\(q=q\)"),
         (lambda m: m.noise(Gaussian(), x=1), "a noise model or standard deviations by output, not both"),
-        (lambda m: m.noise(3), "a noise model is a Gaussian, not 3"),
+        (lambda m: m.noise(3), "a noise model is a Gaussian, StudentT, .* or PerOutput, not 3"),
         (lambda m: m.noise(x=-1), "noise of 'x': a known standard deviation is a positive number, not -1"),
         (lambda m: m.noise(x="small"), "a positive number, not 'small'"),
     ],

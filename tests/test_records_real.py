@@ -108,6 +108,29 @@ def test_hfb320_pitch_damping_differs_from_the_trapezoids() -> None:
     assert hfb_fit(2).parameters["Cmq"].value == pytest.approx(-28.6517, rel=0, abs=1e-3)
 
 
+@pytest.mark.parametrize("flat", [False, True])
+def test_hfb320_with_a_full_covariance_from_zero(flat: bool) -> None:
+    data, model = hfb320.experiment(path(hfb320.RECORD)), hfb320.model()
+    start = dict.fromkeys([*HFB320, *HFB320_BIASES], 0.0) | dict.fromkeys(HFB320_SIGMAS, 1.0)
+    if flat:
+        start |= {"V": 100.0, "alpha": 0.1, "theta": 0.1, "q": 0.0}
+    fit = ph.estimate(model, data, noise=ph.Gaussian(correlated=True), start=start)
+    assert fit.converged and fit.iterations <= 30 and not fit.warnings
+    # R is that of the residuals, and the log-likelihood follows from it.
+    r = np.array([fit.residuals[name] for name in model.output_names])
+    sample = r @ r.T / data.n
+    sigma = np.sqrt(np.diag(sample))
+    for i, a in enumerate(model.output_names):
+        assert fit.parameters[f"sigma_{a}"].value == pytest.approx(sigma[i], rel=1e-6)
+        for j, b in enumerate(model.output_names[i + 1 :], i + 1):
+            expected = sample[i, j] / (sigma[i] * sigma[j])
+            assert fit.parameters[f"corr_{a}_{b}"].value == pytest.approx(expected, abs=1e-6)
+    expected = -data.n / 2 * (np.linalg.slogdet(sample)[1] + len(r))
+    assert fit.log_likelihood == pytest.approx(expected, abs=1e-5)
+    # The better of two optima that are known: the other, 14622.6, is where correlations come in too early.
+    assert fit.log_likelihood == pytest.approx(15986.2215, abs=1e-3)
+
+
 def test_hfb320_simulation_reproduces_the_fit() -> None:
     fit, data = hfb_fit(5), hfb320.experiment(path(hfb320.RECORD))
     simulated = ph.simulate(fit.model, fit, data)

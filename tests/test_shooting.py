@@ -216,7 +216,7 @@ def test_wrong_segments() -> None:
         MultipleShooting(None)  # type: ignore[arg-type]
     with pytest.raises(OptionError, match="MultipleShooting: the segments run from 0 to 9 s"):
         estimate(oscillator(), record(), transcription=MultipleShooting([0, 5, 9]))
-    with pytest.raises(OptionError, match="Collocation, MultipleShooting or SingleShooting"):
+    with pytest.raises(OptionError, match="Collocation, FilterError, MultipleShooting or SingleShooting"):
         estimate(oscillator(), record(), transcription="shooting")  # type: ignore[arg-type]
 
 
@@ -227,3 +227,20 @@ def test_a_damaged_file_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "fit.json").write_text(text.replace("SingleShooting", "TripleShooting"))
     with pytest.raises(DataError, match="is damaged"):
         ph.load(tmp_path / "fit.json")
+
+
+@pytest.mark.parametrize("noise", [ph.StudentT(), ph.PerExperiment()], ids=["Student's t", "per experiment"])
+def test_other_noise_is_collocations(noise: Any) -> None:
+    data = [record("one", 1), record("two", 2, missing=True)]
+    reference = estimate(oscillator(), data, transcription=Collocation(order=6), noise=noise)
+    for transcription in (SingleShooting(substeps=4), MultipleShooting(20, substeps=4)):
+        fit = estimate(oscillator(), data, transcription=transcription, noise=noise)
+        assert fit.converged and set(fit.parameters) == set(reference.parameters)
+        assert distance(fit, reference) < 1e-3
+
+
+def test_conditions_at_the_ends_are_for_collocation() -> None:
+    model = oscillator()
+    model.initial(x=0.5)
+    with pytest.raises(OptionError, match="no boundary conditions, and there is one of x; take collocation"):
+        estimate(model, record(), transcription=SingleShooting())

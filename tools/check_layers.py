@@ -13,13 +13,17 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "transform", "tape", "model", "evaluator",
-    "experiment", "noise", "mesh", "nlp", "transcription", "linalg", "solver", "diagnosis", "estimate",
+    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "transform", "condition", "model",
+    "evaluator", "experiment", "nlp", "noise", "mesh", "transcription", "filter", "linalg", "solver", "diagnosis",
+    "estimate",
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "model", "experiment", "read", "transcription", "shooting",
-    "guess", "solvers", "progress", "records", "io", "plot", "summary", "result", "simulate", "estimate",
+    "_core", "errors", "symbols", "parameters", "noise", "densities", "delayed", "model", "experiment", "multirate",
+    "read", "transcription", "shooting", "filter_error", "guess", "solvers", "progress", "records", "io",
+    "plot", "summary",
+    "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
+    "result", "refine", "late", "simulate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

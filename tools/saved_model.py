@@ -71,7 +71,8 @@ def fixture():
         t[-1] = EDGES[i][-1]
         kind = ("linear", "cubic")[i]
         experiments.append(ph.Experiment(t, {"de": some(n)}, outputs, name=f"run {i}", interpolation=kind))
-    problem = ph.Collocation(order=ORDER, segments=EDGES).problem(m, experiments, SIGMAS)
+    noise = _core.Noise.independent(SIGMAS, [("gaussian", [], None, [])] * len(SIGMAS))
+    problem = ph.Collocation(order=ORDER, segments=EDGES).problem(m, experiments, noise)
     evaluator = _core.Evaluator(m._core)
     parameters, columns = some(len(m.parameter_names)), [some(POINTS) for _ in range(4)]
     xi, multipliers = some(problem.n), some(problem.m, -1.0, 1.0)

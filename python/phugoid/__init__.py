@@ -12,6 +12,9 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 """
 
 from ._core import Expr, __version__
+from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
+from .equation_error import EquationError, equation_error
 from .errors import (
     DataError,
     EvaluationError,
@@ -22,7 +25,10 @@ from .errors import (
 )
 from .estimate import estimate
 from .experiment import Experiment
+from .filter_error import FilterError
+from .integration import IntegrationError
 from .model import Model
+from .multirate import multirate
 from .multistart import Multistart, multistart
 from .noise import Gaussian, Sigma
 from .optima import Optimum
@@ -30,6 +36,7 @@ from .outcome import Outcome
 from .parameters import Estimate, Parameter
 from .read import read
 from .records import Record
+from .refinement import Refinement
 from .result import Fit, load
 from .shooting import MultipleShooting, SingleShooting
 from .simulate import simulate
@@ -65,14 +72,21 @@ from .transcription import Collocation
 __all__ = [
     "Collocation",
     "DataError",
+    "Density",
+    "EquationError",
     "Estimate",
     "EvaluationError",
     "Experiment",
     "Expr",
+    "FilterError",
     "Fit",
+    "FourierSmoothing",
     "Gaussian",
+    "Huber",
+    "IntegrationError",
     "Ipopt",
     "Iteration",
+    "Laplace",
     "MissingDependency",
     "Model",
     "ModelError",
@@ -83,10 +97,16 @@ __all__ = [
     "OptionError",
     "Outcome",
     "Parameter",
+    "PerExperiment",
+    "PerOutput",
     "PhugoidError",
     "Record",
+    "Refinement",
+    "SavitzkyGolay",
     "Sigma",
     "SingleShooting",
+    "SmoothingSpline",
+    "StudentT",
     "Table",
     "__version__",
     "acos",
@@ -95,6 +115,7 @@ __all__ = [
     "atan2",
     "cos",
     "cosh",
+    "equation_error",
     "estimate",
     "exp",
     "from_sympy",
@@ -102,6 +123,7 @@ __all__ = [
     "log",
     "maximum",
     "minimum",
+    "multirate",
     "multistart",
     "read",
     "sign",

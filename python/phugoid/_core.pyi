@@ -9,8 +9,10 @@ __all__ = [
     "Collocation",
     "Evaluator",
     "Expr",
+    "Filter",
     "Model",
     "NewtonSolution",
+    "Noise",
     "Problem",
     "Shooting",
     "Table",
@@ -31,8 +33,12 @@ _Indices: TypeAlias = tuple[NDArray[np.uint32], NDArray[np.uint32]]  # rows, col
 _Operand: TypeAlias = Expr | float
 _Equation: TypeAlias = tuple[str, Expr, str, str | None]  # name, expression, unit, source
 _Prior: TypeAlias = tuple[float, float] | None  # mean, standard deviation
-_Record: TypeAlias = tuple[str, _Array, list[_Array], list[_Array], str]  # name, t, inputs, outputs, interpolation
+_Signal: TypeAlias = tuple[_Array, _Array, float, int]  # times, samples, delay, derivative
+# name, t, inputs, outputs, interpolation, signals
+_Record: TypeAlias = tuple[str, _Array, list[_Array], list[_Array], str, list[_Signal | None]]
 _Sigma: TypeAlias = tuple[bool, float, float, float]  # known?, value or start, lower, upper
+_Shape: TypeAlias = tuple[str, Sequence[float], Expr | None, Sequence[tuple[str, float, float, float]]]
+_Reported: TypeAlias = tuple[str, int | None, float, list[float], int | None, float, float]
 _Grid: TypeAlias = tuple[str, int, list[float] | None]  # kind, number, edges
 
 @final
@@ -142,6 +148,7 @@ class Model:
     def quantity(self, name: str, expr: _Operand, source: str | None) -> Expr: ...
     def equation(self, state: str, expr: _Operand, source: str | None) -> None: ...
     def output(self, name: str, expr: _Operand, unit: str, source: str | None) -> None: ...
+    def condition(self, end: str, state: str, expr: _Operand, source: str | None) -> None: ...
     def check(self) -> None: ...
     @property
     def name(self) -> str: ...
@@ -157,6 +164,19 @@ class Model:
     def dynamics(self) -> list[_Equation]: ...
     @property
     def outputs(self) -> list[_Equation]: ...
+    @property
+    def conditions(self) -> list[tuple[str, str, Expr, str | None]]: ...
+
+@final
+class Noise:
+    @staticmethod
+    def independent(sigmas: Sequence[_Sigma], densities: Sequence[_Shape]) -> Noise: ...
+    @staticmethod
+    def correlated(sigmas: Sequence[_Sigma], correlation: Sequence[float]) -> Noise: ...
+    @staticmethod
+    def covariance(n: int, matrix: Sequence[float]) -> Noise: ...
+    def per_experiment(self) -> Noise: ...
+    def check(self, outputs: Sequence[str]) -> None: ...
 
 @disjoint_base
 class Problem:
@@ -169,6 +189,8 @@ class Problem:
     @property
     def n_states(self) -> int: ...
     @property
+    def boundary_states(self) -> list[int]: ...
+    @property
     def first_point(self) -> list[int]: ...
     @property
     def estimands(self) -> list[tuple[str, int, int | None]]: ...
@@ -177,6 +199,12 @@ class Problem:
     def prior_terms(self, xi: _Array) -> float: ...
     @property
     def noise_parameters(self) -> list[str]: ...
+    @property
+    def noise_start(self) -> list[float]: ...
+    @property
+    def precision_roots(self) -> list[int]: ...
+    def sigmas(self, xi: _Array) -> list[float]: ...
+    def noise_report(self, xi: _Array) -> list[_Reported]: ...
     def point_times(self, experiment: int) -> _Array: ...
     def path(self, xi: _Array, experiment: int) -> tuple[_Array, list[_Array]]: ...
     def states(self, xi: _Array, experiment: int) -> list[_Array]: ...
@@ -204,7 +232,7 @@ class Collocation(Problem):
         cls,
         model: Model,
         experiments: Sequence[_Record],
-        sigmas: Sequence[_Sigma],
+        noise: Noise,
         order: int,
         divisions: Sequence[_Grid],
         threads: int,
@@ -216,7 +244,7 @@ class Shooting(Problem):
         cls,
         model: Model,
         experiments: Sequence[_Record],
-        sigmas: Sequence[_Sigma],
+        noise: Noise,
         divisions: Sequence[_Grid],
         integrator: str,
         steps: tuple[str, float],
@@ -228,6 +256,30 @@ class Evaluator:
     def __new__(cls, model: Model) -> Evaluator: ...
     def dynamics(self, parameters: _Array, columns: _Array) -> _Array: ...
     def outputs(self, parameters: _Array, columns: _Array) -> _Array: ...
+
+_Marginal: TypeAlias = tuple[float, _Array, _Array, int]  # log-likelihood, gradient, path, iterations
+_Matrix: TypeAlias = NDArray[np.float64]
+# states, deviations, outputs, innovations, their deviations; of the first state covariance and dependence
+_Smoothed: TypeAlias = tuple[_Matrix, _Matrix, _Matrix, _Matrix, _Matrix, _Array, _Array]
+
+@final
+class Filter:
+    def __new__(
+        cls,
+        model: Model,
+        experiments: Sequence[_Record],
+        sigmas: Sequence[_Sigma],
+        states: Sequence[str],
+        substeps: int,
+        halves: bool,
+        initial: Sequence[_Prior],
+    ) -> Filter: ...
+    @property
+    def parameters(self) -> list[str]: ...
+    def start(self, states: _Array) -> _Array: ...
+    def evaluate(self, theta: _Array, path: _Array, gradient: bool) -> _Marginal | str: ...
+    def information(self, theta: _Array, path: _Array) -> _Array | None: ...
+    def smooth(self, theta: _Array, path: _Array) -> list[_Smoothed] | None: ...
 
 @final
 class NewtonSolution:

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _core
-from .errors import DataError, ModelError, OptionError
-from .experiment import Experiment, moves
+from .equation_error import EquationError
+from .errors import ModelError, OptionError
+from .experiment import Experiment, as_experiments, moves
+from .filter_error import FilterError
+from .filter_fit import filter_error
+from .filter_variables import split
 from .guess import check_names, measured_states, parameter_start, spread, state_start
+from .late import estimate_late
 from .model import Model
-from .noise import Gaussian
+from .noise import KINDS, Noise
 from .progress import Progress
+from .refine import refined
 from .result import Fit, make_fit
 from .shooting import MultipleShooting, SingleShooting, Transcription
 from .solvers import Ipopt, Iteration, Newton, Solution
@@ -29,21 +36,25 @@ def estimate(
     model: Model,
     data: Experiment | Sequence[Experiment],
     *,
-    transcription: Transcription | None = None,
-    noise: Gaussian | None = None,
-    start: Mapping[str, Any] | Fit | None = None,
+    transcription: Transcription | FilterError | None = None,
+    noise: Noise | None = None,
+    start: Mapping[str, Any] | Fit | EquationError | None = None,
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
 ) -> Fit:
     """The maximum-likelihood estimate of a model's parameters from measured data (Eq. ml_loglike of the paper).
 
     ``data``: one experiment or several with shared parameters. Initial states are free.
-    ``start``: values by name of parameters, of ``sigma_<output>`` and of states (a number or one value a sample),
-    or a fit to go on from. Parameters not named start as declared, standard deviations at the spread of the
-    measurements, states as measured where an output measures them and else at 0.
-    ``transcription``: `Collocation` unless asked otherwise, or `MultipleShooting`, `SingleShooting`.
-    ``noise``: instead of the model's own. ``solver``: `Newton` unless asked otherwise. ``progress``: True prints
-    the iterations; a function is called with each.
+    ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number
+    or one value a sample), or a fit to go on from, or the result of `equation_error`. Parameters not named start as
+    declared, standard deviations at the spread of the measurements, states as measured where an output measures them
+    and else at 0.
+    ``transcription``: `Collocation`, `MultipleShooting` or `SingleShooting`, or `FilterError` where there is process
+    noise, such as turbulence; the latter has a solver of its own.
+    ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, or `PerExperiment` of these,
+    instead of the model's own.
+    ``solver``: `Newton` unless asked otherwise.
+    ``progress``: True prints the iterations; a function is called with each.
 
     Ctrl-C ends the run and returns the best point so far, with status "interrupted".
 
@@ -56,13 +67,16 @@ def estimate(
     model.check()
     transcription = transcription or Collocation()
     noise = noise or model.noise_model
-    solver = solver or Newton()
-    if not isinstance(transcription, (Collocation, MultipleShooting, SingleShooting)):
+    if not isinstance(transcription, (Collocation, FilterError, MultipleShooting, SingleShooting)):
         raise OptionError(
-            f"estimate: transcription is a Collocation, MultipleShooting or SingleShooting, not {transcription!r}"
+            "estimate: transcription is a Collocation, FilterError, MultipleShooting or SingleShooting, "
+            f"not {transcription!r}"
         )
-    if not isinstance(noise, Gaussian):
-        raise OptionError(f"estimate: noise is a Gaussian, not {noise!r}")
+    if not isinstance(noise, Noise):
+        raise OptionError(f"estimate: noise is {KINDS}, not {noise!r}")
+    if isinstance(transcription, FilterError) and solver is not None:
+        raise OptionError("estimate: FilterError has a solver of its own; leave out solver")
+    solver = solver or Newton()
     if not isinstance(solver, (Newton, Ipopt)):
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
     collocated = isinstance(transcription, Collocation)
@@ -70,28 +84,58 @@ def estimate(
         raise OptionError("estimate: a regression on states as measured makes sense with Collocation only")
     if not isinstance(progress, bool) and not callable(progress):
         raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
-    if not isinstance(start, (Mapping, Fit, type(None))):
+    if not isinstance(start, (Mapping, Fit, EquationError, type(None))):
         raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
+    if isinstance(transcription, Collocation) and transcription.refine:
+        # A mesh that is only finer needs no regression: the path is there.
+        again = replace(solver, regression=False) if isinstance(solver, Newton) else solver
+
+        def solve(mesh: Collocation, fit: Fit | None) -> Fit:
+            begin, by = (fit, again) if fit else (start, solver)
+            return estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
+
+        return refined(solve, transcription)
+
+    if model.delays:
+        if isinstance(transcription, FilterError):
+            raise OptionError("FilterError: delays are not supported")
+        options = {"transcription": transcription, "noise": noise, "solver": solver, "progress": progress}
+        return estimate_late(estimate, model, experiments, start, options)
 
     moving = [_moving(e, model.output_names) for e in experiments]
     for i, experiment in enumerate(experiments):
         # An output that stands still in this experiment may move in another, which then gives its sigma.
         elsewhere = set().union(*moving[:i], *moving[i + 1 :])
-        experiment.check_for(model.input_names, model.output_names, {*noise.known, *elsewhere})
+        known_sigma = {*noise.known_sigmas(model.output_names), *elsewhere}
+        experiment.check_for(model.input_names, model.output_names, known_sigma)
 
-    warm = start if isinstance(start, Fit) else None
-    given: Mapping[str, Any] = warm.as_start() if warm else dict(start or {})  # type: ignore[arg-type]
-    check_names(model, given, experiments)
+    if isinstance(transcription, FilterError):
+        if isinstance(start, EquationError):
+            start = start.as_start()
+        if transcription.output_error and not isinstance(start, Fit):
+            _, others = split(transcription, start or {})
+            ordinary = estimate(model, experiments, noise=noise, start=others, progress=progress)
+            return filter_error(model, experiments, transcription, noise, start, progress, ordinary)
+        return filter_error(model, experiments, transcription, noise, start, progress)
+
+    warm = start if isinstance(start, (Fit, EquationError)) else None
+    given: Mapping[str, Any] = _given(start, noise)
+    check_names(model, given, experiments, noise.names(model.output_names))
     parameters = parameter_start(model, given)
     spreads = {name: spread(experiments, name) for name in model.output_names}
-    sigmas = noise.resolve(model.output_names, spreads, given)
-
-    problem = transcription.problem(model, experiments, sigmas)
-    xi = starting_point(problem, model, experiments, parameters, sigmas, given, warm)
+    problem = transcription.problem(model, experiments, noise.resolve(model.output_names, spreads, given))
+    xi = starting_point(problem, model, experiments, parameters, given, warm)
     known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
     with Progress.of(progress, model.name) as watch:
         solution = solver.solve(problem, xi, _warm(warm, transcription, problem, xi), watch, states_known=known)
     return make_fit(model, experiments, noise, transcription, problem, solution)
+
+
+def _given(start: Any, noise: Noise) -> Mapping[str, Any]:
+    """Start values by name."""
+    if isinstance(start, Fit):
+        return start.as_start(noise)
+    return start.as_start() if isinstance(start, EquationError) else dict(start or {})
 
 
 def starting_point(
@@ -99,16 +143,14 @@ def starting_point(
     model: Model,
     experiments: Sequence[Experiment],
     parameters: Mapping[str, float],
-    sigmas: Sequence[tuple[bool, float, float, float]],
     given: Mapping[str, Any],
-    warm: Fit | None = None,
+    warm: Fit | EquationError | None = None,
 ) -> _Array:
-    """The decision variables to start from: parameters, 1/sigma, states at all points."""
-    roots = [1 / value for is_known, value, _, _ in sigmas if not is_known]
+    """The decision variables to start from: parameters, those of the noise, states at all points."""
     each = [list(parameter_start(model, given, e.name).values()) for e in experiments]
     shared = list(parameters.values())
     values = [(shared if e is None else each[e])[p] for _, p, e in problem.estimands]
-    parts = [np.array([*problem.variables(values), *roots])]
+    parts = [np.array([*problem.variables(values), *problem.noise_start])]
     for i, experiment in enumerate(experiments):
         times = problem.point_times(i)
         own = dict(zip(parameters, each[i], strict=True))
@@ -123,7 +165,9 @@ def starting_point(
     return np.concatenate(parts)
 
 
-def _warm(fit: Fit | None, transcription: Transcription, problem: _core.Problem, xi: _Array) -> Solution | None:
+def _warm(
+    fit: Fit | EquationError | None, transcription: Transcription, problem: _core.Problem, xi: _Array
+) -> Solution | None:
     """The solution of an earlier fit, where the problem has the same size: its multipliers serve again."""
     if fit is None or fit.solution is None or fit.solution.xi.size != xi.size:
         return None
@@ -139,13 +183,4 @@ def _moving(experiment: Experiment, outputs: Sequence[str]) -> set[str]:
 
 
 def _experiments(data: Any) -> list[Experiment]:
-    experiments = [data] if isinstance(data, Experiment) else list(data) if isinstance(data, (list, tuple)) else None
-    if experiments is None or not all(isinstance(e, Experiment) for e in experiments):
-        raise DataError("estimate: data is an Experiment or a list of them; make one with ph.read or ph.Experiment")
-    if not experiments:
-        raise DataError("estimate: the list of experiments is empty")
-    names = [e.name for e in experiments]
-    if len(set(names)) < len(names):
-        twice = next(n for n in names if names.count(n) > 1)
-        raise DataError(f"estimate: two experiments are called '{twice}'; give each a name of its own")
-    return experiments
+    return as_experiments(data, "estimate")

@@ -15,10 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import DataError, listing
 
-__all__ = ["Experiment", "FloatArray", "Interpolation"]
+__all__ = ["Experiment", "FloatArray", "Interpolation", "as_experiments"]
 
 FloatArray = NDArray[np.float64]
 Interpolation = Literal["linear", "cubic"]
+Signal = tuple[FloatArray, FloatArray, float, int]
+"""An input sampled at times of its own: times (s), samples, delay (s), order of the derivative taken."""
 
 
 class Experiment:
@@ -66,6 +68,8 @@ class Experiment:
         self._outputs = self._columns(outputs, "output")
         self._channels = self._columns(channels, "channel")
         self._units = dict(units or {})
+        self._signals: dict[str, Signal] = {}
+        self._mesh_times: FloatArray | None = None
         for channel, values in self._inputs.items():
             self._check_input(channel, values)
         for channel, values in self._outputs.items():
@@ -100,6 +104,19 @@ class Experiment:
     def units(self) -> Mapping[str, str]:
         """Units of the channels where known (from the file's header, or as given)."""
         return MappingProxyType(self._units)
+
+    def signal(self, name: str) -> Signal | None:
+        """How an input was sampled at times of its own, and what is taken of it.
+
+        Times (s), samples, delay (s), order of the derivative; None for an input that has a sample at each time of the
+        record.
+        """
+        return self._signals.get(name)
+
+    @property
+    def mesh_times(self) -> FloatArray | None:
+        """Times that a mesh follows where these are not the sample times; None where they are."""
+        return self._mesh_times
 
     @property
     def interpolation(self) -> Interpolation:
@@ -164,7 +181,8 @@ class Experiment:
         def cut(group: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
             return {key: values[kept] for key, values in group.items()}
 
-        return Experiment(
+        times = None if self._mesh_times is None else self._mesh_times[_between(self._mesh_times, self._t[kept])]
+        cut_out = Experiment(
             self._t[kept],
             cut(self._inputs),
             cut(self._outputs),
@@ -173,6 +191,7 @@ class Experiment:
             channels=cut(self._channels),
             units=self._units,
         )
+        return cut_out._sampled(self._signals, times)
 
     def rename(self, names: Mapping[str, str]) -> Experiment:
         """The same record with channels renamed, ``{"old": "new"}``; DataError for unknown or taken names."""
@@ -189,7 +208,7 @@ class Experiment:
             return result
 
         units = {names.get(key, key): unit for key, unit in self._units.items()}
-        return Experiment(
+        other = Experiment(
             self._t,
             renamed(self._inputs),
             renamed(self._outputs),
@@ -198,10 +217,11 @@ class Experiment:
             channels=renamed(self._channels),
             units=units,
         )
+        return other._sampled({names.get(key, key): s for key, s in self._signals.items()}, self._mesh_times)
 
     def with_outputs(self, outputs: Mapping[str, ArrayLike], name: str | None = None) -> Experiment:
         """The same inputs with ``outputs`` (name -> (N,)) in place of the measured ones: simulated data."""
-        return Experiment(
+        other = Experiment(
             self._t,
             self._inputs,
             outputs,
@@ -210,6 +230,16 @@ class Experiment:
             channels=self._channels,
             units=self._units,
         )
+        return other._sampled(self._signals, self._mesh_times)
+
+    def _sampled(self, signals: Mapping[str, Signal], mesh_times: FloatArray | None) -> Experiment:
+        """The same record with inputs that have samples of their own, and a mesh that follows other times."""
+        self._signals = dict(signals)
+        if mesh_times is not None:
+            # A mesh spans the record.
+            inner = mesh_times[(mesh_times > self._t[0]) & (mesh_times < self._t[-1])]
+            self._mesh_times = np.concatenate([self._t[:1], inner, self._t[-1:]])
+        return self
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Pickling (multistart in other processes) forgets that the arrays are read-only.
@@ -297,10 +327,28 @@ class Experiment:
             raise DataError(f"{where}: is NaN throughout; remove the output from model and data")
 
 
+def _between(times: FloatArray, t: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray((times >= t[0]) & (times <= t[-1]))
+
+
 def moves(values: FloatArray) -> bool:
     """Whether the samples that are there differ by more than rounding."""
     present = values[np.isfinite(values)]
     return bool(present.size) and bool(np.ptp(present) > 4.0 * np.finfo(np.float64).eps * np.abs(present).max())
+
+
+def as_experiments(data: Any, caller: str) -> list[Experiment]:
+    """One experiment or several as a list; DataError, in the caller's name, for anything else or repeated names."""
+    runs = [data] if isinstance(data, Experiment) else list(data) if isinstance(data, (list, tuple)) else None
+    if runs is None or not all(isinstance(e, Experiment) for e in runs):
+        raise DataError(f"{caller}: data is an Experiment or a list of them; make one with ph.read or ph.Experiment")
+    if not runs:
+        raise DataError(f"{caller}: the list of experiments is empty")
+    names = [e.name for e in runs]
+    if len(set(names)) < len(names):
+        twice = next(n for n in names if names.count(n) > 1)
+        raise DataError(f"{caller}: two experiments are called '{twice}'; give each a name of its own")
+    return runs
 
 
 def _sample(i: int | np.intp, t: FloatArray | None) -> str:

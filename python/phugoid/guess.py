@@ -19,9 +19,11 @@ __all__ = ["check_names", "measured_states", "parameter_start", "state_start"]
 _Array = NDArray[np.float64]
 
 
-def check_names(model: Model, start: Mapping[str, Any], experiments: Sequence[Experiment] = ()) -> None:
-    """Raises ModelError for a start that names nothing: not a parameter, a sigma or a state."""
-    known = [*model.parameter_names, *(f"sigma_{n}" for n in model.output_names), *model.state_names]
+def check_names(
+    model: Model, start: Mapping[str, Any], experiments: Sequence[Experiment] = (), noise: Sequence[str] = ()
+) -> None:
+    """Raises ModelError for a start that names nothing: not a parameter, a sigma or a state; nor one of ``noise``."""
+    known = [*model.parameter_names, *(f"sigma_{n}" for n in model.output_names), *noise, *model.state_names]
     local = [name for name, p in model.declared_parameters.items() if p.per_experiment]
     known += [f"{name}[{e.name}]" for name in local for e in experiments]
     for name in start:

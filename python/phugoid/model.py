@@ -11,8 +11,10 @@ from typing import Any
 
 from . import _core
 from ._core import Expr
-from .errors import ModelError
-from .noise import Gaussian, Sigma
+from .delayed import Delays, at_delays
+from .densities import PerOutput, noise_from_dict
+from .errors import ModelError, did_you_mean
+from .noise import KINDS, Gaussian, Noise, Sigma
 from .parameters import Parameter
 
 __all__ = ["Model"]
@@ -72,7 +74,8 @@ class Model:
 
     def __init__(self, name: str = "model") -> None:
         self._core = _core.Model(str(name))
-        self._noise = Gaussian()
+        self._noise: Noise = Gaussian()
+        self._delays = Delays()
 
     @property
     def name(self) -> str:
@@ -108,6 +111,39 @@ class Model:
             )
         return tuple(symbols)
 
+    def delay(self, input: Expr, by: Expr, name: str | None = None) -> Expr:
+        """The symbol of an input that acts late, u(t - tau), with ``by`` the parameter tau (s), which is estimated.
+
+        ``name`` is what to call it, ``<input>_delayed`` unless given. Before the first sample the input is taken as
+        constant. A delay below zero is a lead.
+        """
+        u = self._declared(input, self.input_names, "delay", "an input")
+        tau = self._declared(by, self.parameter_names, f"delay of {u}", "a parameter")
+        late = name or f"{u}_delayed"
+        symbol = self._core.input(late, self.units.get(u, ""))
+        self._delays = self._delays.with_input(late, u, tau)
+        return symbol
+
+    def sensor_delay(self, **by: Expr) -> None:
+        """Says that outputs are measured late, z(t) = y(t - tau): ``sensor_delay(alpha=tau)``, tau a parameter (s)."""
+        for output, tau in by.items():
+            if output not in self.output_names:
+                hint = did_you_mean(output, self.output_names)
+                raise ModelError(f"sensor_delay: '{output}' is not an output.{hint}")
+            parameter = self._declared(tau, self.parameter_names, f"sensor_delay of {output}", "a parameter")
+            self._delays = self._delays.with_output(output, parameter)
+
+    def _declared(self, symbol: Any, names: tuple[str, ...], where: str, what: str) -> str:
+        found = Expr(symbol).symbols if isinstance(symbol, Expr) else []
+        if len(found) != 1 or str(symbol) != next(iter(found)) or str(symbol) not in names:
+            raise ModelError(f"{where}: give the symbol of {what} of this model, not {symbol!r}")
+        return str(symbol)
+
+    @property
+    def delays(self) -> Delays:
+        """Inputs and outputs that are late."""
+        return self._delays
+
     @property
     def time(self) -> Expr:
         """The symbol of time, s."""
@@ -125,6 +161,26 @@ class Model:
         """Gives state equations: ``dynamics(x=...)`` is x' = ... (per second)."""
         source = _source()
         self._each("dynamics", expressions, lambda n, e: self._core.equation(n, e, source))
+
+    def initial(self, **expressions: Any) -> None:
+        """Gives states at the first sample, which are else free: ``initial(q=0.0)``, ``initial(h=h0)``.
+
+        An expression may hold parameters, and inputs, time and other states at that sample: a trim condition.
+        """
+        self._conditions("initial", expressions)
+
+    def final(self, **expressions: Any) -> None:
+        """Gives states at the last sample, as `initial` does at the first."""
+        self._conditions("final", expressions)
+
+    def periodic(self, *states: str, **differences: Any) -> None:
+        """Lets states end as they began: ``periodic("q")``; ``periodic(psi=2*math.pi)`` but for a difference, which may
+        depend on parameters."""
+        self._conditions("periodic", {**dict.fromkeys(states, 0.0), **differences})
+
+    def _conditions(self, end: str, expressions: Mapping[str, Any]) -> None:
+        source = _source()
+        self._each(f"{end} condition", expressions, lambda n, e: self._core.condition(end, n, e, source))
 
     def outputs(self, *args: Any, **expressions: Any) -> None:
         """Declares what is measured: ``outputs(name=expression)`` or ``name=(expression, "unit")``."""
@@ -149,17 +205,31 @@ class Model:
                 raise ModelError(f"{kind} of '{name}' ({_source()}): {error}") from None
         return results
 
-    def noise(self, *args: Gaussian, **sigma: float | Sigma) -> None:
+    def noise(self, *args: Noise, **sigma: float | Sigma | Noise) -> None:
         """States what is known of the noise: ``noise(alpha=0.002)`` for a known standard deviation of an output,
-        ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, or a whole noise model."""
+        ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, ``noise(az=StudentT())`` for the
+        density of an output, or a whole noise model, ``noise(Gaussian(correlated=True))``."""
         if (args and sigma) or len(args) > 1:
             raise ModelError("noise: give a noise model or standard deviations by output, not both")
-        if args and not isinstance(args[0], Gaussian):
-            raise ModelError(f"noise: a noise model is a Gaussian, not {args[0]!r}; name outputs, as in noise(q=0.01)")
-        self._noise = args[0] if args else Gaussian({**self._noise.sigma, **sigma})
+        if args and not isinstance(args[0], Noise):
+            raise ModelError(f"noise: a noise model is {KINDS}, not {args[0]!r}; name outputs, as in noise(q=0.01)")
+        if args:
+            self._noise = args[0]
+            return
+        before = self._noise
+        densities = dict(before.outputs) if isinstance(before, PerOutput) else {}
+        densities |= {name: noise for name, noise in sigma.items() if isinstance(noise, Noise)}
+        scales = {name: s for name, s in sigma.items() if not isinstance(s, Noise)}
+        joint = isinstance(before, Gaussian) and (before.correlated or before.covariance is not None)
+        if joint or not isinstance(before, (Gaussian, PerOutput)):
+            raise ModelError(
+                f"noise: the model has {before.kind} noise for all outputs; give the whole noise model anew, with sigma"
+            )
+        scales = {**before.sigma, **scales}
+        self._noise = PerOutput(densities, scales) if densities else Gaussian(scales)
 
     @property
-    def noise_model(self) -> Gaussian:
+    def noise_model(self) -> Noise:
         """The noise model, unless `estimate` is given another."""
         return self._noise
 
@@ -170,8 +240,8 @@ class Model:
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs, in order."""
-        return tuple(name for name, _ in self._core.inputs)
+        """Names of the inputs that data must have, in order."""
+        return tuple(name for name, _ in self._core.inputs if name not in self._delays.inputs)
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -215,7 +285,10 @@ class Model:
 
     def check(self) -> None:
         """Raises ModelError where the model is incomplete: a state without equation, an unknown symbol, ..."""
-        self._core.check()
+        if self._delays:
+            at_delays(self, {name: self.declared_parameters[name].start for name in self._delays.parameters}).check()
+        else:
+            self._core.check()
 
     def latex(self) -> str:
         """The equations as a LaTeX ``aligned`` block."""
@@ -227,15 +300,18 @@ class Model:
     def to_json(self) -> str:
         """The model as text that `from_json`, and (but for the noise) the Rust crate, read back exactly."""
         text = self._core.to_json()
-        noise = self._noise.to_dict()
-        return json.dumps({**json.loads(text), "noise": noise}) if noise else text
+        more = {"noise": self._noise.to_dict(), "delays": self._delays.to_dict()}
+        more = {key: value for key, value in more.items() if value}
+        return json.dumps({**json.loads(text), **more}) if more else text
 
     @classmethod
     def from_json(cls, text: str) -> Model:
         """Reads `to_json`. Raises ModelError for other text."""
         model = cls.__new__(cls)
         model._core = _core.Model.from_json(text)
-        model._noise = Gaussian.from_dict(json.loads(text).get("noise", {}))
+        saved = json.loads(text)
+        model._noise = noise_from_dict(saved.get("noise", {}))
+        model._delays = Delays.from_dict(saved.get("delays", {}))
         return model
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -258,4 +334,5 @@ class Model:
         lines = [f"{name} = {e}" for name, e, *_ in self._core.quantities]
         lines += [f"{name}' = {e}" for name, e, *_ in self._core.dynamics]
         lines += [f"{name} (measured) = {e}" for name, e, *_ in self._core.outputs]
+        lines += [f"{state} ({end}) = {e}" for end, state, e, _ in self._core.conditions]
         return "\n".join([self.name, *(f"  {line}" for line in lines)])

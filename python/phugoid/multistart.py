@@ -17,7 +17,7 @@ from .errors import EvaluationError, MissingDependency, ModelError, OptionError,
 from .estimate import _experiments
 from .experiment import Experiment
 from .model import Model
-from .noise import Gaussian
+from .noise import KINDS, Noise
 from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, same
 from .outcome import Outcome, Problem
 from .parameters import text_table
@@ -262,7 +262,7 @@ def multistart(
     journal: str | os.PathLike[str] | None = None,
     progress: bool | Watch = False,
     transcription: Transcription | None = None,
-    noise: Gaussian | None = None,
+    noise: Noise | None = None,
     start: Mapping[str, Any] | Fit | None = None,
     solver: Any = None,
 ) -> Multistart:
@@ -365,8 +365,8 @@ def _problem(model: Any, data: Any, transcription: Any, noise: Any, start: Any, 
             f"multistart: transcription is a Collocation, MultipleShooting or SingleShooting, not {transcription!r}"
         )
     noise = noise or model.noise_model
-    if not isinstance(noise, Gaussian):
-        raise OptionError(f"multistart: noise is a Gaussian, not {noise!r}")
+    if not isinstance(noise, Noise):
+        raise OptionError(f"multistart: noise is {KINDS}, not {noise!r}")
     if not isinstance(start, (Mapping, Fit, type(None))):
         raise OptionError(f"multistart: start holds values by name, or is a fit, not {start!r}")
     common = start.as_start() if isinstance(start, Fit) else start or {}

@@ -11,7 +11,7 @@ from .errors import DataError, MissingDependency, ModelError, OptionError
 from .estimate import estimate
 from .experiment import Experiment
 from .model import Model
-from .noise import Gaussian
+from .noise import Noise
 from .result import Fit
 from .shooting import Transcription
 from .solvers import Newton
@@ -61,7 +61,7 @@ class Problem:
     model: Model
     experiments: tuple[Experiment, ...]
     transcription: Transcription
-    noise: Gaussian
+    noise: Noise
     solver: Any = None
     start: Mapping[str, Any] = field(default_factory=dict)
 

@@ -31,6 +31,14 @@ class Record:
     mesh_t       (M,) time of the mesh points of the transcription, s.
     mesh_states  name -> (M,): the states there.
     units        name -> unit, for every kind of channel.
+    interpolation  of the inputs between samples, "linear" or "cubic".
+
+    With process noise (`FilterError`) ``states`` and ``outputs`` are those of the most probable path, and there are:
+
+    state_std       name -> (N,): standard deviation of each state given all data, for parameters known.
+    innovations     name -> (N,): measured minus what is predicted from the samples before; white where the model is
+                    right, as residuals of a smoothed path are not. NaN where missing.
+    innovation_std  name -> (N,): what their standard deviations should be.
     """
 
     name: str
@@ -43,6 +51,10 @@ class Record:
     mesh_t: _Array = field(default_factory=_no_times)
     mesh_states: Mapping[str, _Array] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    interpolation: str = "linear"
+    state_std: Mapping[str, _Array] = field(default_factory=dict)
+    innovations: Mapping[str, _Array] = field(default_factory=dict)
+    innovation_std: Mapping[str, _Array] = field(default_factory=dict)
 
     @property
     def n(self) -> int:

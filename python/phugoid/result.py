@@ -11,14 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _core, io, plot, summary
-from .errors import DataError
+from ._core import Expr
+from .densities import PerExperiment, noise_from_dict
+from .errors import DataError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
+from .filter_error import FilterError
+from .integration import IntegrationError, integration_error
 from .model import Model
-from .noise import Gaussian
+from .noise import Noise
 from .parameters import Estimate, Estimates
 from .records import Record
+from .refinement import Refinement
 from .shooting import Transcription, from_dict, to_dict
 from .solvers import HINTS, Iteration, Solution
+from .transcription import Collocation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,18 +55,19 @@ _FLIPPED: dict[_Activity, Literal["lower", "upper"] | None] = {**_BOUND, "lower"
 class Fit:
     """The result of `estimate`.
 
-    parameters      by name, the standard deviations of the noise (``sigma_<output>``) among them.
+    parameters      by name, what was estimated of the noise (``sigma_<output>``, and more) among them.
     initial_states  experiment -> state -> estimate of the state at the first sample.
-    log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi.
+    log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi, whatever the noise.
     records         one an experiment: measured, outputs, residuals, states.
     status          "converged", or what else happened; ``message`` says what to do.
     warnings        what to beware of in the result, in words.
     covariance      (n, n) of the parameters in their order; NaN where there is none.
+    refinement      what ``Collocation(refine=True)`` did.
     """
 
     model: Model
-    noise: Gaussian
-    transcription: Transcription
+    noise: Noise
+    transcription: Transcription | FilterError
     parameters: Estimates
     initial_states: Mapping[str, Estimates]
     covariance: _Array
@@ -73,6 +80,7 @@ class Fit:
     warnings: tuple[str, ...] = ()
     history: Sequence[Iteration] = ()
     solution: Solution | None = field(default=None)
+    refinement: Refinement | None = None
 
     @property
     def converged(self) -> bool:
@@ -100,15 +108,74 @@ class Fit:
         """Output -> (N,) measured minus model, NaN where missing, of the only experiment."""
         return self._only("residuals").residuals
 
-    def as_start(self) -> dict[str, float]:
-        """Parameters as start values of another estimation."""
-        known = {f"sigma_{n}" for n in self.noise.known}
-        return {name: e.value for name, e in self.parameters.items() if name not in known}
+    @property
+    def _intensities(self) -> set[str]:
+        t = self.transcription
+        return {f"q_{name}" for name in t.states} if isinstance(t, FilterError) else set()
+
+    @property
+    def noise_parameters(self) -> set[str]:
+        """Names of the parameters that are those of the noise, not of the model."""
+        names = {*self.noise.names(self.model.output_names), *(f"sigma_{n}" for n in self.model.output_names)}
+        # Also of a single experiment, as in sigma_q[run 1].
+        return {n for n in self.parameters if n.partition("[")[0] in names} | self._intensities
+
+    def as_start(self, noise: Noise | None = None) -> dict[str, float]:
+        """Parameters as start values of another estimation; of the noise those that ``noise`` has, or all."""
+        outputs = self.model.output_names
+        gone = set() if noise is None else {*self.noise.names(outputs)}.difference(noise.names(outputs))
+        gone |= {f"sigma_{name}" for name in self.noise.known_sigmas(outputs)} | self._intensities
+        if isinstance(self.noise, PerExperiment):  # starts are for all experiments
+            gone |= {name for name in self.parameters if name.partition("[")[0] in self.noise.names(outputs)}
+        return {name: e.value for name, e in self.parameters.items() if name not in gone}
+
+    def derived(self, **expressions: Expr) -> Estimates:
+        """Estimates of expressions in the parameters, with standard errors to first order (the delta method).
+
+        ``fit.derived(natural_frequency=sqrt(k / mass))``; a quantity of the model is given by its expression,
+        ``fit.derived(static_margin=fit.model.equations["static_margin"])``. Raises ModelError for other symbols.
+        """
+        names = list(self.parameters)
+        values = self.parameters.to_dict()
+        found = []
+        for name, expression in expressions.items():
+            e = Expr(expression)
+            for symbol in e.symbols:
+                if symbol not in values:
+                    raise ModelError(f"derived '{name}': '{symbol}' is no parameter.{did_you_mean(symbol, names)}")
+            numbers = {symbol: values[symbol] for symbol in e.symbols}
+            slope = np.zeros(len(names))
+            for symbol in e.symbols:
+                d = e.diff(symbol)
+                slope[names.index(symbol)] = d.evaluate({s: values[s] for s in d.symbols})
+            # What is held has no error of its own.
+            held = [i for i, p in enumerate(self.parameters.values()) if p.fixed or p.bounds_active]
+            free = (slope != 0) & ~np.isin(np.arange(len(names)), held)
+            variance = slope[free] @ self.covariance[np.ix_(free, free)] @ slope[free]
+            found.append(Estimate(name, e.evaluate(numbers), float(np.sqrt(variance))))
+        return Estimates(found)
 
     def summary(self) -> str:
         """The fit as a plain-text table."""
-        text = summary.fit_summary(self)
+        text = summary.fit_summary(self) + (f"\n\n{self.refinement.summary()}" if self.refinement else "")
         return text + "".join(f"\n\nWarning: {w}" for w in self.warnings)
+
+    def integration_error(self) -> tuple[IntegrationError, ...]:
+        """The error that each segment of the mesh adds to the path, one for each experiment.
+
+        Raises OptionError for a fit that was not transcribed by collocation.
+        """
+        if not isinstance(self.transcription, Collocation):
+            raise OptionError("integration_error: only collocation has a mesh whose error can be estimated")
+        named = {n: f"sigma_{n}" for n in self.model.output_names}
+        sigmas = {n: self.parameters[s].value for n, s in named.items() if s in self.parameters} | self.noise.known
+        order = self.transcription.order
+        return tuple(integration_error(self.model, self._own(r.name), sigmas, r, order) for r in self.records)
+
+    def _own(self, experiment: str) -> dict[str, float]:
+        """The model's parameters as they are in one experiment."""
+        labels = {name: f"{name}[{experiment}]" for name in self.model.parameter_names}
+        return {n: self.parameters[label if label in self.parameters else n].value for n, label in labels.items()}
 
     def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
         """The proof-of-match figure of an experiment: measured points, model, residuals, inputs."""
@@ -131,7 +198,7 @@ class Fit:
 def make_fit(
     model: Model,
     experiments: Sequence[Experiment],
-    noise: Gaussian,
+    noise: Noise,
     transcription: Transcription,
     problem: _core.Problem,
     solution: Solution,
@@ -175,21 +242,24 @@ def make_fit(
 
     values = problem.values(xi[:n_model].tolist())
     parameters = _model_estimates(model, problem, values, full, active)
-    jacobian = np.ones(n_theta)
-    jacobian[:n_model] = [slope for _, slope in values]
-    for k, name in enumerate(problem.noise_parameters, start=n_model):
-        root = xi[k]
-        jacobian[k] = -1 / root**2  # sigma = 1/root
-        # A lower bound of the root is an upper bound of sigma.
-        side = _FLIPPED[active[k]]
-        unit = model.units.get(name.removeprefix("sigma_"), "")
-        bounds = (1 / upper[k], 1 / lower[k] if lower[k] > 0 else np.inf)
-        parameters.append(Estimate(name, 1 / root, full[k] / root**2, unit, bounds=bounds, bounds_active=side))
-        if side == "lower":
+    slopes = np.ones(n_theta)
+    slopes[:n_model] = [slope for _, slope in values]
+    cov *= np.outer(slopes, slopes)
+    reported = problem.noise_report(xi)
+    cov = _delta(cov, n_model, np.array([gradient for _, _, _, gradient, *_ in reported]))
+    for i, (name, output, value, gradient, bounded_by, low, high) in enumerate(reported, start=n_model):
+        side = None
+        if bounded_by is not None:
+            activity = active[n_model + bounded_by]
+            # A lower bound of 1/sigma is an upper bound of sigma.
+            side = _FLIPPED[activity] if gradient[bounded_by] < 0 else _BOUND[activity]
+        unit = "" if output is None else model.units.get(model.output_names[output], "")
+        error = float(np.sqrt(cov[i, i])) if cov[i, i] > 0 else np.nan
+        parameters.append(Estimate(name, value, error, unit, bounds=(low, high), bounds_active=side))
+        if side == "lower" and output is not None:
             warnings.append(
-                f"{name} sits at its lower bound {1 / root:.3g}: the fit of this output is exact for all we know"
+                f"{name} sits at its lower bound {value:.3g}: the fit of this output is exact for all we know"
             )
-    cov *= np.outer(jacobian, jacobian)
 
     initial = {}
     for experiment, first in zip(experiments, firsts, strict=True):
@@ -198,7 +268,7 @@ def make_fit(
         initial[experiment.name] = Estimates(each)
     records = [_record(model, e, problem, xi, i) for i, e in enumerate(experiments)]
     estimates = Estimates(parameters)
-    warnings += _defect_warning(model, problem, xi, estimates, noise)
+    warnings += _defect_warning(model, problem, xi)
     return Fit(
         model=model,
         noise=noise,
@@ -216,6 +286,22 @@ def make_fit(
         history=solution.history,
         solution=solution,
     )
+
+
+def _delta(cov: _Array, n_model: int, gradients: _Array) -> _Array:
+    """The covariance with the unknowns of the noise replaced by what is reported of it: the delta method.
+
+    ``gradients`` (k, k): row i holds the derivatives of the i-th reported value. An unknown without covariance (NaN)
+    leaves those values without that depend on it.
+    """
+    jacobian = np.eye(cov.shape[0])
+    if gradients.size:
+        jacobian[n_model:, n_model:] = gradients
+    unknown = np.isnan(np.diag(cov))
+    result = jacobian @ np.where(np.isnan(cov), 0.0, cov) @ jacobian.T
+    lost = (jacobian != 0) @ unknown
+    result[lost], result[:, lost] = np.nan, np.nan
+    return np.asarray(result)
 
 
 def _undetermined(names: Sequence[str]) -> str:
@@ -302,22 +388,23 @@ def _record(model: Model, experiment: Experiment, problem: _core.Problem, xi: _A
         mesh_t=mesh_t,
         mesh_states=dict(zip(model.state_names, path, strict=True)),
         units=model.units,
+        interpolation=experiment.interpolation,
     )
 
 
-def _defect_warning(
-    model: Model, problem: _core.Problem, xi: _Array, estimates: Estimates, noise: Gaussian
-) -> list[str]:
+def _defect_warning(model: Model, problem: _core.Problem, xi: _Array) -> list[str]:
     """Defects add up along the path; unless they stay far below sigma, the likelihood is not that of a solution."""
     defects = problem.constraints(xi)
     if defects is None:
         return ["the equations are not finite at the result"]
-    total = np.abs(defects.reshape(-1, len(model.state_names))).sum(axis=0)
+    along = defects[: defects.size - len(problem.boundary_states)]
+    total = np.abs(along.reshape(-1, len(model.state_names))).sum(axis=0)
     found = []
+    sigmas = problem.sigmas(xi)
     for i, name in enumerate(model.state_names):
         if name not in model.output_names:
             continue
-        sigma = noise.known[name] if name in noise.known else estimates[f"sigma_{name}"].value
+        sigma = sigmas[model.output_names.index(name)]
         if total[i] > 0.01 * sigma:
             found.append(
                 f"the defects of {name} sum to {total[i]:.1e}, not far below sigma_{name} = {sigma:.1e}: "
@@ -333,7 +420,9 @@ def _payload(fit: Fit) -> dict[str, Any]:
     return {
         "model": fit.model.to_json(),
         "noise": fit.noise.to_dict(),
-        "transcription": to_dict(fit.transcription),
+        "transcription": fit.transcription.to_dict()
+        if isinstance(fit.transcription, FilterError)
+        else to_dict(fit.transcription),
         "parameters": estimates(fit.parameters),
         "initial_states": {name: estimates(group) for name, group in fit.initial_states.items()},
         "covariance": fit.covariance,
@@ -345,6 +434,7 @@ def _payload(fit: Fit) -> dict[str, Any]:
         "time": fit.time,
         "warnings": list(fit.warnings),
         "history": [vars(line) for line in fit.history],
+        "refinement": fit.refinement.to_dict() if fit.refinement else None,
     }
 
 
@@ -367,15 +457,21 @@ def load(path: str | os.PathLike[str]) -> Fit:
 
     def record(saved: dict[str, Any]) -> Record:
         groups = ("inputs", "outputs", "states", "measured", "residuals", "mesh_states")
-        arrays = {k: {n: io.to_array(v) for n, v in saved[k].items()} for k in groups}
+        added = ("state_std", "innovations", "innovation_std")  # by the filter-error method
+        each = {**{k: saved[k] for k in groups}, **{k: saved.get(k, {}) for k in added}}
+        arrays = {k: {n: io.to_array(v) for n, v in group.items()} for k, group in each.items()}
         t, mesh_t = io.to_array(saved["t"]), io.to_array(saved["mesh_t"])
-        return Record(name=saved["name"], units=saved["units"], t=t, mesh_t=mesh_t, **arrays)
+        kind = saved.get("interpolation", "linear")
+        return Record(name=saved["name"], units=saved["units"], t=t, mesh_t=mesh_t, interpolation=kind, **arrays)
+
+    def transcription(saved: dict[str, Any]) -> Transcription | FilterError:
+        return FilterError(**saved) if "states" in saved else from_dict(saved)
 
     try:
         return Fit(
             model=Model.from_json(saved["model"]),
-            noise=Gaussian.from_dict(saved["noise"]),
-            transcription=from_dict(saved["transcription"]),
+            noise=noise_from_dict(saved["noise"]),
+            transcription=transcription(saved["transcription"]),
             parameters=estimates(saved["parameters"]),
             initial_states={name: estimates(group) for name, group in saved["initial_states"].items()},
             covariance=io.to_array(saved["covariance"]),
@@ -387,6 +483,7 @@ def load(path: str | os.PathLike[str]) -> Fit:
             time=io.to_float(saved["time"]),
             warnings=tuple(saved["warnings"]),
             history=[Iteration(**line) for line in saved["history"]],
+            refinement=Refinement.from_dict(saved["refinement"]) if saved.get("refinement") else None,
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise DataError(f"{path}: is damaged ({type(error).__name__}: {error})") from error

@@ -48,11 +48,9 @@ class SingleShooting:
         """The division into segments as the core takes it."""
         return [("uniform", 1, None)]
 
-    def problem(
-        self, model: Model, experiments: Sequence[Experiment], sigmas: list[tuple[bool, float, float, float]]
-    ) -> _core.Shooting:
+    def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Shooting:
         """The nonlinear program."""
-        return _problem(self, model, experiments, sigmas)
+        return _problem(self, model, experiments, noise)
 
     def __str__(self) -> str:
         return f"single shooting, {_steps_in_words(self)}"
@@ -87,11 +85,9 @@ class MultipleShooting:
         """
         return division("MultipleShooting", self.segments, experiments)
 
-    def problem(
-        self, model: Model, experiments: Sequence[Experiment], sigmas: list[tuple[bool, float, float, float]]
-    ) -> _core.Shooting:
+    def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Shooting:
         """The nonlinear program."""
-        return _problem(self, model, experiments, sigmas)
+        return _problem(self, model, experiments, noise)
 
     def __str__(self) -> str:
         grid = f"{self.segments} equal segments" if isinstance(self.segments, int) else "given segments"
@@ -126,7 +122,7 @@ def _problem(
     options: _Shooting,
     model: Model,
     experiments: Sequence[Experiment],
-    sigmas: list[tuple[bool, float, float, float]],
+    noise: _core.Noise,
 ) -> _core.Shooting:
     steps: tuple[str, float] = ("samples", options.substeps)
     if options.steps is not None:
@@ -135,7 +131,7 @@ def _problem(
         steps = ("length", options.step)
     records = records_of(model, experiments)
     grids = options.grids(experiments)
-    return _core.Shooting(model._core, records, sigmas, grids, options.integrator, steps, options.threads)
+    return _core.Shooting(model._core, records, noise, grids, options.integrator, steps, options.threads)
 
 
 def _steps_in_words(options: _Shooting) -> str:

@@ -14,6 +14,7 @@ from . import _core
 from .errors import DataError, EvaluationError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
 from .guess import measured_states
+from .late import simulated_late
 from .model import Model
 from .records import Record
 from .result import Fit
@@ -37,7 +38,8 @@ def simulate(
     """Integrates the model over an experiment's inputs; returns its outputs and states at the samples.
 
     ``parameters``: values by name (numbers or estimates), or a fit. ``initial``: states at the first sample; those
-    not given are the fit's for this experiment, else as measured at the first sample that has a value, else 0.
+    not given are the fit's for this experiment, else as the model's initial conditions say, else as measured at the
+    first sample that has a value, else 0.
     ``method`` and ``rtol`` are those of `scipy.integrate.solve_ivp`.
 
     Raises ModelError for a missing or unknown parameter, DataError for missing inputs, OptionError for a wrong
@@ -55,6 +57,9 @@ def simulate(
     data.check_for(model.input_names, [])
     values = _values(model, parameters, data.name)
     x0 = _initial(model, values, parameters, data, initial or {})
+    if model.delays:
+        first = dict(zip(model.state_names, x0, strict=True))
+        return simulated_late(simulate, model, values, data, initial=first, method=method, rtol=rtol)
     flow = _Flow(model, values, data)
     states = flow.path(x0, method, float(rtol))
     y = flow.outputs(states)
@@ -70,6 +75,7 @@ def simulate(
         measured=measured,
         residuals={n: z - outputs[n] for n, z in measured.items()},
         units=model.units,
+        interpolation=data.interpolation,
     )
 
 
@@ -161,14 +167,23 @@ class _Flow:
         return y
 
 
+# Names of what is estimated of the noise begin like this; they may be there, as in Estimates.to_dict().
+_NOISE = ("sigma_", "corr_", "dof_")
+
+
 def _values(model: Model, parameters: Mapping[str, Any] | Fit, experiment: str) -> dict[str, float]:
-    given = parameters.parameters if isinstance(parameters, Fit) else parameters
+    given: Any = parameters
+    if isinstance(parameters, Fit):
+        others = parameters.noise_parameters
+        given = {n: e for n, e in parameters.parameters.items() if n not in others}
     if not isinstance(given, Mapping):
         raise ModelError(f"simulate: parameters are values by name, or a fit, not {given!r}")
+    noise = parameters.noise.names(parameters.model.output_names) if isinstance(parameters, Fit) else ()
     local = [name for name, p in model.declared_parameters.items() if p.per_experiment]
     for name in given:
-        of_one = str(name).endswith("]") and str(name).partition("[")[0] in local
-        if name not in model.parameter_names and not of_one and not str(name).startswith("sigma_"):
+        of_one = str(name).endswith("]") and str(name).partition("[")[0] in {*local, *noise}
+        known = name in model.parameter_names or of_one or name in noise
+        if not known and not str(name).startswith(_NOISE):
             raise ModelError(f"simulate: '{name}' is no parameter.{did_you_mean(name, model.parameter_names)}")
     # A parameter that each experiment has its own of: that of this one, before one for all.
     found = {name: f"{name}[{experiment}]" for name in local if f"{name}[{experiment}]" in given}
@@ -200,7 +215,13 @@ def _initial(
             x0.append((float(z[0]) - offset) / slope if z.size else 0.0)
         else:
             x0.append(0.0)
-    return np.array(x0)
+    found = dict(zip(model.state_names, x0, strict=True))
+    known = {**values, "time": float(data.t[0]), **{n: float(data.input(n)[0]) for n in model.input_names}}
+    for end, state, expression, _ in model._core.conditions:
+        if end == "initial" and state not in initial and state not in of_fit:
+            numbers = {**known, **found}
+            found[state] = expression.evaluate({n: numbers[n] for n in expression.symbols})
+    return np.array(list(found.values()))
 
 
 def _finite(what: str, value: Any) -> float:

@@ -56,7 +56,10 @@ def uniform(problem: Problem, ranges: Any, seed: int) -> Uniform:
         raise OptionError(f"ranges: give (low, high) by name, such as {{'Mw': (-1, 1)}}, not {ranges!r}")
     model = problem.model
     sigmas = [f"sigma_{name}" for name in model.output_names]
-    known = [*model.parameter_names, *sigmas, *model.state_names]
+    known = [
+        *dict.fromkeys([*model.parameter_names, *sigmas, *problem.noise.names(model.output_names)]),
+        *model.state_names,
+    ]
     for name in ranges:
         if name not in known:
             raise ModelError(f"ranges: '{name}' is no parameter, sigma or state.{did_you_mean(str(name), known)}")
@@ -117,7 +120,7 @@ def _spreads(problem: Problem) -> dict[str, float]:
 def _check(problem: Problem, own: Mapping[str, Any], spreads: Mapping[str, float]) -> None:
     """Raises what `estimate` would for a start, without its work."""
     model, start = problem.model, {**problem.start, **own}
-    check_names(model, start)
+    check_names(model, start, problem.experiments, problem.noise.names(model.output_names))
     parameters = parameter_start(model, start)
     problem.noise.resolve(model.output_names, spreads, start)
     if not start.keys().isdisjoint(model.state_names):

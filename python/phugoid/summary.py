@@ -20,8 +20,14 @@ def fit_summary(fit: Any) -> str:
     """
     outputs = list(dict.fromkeys(name for record in fit.records for name in record.outputs))
     noise_names = {f"sigma_{name}" for name in outputs}
-    noise = [e for e in fit.parameters.values() if e.name in noise_names]
-    physical = [e for e in fit.parameters.values() if e.name not in noise_names]
+    if getattr(fit, "noise", None) is not None:
+        noise_names.update(fit.noise.names(tuple(outputs)))
+
+    def of_noise(name: str) -> bool:  # also of a single experiment, as in sigma_q[run 1]
+        return name in noise_names or (name.endswith("]") and name.partition("[")[0] in noise_names)
+
+    noise = [e for e in fit.parameters.values() if of_noise(e.name)]
+    physical = [e for e in fit.parameters.values() if not of_noise(e.name)]
     parts = [_header(fit)]
     if physical:
         parts.append(estimates_table(physical))
@@ -43,6 +49,9 @@ def _header(fit: Any) -> str:
         "data": f"{runs}{samples} samples" + (f", {mesh} mesh points" if mesh else ""),
         "transcription": str(fit.transcription),
     }
+    noise = getattr(getattr(fit, "noise", None), "description", "")
+    if noise:
+        entries["noise"] = noise
     width = max(map(len, entries))
     lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
     return "\n".join([str(fit.model.name), *lines])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _core
 from .errors import OptionError
-from .experiment import Experiment
+from .experiment import Experiment, FloatArray
 from .model import Model
 
 __all__ = ["Collocation"]
 
 GridSpec = tuple[str, int, "list[float] | None"]
 _Array = NDArray[np.float64]
+_Signal = tuple[_Array, _Array, float, int]
+_Record = tuple[str, _Array, list[_Array], list[_Array], str, list[_Signal | None]]
 
 
 @dataclass(frozen=True)
@@ -29,12 +31,18 @@ class Collocation:
     2m - 2. By default every interval between samples is a segment; ``substeps`` divides each further;
     ``segments`` gives a number of equal segments, or the times of their ends (s), instead, which need not be
     sample times (a list of such for several experiments). ``threads`` 0 is one a core.
+
+    ``refine``: estimate the integration error of each segment, split those where it is above ``tolerance`` (in units
+    of the noise of the state's measurement; see `IntegrationError`), or raise the order where most are, and estimate
+    again, until none is. ``Fit.refinement`` says what was done and by how much the estimates moved.
     """
 
     order: int = 4
     substeps: int = 1
     segments: int | ArrayLike | Sequence[ArrayLike] | None = None
     threads: int = 0
+    refine: bool = False
+    tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
         if not whole(self.order) or not 2 <= self.order <= 64:
@@ -45,6 +53,10 @@ class Collocation:
             raise OptionError("Collocation: substeps divides sample intervals and segments replaces them; give one")
         if not whole(self.threads) or self.threads < 0:
             raise OptionError(f"Collocation: threads is a whole number from 0, not {self.threads!r}")
+        if not isinstance(self.refine, bool):
+            raise OptionError(f"Collocation: refine is True or False, not {self.refine!r}")
+        if not isinstance(self.tolerance, Real) or not 0 < self.tolerance < 1:
+            raise OptionError(f"Collocation: tolerance is a number between 0 and 1, not {self.tolerance!r}")
         for name in ("order", "substeps", "threads"):
             object.__setattr__(self, name, int(getattr(self, name)))
         object.__setattr__(self, "segments", checked_segments("Collocation", self.segments))
@@ -55,15 +67,18 @@ class Collocation:
         Raises OptionError for segment ends that do not fit the experiments.
         """
         if self.segments is None:
-            return [("samples", self.substeps, None)]
+            if all(e.mesh_times is None for e in experiments):
+                return [("samples", self.substeps, None)]
+            return [
+                ("edges", 0, _divided(e.t if e.mesh_times is None else e.mesh_times, self.substeps))
+                for e in experiments
+            ]
         return division("Collocation", self.segments, experiments)
 
-    def problem(
-        self, model: Model, experiments: Sequence[Experiment], sigmas: list[tuple[bool, float, float, float]]
-    ) -> _core.Collocation:
+    def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Collocation:
         """The nonlinear program."""
         records = records_of(model, experiments)
-        return _core.Collocation(model._core, records, sigmas, self.order, self.grids(experiments), self.threads)
+        return _core.Collocation(model._core, records, noise, self.order, self.grids(experiments), self.threads)
 
     def __str__(self) -> str:
         if self.segments is None:
@@ -76,9 +91,13 @@ class Collocation:
         return f"collocation of order {self.order}, {grid}"
 
 
-def records_of(
-    model: Model, experiments: Sequence[Experiment]
-) -> list[tuple[str, _Array, list[_Array], list[_Array], str]]:
+def _divided(times: FloatArray, parts: int) -> list[float]:
+    """Times with every interval divided into parts."""
+    share = np.arange(parts * (times.size - 1) + 1) / parts
+    return [float(t) for t in np.interp(share, np.arange(times.size), times)]
+
+
+def records_of(model: Model, experiments: Sequence[Experiment]) -> list[_Record]:
     """Experiments as the core takes them."""
     return [
         (
@@ -87,6 +106,7 @@ def records_of(
             [np.ascontiguousarray(e.input(n)) for n in model.input_names],
             [np.ascontiguousarray(e.output(n)) for n in model.output_names],
             e.interpolation,
+            [e.signal(n) for n in model.input_names],
         )
         for e in experiments
     ]

@@ -225,7 +225,7 @@ class _Callbacks:
         self.stop = False
         self.error: BaseException | None = None
         # 1/sigma of the outputs, in xi
-        self._roots = slice(problem.n_theta - len(problem.noise_parameters), problem.n_theta)
+        self._roots = problem.precision_roots
         self._roots_at_start = np.empty(0)
         self._latest = np.empty(0)
         self._jacobian_structure = problem.jacobian_structure()

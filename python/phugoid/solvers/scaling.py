@@ -62,7 +62,10 @@ def scale_from_curvature(problem: _core.Problem, xi: _Array, first: Scaling) -> 
 def _scaling(problem: _core.Problem, xi: _Array, units: _Array, column_weight: float, objective: float) -> Scaling:
     """Scaling from factors for the states; ``column_weight`` multiplies the squared column norms."""
     n_theta = problem.n_theta
-    constraints = np.tile(units, problem.m // units.size)
+    ends = problem.boundary_states
+    constraints = np.concatenate(
+        [np.tile(units, (problem.m - len(ends)) // units.size), units[np.array(ends, dtype=np.intp)]]
+    )
     variables = np.concatenate([np.ones(n_theta), np.tile(units, (problem.n - n_theta) // units.size)])
     weight = np.zeros(n_theta)
     values = problem.jacobian(xi)

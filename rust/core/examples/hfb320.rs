@@ -130,7 +130,14 @@ pub fn twin(model: &Model, n: usize, seed: u64) -> Result<Experiment, phugoid::E
     let inputs = vec![de.clone(), vec![11500.0; n]];
     let outputs = common::measure(model, parameters, &t, &inputs, &states, sigmas, seed)?;
     let interpolation = phugoid::Interpolation::Linear;
-    Ok(Experiment { name: "HFB-320 simulated twin".into(), t, inputs, outputs, interpolation })
+    Ok(Experiment {
+        name: "HFB-320 simulated twin".into(),
+        t,
+        inputs,
+        outputs,
+        interpolation,
+        signals: Vec::new(),
+    })
 }
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -63,7 +63,7 @@ pub fn twin(model: &Model, seed: u64) -> Result<Experiment, phugoid::Error> {
     let inputs = vec![de];
     let outputs = common::measure(model, &parameters, &t, &inputs, &states, &[0.02, 0.0005, 0.01], seed)?;
     let name = "unstable aircraft, twin".into();
-    Ok(Experiment { name, t, inputs, outputs, interpolation: Interpolation::Cubic })
+    Ok(Experiment { name, t, inputs, outputs, interpolation: Interpolation::Cubic, signals: Vec::new() })
 }
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -1,7 +1,7 @@
 //! One record of measured inputs and outputs.
 
 use crate::error::{Error, did_you_mean};
-use crate::interpolate::Interpolation;
+use crate::interpolate::{Interpolation, derivative, interpolate};
 use crate::model::Model;
 
 /// One record. Channels stand in the order of the model's inputs and outputs.
@@ -36,6 +36,33 @@ pub struct Experiment {
     pub outputs: Vec<Vec<f64>>,
     /// How inputs behave between samples.
     pub interpolation: Interpolation,
+    /// Inputs that were sampled at times of their own, or of which something else is wanted: by input, or
+    /// empty for none.
+    pub signals: Vec<Option<Signal>>,
+}
+
+/// An input sampled at times of its own, and what is taken of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Signal {
+    /// Its sample times, s, strictly increasing.
+    pub t: Vec<f64>,
+    /// Its samples.
+    pub values: Vec<f64>,
+    /// Time by which it is delayed, s.
+    pub delay: f64,
+    /// Which derivative with respect to time is taken: 0 for none, to 2.
+    pub derivative: usize,
+}
+
+impl Signal {
+    /// What is taken of it at these times.
+    pub fn at(&self, kind: Interpolation, times: &[f64]) -> Vec<f64> {
+        let earlier: Vec<f64> = times.iter().map(|t| t - self.delay).collect();
+        match self.derivative {
+            0 => interpolate(kind, &self.t, &self.values, &earlier),
+            order => derivative(kind, &self.t, &self.values, &earlier, order),
+        }
+    }
 }
 
 impl Experiment {
@@ -68,9 +95,18 @@ impl Experiment {
             inputs: inputs.iter().map(find).collect::<Result<_, _>>()?,
             outputs: outputs.iter().map(find).collect::<Result<_, _>>()?,
             interpolation: Interpolation::Linear,
+            signals: Vec::new(),
         };
         experiment.check(&inputs, &outputs)?;
         Ok(experiment)
+    }
+
+    /// An input at any times.
+    pub fn input(&self, channel: usize, times: &[f64]) -> Vec<f64> {
+        match self.signals.get(channel) {
+            Some(Some(signal)) => signal.at(self.interpolation, times),
+            _ => interpolate(self.interpolation, &self.t, &self.inputs[channel], times),
+        }
     }
 
     /// Checks lengths, times and finiteness against the channel names.
@@ -101,6 +137,18 @@ impl Experiment {
                 inputs.len(),
                 outputs.len()
             ));
+        }
+        for (name, signal) in inputs.iter().zip(&self.signals).filter_map(|(n, s)| Some((n, s.as_ref()?))) {
+            let sound = !signal.t.is_empty()
+                && signal.t.len() == signal.values.len()
+                && signal.t.windows(2).all(|w| w[0] < w[1])
+                && signal.values.iter().chain([&signal.delay]).all(|v| v.is_finite())
+                && signal.derivative <= 2;
+            if !sound {
+                return fail(format!(
+                    "input '{name}': its own samples need increasing times and as many finite values"
+                ));
+            }
         }
         let channels = inputs.iter().zip(&self.inputs).map(|c| (c, true));
         for ((name, channel), is_input) in

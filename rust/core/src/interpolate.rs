@@ -60,6 +60,39 @@ pub fn interpolate(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64]) -
     }
 }
 
+/// First or second derivative of what [`interpolate`] gives. Where it jumps, at samples, it is the mean of both
+/// sides; outside the samples it is zero.
+///
+/// # Panics
+/// As [`interpolate`], and for another order than 1 or 2.
+pub fn derivative(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64], order: usize) -> Vec<f64> {
+    assert!(matches!(order, 1 | 2), "derivatives of order 1 and 2 are there, not of order {order}");
+    let slopes = if kind == Interpolation::Cubic { spline_slopes(t, values) } else { Vec::new() };
+    let inside = |i: usize, s: f64| {
+        let h = t[i + 1] - t[i];
+        let secant = (values[i + 1] - values[i]) / h;
+        if kind == Interpolation::Linear {
+            return if order == 1 { secant } else { 0.0 };
+        }
+        let bend = (slopes[i] + slopes[i + 1] - 2.0 * secant) / h;
+        let (c2, c3, u) = ((secant - slopes[i]) / h - bend, bend / h, s - t[i]);
+        if order == 1 { slopes[i] + u * (2.0 * c2 + u * 3.0 * c3) } else { 2.0 * c2 + u * 6.0 * c3 }
+    };
+    let last = t.len() - 1;
+    at.iter()
+        .map(|&s| {
+            let n = t.partition_point(|&sample| sample <= s);
+            let side = |i: usize| if i < last { inside(i, s) } else { 0.0 };
+            match n {
+                0 => 0.0,
+                _ if t[n - 1] != s => side(n - 1),
+                1 => 0.5 * side(0),
+                _ => 0.5 * (side(n - 2) + side(n - 1)),
+            }
+        })
+        .collect()
+}
+
 /// Applies `inside(i, s)` to the times strictly between samples `i` and `i + 1`,
 /// and takes the samples themselves elsewhere.
 fn each(t: &[f64], values: &[f64], at: &[f64], inside: impl Fn(usize, f64) -> f64) -> Vec<f64> {

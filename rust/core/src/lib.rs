@@ -16,9 +16,9 @@
 //!                ŷ(t, θ) = g(x̂(t, θ), u(t), θ)
 //! ```
 //!
-//! where ℓ_e is the log-density of the noise, here ℓ_e(ε, θ) = −½ Σ_c (ε_c/σ_c)² − Σ_c ln σ_c (Eqs. pe_gaussian,
-//! r_diag). To solve the differential equation for every trial θ fails where the system is unstable or θ far
-//! off. Instead, time is divided into n_s segments with m Legendre-Gauss-Lobatto points τ_k each, and the states
+//! where ℓ_e is the log-density of the noise, ℓ_e(ε, θ) = −½ Σ_c (ε_c/σ_c)² − Σ_c ln σ_c (Eqs. pe_gaussian,
+//! r_diag) unless another [`noise`] is chosen. To solve the differential equation for every trial θ fails where the
+//! system is unstable or θ far off. Instead, time is divided into n_s segments with m Legendre-Gauss-Lobatto points τ_k each, and the states
 //! there are unknowns too (Eq. oem_coll):
 //!
 //! ```text
@@ -78,6 +78,7 @@
 //! | [`experiment`], [`noise`], [`mesh`] | records, the density of the noise, segments and their points |
 //! | [`nlp`] | the seam to solvers: a nonlinear program with names |
 //! | [`transcription`] | from all these to the program of collocation, or of single or multiple shooting |
+//! | [`filter`] | process noise: the marginal likelihood of the filter-error method |
 //! | [`linalg`] | the seam to linear algebra: Newton systems; the factorisation of an arrow, and a sparse one |
 //! | [`solver`] | Gauss-Newton, then Newton |
 //! | [`diagnosis`] | covariance, and what the data leave open |
@@ -86,12 +87,14 @@
 // Documentation names private items too, for those who read on in the source.
 #![allow(rustdoc::private_intra_doc_links)]
 
+pub mod condition;
 pub mod diagnosis;
 pub mod error;
 pub mod estimate;
 pub mod evaluator;
 pub mod experiment;
 pub mod expr;
+pub mod filter;
 pub mod interpolate;
 pub mod lgl;
 pub mod linalg;
@@ -114,7 +117,7 @@ pub use expr::Expr;
 pub use interpolate::Interpolation;
 pub use mesh::Grid;
 pub use model::{Model, Parameter};
-pub use noise::Sigma;
+pub use noise::{Density, Dof, Noise, Sigma};
 
 /// The code in the README.
 #[cfg(doctest)]

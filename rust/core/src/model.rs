@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::condition::{Condition, End};
 use crate::error::{Error, did_you_mean};
 use crate::expr::Expr;
 use crate::expr::graph::{Graph, Id};
@@ -132,6 +133,8 @@ pub struct Model {
     pub dynamics: Vec<Equation>,
     /// Outputs, in order.
     pub outputs: Vec<Equation>,
+    /// Conditions on the ends of each record.
+    pub conditions: Vec<Condition>,
 }
 
 /// A model's expressions in one graph.
@@ -149,6 +152,8 @@ pub struct Compiled {
     pub dynamics: Vec<Id>,
     /// Outputs g.
     pub outputs: Vec<Id>,
+    /// Right-hand sides of the conditions.
+    pub conditions: Vec<Id>,
 }
 
 impl Model {
@@ -279,6 +284,34 @@ impl Model {
         Ok(())
     }
 
+    /// Sets a condition on an end of each record: the state equals `expr` there, or differs by it between
+    /// the ends. States without a condition are free at both ends.
+    pub fn condition(
+        &mut self,
+        end: End,
+        state: &str,
+        expr: Expr,
+        source: Option<String>,
+    ) -> Result<(), Error> {
+        let place = source.as_ref().map(|s| format!(" ({s})")).unwrap_or_default();
+        if !self.states.iter().any(|s| s.name == state) {
+            let hint = did_you_mean(state, self.states.iter().map(|s| s.name.as_str()));
+            return Err(Error::Model(format!("condition{place}: '{state}' is not a state.{hint}")));
+        }
+        if self.conditions.iter().any(|c| c.state == state && c.end == end) {
+            return Err(Error::Model(format!("condition{place}: '{state}' has such a condition already")));
+        }
+        if self.conditions.len() == self.states.len() {
+            return Err(Error::Model(format!(
+                "condition{place}: {} states have {} conditions already; with more nothing is left to choose",
+                self.states.len(),
+                self.conditions.len()
+            )));
+        }
+        self.conditions.push(Condition { end, state: state.to_owned(), expr, source });
+        Ok(())
+    }
+
     /// The state equation of a state.
     pub fn dynamics_of(&self, state: &str) -> Option<&Equation> {
         self.dynamics.iter().find(|e| e.name == state)
@@ -330,6 +363,27 @@ impl Model {
                 }
             }
         }
+        for c in &self.conditions {
+            let place = c.source.as_ref().map(|s| format!(" ({s})")).unwrap_or_default();
+            let periodic =
+                |symbol: &str| c.end == End::Periodic && !self.parameters.iter().any(|p| p.name == symbol);
+            for symbol in c.expr.symbols() {
+                if !known.contains(&*symbol) {
+                    let hint = did_you_mean(&symbol, known.iter().copied());
+                    return fail(format!(
+                        "condition of {}{place}: symbol '{symbol}' is not declared in this model.{hint}",
+                        c.state
+                    ));
+                }
+                if periodic(&symbol) {
+                    return fail(format!(
+                        "periodic condition of {}{place}: the difference between the ends may depend on parameters, \
+                         not on '{symbol}'",
+                        c.state
+                    ));
+                }
+            }
+        }
         let used = self.used();
         for parameter in &self.parameters {
             if !used.contains(parameter.name.as_str()) {
@@ -346,6 +400,7 @@ impl Model {
     fn used(&self) -> HashSet<Arc<str>> {
         let equations = self.dynamics.iter().chain(&self.outputs);
         let mut used: HashSet<Arc<str>> = equations.flat_map(|e| e.expr.symbols()).collect();
+        used.extend(self.conditions.iter().flat_map(|c| c.expr.symbols()));
         for quantity in self.quantities.iter().rev() {
             if used.contains(quantity.name.as_str()) {
                 used.extend(quantity.expr.symbols());
@@ -376,7 +431,8 @@ impl Model {
             .map(|s| graph.import(&self.dynamics_of(&s.name).expect("checked").expr, &define))
             .collect();
         let outputs = self.outputs.iter().map(|e| graph.import(&e.expr, &define)).collect();
-        Ok(Compiled { graph, data, states, parameters, dynamics, outputs })
+        let conditions = self.conditions.iter().map(|c| graph.import(&c.expr, &define)).collect();
+        Ok(Compiled { graph, data, states, parameters, dynamics, outputs, conditions })
     }
 
     /// The right-hand sides with quantities put in, as expressions: f in the order of the states, then g.
@@ -413,11 +469,23 @@ struct SavedModel {
     quantities: Vec<SavedEquation>,
     dynamics: Vec<SavedEquation>,
     outputs: Vec<SavedEquation>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    conditions: Vec<SavedCondition>,
     expressions: Pool,
 }
 
+#[derive(Serialize, Deserialize)]
+struct SavedCondition {
+    end: End,
+    state: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    source: Option<String>,
+}
+
 const FORMAT: &str = "phugoid-model";
-const VERSION: u32 = 1;
+/// Models with conditions, with local or transformed parameters are of version 2: older releases would read
+/// them as other models.
+const VERSION: u32 = 2;
 
 impl Model {
     /// The model as JSON text; [`Model::from_json`] reads it back exactly.
@@ -430,10 +498,15 @@ impl Model {
             };
             equations.iter().map(one).collect()
         };
-        let all = self.quantities.iter().chain(&self.dynamics).chain(&self.outputs);
+        let equations = self.quantities.iter().chain(&self.dynamics).chain(&self.outputs);
+        let all = equations.map(|e| &e.expr).chain(self.conditions.iter().map(|c| &c.expr));
+        let plain = |p: &Parameter| !p.local && p.transform == Transform::None;
+        let old = self.conditions.is_empty() && self.parameters.iter().all(plain);
+        let condition =
+            |c: &Condition| SavedCondition { end: c.end, state: c.state.clone(), source: c.source.clone() };
         let saved = SavedModel {
             format: FORMAT.into(),
-            version: VERSION,
+            version: if old { 1 } else { VERSION },
             name: self.name.clone(),
             states: self.states.clone(),
             inputs: self.inputs.clone(),
@@ -441,7 +514,8 @@ impl Model {
             quantities: save(&self.quantities),
             dynamics: save(&self.dynamics),
             outputs: save(&self.outputs),
-            expressions: Pool::new(all.map(|e| &e.expr)),
+            conditions: self.conditions.iter().map(condition).collect(),
+            expressions: Pool::new(all),
         };
         serde_json::to_string(&saved).expect("a model is plain data")
     }
@@ -476,7 +550,7 @@ impl Model {
         }
         let exprs = saved.expressions.expressions().map_err(fail)?;
         let (nq, nd, ny) = (saved.quantities.len(), saved.dynamics.len(), saved.outputs.len());
-        if exprs.len() != nq + nd + ny {
+        if exprs.len() != nq + nd + ny + saved.conditions.len() {
             return Err(fail("the number of expressions is not the number of equations".into()));
         }
         // Declared one by one, so that a damaged file fails as a wrong model does.
@@ -497,8 +571,11 @@ impl Model {
         for (e, expr) in saved.dynamics.into_iter().zip(exprs.by_ref()) {
             model.equation(&e.name, expr, e.source)?;
         }
-        for (e, expr) in saved.outputs.into_iter().zip(exprs) {
+        for (e, expr) in saved.outputs.into_iter().zip(exprs.by_ref()) {
             model.output(&e.name, expr, &e.unit, e.source)?;
+        }
+        for (c, expr) in saved.conditions.into_iter().zip(exprs) {
+            model.condition(c.end, &c.state, expr, c.source)?;
         }
         Ok(model)
     }

@@ -69,9 +69,10 @@ fn errors(known: &Known, order: usize, n: usize, samples: usize) -> (f64, f64) {
         t,
         inputs: vec![],
         interpolation: Interpolation::Linear,
+        signals: Vec::new(),
     };
     let noise = Noise::Gaussian(vec![Sigma::Known(1.0); n_x]);
-    let settings = Settings { order, grid: vec![Grid::Uniform(n)], threads: 1 };
+    let settings = Settings { order, grid: vec![Grid::Uniform(n)], threads: 1, ..Settings::default() };
     let problem = Collocation::new(&known.model, &[record], noise, &settings).unwrap();
     let mesh = &problem.meshes[0];
     // From the solution: the first point is right, and Newton's method finds the discrete solution next to it.

@@ -15,7 +15,7 @@ fn check(model: &Model, order: usize, grid: Grid, interpolation: Interpolation) 
     // The first record is longer than a chunk.
     let mut records = [record(model, "one", 90, false, 1), record(model, "two", 8, false, 2)];
     records.iter_mut().for_each(|r| r.interpolation = interpolation);
-    let settings = Settings { order, grid: vec![grid], threads: 1 };
+    let settings = Settings { order, grid: vec![grid], threads: 1, ..Settings::default() };
     let problem = Collocation::new(model, &records, known_noise(model), &settings).unwrap();
     let xi = guess(&problem, 3);
     let mut found = vec![f64::NAN; problem.m()];

@@ -27,6 +27,7 @@ fn problem(f: &Expr, g: &Expr) -> Collocation {
         inputs: vec![(0..6).map(|i| f64::from(i + 1)).collect()],
         outputs: vec![vec![0.0; 6]],
         interpolation: Interpolation::Linear,
+        signals: Vec::new(),
     };
     let sigma = Sigma::Unknown { start: 1.0, lower: 1e-3, upper: 1e3 };
     let settings = Settings { order: 2, ..Settings::default() };

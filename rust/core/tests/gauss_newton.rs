@@ -15,7 +15,13 @@ use phugoid::transcription::{Collocation, Settings};
 
 fn problem(model: &Model, noise: Noise, grid: Grid) -> Collocation {
     let records = [record(model, "one", 13, true, 1), record(model, "two", 6, false, 2)];
-    Collocation::new(model, &records, noise, &Settings { order: 3, grid: vec![grid], threads: 1 }).unwrap()
+    Collocation::new(
+        model,
+        &records,
+        noise,
+        &Settings { order: 3, grid: vec![grid], threads: 1, ..Settings::default() },
+    )
+    .unwrap()
 }
 
 /// A full symmetric matrix from the entries of its lower triangle.

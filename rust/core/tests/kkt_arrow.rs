@@ -25,7 +25,7 @@ struct Case {
 
 fn case(model: &Model, order: usize, grid: Grid, exact: bool) -> Case {
     let records = [record(model, "one", 13, true, 1), record(model, "two", 6, false, 2)];
-    let settings = Settings { order, grid: vec![grid], threads: 1 };
+    let settings = Settings { order, grid: vec![grid], threads: 1, ..Settings::default() };
     let problem = Collocation::new(model, &records, mixed_noise(model), &settings).unwrap();
     let xi = guess(&problem, 3);
     let mut random = Random(7);

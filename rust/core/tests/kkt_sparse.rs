@@ -728,7 +728,7 @@ fn covariance_is_the_block_of_the_inverse() {
 /// The system of a collocation problem at some point.
 fn collocation(model: &Model, noise: Noise, order: usize, grid: Grid, exact: bool) -> (Collocation, Case) {
     let records = [record(model, "one", 13, true, 1), record(model, "two", 6, false, 2)];
-    let settings = Settings { order, grid: vec![grid], threads: 1 };
+    let settings = Settings { order, grid: vec![grid], threads: 1, ..Settings::default() };
     let problem = Collocation::new(model, &records, noise, &settings).unwrap();
     let case = system(&problem, &guess(&problem, 3), exact);
     (problem, case)
@@ -796,7 +796,7 @@ fn parameters_that_data_cannot_tell_are_named() {
     let mut records = [record(&m, "one", 40, false, 1)];
     records[0].inputs[0].fill(0.0);
     for (order, exact) in [(2, false), (4, false)] {
-        let settings = Settings { order, grid: vec![Grid::Samples(1)], threads: 1 };
+        let settings = Settings { order, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
         let problem = Collocation::new(&m, &records, known_noise(&m), &settings).unwrap();
         let case = system(&problem, &guess(&problem, 3), exact);
         let mut kkt = case.factorized();
@@ -862,9 +862,10 @@ fn large(order: usize, samples: usize) -> Collocation {
         inputs: vec![channel(), channel()],
         outputs: (0..7).map(|_| channel()).collect(),
         interpolation: Interpolation::Linear,
+        signals: Vec::new(),
     };
     let noise = Noise::Gaussian(vec![Sigma::Unknown { start: 0.5, lower: 1e-3, upper: 1e3 }; 7]);
-    let settings = Settings { order, grid: vec![Grid::Samples(1)], threads: 1 };
+    let settings = Settings { order, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
     Collocation::new(&m, &[record], noise, &settings).unwrap()
 }
 

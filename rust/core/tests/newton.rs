@@ -51,7 +51,8 @@ fn it_finds_an_unstable_aircraft_from_zero_at_any_order() {
 #[test]
 fn samples_between_mesh_points_change_nothing_of_that() {
     let grid = vec![Grid::Uniform(70)];
-    let (p, xi) = problem(&models::linear(), 241, &Settings { order: 5, grid, threads: 1 });
+    let (p, xi) =
+        problem(&models::linear(), 241, &Settings { order: 5, grid, threads: 1, ..Settings::default() });
     let s = run(&p, &xi, &Options::default());
     assert_eq!(s.status, Status::Converged, "{}", s.message);
     // The input has corners that the mesh does not see.
@@ -263,8 +264,8 @@ impl Nlp for Shapeless {
     fn profiled(&self) -> std::ops::Range<usize> {
         self.0.profiled()
     }
-    fn profile(&self, xi: &[f64], gradient: &[f64], out: &mut [f64]) {
-        self.0.profile(xi, gradient, out);
+    fn profile(&self, xi: &[f64], gradient: &[f64], reach: &phugoid::nlp::Reach<'_>, out: &mut [f64]) -> f64 {
+        self.0.profile(xi, gradient, reach, out)
     }
     fn variable_name(&self, i: usize) -> String {
         self.0.variable_name(i)

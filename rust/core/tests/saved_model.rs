@@ -47,6 +47,7 @@ fn problem(saved: &Value) -> Collocation {
             inputs: many(&e["inputs"]),
             outputs: many(&e["outputs"]),
             interpolation: if cubic { Interpolation::Cubic } else { Interpolation::Linear },
+            signals: Vec::new(),
         }
     };
     let experiments: Vec<Experiment> =
@@ -58,7 +59,13 @@ fn problem(saved: &Value) -> Collocation {
     };
     let noise = Noise::Gaussian(saved["sigmas"].as_array().unwrap().iter().map(sigma).collect());
     let order = saved["order"].as_u64().unwrap() as usize;
-    Collocation::new(&model(saved), &experiments, noise, &Settings { order, grid, threads: 0 }).unwrap()
+    Collocation::new(
+        &model(saved),
+        &experiments,
+        noise,
+        &Settings { order, grid, threads: 0, ..Settings::default() },
+    )
+    .unwrap()
 }
 
 #[test]

@@ -33,6 +33,7 @@ fn errors(integrator: Integrator, segments: usize, steps: usize) -> (f64, f64) {
         integrator,
         steps: Steps::Number(steps / segments),
         threads: 1,
+        ..Shots::default()
     };
     let noise = Noise::Gaussian(vec![Sigma::Known(1.0)]);
     let problem = Shooting::new(&model, std::slice::from_ref(&run), noise, &settings).unwrap();
@@ -121,7 +122,13 @@ fn fits_agree_with_collocation() {
     let reference = Estimation::new(&model, &run).order(6).solve().unwrap();
     for (segments, steps) in [(30, Steps::Samples(4)), (7, Steps::Length(0.0025)), (1, Steps::Samples(4))] {
         let grid = vec![Grid::Uniform(segments)];
-        let shots = Shots { grid, steps: steps.clone(), integrator: Integrator::DormandPrince, threads: 1 };
+        let shots = Shots {
+            grid,
+            steps: steps.clone(),
+            integrator: Integrator::DormandPrince,
+            threads: 1,
+            ..Shots::default()
+        };
         let warm = Estimation::new(&model, &run).shooting(shots.clone()).start_from(&reference);
         let cold = Estimation::new(&model, &run).shooting(shots);
         for (how, fit) in [("warm", warm.solve().unwrap()), ("cold", cold.solve().unwrap())] {

@@ -50,7 +50,7 @@ fn check(problem: &Shooting, what: &str) {
 }
 
 fn settings(integrator: Integrator, segments: usize, steps: Steps) -> Shots {
-    Shots { grid: vec![Grid::Uniform(segments)], integrator, steps, threads: 1 }
+    Shots { grid: vec![Grid::Uniform(segments)], integrator, steps, threads: 1, ..Shots::default() }
 }
 
 /// Steps from sample to sample, and such that samples lie within them.

@@ -5,7 +5,8 @@ use pyo3::prelude::*;
 
 use crate::errors::raise;
 use crate::model::PyModel;
-use crate::problem::{GridSpec, PyProblem, Record, SigmaSpec, grids, noise, records};
+use crate::noise::PyNoise;
+use crate::problem::{GridSpec, PyProblem, Record, experiment, grids};
 
 /// Collocation; everything but its making is `Problem`'s.
 #[pyclass(name = "Collocation", module = "phugoid._core", frozen, extends = PyProblem)]
@@ -18,14 +19,15 @@ impl PyCollocation {
         py: Python<'_>,
         model: &PyModel,
         experiments: Vec<Record<'_>>,
-        sigmas: Vec<SigmaSpec>,
+        noise: &PyNoise,
         order: usize,
         divisions: Vec<GridSpec>,
         threads: usize,
     ) -> PyResult<PyClassInitializer<Self>> {
-        let (records, noise) = (records(experiments), noise(sigmas));
-        let settings = Settings { order, grid: grids(divisions)?, threads };
-        let model = &model.0;
+        let records: Vec<_> = experiments.into_iter().map(experiment).collect();
+        let settings =
+            Settings { order, grid: grids(divisions)?, threads, noise_per_experiment: noise.per_experiment };
+        let (model, noise) = (&model.0, noise.noise.clone());
         let problem = py.detach(|| Collocation::new(model, &records, noise, &settings)).map_err(raise)?;
         Ok(PyClassInitializer::from(PyProblem(Box::new(problem))).add_subclass(PyCollocation))
     }

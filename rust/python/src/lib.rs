@@ -4,8 +4,10 @@ mod collocation;
 mod errors;
 mod evaluator;
 mod expr;
+mod filter;
 mod model;
 mod newton;
+mod noise;
 mod problem;
 mod shooting;
 
@@ -17,10 +19,12 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<expr::PyExpr>()?;
     m.add_class::<expr::PyTable>()?;
     m.add_class::<model::PyModel>()?;
+    m.add_class::<noise::PyNoise>()?;
     m.add_class::<problem::PyProblem>()?;
     m.add_class::<collocation::PyCollocation>()?;
     m.add_class::<shooting::PyShooting>()?;
     m.add_class::<evaluator::PyEvaluator>()?;
+    m.add_class::<filter::PyFilter>()?;
     m.add_class::<newton::PySolution>()?;
     m.add_function(wrap_pyfunction!(newton::newton, m)?)?;
     m.add_function(wrap_pyfunction!(newton::information, m)?)?;

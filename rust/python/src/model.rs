@@ -1,7 +1,9 @@
 //! Models.
 
+use phugoid::condition::{Condition, End};
 use phugoid::model::{Model, Parameter};
 use phugoid::transform::Transform;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::errors::raise;
@@ -81,6 +83,31 @@ impl PyModel {
 
     fn output(&mut self, name: &str, expr: Operand, unit: &str, source: Option<String>) -> PyResult<()> {
         self.0.output(name, expr.0, unit, source).map_err(raise)
+    }
+
+    /// `end` is "initial", "final" or "periodic".
+    fn condition(&mut self, end: &str, state: &str, expr: Operand, source: Option<String>) -> PyResult<()> {
+        let end = match end {
+            "initial" => End::Initial,
+            "final" => End::Final,
+            "periodic" => End::Periodic,
+            _ => return Err(PyValueError::new_err(format!("unknown end '{end}'"))),
+        };
+        self.0.condition(end, state, expr.0, source).map_err(raise)
+    }
+
+    /// End, state, expression and source.
+    #[getter]
+    fn conditions(&self) -> Vec<(&'static str, String, PyExpr, Option<String>)> {
+        let one = |c: &Condition| {
+            let end = match c.end {
+                End::Initial => "initial",
+                End::Final => "final",
+                End::Periodic => "periodic",
+            };
+            (end, c.state.clone(), PyExpr(c.expr.clone()), c.source.clone())
+        };
+        self.0.conditions.iter().map(one).collect()
     }
 
     fn check(&self) -> PyResult<()> {

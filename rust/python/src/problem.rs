@@ -1,31 +1,34 @@
 //! Transcribed problems: what all have in common.
 
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
-use phugoid::experiment::Experiment;
+use phugoid::experiment::{Experiment, Signal};
 use phugoid::interpolate::Interpolation;
 use phugoid::mesh::Grid;
 use phugoid::nlp::{NotFinite, Structure, check::check_derivatives};
-use phugoid::noise::{Noise, Sigma};
 use phugoid::transcription::{Posed, Transcribed};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::errors::named;
 
-/// A record as Python hands it over: name, times, inputs, outputs, interpolation.
+/// An input sampled at times of its own: times, samples, delay, derivative.
+type SignalSpec<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, f64, usize);
+
+/// A record as Python hands it over: name, times, inputs, outputs, interpolation, signals in place of inputs.
 pub type Record<'py> = (
     String,
     PyReadonlyArray1<'py, f64>,
     Vec<PyReadonlyArray1<'py, f64>>,
     Vec<PyReadonlyArray1<'py, f64>>,
     String,
+    Vec<Option<SignalSpec<'py>>>,
 );
-
-/// σ of an output: (known, value or start, lower, upper).
-pub type SigmaSpec = (bool, f64, f64, f64);
 
 /// Segments: ("samples", n, None), ("uniform", n, None) or ("edges", 0, times).
 pub type GridSpec = (String, usize, Option<Vec<f64>>);
+
+/// A value of the noise: name, output, value, gradient, bounded by, bounds.
+type Reported = (String, Option<usize>, f64, Vec<f64>, Option<usize>, f64, f64);
 
 /// A problem on its own threads, without the interpreter lock. Each transcription is a class of its own below.
 #[pyclass(name = "Problem", module = "phugoid._core", frozen, subclass)]
@@ -60,24 +63,20 @@ fn grid((kind, n, edges): GridSpec) -> PyResult<Grid> {
     }
 }
 
-/// Records of experiments.
-pub fn records(experiments: Vec<Record<'_>>) -> Vec<Experiment> {
-    let one = |(name, t, inputs, outputs, kind): Record<'_>| Experiment {
+fn signal((t, values, delay, derivative): &SignalSpec<'_>) -> Signal {
+    Signal { t: vector(t), values: vector(values), delay: *delay, derivative: *derivative }
+}
+
+/// A record of the core.
+pub fn experiment((name, t, inputs, outputs, kind, signals): Record<'_>) -> Experiment {
+    Experiment {
         name,
         t: vector(&t),
         inputs: inputs.iter().map(vector).collect(),
         outputs: outputs.iter().map(vector).collect(),
         interpolation: if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear },
-    };
-    experiments.into_iter().map(one).collect()
-}
-
-/// The noise model.
-pub fn noise(sigmas: Vec<SigmaSpec>) -> Noise {
-    let sigma = |(known, value, lower, upper): SigmaSpec| {
-        if known { Sigma::Known(value) } else { Sigma::Unknown { start: value, lower, upper } }
-    };
-    Noise::Gaussian(sigmas.into_iter().map(sigma).collect())
+        signals: signals.iter().map(|s| s.as_ref().map(signal)).collect(),
+    }
 }
 
 impl PyProblem {
@@ -139,6 +138,13 @@ impl PyProblem {
         self.0.layout().n_x
     }
 
+    /// For each boundary condition, which follow all other constraints, the state in whose unit it is.
+    #[getter]
+    fn boundary_states(&self) -> Vec<usize> {
+        let chains = self.0.chains().into_iter().flat_map(|c| &c.chains);
+        chains.flat_map(|c| c.boundary.states.iter().copied()).collect()
+    }
+
     /// First point of each experiment, and the total.
     #[getter]
     fn first_point(&self) -> Vec<usize> {
@@ -178,6 +184,34 @@ impl PyProblem {
     #[getter]
     fn noise_parameters(&self) -> Vec<String> {
         self.posed().parameters[self.posed().n_model_parameters..].iter().map(|p| p.name.clone()).collect()
+    }
+
+    /// Where the noise parameters start.
+    #[getter]
+    fn noise_start(&self) -> Vec<f64> {
+        self.posed().parameters[self.posed().n_model_parameters..].iter().map(|p| p.start).collect()
+    }
+
+    /// Variables that are 1/sigma of an output, given others where noise is correlated.
+    #[getter]
+    fn precision_roots(&self) -> Vec<usize> {
+        self.posed().precision_roots()
+    }
+
+    /// Scales of all outputs.
+    fn sigmas(&self, xi: PyReadonlyArray1<'_, f64>) -> PyResult<Vec<f64>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        Ok(self.posed().sigmas(xi))
+    }
+
+    /// The noise in the user's terms: name, number of the output whose unit it has, value, gradient with respect
+    /// to the noise parameters, number of the one whose bounds are its own, lower and upper bound.
+    fn noise_report(&self, xi: PyReadonlyArray1<'_, f64>) -> PyResult<Vec<Reported>> {
+        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        let one = |r: phugoid::noise::Reported| {
+            (r.name, r.output, r.value, r.gradient, r.bounded_by, r.bounds.0, r.bounds.1)
+        };
+        Ok(self.posed().noise_report(xi).into_iter().map(one).collect())
     }
 
     /// Times of the points of an experiment whose states are variables.

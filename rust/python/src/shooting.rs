@@ -6,7 +6,8 @@ use pyo3::prelude::*;
 
 use crate::errors::raise;
 use crate::model::PyModel;
-use crate::problem::{GridSpec, PyProblem, Record, SigmaSpec, grids, noise, records};
+use crate::noise::PyNoise;
+use crate::problem::{GridSpec, PyProblem, Record, experiment, grids};
 
 /// Steps: ("samples", n), ("number", n) or ("length", h).
 type StepSpec = (String, f64);
@@ -23,13 +24,13 @@ impl PyShooting {
         py: Python<'_>,
         model: &PyModel,
         experiments: Vec<Record<'_>>,
-        sigmas: Vec<SigmaSpec>,
+        noise: &PyNoise,
         divisions: Vec<GridSpec>,
         integrator: &str,
         steps: StepSpec,
         threads: usize,
     ) -> PyResult<PyClassInitializer<Self>> {
-        let (records, noise) = (records(experiments), noise(sigmas));
+        let records: Vec<_> = experiments.into_iter().map(experiment).collect();
         let unknown = |what: &str| PyValueError::new_err(format!("unknown {what}"));
         let integrator = Integrator::from_name(integrator).ok_or_else(|| unknown("integrator"))?;
         let steps = match steps.0.as_str() {
@@ -38,8 +39,14 @@ impl PyShooting {
             "length" => Steps::Length(steps.1),
             _ => return Err(unknown("kind of steps")),
         };
-        let settings = Shots { grid: grids(divisions)?, integrator, steps, threads };
-        let model = &model.0;
+        let settings = Shots {
+            grid: grids(divisions)?,
+            integrator,
+            steps,
+            threads,
+            noise_per_experiment: noise.per_experiment,
+        };
+        let (model, noise) = (&model.0, noise.noise.clone());
         let problem = py.detach(|| Shooting::new(model, &records, noise, &settings)).map_err(raise)?;
         Ok(PyClassInitializer::from(PyProblem(Box::new(problem))).add_subclass(PyShooting))
     }

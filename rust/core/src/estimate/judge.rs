@@ -57,8 +57,7 @@ pub(super) fn large_defects(model: &Model, problem: &dyn Transcribed, xi: &[f64]
     if problem.constraints(xi, &mut defects).is_err() {
         return vec!["the equations are not finite at the result".into()];
     }
-    let sigmas =
-        problem.posed().noise.sigmas(&xi[problem.posed().n_model_parameters..problem.layout().n_theta]);
+    let sigmas = problem.posed().sigmas(xi);
     let mut found = Vec::new();
     for (i, state) in model.states.iter().enumerate() {
         let total: f64 = defects.iter().skip(i).step_by(model.states.len()).map(|c| c.abs()).sum();

@@ -5,7 +5,7 @@ use super::judge::{judge, large_defects};
 use crate::diagnosis::information;
 use crate::experiment::Experiment;
 use crate::model::{Model, Variable};
-use crate::noise::SIGMA;
+use crate::noise::{Reported, SIGMA};
 use crate::solver::Solution;
 use crate::transcription::Transcribed;
 
@@ -32,6 +32,8 @@ impl Fit {
 
         let (mut status, mut message) = (solution.status, solution.message.clone());
         let mut warnings = Vec::new();
+        let n_model = problem.posed().n_model_parameters;
+        let reported = problem.posed().noise_report(xi);
         let mut errors = vec![f64::NAN; problem.n()];
         let mut covariance = vec![f64::NAN; n_theta * n_theta];
         match information(problem, xi, &solution.multipliers, &wanted, &held) {
@@ -41,39 +43,44 @@ impl Fit {
             Ok(found) => {
                 judge(problem, &found, &wanted, (&mut status, &mut message), &mut warnings);
                 let k = wanted.len();
-                // σ = 1/root, so dσ = −droot/root².
-                let slope = |i: usize| {
-                    if i < problem.posed().n_model_parameters {
-                        problem.posed().estimands.transforms[i].slope(xi[i])
-                    } else {
-                        -1.0 / (xi[i] * xi[i])
-                    }
-                };
                 for (a, &i) in wanted.iter().enumerate() {
                     let variance = found.covariance[a * k + a];
                     if variance > 0.0 {
-                        errors[i] = variance.sqrt() * if a < free { slope(i).abs() } else { 1.0 };
+                        errors[i] = variance.sqrt();
                     }
                     for (b, &j) in wanted[..free].iter().enumerate().filter(|_| a < free) {
-                        covariance[i * n_theta + j] = found.covariance[a * k + b] * slope(i) * slope(j);
+                        covariance[i * n_theta + j] = found.covariance[a * k + b];
                     }
+                }
+                noise_covariance(&reported, n_model, n_theta, &mut covariance);
+                for i in n_model..n_theta {
+                    errors[i] = covariance[i * n_theta + i].sqrt();
                 }
             }
         }
 
-        let estimate = |i: usize| {
-            let p = &problem.posed().parameters[i];
-            let output =
-                p.name.strip_prefix(SIGMA).and_then(|name| model.outputs.iter().find(|o| o.name == name));
-            let (value, unit, bound) = match output.filter(|_| i >= problem.posed().n_model_parameters) {
-                Some(output) => (1.0 / xi[i], &output.unit, bounds[i].map(flipped)),
-                None => (problem.posed().estimands.value(i, xi), &p.unit, bounds[i]),
+        let of_model = problem.posed().parameters[..n_model].iter().enumerate().map(|(i, p)| Estimate {
+            name: p.name.clone(),
+            unit: p.unit.clone(),
+            value: problem.posed().estimands.value(i, xi),
+            std_error: errors[i],
+            bound: bounds[i],
+        });
+        let of_noise = reported.iter().enumerate().map(|(i, r)| {
+            let of = |k: usize| {
+                if r.gradient[k] < 0.0 { bounds[n_model + k].map(flipped) } else { bounds[n_model + k] }
             };
-            Estimate { name: p.name.clone(), unit: unit.clone(), value, std_error: errors[i], bound }
-        };
-        let parameters: Vec<Estimate> = (0..n_theta).map(estimate).collect();
-        let at_floor = |p: &&Estimate| p.bound == Some(Bound::Lower);
-        for p in parameters[problem.posed().n_model_parameters..].iter().filter(at_floor) {
+            Estimate {
+                name: r.name.clone(),
+                unit: r.output.map_or_else(String::new, |c| model.outputs[c].unit.clone()),
+                value: r.value,
+                std_error: errors[n_model + i],
+                bound: r.bounded_by.and_then(of),
+            }
+        });
+        let parameters: Vec<Estimate> = of_model.chain(of_noise).collect();
+        let at_floor = |p: &&Estimate| p.bound == Some(Bound::Lower) && p.name.starts_with(SIGMA);
+        for p in parameters[n_model..].iter().filter(at_floor) {
             warnings.push(format!(
                 "{} sits at its lower bound {:.3e}: the fit of this output is exact for all we know",
                 p.name, p.value
@@ -94,6 +101,23 @@ impl Fit {
             warnings,
             parameters,
             solution,
+        }
+    }
+}
+
+/// The covariance of the parameters as a user knows them, in place: that of the noise by the delta method.
+fn noise_covariance(reported: &[Reported], n_model: usize, n: usize, covariance: &mut [f64]) {
+    let of_unknowns = covariance.to_vec();
+    let at = |i: usize, j: usize| of_unknowns[i * n + j];
+    for (a, one) in reported.iter().enumerate() {
+        for j in 0..n_model {
+            let terms = one.gradient.iter().enumerate().filter(|g| *g.1 != 0.0);
+            let value = terms.map(|(k, g)| g * at(n_model + k, j)).sum();
+            (covariance[(n_model + a) * n + j], covariance[j * n + n_model + a]) = (value, value);
+        }
+        for (b, other) in reported.iter().enumerate() {
+            let value = one.covariance(other, |i, j| at(n_model + i, n_model + j));
+            covariance[(n_model + a) * n + n_model + b] = value;
         }
     }
 }

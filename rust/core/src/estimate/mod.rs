@@ -13,7 +13,7 @@ use crate::error::{Error, did_you_mean};
 use crate::experiment::Experiment;
 use crate::mesh::Grid;
 use crate::model::Model;
-use crate::noise::{Noise, SIGMA, Sigma};
+use crate::noise::{Density, Noise, SIGMA, Sigma};
 use crate::solver::{Control, Iteration, Settings, solve};
 use crate::transcription::{self, Collocation, Shooting, Shots, Transcribed};
 
@@ -58,8 +58,18 @@ pub struct Estimation<'a> {
     solver: Settings,
     regression: Option<bool>,
     noise: Vec<(String, Sigma)>,
+    densities: Vec<(String, Density)>,
+    joint: Joint,
     start: Vec<(String, Start)>,
     warm: Option<&'a Fit>,
+}
+
+/// Whether noise has a covariance.
+#[derive(Clone, Debug)]
+enum Joint {
+    No,
+    Unknown,
+    Known(Vec<f64>),
 }
 
 impl<'a> Estimation<'a> {
@@ -73,6 +83,8 @@ impl<'a> Estimation<'a> {
             solver: Settings::default(),
             regression: None,
             noise: Vec::new(),
+            densities: Vec::new(),
+            joint: Joint::No,
             start: Vec::new(),
             warm: None,
         }
@@ -110,6 +122,25 @@ impl<'a> Estimation<'a> {
     /// measurements, unless said.
     pub fn noise(mut self, output: &str, sigma: Sigma) -> Self {
         self.noise.push((output.to_owned(), sigma));
+        self
+    }
+
+    /// The density of an output's noise, whose scale [`Estimation::noise`] says: Gaussian, unless said.
+    pub fn density(mut self, output: &str, density: Density) -> Self {
+        self.densities.push((output.to_owned(), density));
+        self
+    }
+
+    /// Gaussian noise that is correlated between outputs, with an unknown covariance: `sigma_<output>` and
+    /// `corr_<output>_<output>`. All standard deviations are unknown then.
+    pub fn correlated(mut self) -> Self {
+        self.joint = Joint::Unknown;
+        self
+    }
+
+    /// Gaussian noise of this covariance matrix, n_y × n_y in the order of the model's outputs, row by row.
+    pub fn covariance(mut self, matrix: Vec<f64>) -> Self {
+        self.joint = Joint::Known(matrix);
         self
     }
 
@@ -216,13 +247,14 @@ impl<'a> Estimation<'a> {
     }
 
     fn check_names(&self, outputs: &[&str]) -> Result<(), Error> {
-        for (name, _) in &self.noise {
+        for name in self.noise.iter().map(|n| &n.0).chain(self.densities.iter().map(|d| &d.0)) {
             if !outputs.contains(&name.as_str()) {
                 let hint = did_you_mean(name, outputs.iter().copied());
                 return Err(Error::Option(format!("noise: '{name}' is not an output.{hint}")));
             }
         }
-        let sigmas: Vec<String> = outputs.iter().map(|o| format!("{SIGMA}{o}")).collect();
+        let sigmas = outputs.iter().map(|o| format!("{SIGMA}{o}"));
+        let sigmas: Vec<String> = sigmas.chain(self.names_of_noise(outputs)).collect();
         let parameters = self.model.parameters.iter().map(|p| &p.name);
         let states = self.model.states.iter().map(|s| &s.name);
         let local = self.model.parameters.iter().filter(|p| p.local);
@@ -242,9 +274,11 @@ impl<'a> Estimation<'a> {
     /// The fit to go on from, where it is of this problem and nothing else is asked for.
     fn same(&self, problem: &dyn Transcribed) -> Option<&'a Fit> {
         let fit = self.warm.filter(|_| self.start.is_empty())?;
-        let names =
-            fit.parameters.iter().map(|p| &p.name).eq(problem.posed().parameters.iter().map(|p| &p.name));
         let sizes = (fit.solution.xi.len(), fit.solution.multipliers.len()) == (problem.n(), problem.m());
-        (names && sizes && fit.model.states == self.model.states).then_some(fit)
+        let of_model =
+            problem.posed().parameters[..problem.posed().n_model_parameters].iter().map(|p| p.name.clone());
+        let of_noise = || problem.posed().noise_report(&fit.solution.xi).into_iter().map(|r| r.name);
+        let names = sizes && of_model.chain(of_noise()).eq(fit.parameters.iter().map(|p| p.name.clone()));
+        (names && fit.model.states == self.model.states).then_some(fit)
     }
 }

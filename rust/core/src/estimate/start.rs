@@ -4,12 +4,12 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use super::Estimation;
+use super::{Estimation, Joint};
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::interpolate::{Interpolation, interpolate};
 use crate::model::TIME;
-use crate::noise::{Noise, SIGMA, Sigma};
+use crate::noise::{Channel, Covariance, Density, Dof, Noise, SIGMA, Sigma};
 use crate::transcription::Transcribed;
 
 /// A starting value. It is made from a number, from the path of a state in the only experiment, or from
@@ -89,8 +89,71 @@ impl Estimation<'_> {
         self.model.parameters.iter().map(one).collect()
     }
 
-    /// Standard deviations with starts and bounds.
+    /// What may be started of the noise beside its scales.
+    pub(super) fn names_of_noise(&self, outputs: &[&str]) -> Vec<String> {
+        if let Joint::Unknown = self.joint {
+            let pairs = (0..outputs.len()).flat_map(|a| (a + 1..outputs.len()).map(move |b| (a, b)));
+            return pairs.map(|(a, b)| format!("corr_{}_{}", outputs[a], outputs[b])).collect();
+        }
+        let own = |name: &&str| match self.density_of(name) {
+            Density::StudentT(Dof::Unknown { .. }) => vec![format!("dof_{name}")],
+            Density::Custom(custom) => {
+                custom.parameters.iter().map(|p| format!("{}_{name}", p.name)).collect()
+            }
+            _ => Vec::new(),
+        };
+        outputs.iter().flat_map(own).collect()
+    }
+
+    /// The density of an output, its parameters where they start.
+    fn density_of(&self, output: &str) -> Density {
+        let said = self.densities.iter().rev().find(|d| d.0 == output);
+        said.map_or(Density::Gaussian, |d| d.1.clone())
+    }
+
+    /// The noise with starts and bounds.
     pub(super) fn resolve_noise(&self, outputs: &[&str]) -> Result<Noise, Error> {
+        if let Joint::Known(matrix) = &self.joint {
+            return Covariance::known(outputs.len(), matrix).map(Noise::Correlated);
+        }
+        let sigmas = self.resolve_sigmas(outputs)?;
+        if let Joint::Unknown = self.joint {
+            let n = outputs.len();
+            let mut correlation = vec![0.0; n * n];
+            for a in 0..n {
+                correlation[a * n + a] = 1.0;
+                for b in a + 1..n {
+                    let name = format!("corr_{}_{}", outputs[a], outputs[b]);
+                    let value = self.value(&name, 0.0, (-1.0, 1.0))?;
+                    (correlation[a * n + b], correlation[b * n + a]) = (value, value);
+                }
+            }
+            return Ok(Noise::Correlated(Covariance::unknown(sigmas).starting_at(&correlation)));
+        }
+        if self.densities.is_empty() {
+            return Ok(Noise::Gaussian(sigmas));
+        }
+        let channel = |(name, sigma): (&&str, Sigma)| {
+            let mut density = self.density_of(name);
+            match &mut density {
+                Density::StudentT(Dof::Unknown { start, lower, upper }) => {
+                    *start = self.value(&format!("dof_{name}"), *start, (*lower, *upper))?;
+                }
+                Density::Custom(custom) => {
+                    for p in &mut custom.parameters {
+                        let bounds = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
+                        p.start = self.value(&format!("{}_{name}", p.name), p.start, bounds)?;
+                    }
+                }
+                _ => {}
+            }
+            Ok(Channel { sigma, density })
+        };
+        outputs.iter().zip(sigmas).map(channel).collect::<Result<_, Error>>().map(Noise::Independent)
+    }
+
+    /// Scales with starts and bounds.
+    fn resolve_sigmas(&self, outputs: &[&str]) -> Result<Vec<Sigma>, Error> {
         let one = |(c, name): (usize, &&str)| {
             let said = self.noise.iter().rev().find(|n| n.0 == **name).map(|n| &n.1);
             let sigma = format!("{SIGMA}{name}");
@@ -123,7 +186,7 @@ impl Estimation<'_> {
             // above its spread would have no say in the first steps, and these can lead far away.
             Ok(Sigma::Unknown { start: start.min(spread.max(lower)), lower, upper })
         };
-        outputs.iter().enumerate().map(one).collect::<Result<_, _>>().map(Noise::Gaussian)
+        outputs.iter().enumerate().map(one).collect()
     }
 
     /// For each state, the output that measures it: one that depends on no other state, input or time, and

@@ -1,30 +1,100 @@
 //! The factorisation that fits a program.
 
-use super::KktSolver;
 use super::arrow::ArrowKkt;
 use super::sparse::SparseKkt;
-use crate::nlp::Nlp;
+use super::{Curvature, KktSolver, Singular};
+use crate::nlp::{Nlp, Structure};
 
 /// The arrow factorisation where the program has chains, else the sparse one. `units` are those of the
 /// states of a point where there are chains, else a single one or one each variable.
 pub fn kkt_for(nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
+    let Some(chains) = nlp.chains() else { return Box::new(sparse(nlp, units)) };
     let sizes = (nlp.n(), nlp.m());
-    let arrow = nlp.chains().and_then(|chains| {
-        ArrowKkt::new(chains, nlp.hessian_structure(), nlp.jacobian_structure(), sizes, &units[..chains.n_x])
-    });
-    match arrow {
-        Some(arrow) => Box::new(arrow.with_threads(nlp.threads())),
-        None => {
-            let columns: Vec<f64> = units.iter().copied().cycle().take(sizes.0).collect();
-            let rows: Vec<f64> = units.iter().copied().cycle().take(sizes.1).collect();
-            Box::new(SparseKkt::new(
-                sizes.0,
-                sizes.1,
-                nlp.hessian_structure(),
-                nlp.jacobian_structure(),
-                &columns,
-                &rows,
-            ))
+    let structures = (nlp.hessian_structure(), nlp.jacobian_structure());
+    let Some(arrow) = ArrowKkt::new(chains, structures.0, structures.1, sizes, &units[..chains.n_x]) else {
+        return Box::new(sparse(nlp, units));
+    };
+    let arrow = arrow.with_threads(nlp.threads());
+    if chains.chains.iter().all(|c| c.boundary.states.is_empty()) {
+        return Box::new(arrow);
+    }
+    let (columns, rows) = scales(nlp, units);
+    Box::new(Either {
+        now: Box::new(arrow),
+        other: Some(Parts { hessian: structures.0.clone(), jacobian: structures.1.clone(), columns, rows }),
+    })
+}
+
+fn sparse(nlp: &dyn Nlp, units: &[f64]) -> SparseKkt {
+    let (columns, rows) = scales(nlp, units);
+    SparseKkt::new(nlp.n(), nlp.m(), nlp.hessian_structure(), nlp.jacobian_structure(), &columns, &rows)
+}
+
+/// Units of all variables and constraints.
+fn scales(nlp: &dyn Nlp, units: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let border = nlp.chains().map_or(0, |c| c.border);
+    let mut columns = vec![1.0; border];
+    columns.extend(units.iter().copied().cycle().take(nlp.n() - border));
+    let mut rows: Vec<f64> = units.iter().copied().cycle().take(nlp.m()).collect();
+    for boundary in nlp.chains().iter().flat_map(|c| &c.chains).map(|c| &c.boundary) {
+        boundary.states.iter().enumerate().for_each(|(i, &s)| rows[boundary.row + i] = units[s]);
+    }
+    (columns, rows)
+}
+
+/// The arrow as long as it serves. Boundary conditions may determine parameters instead of states, as when an
+/// integrator without feedback is to end where it began; the ends of the chain cannot meet these, and the
+/// sparse factorisation takes over.
+struct Either {
+    now: Box<dyn KktSolver>,
+    /// What the other is made from, while the arrow is in use.
+    other: Option<Parts>,
+}
+
+struct Parts {
+    hessian: Structure,
+    jacobian: Structure,
+    columns: Vec<f64>,
+    rows: Vec<f64>,
+}
+
+impl KktSolver for Either {
+    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+        let done = self.now.factorize(hessian, jacobian);
+        if done.is_ok() {
+            return done;
         }
+        let Some(parts) = self.other.take() else { return done };
+        let Parts { hessian: h, jacobian: a, columns, rows } = &parts;
+        self.now = Box::new(SparseKkt::new(columns.len(), rows.len(), h, a, columns, rows));
+        self.now.factorize(hessian, jacobian)
+    }
+
+    fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {
+        self.now.finish(held, shift)
+    }
+
+    fn set_refinement(&mut self, on: bool) {
+        self.now.set_refinement(on);
+    }
+
+    fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
+        self.now.solve(p, q, d, lambda);
+    }
+
+    fn weak_directions(&self) -> &[Vec<(usize, f64)>] {
+        self.now.weak_directions()
+    }
+
+    fn covariance(&mut self, wanted: &[usize], out: &mut [f64]) {
+        self.now.covariance(wanted, out);
+    }
+
+    fn sizes(&self) -> (usize, usize) {
+        self.now.sizes()
+    }
+
+    fn flops(&self) -> u64 {
+        self.now.flops()
     }
 }

@@ -31,6 +31,17 @@ pub struct Chain {
     /// Points outside the chain, each tied to a segment by n_x constraints of its own, in the order of
     /// their segments. Nothing but the objective depends on them.
     pub ties: Vec<Tie>,
+    /// Constraints on its first and its last point (and the border) alone.
+    pub boundary: Boundary,
+}
+
+/// Constraints on the ends of a chain: initial, final, periodic conditions.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Boundary {
+    /// First of the constraints.
+    pub row: usize,
+    /// For each the state in whose unit it is.
+    pub states: Vec<usize>,
 }
 
 /// A point tied to a segment.

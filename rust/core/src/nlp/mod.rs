@@ -8,7 +8,7 @@ pub mod check;
 
 use std::ops::Range;
 
-pub use chains::{Chain, Chains, Tie};
+pub use chains::{Boundary, Chain, Chains, Tie};
 
 /// Rows and columns of sparse entries, 0-based.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -40,6 +40,26 @@ impl Structure {
 /// [`Nlp::explain`] says what happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotFinite;
+
+/// How far profiled variables may go from where they are: in terms of the standard deviations that they stand for.
+#[derive(Clone, Copy, Debug)]
+pub enum Reach<'a> {
+    /// By these factors.
+    Step {
+        /// Most by which one grows.
+        up: f64,
+        /// Most by which one shrinks.
+        down: f64,
+    },
+    /// Anywhere, but that those that would shrink by more than a factor of `most` from where they started
+    /// stand there: their residuals are nothing.
+    Free {
+        /// The profiled variables at the start.
+        start: &'a [f64],
+        /// The factor.
+        most: f64,
+    },
+}
 
 /// A nonlinear program.
 pub trait Nlp: Send + Sync {
@@ -78,8 +98,11 @@ pub trait Nlp: Send + Sync {
     fn profiled(&self) -> Range<usize> {
         0..0
     }
-    /// Writes that minimum, within bounds, from ξ and the gradient there.
-    fn profile(&self, _xi: &[f64], _gradient: &[f64], _out: &mut [f64]) {}
+    /// Writes that minimum, within bounds and within reach, from ξ and the gradient there. The largest relative
+    /// change that it is.
+    fn profile(&self, _xi: &[f64], _gradient: &[f64], _reach: &Reach<'_>, _out: &mut [f64]) -> f64 {
+        0.0
+    }
     /// The user's name for a variable.
     fn variable_name(&self, i: usize) -> String;
     /// The user's name for a constraint.

@@ -29,10 +29,11 @@ pub use status::Status;
 pub use units::state_units;
 
 use crate::linalg::{Curvature, KktSolver, kkt_for};
-use crate::nlp::{Nlp, NotFinite};
+use crate::nlp::{Nlp, NotFinite, Reach};
 use bounds::Active;
 use point::Point;
 use search::{Merit, Watchdog};
+use units::Units;
 
 /// Most by which a standard deviation changes in a step.
 const TENFOLD: f64 = 10.0;
@@ -163,7 +164,7 @@ struct Run<'a> {
     began: Instant,
     kkt: Box<dyn KktSolver>,
     bounds: (Vec<f64>, Vec<f64>),
-    units: Vec<f64>,
+    units: Units,
     here: Point,
     trial: Point,
     gradient: Vec<f64>,
@@ -210,14 +211,14 @@ impl<'a> Run<'a> {
     ) -> Result<Self, NotFinite> {
         let (n, m) = (nlp.n(), nlp.m());
         let bounds = nlp.bounds();
-        let units = state_units(nlp, start);
+        let units = Units::new(nlp, start);
         let mut here = Point::new(start, m);
         here.step(start, 0.0, &vec![0.0; n], &bounds);
         let mut run = Run {
             nlp,
             settings,
             began: Instant::now(),
-            kkt: kkt_for(nlp, &units),
+            kkt: kkt_for(nlp, &units.states),
             active: Active::new(&bounds),
             bounds,
             units,
@@ -426,17 +427,12 @@ impl<'a> Run<'a> {
         if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() {
             return false;
         }
-        self.nlp.profile(&self.here.xi, &self.gradient, &mut self.profile);
-        let mut settled = true;
-        for (i, best) in roots.zip(&self.profile) {
-            let x = &mut self.here.xi[i];
-            settled &= (best / *x - 1.0).abs() < SETTLED;
-            let most = if step == 1.0 { *x * TENFOLD } else { *x };
-            *x = best.clamp(*x / TENFOLD, most);
-        }
+        let reach = Reach::Step { up: TENFOLD, down: if step == 1.0 { TENFOLD } else { 1.0 } };
+        let change = self.nlp.profile(&self.here.xi, &self.gradient, &reach, &mut self.profile);
+        self.here.xi[roots].copy_from_slice(&self.profile);
         // It was finite, and can only come down.
         let _ = self.here.evaluate_objective(self.nlp, &mut self.count);
-        settled
+        change < SETTLED
     }
 
     /// Whether a parameter has grown without limit.
@@ -520,14 +516,13 @@ impl<'a> Run<'a> {
             defect: self.here.worst,
             evaluations: self.count,
             time: self.began.elapsed(),
-            units: self.units,
+            units: self.units.states,
             history: self.history,
         }
     }
 
     fn worst_defect(&self) -> String {
-        let rows = self.units.iter().cycle();
-        let worst = self.here.c.iter().zip(rows).map(|(c, u)| c.abs() / u).enumerate();
+        let worst = self.here.c.iter().zip(self.units.each()).map(|(c, u)| c.abs() / u).enumerate();
         let Some((i, _)) = worst.max_by(|a, b| a.1.total_cmp(&b.1)) else { return String::new() };
         format!("the largest is the {}: {:.2e}", self.nlp.constraint_name(i), self.here.c[i])
     }

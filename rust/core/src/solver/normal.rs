@@ -25,10 +25,12 @@ pub(super) struct Normal {
 }
 
 impl Normal {
-    /// Plans for the columns with a place among `k`, of `m` constraints.
+    /// Plans for the columns with a place among `k`, of the first `m` constraints.
     pub fn new(structure: &Structure, place: &[usize], k: usize, m: usize) -> Normal {
-        let own =
-            || structure.rows.iter().zip(&structure.columns).enumerate().filter(|e| among(place, *e.1.1));
+        let own = || {
+            let entries = structure.rows.iter().zip(&structure.columns).enumerate();
+            entries.filter(|(_, (r, c))| (**r as usize) < m && among(place, **c))
+        };
         let mut last = vec![0u32; m];
         own().for_each(|(t, (&r, _))| last[r as usize] = t as u32);
         let (mut ends, mut slots) = (Vec::new(), vec![u32::MAX; m]);
@@ -68,7 +70,7 @@ impl Normal {
         for &end in &self.ends {
             let mut count = 0;
             for t in start..end {
-                if !among(place, s.columns[t]) {
+                if s.rows[t] as usize >= self.slots.len() || !among(place, s.columns[t]) {
                     continue;
                 }
                 let slot = self.slots[s.rows[t] as usize] as usize;

@@ -1,5 +1,6 @@
 //! A point with everything that was evaluated there.
 
+use super::units::Units;
 use crate::nlp::{Nlp, NotFinite};
 
 /// How often each function was evaluated: a cost that does not depend on the machine.
@@ -44,13 +45,13 @@ impl Point {
     pub fn evaluate(
         &mut self,
         nlp: &dyn Nlp,
-        rows: &[f64],
+        units: &Units,
         count: &mut Evaluations,
     ) -> Result<(), NotFinite> {
         count.constraints += 1;
         nlp.constraints(&self.xi, &mut self.c)?;
         (self.defect, self.worst) = (0.0, 0.0);
-        for (c, unit) in self.c.iter().zip(rows.iter().cycle()) {
+        for (c, unit) in self.c.iter().zip(units.each()) {
             let size = c.abs() / unit;
             self.defect += size;
             self.worst = size.max(self.worst);

@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::Run;
 use super::normal::Normal;
+use crate::nlp::Reach;
 
 /// Most passes: a model linear in its parameters needs three or so for the weights to settle.
 const PASSES: usize = 12;
@@ -38,7 +39,7 @@ impl Run<'_> {
         free.iter().enumerate().for_each(|(k, &i)| place[i] = k);
 
         let structure = self.nlp.jacobian_structure();
-        let mut normal = Normal::new(structure, &place, free.len(), self.here.c.len());
+        let mut normal = Normal::new(structure, &place, free.len(), self.units.rows);
         let influence = self.influence(&place, free.len());
         let mut done = false;
         for _ in 0..PASSES {
@@ -95,7 +96,7 @@ impl Run<'_> {
         let s = self.nlp.jacobian_structure();
         for ((&r, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.jacobian) {
             if let Some(&column) = place.get(c as usize).filter(|p| **p != usize::MAX) {
-                squares[column] += (v / self.units[r as usize % self.units.len()]).powi(2);
+                squares[column] += (v / self.units.of(r as usize)).powi(2);
             }
         }
         squares
@@ -108,18 +109,19 @@ impl Run<'_> {
         if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() {
             return;
         }
-        self.nlp.profile(&self.here.xi, &self.gradient, &mut self.profile);
-        for ((i, best), first) in roots.zip(&self.profile).zip(first) {
-            self.here.xi[i] = if *best < RANGE * first { *best } else { *first };
-        }
+        let reach = Reach::Free { start: first, most: RANGE };
+        self.nlp.profile(&self.here.xi, &self.gradient, &reach, &mut self.profile);
+        self.here.xi[roots].copy_from_slice(&self.profile);
     }
 
     /// 1/σ² of the defects of each state.
     fn weights_of_defects(&self, n_x: usize) -> Vec<f64> {
-        let count = (self.here.c.len() / n_x) as f64;
+        // Boundary conditions are none.
+        let defects = &self.here.c[..self.units.rows];
+        let count = (defects.len() / n_x) as f64;
         let weight = |i: usize| {
-            let squares: f64 = self.here.c.iter().skip(i).step_by(n_x).map(|c| c * c).sum();
-            1.0 / (squares / count).max((self.units[i] / RANGE).powi(2))
+            let squares: f64 = defects.iter().skip(i).step_by(n_x).map(|c| c * c).sum();
+            1.0 / (squares / count).max((self.units.states[i] / RANGE).powi(2))
         };
         (0..n_x).map(weight).collect()
     }
@@ -129,7 +131,8 @@ impl Run<'_> {
         if self.here.evaluate_objective(self.nlp, &mut self.count).is_err() {
             return f64::INFINITY;
         }
-        let defects: f64 = self.here.c.iter().zip(weights.iter().cycle()).map(|(c, w)| w * c * c).sum();
+        let defects = self.here.c[..self.units.rows].iter();
+        let defects: f64 = defects.zip(weights.iter().cycle()).map(|(c, w)| w * c * c).sum();
         self.here.objective + 0.5 * defects
     }
 

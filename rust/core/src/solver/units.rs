@@ -2,6 +2,36 @@
 
 use crate::nlp::Nlp;
 
+/// Units of states, and of constraints: a defect is measured in that of its state, and so is a boundary
+/// condition.
+#[derive(Clone, Debug)]
+pub(super) struct Units {
+    /// Those of the n_x states.
+    pub states: Vec<f64>,
+    /// Constraints in which they repeat.
+    pub rows: usize,
+    boundary: Vec<f64>,
+}
+
+impl Units {
+    pub fn new(nlp: &dyn Nlp, xi: &[f64]) -> Units {
+        let states = state_units(nlp, xi);
+        let conditions = nlp.chains().into_iter().flat_map(|c| &c.chains).flat_map(|c| &c.boundary.states);
+        let boundary: Vec<f64> = conditions.map(|&s| states[s]).collect();
+        Units { rows: nlp.m() - boundary.len(), states, boundary }
+    }
+
+    /// The unit of each constraint.
+    pub fn each(&self) -> impl Iterator<Item = &f64> {
+        self.states.iter().cycle().take(self.rows).chain(&self.boundary)
+    }
+
+    /// The unit of a constraint.
+    pub fn of(&self, row: usize) -> f64 {
+        if row < self.rows { self.states[row % self.states.len()] } else { self.boundary[row - self.rows] }
+    }
+}
+
 /// What the states do along the path ξ: their spread at all points, else their size, else 1. One for
 /// each of the n_x states; a defect is measured in that of its state. A single 1 where the program has
 /// no chains.

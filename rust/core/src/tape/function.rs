@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::terms::{Slopes, Terms};
 use super::{Inputs, Sink, Tape};
 use crate::expr::derive::Sparse;
 use crate::expr::graph::{Graph, Id};
@@ -87,31 +88,38 @@ impl Function {
         Function::with_hessian(graph, arguments, roots, hessian, second)
     }
 
-    /// A single function f = rest − ½ Σ residual², with Hessians of **−f**, which is what is minimised:
+    /// A single function f = rest − ½ Σ residual² − Σ ρ, with Hessians of **−f**, which is what is minimised:
     /// the exact one and Gauss-Newton's. Neither is weighted; both have sinks: entries with a state are
     /// stored, those between parameters summed.
     ///
     /// −∇²f = −∇²rest + Σ ∇e ∇eᵀ + Σ e ∇²e: put together from the residuals e, it takes a third of the
-    /// instructions of a second derivative of the whole.
-    pub fn of_squares(mut graph: Graph, arguments: &Arguments, residuals: &[Id], rest: Id) -> Function {
+    /// instructions of a second derivative of the whole. For a loss ρ(r, η) the second term is ρ'' ∇r ∇rᵀ, the
+    /// third ρ' ∇²r, and there are those with its own parameters η. Gauss-Newton's has ω ∇r ∇rᵀ with the loss's
+    /// weight ω, and for η the squared slopes ρ_η ρ_ηᵀ, which on average are the curvature (Berndt et al., 1974).
+    pub fn of_terms(mut graph: Graph, arguments: &Arguments, terms: &Terms) -> Function {
         let variables = arguments.variables();
-        let slopes = graph.jacobian(residuals, &variables);
+        let (squares, losses, rest) = (&terms.squares, &terms.losses, terms.rest);
+        let losses: Vec<Slopes> = losses.iter().map(|loss| loss.slopes(&mut graph, &variables)).collect();
+        let residuals: Vec<Id> =
+            squares.iter().copied().chain(terms.losses.iter().map(|l| l.residual)).collect();
+        let slopes = graph.jacobian(&residuals, &variables);
         let of_rest = graph.hessian(rest, &variables);
         let mut sum = graph.zero();
         let weights: Vec<Id> = (0..residuals.len()).map(|k| graph.symbol(&format!("residual {k}"))).collect();
-        for (&weight, &residual) in weights.iter().zip(residuals) {
+        for (&weight, &residual) in weights.iter().zip(&residuals) {
             let term = graph.mul(weight, residual);
             sum = graph.add(sum, term);
         }
         let curved = graph.hessian(sum, &variables);
-        let curved_values = graph.replace(&curved.values, &weights, residuals);
+        let pulls: Vec<Id> = squares.iter().copied().chain(losses.iter().map(|l| l.first)).collect();
+        let curved_values = graph.replace(&curved.values, &weights, &pulls);
 
         let (mut exact, mut approximate) = (Vec::new(), Vec::new());
         let mut second = Sparse::default();
         for a in 0..variables.len() {
             for b in 0..=a {
                 let mut entry = of_rest.find(a, b).map(|r| graph.neg(r));
-                for k in 0..residuals.len() {
+                for k in 0..squares.len() {
                     if let (Some(x), Some(y)) = (slopes.find(k, a), slopes.find(k, b)) {
                         let product = graph.product(x, y);
                         let so_far = entry.unwrap_or_else(|| graph.zero());
@@ -119,14 +127,24 @@ impl Function {
                     }
                 }
                 let bend = curved.position(a, b).map(|at| curved_values[at]);
-                if entry.is_none() && bend.is_none() {
+                let mut more: Option<(Id, Id)> = None;
+                for (k, loss) in (squares.len()..).zip(&losses) {
+                    let pair = (slopes.find(k, a), slopes.find(k, b));
+                    if let Some((e, g)) = loss.second(&mut graph, (a, b), pair) {
+                        let (x, y) = more.unwrap_or_else(|| (graph.zero(), graph.zero()));
+                        more = Some((graph.add(x, e), graph.add(y, g)));
+                    }
+                }
+                if entry.is_none() && bend.is_none() && more.is_none() {
                     continue;
                 }
                 let smooth = entry.unwrap_or_else(|| graph.zero());
+                let (full, part) =
+                    more.map_or((smooth, smooth), |m| (graph.add(smooth, m.0), graph.add(smooth, m.1)));
                 second.rows.push(a);
                 second.columns.push(b);
-                approximate.push(smooth);
-                exact.push(bend.map_or(smooth, |bend| graph.add(smooth, bend)));
+                approximate.push(part);
+                exact.push(bend.map_or(full, |bend| graph.add(full, bend)));
             }
         }
         let inputs = arguments.inputs();
@@ -136,10 +154,13 @@ impl Function {
 
         let half = graph.constant(0.5);
         let mut root = rest;
-        for &residual in residuals {
+        for &residual in squares {
             let square = graph.mul(residual, residual);
             let loss = graph.mul(half, square);
             root = graph.sub(root, loss);
+        }
+        for loss in &losses {
+            root = graph.sub(root, loss.value);
         }
         Function { gauss_newton, ..Function::with_hessian(graph, arguments, vec![root], hessian, second) }
     }

@@ -9,11 +9,13 @@ mod compile;
 mod eval;
 mod function;
 pub(crate) mod lanes;
+mod terms;
 mod trace;
 
 pub use compile::Inputs;
 pub use eval::{Sinks, Values, Workspace};
 pub use function::{Arguments, Function, Pattern};
+pub use terms::{Loss, Terms};
 pub use trace::{Trace, trace};
 
 use crate::expr::{Lookup, Op};

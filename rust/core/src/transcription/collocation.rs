@@ -3,18 +3,20 @@
 use std::collections::BTreeMap;
 use std::ops::{Deref, Range};
 
+use super::boundary::{Boundary, Symbols};
 use super::chunk::Chunk;
 use super::defects::{self, Dynamics};
 use super::disjoint::Disjoint;
+use super::estimands::Estimands;
 use super::layout::{Layout, Place};
 use super::objective::{Objective, add};
-use super::posed::{OfExperiment, Posed};
+use super::posed::{OfExperiment, Posed, Written};
+use crate::condition::Condition;
 use crate::error::Error;
 use crate::experiment::Experiment;
-use crate::interpolate::interpolate;
 use crate::mesh::{Grid, Mesh};
 use crate::model::Model;
-use crate::nlp::{Chains, Nlp, NotFinite, Structure};
+use crate::nlp::{self, Chains, Nlp, NotFinite, Reach, Structure};
 use crate::noise::Noise;
 
 /// How a problem is transcribed.
@@ -26,12 +28,14 @@ pub struct Settings {
     pub grid: Vec<Grid>,
     /// Threads; 0 for as many as there are cores.
     pub threads: usize,
+    /// Whether each experiment has noise of its own.
+    pub noise_per_experiment: bool,
 }
 
 impl Default for Settings {
     /// Order 4, one segment between samples.
     fn default() -> Self {
-        Settings { order: 4, grid: vec![Grid::Samples(1)], threads: 0 }
+        Settings { order: 4, grid: vec![Grid::Samples(1)], threads: 0, noise_per_experiment: false }
     }
 }
 
@@ -52,7 +56,7 @@ impl Default for Settings {
 /// let run = Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 3.1, 5.0])])?;
 ///
 /// let noise = Noise::Gaussian(vec![Sigma::Known(0.1)]);
-/// let settings = Settings { order: 2, grid: vec![Grid::Samples(1)], threads: 1 };
+/// let settings = Settings { order: 2, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
 /// let problem = Collocation::new(&m, &[run], noise, &settings)?;
 /// assert_eq!((problem.n(), problem.m()), (4, 2)); // the slope and x at three points; two defects
 /// assert_eq!(problem.variable_name(2), "x at t = 1 s of 'run'");
@@ -85,6 +89,7 @@ pub struct Collocation {
     /// one where they do not differ. They are the last entries, from the first.
     pairs: (usize, Vec<Vec<usize>>),
     chains: Chains,
+    boundary: Option<Boundary>,
 }
 
 impl Deref for Collocation {
@@ -112,9 +117,18 @@ impl Collocation {
         noise: Noise,
         settings: &Settings,
     ) -> Result<Self, Error> {
-        let posed = Posed::new(model, experiments, noise, settings.threads)?;
+        let (posed, written) =
+            Posed::new(model, experiments, noise, (settings.threads, settings.noise_per_experiment))?;
         let meshes = meshes(experiments, settings)?;
         let layout = Layout::new(posed.parameters.len(), model.states.len(), &meshes);
+        let Written { graph, compiled, theta } = written;
+        let boundary = (!model.conditions.is_empty()).then(|| {
+            let place = |c: &Condition| model.states.iter().position(|s| s.name == c.state);
+            let states = model.conditions.iter().filter_map(place).collect();
+            let symbols = Symbols { data: &compiled.data, states: &compiled.states, theta: &theta };
+            let conditions = (&model.conditions[..], &compiled.conditions[..], states);
+            Boundary::new(graph, &symbols, conditions, experiments, &meshes, layout.m())
+        });
         let mut problem = Collocation {
             layout,
             meshes,
@@ -127,20 +141,24 @@ impl Collocation {
             hessian_structure: Structure::default(),
             pairs: (0, Vec::new()),
             chains: Chains::default(),
+            boundary,
         };
         problem.place_data();
         problem.place_derivatives();
         problem.chains = problem.layout.chains(&problem.meshes);
+        if let Some(boundary) = &problem.boundary {
+            for (e, chain) in problem.chains.chains.iter_mut().enumerate() {
+                chain.boundary = nlp::Boundary { row: boundary.row(e), states: boundary.states.clone() };
+            }
+        }
         Ok(problem)
     }
 
     /// Fills chunks and blocks of samples with data in the order of their lanes.
     fn place_data(&mut self) {
         for (e, (experiment, mesh)) in self.posed.experiments.iter().zip(&self.meshes).enumerate() {
-            let at_points = |channel: &Vec<f64>| {
-                interpolate(experiment.interpolation, &experiment.t, channel, &mesh.times)
-            };
-            let inputs: Vec<Vec<f64>> = experiment.inputs.iter().map(at_points).collect();
+            let channels = 0..experiment.inputs.len();
+            let inputs: Vec<Vec<f64>> = channels.map(|c| experiment.input(c, &mesh.times)).collect();
             let first = self.layout.first_point[e] as u32;
             for mut chunk in Chunk::cut(e, mesh, &self.layout) {
                 for column in std::iter::once(&mesh.times).chain(&inputs) {
@@ -179,10 +197,23 @@ impl Collocation {
             self.pairs.1.push(self.dynamics.parameter_pairs().map(|(r, c)| place(r, c)).collect());
         }
         self.objective.place_pairs(&self.posed, place);
+        if let Some(boundary) = &mut self.boundary {
+            let structures = (&mut self.jacobian_structure, &mut self.hessian_structure);
+            boundary.place(&self.layout, &self.meshes, &self.posed.estimands, structures);
+        }
     }
 
     fn dynamics_job<'a>(&'a self, chunk: &'a Chunk, xi: &'a [f64], uniforms: &'a [f64]) -> defects::Job<'a> {
         defects::Job { dynamics: &self.dynamics, layout: &self.layout, chunk, xi, uniforms }
+    }
+
+    /// Evaluates what there is of boundary conditions.
+    fn at_ends(
+        &self,
+        work: impl FnOnce(&Boundary, (&Layout, &[Mesh], &Estimands)) -> bool,
+    ) -> Result<(), NotFinite> {
+        let Some(boundary) = &self.boundary else { return Ok(()) };
+        if work(boundary, (&self.layout, &self.meshes, &self.estimands)) { Ok(()) } else { Err(NotFinite) }
     }
 
     /// Model outputs at the samples of an experiment: `[output][sample]`.
@@ -209,7 +240,7 @@ impl Nlp for Collocation {
     }
 
     fn m(&self) -> usize {
-        self.layout.m()
+        self.layout.m() + self.boundary.as_ref().map_or(0, Boundary::rows)
     }
 
     fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
@@ -225,6 +256,7 @@ impl Nlp for Collocation {
     }
 
     fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.at_ends(|b, problem| b.values(problem, xi, out))?;
         let out = Disjoint::new(out);
         self.each(
             &self.chunks,
@@ -242,6 +274,7 @@ impl Nlp for Collocation {
     }
 
     fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.at_ends(|b, problem| b.jacobian(problem, xi, out))?;
         let out = Disjoint::new(out);
         self.each(
             &self.chunks,
@@ -274,7 +307,8 @@ impl Nlp for Collocation {
             },
             |e, part| add(between, first, &pairs[e], part),
         );
-        finite.and(self.objective.hessian(&self.posed, &self.layout, true, xi, factor, out))
+        let finite = finite.and(self.objective.hessian(&self.posed, &self.layout, true, xi, factor, out));
+        finite.and(self.at_ends(|b, problem| b.hessian(problem, xi, lambda, out)))
     }
 
     fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
@@ -291,11 +325,11 @@ impl Nlp for Collocation {
     }
 
     fn profiled(&self) -> Range<usize> {
-        self.n_model_parameters..self.layout.n_theta
+        self.profiled_noise()
     }
 
-    fn profile(&self, xi: &[f64], gradient: &[f64], out: &mut [f64]) {
-        self.profile_noise(xi, gradient, out);
+    fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
+        self.profile_noise(xi, gradient, reach, out)
     }
 
     fn variable_name(&self, i: usize) -> String {
@@ -309,6 +343,10 @@ impl Nlp for Collocation {
     }
 
     fn constraint_name(&self, i: usize) -> String {
+        if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
+            let (e, name) = boundary.name(i);
+            return format!("{name} of '{}'", self.experiments[e].name);
+        }
         let (e, row, state) = self.layout.constraint(i);
         let t = &self.meshes[e].times;
         let name = &self.state_names[state];

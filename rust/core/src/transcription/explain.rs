@@ -9,6 +9,10 @@ use crate::expr::graph::Id;
 use crate::nlp::Nlp;
 use crate::tape::{Function, trace};
 
+/// Where all else is finite, a density far out in its tails may underflow.
+pub(super) const UNDERFLOW: &str = "the log-density of the noise is not finite: a residual is too large for its scale \
+    sigma, which may start larger, or the density is not defined there";
+
 impl Collocation {
     /// The sub-expression that is not finite at ξ, its arguments, and the experiment, time and inputs;
     /// `None` when everything is finite.
@@ -18,6 +22,7 @@ impl Collocation {
             .or_else(|| self.explain_dynamics(xi))
             .or_else(|| self.explain_outputs(xi))
             .or_else(|| self.explain_derivatives(xi))
+            .or_else(|| self.objective(xi).is_err().then(|| UNDERFLOW.into()))
     }
 
     /// Values of all symbols at a point.
@@ -162,21 +167,14 @@ impl Posed {
 
     /// Names of the parameters as functions of a point see them.
     fn seen(&self) -> Vec<String> {
-        let name = |&i: &usize| {
-            let name = &self.parameters[i].name;
-            let name = name.split('[').next().unwrap_or(name); // without that of the experiment
-            if i < self.n_model_parameters {
-                self.estimands.transforms[i].name(name)
-            } else {
-                format!("1/{name}")
-            }
-        };
-        self.estimands.maps[0].iter().map(name).collect()
+        let model = self.model_names.iter().zip(&self.estimands.maps[0]);
+        let model = model.map(|(name, &i)| self.estimands.transforms[i].name(name));
+        model.chain(self.noise_names.iter().cloned()).collect()
     }
 
     /// A standard deviation that is not positive has no logarithm.
     pub(super) fn explain_noise(&self, xi: &[f64]) -> Option<String> {
-        let i = (self.n_model_parameters..self.parameters.len()).find(|&i| xi[i] <= 0.0)?;
+        let i = self.precision_roots().into_iter().find(|&i| xi[i] <= 0.0)?;
         Some(format!("{} is {}; a standard deviation must be positive", self.parameter_name(i), xi[i]))
     }
 }

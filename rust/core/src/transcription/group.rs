@@ -4,7 +4,6 @@ use super::posed::OfExperiment;
 use super::steps::{Track, hermite};
 use super::tableau::Tableau;
 use crate::experiment::Experiment;
-use crate::interpolate::interpolate;
 
 /// Consecutive segments of an experiment, one a *lane*: W lanes, 1 or [`WIDE`]. Stages are the *points*, s a step,
 /// and one more where segments end. Where segments differ in steps, the shorter ones end with steps of no length.
@@ -100,8 +99,7 @@ impl Group {
                 })
                 .collect();
             let mut columns = vec![times.clone()];
-            let at_points = |u: &Vec<f64>| interpolate(experiment.interpolation, &experiment.t, u, &times);
-            columns.extend(experiment.inputs.iter().map(at_points));
+            columns.extend((0..experiment.inputs.len()).map(|c| experiment.input(c, &times)));
             let mut data = Vec::with_capacity(columns.len() * times.len());
             for point in 0..=steps * stages {
                 columns.iter().for_each(|c| data.extend(&c[point * width..(point + 1) * width]));

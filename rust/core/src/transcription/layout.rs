@@ -1,7 +1,7 @@
 //! Which variable and which constraint stands where, and what it is called.
 
 use crate::mesh::{Between, Mesh};
-use crate::nlp::{Chain, Chains, Tie};
+use crate::nlp::{Boundary, Chain, Chains, Tie};
 
 /// What a variable or constraint of the problem is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -88,6 +88,7 @@ impl Layout {
                 segments: mesh.segments.len(),
                 points: mesh.rule.order() - 1,
                 ties: mesh.between.iter().map(tie).collect(),
+                boundary: Boundary::default(),
             }
         };
         let chains = meshes.iter().enumerate().map(chain).collect();

@@ -1,5 +1,6 @@
 //! From a model, experiments and a noise model to a nonlinear program.
 
+mod boundary;
 mod chunk;
 mod collocation;
 mod defects;

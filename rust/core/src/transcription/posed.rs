@@ -1,6 +1,7 @@
 //! The problem before it is transcribed: a model, records and a noise model, compiled and named.
 
 use std::cell::{Cell, RefCell};
+use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -11,8 +12,8 @@ use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
 use crate::model::{Compiled, Model, Parameter};
-use crate::nlp::NotFinite;
-use crate::noise::{Noise, Sample};
+use crate::nlp::{NotFinite, Reach};
+use crate::noise::{Counts, Missing, Noise, Reported, Sample};
 use crate::tape::{Arguments, Function, Tape, Workspace};
 use crate::transform::Transform;
 
@@ -27,17 +28,29 @@ pub struct Posed {
     pub estimands: Estimands,
     /// The noise model.
     pub noise: Noise,
+    /// What its parameters are called as unknowns.
+    pub(super) noise_names: Vec<String>,
+    pub(super) model_names: Vec<String>,
+    output_names: Vec<String>,
     pub(super) state_names: Vec<String>,
     pub(super) input_names: Vec<String>,
     pub(super) experiments: Vec<Experiment>,
     pub(super) f: Arc<Function>,
     pub(super) likelihood: Function,
     pub(super) outputs: Function,
-    /// For each output whether samples of it are missing, so that the likelihood is told which.
-    pub(super) gaps: Vec<bool>,
-    /// Number of measurements of each output, all experiments together.
-    pub(super) measured: Vec<usize>,
+    missing: Missing,
+    /// Number of patterns of missing samples that the likelihood tells apart.
+    patterns: usize,
+    /// How many measurements there are, of all experiments or of each where each has noise of its own.
+    counts: Vec<Counts>,
     pub(super) pool: Option<rayon::ThreadPool>,
+}
+
+/// The model as written in the variables, for what else is a function of them.
+pub(super) struct Written {
+    pub(super) graph: Graph,
+    pub(super) compiled: Compiled,
+    pub(super) theta: Vec<Id>,
 }
 
 /// Work smaller than this many blocks is done by the calling thread: waking others costs more.
@@ -87,8 +100,8 @@ impl Posed {
         model: &Model,
         experiments: &[Experiment],
         noise: Noise,
-        threads: usize,
-    ) -> Result<Self, Error> {
+        (threads, noise_per_experiment): (usize, bool),
+    ) -> Result<(Self, Written), Error> {
         let compiled = model.compile()?;
         let output_names: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         let input_names: Vec<&str> = model.inputs.iter().map(|o| o.name.as_str()).collect();
@@ -98,16 +111,21 @@ impl Posed {
         experiments.iter().try_for_each(|e| e.check(&input_names, &output_names))?;
         noise.check(&output_names)?;
 
+        let counts = Counts::new(experiments.iter().map(|e| &e.outputs));
+        let missing = Missing::new(experiments.iter().map(|e| &e.outputs));
+        let noise = noise.for_data(&counts, &missing)?;
         let noise_parameters = noise.parameters(&output_names);
         let n_model = model.parameters.len();
+        let local = noise_per_experiment && experiments.len() > 1;
+        let noise_parameters = noise_parameters.into_iter().map(|p| Parameter { local, ..p });
         let seen: Vec<Parameter> = model.parameters.iter().cloned().chain(noise_parameters).collect();
         let (estimands, parameters) = Estimands::new(&seen, experiments);
         let n_model_parameters = estimands.parameter.iter().filter(|&&p| p < n_model).count();
+        let noise_names = noise.variable_names(&output_names);
 
         // All functions of a point see all parameters, so that θ has one order everywhere.
         let mut graph = compiled.graph.clone();
-        let noise_symbols: Vec<Id> =
-            seen[n_model..].iter().map(|p| graph.symbol(&format!("1/{}", p.name))).collect();
+        let noise_symbols: Vec<Id> = noise_names.iter().map(|name| graph.symbol(name)).collect();
         let (variables, compiled) = in_variables(&mut graph, &seen[..n_model], compiled);
         let theta: Vec<Id> = variables.iter().chain(&noise_symbols).copied().collect();
         let arguments =
@@ -115,34 +133,51 @@ impl Posed {
         let f = Function::new(graph.clone(), &arguments, compiled.dynamics.clone());
         let outputs = Function::new(graph.clone(), &arguments, compiled.outputs.clone());
 
-        let missing = |c: usize| experiments.iter().any(|e| e.outputs[c].iter().any(|v| v.is_nan()));
         let measured: Vec<Id> = output_names.iter().map(|n| graph.symbol(&format!("measured {n}"))).collect();
-        let present: Vec<Option<Id>> = (0..output_names.len())
-            .map(|c| missing(c).then(|| graph.symbol(&format!("{} present", output_names[c]))))
+        let present: Vec<Option<Id>> = (output_names.iter().zip(&missing.outputs))
+            .map(|(name, &any)| any.then(|| graph.symbol(&format!("{name} present"))))
             .collect();
-        let sample = Sample { outputs: &compiled.outputs, measured: &measured, present: &present };
-        let density = noise.log_density(&mut graph, &sample, &noise_symbols);
+        let patterns: Vec<(Vec<bool>, Id)> = (missing.patterns.iter().enumerate())
+            .filter(|_| noise.needs_patterns())
+            .map(|(k, set)| (set.clone(), graph.symbol(&format!("pattern {k} of missing samples"))))
+            .collect();
+        let sample = Sample {
+            outputs: &compiled.outputs,
+            measured: &measured,
+            present: &present,
+            patterns: &patterns,
+        };
+        let terms = noise.log_density(&mut graph, &sample, &noise_symbols);
         let mut with_samples = arguments.clone();
-        with_samples.data.extend(measured.iter().chain(present.iter().flatten()));
-        let likelihood = Function::of_squares(graph, &with_samples, &density.residuals, density.rest);
+        let flags = present.iter().flatten().chain(patterns.iter().map(|p| &p.1));
+        with_samples.data.extend(measured.iter().chain(flags));
+        let written = Written { graph: graph.clone(), compiled, theta: arguments.parameters.clone() };
+        let likelihood = Function::of_terms(graph, &with_samples, &terms);
 
-        Ok(Posed {
+        let posed = Posed {
             n_model_parameters,
             parameters,
             estimands,
             noise,
+            noise_names,
+            model_names: model.parameters.iter().map(|p| p.name.clone()).collect(),
+            output_names: model.outputs.iter().map(|o| o.name.clone()).collect(),
             state_names: model.states.iter().map(|s| s.name.clone()).collect(),
             input_names: model.inputs.iter().map(|s| s.name.clone()).collect(),
             experiments: experiments.to_vec(),
             f: Arc::new(f),
             likelihood,
             outputs,
-            gaps: present.iter().map(Option::is_some).collect(),
-            measured: (0..output_names.len())
-                .map(|c| experiments.iter().flat_map(|e| &e.outputs[c]).filter(|z| !z.is_nan()).count())
-                .collect(),
+            patterns: patterns.len(),
+            missing,
+            counts: if local {
+                experiments.iter().map(|e| Counts::new([&e.outputs].into_iter())).collect()
+            } else {
+                vec![counts]
+            },
             pool: pool(threads)?,
-        })
+        };
+        Ok((posed, written))
     }
 
     /// Data columns of the likelihood at the samples of an experiment: time, inputs, measurements, and where some
@@ -150,11 +185,10 @@ impl Posed {
     pub(super) fn sample_columns(&self, experiment: usize) -> Vec<Vec<f64>> {
         let experiment = &self.experiments[experiment];
         let mut columns = vec![experiment.t.clone()];
-        columns.extend(experiment.inputs.iter().cloned());
+        columns.extend((0..experiment.inputs.len()).map(|c| experiment.input(c, &experiment.t)));
         let filled = |c: &Vec<f64>| c.iter().map(|v| if v.is_nan() { 0.0 } else { *v }).collect();
         columns.extend(experiment.outputs.iter().map(filled));
-        let flags = |c: &Vec<f64>| c.iter().map(|v| f64::from(u8::from(!v.is_nan()))).collect();
-        columns.extend(experiment.outputs.iter().zip(&self.gaps).filter(|c| *c.1).map(|c| flags(c.0)));
+        columns.extend(self.missing.flags(&experiment.outputs, self.patterns));
         columns
     }
 
@@ -168,7 +202,7 @@ impl Posed {
 
     /// Number of parameters of the model as functions of a point see them; those of the noise follow.
     pub(super) fn n_seen(&self) -> usize {
-        self.estimands.maps[0].len() - (self.parameters.len() - self.n_model_parameters)
+        self.model_names.len()
     }
 
     /// Number of maps from parameters to variables that differ.
@@ -255,21 +289,87 @@ impl Posed {
         (lower, upper)
     }
 
-    /// The noise parameters that minimise φ, within their bounds.
-    pub(super) fn profile_noise(&self, xi: &[f64], gradient: &[f64], out: &mut [f64]) {
-        let roots = self.n_model_parameters..self.parameters.len();
-        self.noise.profile(&self.measured, &xi[roots.clone()], &gradient[roots.clone()], out);
-        for (value, p) in out.iter_mut().zip(&self.parameters[roots]) {
-            *value = value.clamp(p.lower.unwrap_or(0.0), p.upper.unwrap_or(f64::INFINITY));
+    /// Variables that are scales of the noise.
+    pub(super) fn profiled_noise(&self) -> Range<usize> {
+        self.n_model_parameters..self.n_model_parameters + self.noise.n_scales() * self.counts.len()
+    }
+
+    /// Those that minimise φ, within their bounds and reach; the largest relative change that this is.
+    pub(super) fn profile_noise(
+        &self,
+        xi: &[f64],
+        gradient: &[f64],
+        reach: &Reach<'_>,
+        out: &mut [f64],
+    ) -> f64 {
+        let (scales, n) = (self.profiled_noise(), self.noise.n_scales());
+        if let [counts] = &self.counts[..] {
+            return self.noise.profile(counts, &xi[scales.clone()], &gradient[scales], reach, out);
         }
+        let mut change: f64 = 0.0;
+        for ((_, map), counts) in self.noise_maps().zip(&self.counts) {
+            let of = |all: &[f64]| map[..n].iter().map(|&i| all[i]).collect::<Vec<f64>>();
+            let mut own = vec![0.0; n];
+            change = change.max(self.noise.profile(counts, &of(xi), &of(gradient), reach, &mut own));
+            map.iter().zip(&own).for_each(|(&i, v)| out[i - scales.start] = *v);
+        }
+        change
+    }
+
+    /// What the noise is at ξ, in the user's terms.
+    pub fn noise_report(&self, xi: &[f64]) -> Vec<Reported> {
+        let outputs: Vec<&str> = self.output_names.iter().map(String::as_str).collect();
+        let k = self.parameters.len() - self.n_model_parameters;
+        let mut found = Vec::new();
+        for (e, map) in self.noise_maps() {
+            let own: Vec<f64> = map.iter().map(|&i| xi[i]).collect();
+            for mut r in self.noise.report(&outputs, &own) {
+                // Gradients with respect to the noise of all experiments.
+                let mut gradient = vec![0.0; k];
+                map.iter().zip(&r.gradient).for_each(|(&i, g)| gradient[i - self.n_model_parameters] = *g);
+                r.gradient = gradient;
+                r.bounded_by = r.bounded_by.map(|b| map[b] - self.n_model_parameters);
+                if let Some(e) = e {
+                    r.name = format!("{}[{}]", r.name, self.experiments[e].name);
+                }
+                found.push(r);
+            }
+        }
+        found
+    }
+
+    /// The variables of the noise, once or for each experiment that has noise of its own.
+    fn noise_maps(&self) -> impl Iterator<Item = (Option<usize>, &[usize])> {
+        let local = self.counts.len() > 1;
+        let n_model = self.model_names.len();
+        (0..self.counts.len()).map(move |e| (local.then_some(e), &self.estimands.maps[e][n_model..]))
+    }
+
+    /// Scales of the outputs, the least of all experiments.
+    pub fn sigmas(&self, xi: &[f64]) -> Vec<f64> {
+        let of = |map: &[usize]| {
+            let own: Vec<f64> = map.iter().map(|&i| xi[i]).collect();
+            self.noise.sigmas(&own)
+        };
+        let least = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(&b).map(|(a, b)| a.min(*b)).collect();
+        self.noise_maps().map(|(_, map)| of(map)).reduce(least).unwrap_or_default()
+    }
+
+    /// Variables that are 1/σ of an output, given others where noise is correlated.
+    pub fn precision_roots(&self) -> Vec<usize> {
+        let roots = self.noise.precision_roots();
+        self.noise_maps().flat_map(|(_, map)| roots.iter().map(|&k| map[k])).collect()
     }
 
     /// What a variable that is a parameter is called.
     pub(super) fn parameter_name(&self, i: usize) -> String {
         if i < self.n_model_parameters {
-            self.estimands.transforms[i].name(&self.parameters[i].name)
-        } else {
-            format!("1/{}", self.parameters[i].name)
+            return self.estimands.transforms[i].name(&self.parameters[i].name);
+        }
+        let name = &self.noise_names[self.estimands.parameter[i] - self.model_names.len()];
+        match self.estimands.experiment[i] {
+            Some(e) => format!("{name}[{}]", self.experiments[e].name),
+            None => name.clone(),
         }
     }
 
@@ -292,7 +392,8 @@ fn in_variables(graph: &mut Graph, parameters: &[Parameter], compiled: Compiled)
     }
     let dynamics = graph.replace(&compiled.dynamics, &from, &to);
     let outputs = graph.replace(&compiled.outputs, &from, &to);
-    (variables, Compiled { dynamics, outputs, ..compiled })
+    let conditions = graph.replace(&compiled.conditions, &from, &to);
+    (variables, Compiled { dynamics, outputs, conditions, ..compiled })
 }
 
 fn pool(threads: usize) -> Result<Option<rayon::ThreadPool>, Error> {

@@ -22,7 +22,7 @@ use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::mesh::Grid;
 use crate::model::Model;
-use crate::nlp::{Chain, Chains, Nlp, NotFinite, Structure};
+use crate::nlp::{Boundary, Chain, Chains, Nlp, NotFinite, Reach, Structure};
 use crate::noise::Noise;
 use crate::tape::Tape;
 
@@ -37,6 +37,8 @@ pub struct Shots {
     pub steps: Steps,
     /// Threads; 0 for as many as there are cores.
     pub threads: usize,
+    /// Whether each experiment has noise of its own.
+    pub noise_per_experiment: bool,
 }
 
 impl Default for Shots {
@@ -47,6 +49,7 @@ impl Default for Shots {
             integrator: Integrator::Rk4,
             steps: Steps::Samples(1),
             threads: 0,
+            noise_per_experiment: false,
         }
     }
 }
@@ -119,7 +122,14 @@ impl Shooting {
         noise: Noise,
         settings: &Shots,
     ) -> Result<Self, Error> {
-        let posed = Posed::new(model, experiments, noise, settings.threads)?;
+        if let Some(condition) = model.conditions.first() {
+            return Err(Error::Option(format!(
+                "shooting knows no boundary conditions, and there is one of {}; take collocation",
+                condition.state
+            )));
+        }
+        let (posed, _) =
+            Posed::new(model, experiments, noise, (settings.threads, settings.noise_per_experiment))?;
         let count = settings.grid.len();
         if count != 1 && count != experiments.len() {
             return Err(Error::Option(format!(
@@ -204,6 +214,7 @@ impl Shooting {
             segments: nodes.len() - 1,
             points: 1,
             ties: Vec::new(),
+            boundary: Boundary::default(),
         };
         let chains: Vec<Chain> = self.nodes.iter().enumerate().map(chain).collect();
         // A chain of a single node is none; such programs are small.
@@ -438,11 +449,11 @@ impl Nlp for Shooting {
     }
 
     fn profiled(&self) -> Range<usize> {
-        self.n_model_parameters..self.layout.n_theta
+        self.profiled_noise()
     }
 
-    fn profile(&self, xi: &[f64], gradient: &[f64], out: &mut [f64]) {
-        self.profile_noise(xi, gradient, out);
+    fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
+        self.profile_noise(xi, gradient, reach, out)
     }
 
     fn variable_name(&self, i: usize) -> String {

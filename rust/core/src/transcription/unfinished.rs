@@ -1,5 +1,6 @@
 //! What is not finite in an integration, and when: for people, so at leisure.
 
+use super::explain::UNDERFLOW;
 use super::shooting::Shooting;
 use super::transcribed::Transcribed;
 use crate::nlp::Nlp;
@@ -13,6 +14,7 @@ impl Shooting {
         self.explain_noise(xi)
             .or_else(|| (0..self.experiments.len()).find_map(|e| self.lost(xi, e)))
             .or_else(|| (0..self.experiments.len()).find_map(|e| self.bad_output(xi, e)))
+            .or_else(|| self.objective(xi).is_err().then(|| UNDERFLOW.into()))
     }
 
     /// The time at which the integration of an experiment meets something that is not finite.
@@ -51,7 +53,8 @@ impl Shooting {
         let states = self.states_at_samples(xi, e);
         for (k, &t) in record.t.iter().enumerate() {
             let x: Vec<f64> = states.iter().map(|path| path[k]).collect();
-            let names = self.symbols(xi, e, t, record.inputs.iter().map(|u| u[k]), &x);
+            let names =
+                self.symbols(xi, e, t, (0..record.inputs.len()).map(|c| record.input(c, &[t])[0]), &x);
             let measured = (0..self.outputs.roots.len()).filter(|&c| !record.outputs[c][k].is_nan());
             let roots: Vec<_> = measured.map(|c| self.outputs.roots[c]).collect();
             if let Some(text) = self.describe("an output is", &self.outputs, &names, &roots, e, t) {

@@ -51,7 +51,14 @@ pub fn record(n: usize, seed: u64) -> Experiment {
         az.push(TRUTH[0] * x[0] + TRUTH[1] * x[1] + TRUTH[2] * now + SIGMA[2] * normal());
     }
     let (inputs, outputs) = (vec![de], vec![w, q, az]);
-    Experiment { name: "flight".into(), t, inputs, outputs, interpolation: Interpolation::Linear }
+    Experiment {
+        name: "flight".into(),
+        t,
+        inputs,
+        outputs,
+        interpolation: Interpolation::Linear,
+        signals: Vec::new(),
+    }
 }
 
 /// Unknown standard deviations that start at the spread of the measurements.

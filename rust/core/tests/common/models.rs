@@ -98,7 +98,14 @@ pub fn record(model: &Model, name: &str, n: usize, missing: bool, seed: u64) -> 
             output.iter_mut().skip(c).step_by(5).for_each(|v| *v = f64::NAN);
         }
     }
-    Experiment { name: name.to_owned(), t, inputs, outputs, interpolation: Interpolation::Linear }
+    Experiment {
+        name: name.to_owned(),
+        t,
+        inputs,
+        outputs,
+        interpolation: Interpolation::Linear,
+        signals: Vec::new(),
+    }
 }
 
 /// Known and unknown standard deviations in turn.

@@ -72,29 +72,33 @@ struct Tree {
     ends: Vec<f64>,
 }
 
-/// A vector of the system on a chain, in units: of its first point, its own variables and its own rows.
+/// A vector of the system on a chain, in units: of its first point, its own variables, its own rows and its
+/// boundary conditions.
 #[derive(Clone, Debug)]
 struct Own {
     first: Vec<f64>,
     x: Vec<f64>,
     lambda: Vec<f64>,
+    boundary: Vec<f64>,
 }
 
 impl Own {
-    fn new(n: usize, rows: usize) -> Own {
-        Own { first: vec![0.0; n], x: vec![0.0; rows], lambda: vec![0.0; rows] }
+    fn new(n: usize, rows: usize, k: usize) -> Own {
+        Own { first: vec![0.0; n], x: vec![0.0; rows], lambda: vec![0.0; rows], boundary: vec![0.0; k] }
     }
 
     fn copy(&mut self, other: &Own) {
         self.first.copy_from_slice(&other.first);
         self.x.copy_from_slice(&other.x);
         self.lambda.copy_from_slice(&other.lambda);
+        self.boundary.copy_from_slice(&other.boundary);
     }
 
     fn clear(&mut self) {
         self.first.fill(0.0);
         self.x.fill(0.0);
         self.lambda.fill(0.0);
+        self.boundary.fill(0.0);
     }
 }
 
@@ -232,18 +236,18 @@ impl ArrowKkt {
             levels.push(level);
             nodes = next;
         }
-        let rows = plan.row(plan.chain.segments, n);
+        let (rows, k) = (plan.row(plan.chain.segments, n), plan.chain.boundary.states.len());
         Tree {
             root: nodes[0],
             ends: vec![0.0; (groups.len() + 1) * n],
             groups,
             levels,
-            top: Top::new(shape),
+            top: Top::new(shape, k),
             record,
             sizes: vec![0.0; n * (plan.chain.points + plan.most_ties())],
-            right: Own::new(n, rows),
-            rest: Own::new(n, rows),
-            solution: Own::new(n, rows),
+            right: Own::new(n, rows, k),
+            rest: Own::new(n, rows, k),
+            solution: Own::new(n, rows, k),
         }
     }
 
@@ -286,7 +290,7 @@ impl ArrowKkt {
         Ok(())
     }
 
-    fn merge(&mut self, hessian: &[f64]) -> Result<(), Singular> {
+    fn merge(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
         let shape = &self.plan.shape;
         self.outer.fill(0.0);
         for &(entry, row, column) in &self.plan.border {
@@ -314,6 +318,12 @@ impl ArrowKkt {
                     return Err(singular);
                 }
             }
+            let columns = shape.n + shape.used();
+            tree.top.boundary.fill(0.0);
+            for (entry, place) in plan.jacobian.of(plan.chain.segments) {
+                let (row, column) = (place / columns, place % columns);
+                tree.top.boundary[place] += jacobian[entry] * boundary_factor(&self.units, plan, row, column);
+            }
             if !tree.top.factorize(shape, form_of(&tree.groups, &tree.levels, tree.root)) {
                 return Err(singular);
             }
@@ -336,6 +346,11 @@ impl ArrowKkt {
             gather(plan, variable + n, |t| t.variable, inverse, p, &mut tree.right.x);
             gather(plan, plan.chain.row, |t| t.row, &self.units, q, &mut tree.right.lambda);
             scale(&p[variable..variable + n], inverse, &mut tree.right.first);
+            let boundary = &plan.chain.boundary;
+            for ((to, q), &s) in tree.right.boundary.iter_mut().zip(&q[boundary.row..]).zip(&boundary.states)
+            {
+                *to = q * self.units[s];
+            }
             tree.rest.copy(&tree.right);
             tree.solution.clear();
         }
@@ -350,6 +365,11 @@ impl ArrowKkt {
             scatter(plan, variable + n, |t| t.variable, inverse, &tree.solution.x, d);
             scatter(plan, plan.chain.row, |t| t.row, &self.units, &tree.solution.lambda, lambda);
             scale(&tree.solution.first, inverse, &mut d[variable..variable + n]);
+            let boundary = &plan.chain.boundary;
+            let own = tree.solution.boundary.iter().zip(&boundary.states);
+            for (to, (x, &s)) in lambda[boundary.row..].iter_mut().zip(own) {
+                *to = x * self.units[s];
+            }
         }
     }
 
@@ -373,6 +393,7 @@ impl ArrowKkt {
                     merge.reduce(shape, side_of(groups, done, *left), side_of(groups, done, *right));
                 }
             }
+            top.target.copy_from_slice(&rest.boundary);
             top.reduce(
                 shape,
                 form_of(groups, levels, *root),
@@ -390,6 +411,7 @@ impl ArrowKkt {
         for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
             tree.expand(shape, plan, &self.theta, (&self.units, columns), parallel);
             add(&mut tree.solution.first, &tree.ends[..n]);
+            add(&mut tree.solution.boundary, &tree.top.multipliers);
             let mut own = 0;
             for group in &tree.groups {
                 let next = own + group.y.len();
@@ -524,6 +546,28 @@ impl Tree {
                 }
             }
         }
+        let (columns, last) = (n + shape.used(), plan.row(plan.chain.segments - 1, n) + d - n);
+        sizes.iter_mut().zip(&rest.boundary).for_each(|(s, r)| *s = r.abs());
+        for (entry, place) in plan.jacobian.of(plan.chain.segments) {
+            let (i, column) = (place / columns, place % columns);
+            let a = jacobian[entry] * boundary_factor(units, plan, i, column);
+            let (x, p) = if column < n {
+                (solution.first[column], &mut rest.first[column])
+            } else if column < 2 * n {
+                (solution.x[last + column - n], &mut rest.x[last + column - n])
+            } else {
+                let b = shape.dynamic[column - 2 * n];
+                (border[b], &mut theta[b])
+            };
+            *p -= a * solution.boundary[i];
+            rest.boundary[i] -= a * x;
+            sizes[i] += (a * x).abs();
+        }
+        for (rest, size) in rest.boundary.iter().zip(&*sizes) {
+            if *size > 0.0 {
+                worst = worst.max(rest.abs() / size);
+            }
+        }
         let mut coupled = |x: &mut [f64], y: &[f64], record: &[f64]| {
             for (i, h) in record[..n * n].chunks_exact(n).enumerate() {
                 x[i] -= h.iter().zip(y).map(|(h, y)| h * y).sum::<f64>();
@@ -542,6 +586,13 @@ impl Tree {
         }
         worst
     }
+}
+
+/// What an entry of a boundary condition is multiplied by; `units` are reciprocals.
+fn boundary_factor(units: &[f64], plan: &plan::ChainPlan, row: usize, column: usize) -> f64 {
+    let n = units.len();
+    let of_column = if column < 2 * n { 1.0 / units[column % n] } else { 1.0 };
+    units[plan.chain.boundary.states[row]] * of_column
 }
 
 /// to += from
@@ -682,7 +733,7 @@ impl KktSolver for ArrowKkt {
             if arrow.split() {
                 arrow.eliminate(hessian, jacobian)?;
             }
-            arrow.merge(hessian)
+            arrow.merge(hessian, jacobian)
         });
         self.refining = self.refine || self.groups() > self.least_groups;
         if self.refining {

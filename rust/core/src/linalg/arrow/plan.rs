@@ -136,7 +136,8 @@ pub(super) struct ChainPlan {
     pub d: usize,
     /// Number of ties before each segment, and the total.
     pub ties: Vec<u32>,
-    /// Jacobian entries by segment.
+    /// Jacobian entries by segment; then those of the boundary conditions, at their places in rows of
+    /// (first states, last states, dynamic border).
     pub jacobian: Items,
     /// Hessian entries of the first point, and of the own points of each segment, one record after the
     /// other.
@@ -154,6 +155,9 @@ pub(super) struct Plan {
 
 /// Panel of an entry, or place in it; `Some(None)` for an entry that needs none, `None` where it does not fit.
 type Slot = Option<Option<usize>>;
+
+/// Instead of the segment of a row, for a boundary condition.
+const BOUNDARY: u32 = u32::MAX;
 
 /// Chain, segment and place in the segment's own rows; or in the first point.
 #[derive(Clone, Copy)]
@@ -245,6 +249,12 @@ impl Plan {
                     rows[tie.row + i] = place(tie.segment + 1, first + i);
                 }
             }
+            for i in 0..chain.boundary.states.len() {
+                rows[chain.boundary.row + i] = Place { chain: c as u32, after: BOUNDARY, index: i as u32 };
+            }
+            if chain.boundary.states.len() > n_x {
+                return None;
+            }
             let none = Items::default();
             plans.push(ChainPlan { chain: chain.clone(), d, ties, jacobian: none.clone(), hessian: none });
         }
@@ -254,6 +264,23 @@ impl Plan {
             let (row, column) = (rows[jacobian.rows[t] as usize], jacobian.columns[t] as usize);
             let plan = plans.get(row.chain as usize)?;
             let i = row.index as usize;
+            if row.after == BOUNDARY {
+                let v = variables[column];
+                let (j, last) = (v.index as usize, plan.d - n_x);
+                let column = if column < border {
+                    n_x + column_of[column]
+                } else if v.chain == row.chain && v.after == 0 {
+                    j
+                } else if v.chain == row.chain
+                    && v.after as usize == plan.chain.segments
+                    && (last..plan.d).contains(&j)
+                {
+                    n_x + j - last
+                } else {
+                    return None;
+                };
+                return Some(Some(i * (n_x + shape.used()) + column));
+            }
             let first = plan.d.next_multiple_of(8);
             let column = if column < border {
                 first + column_of[column]
@@ -277,13 +304,15 @@ impl Plan {
             };
             Some(Some(i * shape.panel(plan.d) + column))
         };
-        let segments: Vec<usize> = plans.iter().map(|plan| plan.chain.segments).collect();
-        let mut first: Vec<usize> = cumulated(&segments);
+        let panels: Vec<usize> = plans.iter().map(|plan| plan.chain.segments + 1).collect();
+        let first: Vec<usize> = cumulated(&panels);
         let panel = |t: usize| -> Slot {
             let row = rows[jacobian.rows[t] as usize];
-            Some(Some(first.get(row.chain as usize)? + row.after as usize - 1))
+            let c = row.chain as usize;
+            let own = if row.after == BOUNDARY { panels.get(c)? } else { &(row.after as usize) };
+            Some(Some(first.get(c)? + own - 1))
         };
-        let sorted_jacobian = Items::sorted(&segments, jacobian.len(), panel, place)?;
+        let sorted_jacobian = Items::sorted(&panels, jacobian.len(), panel, place)?;
 
         let coupling_of = positions(&shape.coupled, border, 0);
         let place = |t: usize| -> Slot {
@@ -307,8 +336,6 @@ impl Plan {
             };
             Some(Some(point * shape.record() + within))
         };
-        let panels: Vec<usize> = segments.iter().map(|s| s + 1).collect();
-        first = cumulated(&panels);
         let panel = |t: usize| -> Slot {
             let high = hessian.rows[t].max(hessian.columns[t]) as usize;
             if high < border {

@@ -1,0 +1,197 @@
+"""From a model and data to a fit with process noise: the filter-error method."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _core
+from .errors import EvaluationError, OptionError
+from .experiment import Experiment
+from .filter_error import FilterError
+from .filter_result import make_filter_fit
+from .filter_variables import Objective, intensity_start, split
+from .guess import check_names, parameter_start, spread, state_start
+from .model import Model
+from .noise import Gaussian, Noise
+from .progress import Progress
+from .result import Fit
+from .solvers import Iteration
+from .solvers.quasi_newton import Minimum, bounded_step, minimise
+
+__all__ = ["filter_error"]
+
+_Array = NDArray[np.float64]
+
+# What a step must promise, in log-likelihood: 1e-4 of a standard error, as the other solver has it.
+_TOLERANCE = 0.5e-8
+# Least standard deviation, as a part of the spread of an output.
+_FLOOR = 1e-4
+# How often the exact Hessian takes the place of what the iterations have learnt of it.
+_ROUNDS = 6
+
+
+def filter_error(
+    model: Model,
+    experiments: Sequence[Experiment],
+    options: FilterError,
+    noise: Noise,
+    start: Mapping[str, Any] | Fit | None,
+    progress: bool | Callable[[Iteration], None],
+    ordinary: Fit | None = None,
+) -> Fit:
+    """The fit by the filter-error method; arguments as those of `estimate`, which has checked them, and an output-error
+    fit to start from."""
+    begin = time.perf_counter()
+    _check(model, noise)
+    warm = start if isinstance(start, Fit) else ordinary
+    of_q, rest = split(options, {} if start is None or isinstance(start, Fit) else start)
+    if warm is not None:
+        rest = warm.as_start(noise)
+        of_q = of_q or {
+            n: warm.parameters[n].value
+            for n in warm.noise_parameters & {f"q_{s}" for s in options.states}
+            if warm.parameters[n].value > 0
+        }
+    check_names(model, rest, experiments)
+    parameters = parameter_start(model, rest)
+    spreads = {name: spread(experiments, name) for name in model.output_names}
+    sigmas = noise._sigmas(model.output_names, spreads, rest)
+    sigmas = [_floored(s, n in noise.sigma, spreads[n]) for n, s in zip(model.output_names, sigmas, strict=True)]
+    problem = options.problem(model, experiments, sigmas)
+
+    times = [options.times(e) for e in experiments]
+    states = [
+        _states(model, e, t, parameters, rest, warm, i) for i, (e, t) in enumerate(zip(experiments, times, strict=True))
+    ]
+    intensities = intensity_start(options, model, times, states, of_q)
+    unknown = [s for s in sigmas if not s[0]]
+    declared = model.declared_parameters.values()
+    infinite = np.full(len(intensities), np.inf)
+    lower = np.array([p.start if p.fixed else p.bounds[0] for p in declared])
+    upper = np.array([p.start if p.fixed else p.bounds[1] for p in declared])
+    bounds = (
+        np.concatenate([lower, np.log([s[2] for s in unknown]), -infinite]),
+        np.concatenate([upper, np.log([s[3] for s in unknown]), infinite]),
+    )
+    path = problem.start(np.concatenate([x.T.ravel() for x in states]))
+    objective = Objective(model, problem, path, bounds, len(intensities))
+    z = np.array([*parameters.values(), *np.log([s[1] for s in unknown]), *intensities])
+
+    first = objective(z)
+    if first is None:
+        raise EvaluationError(
+            f"FilterError: at the starting point, {objective.reason}; give other start values, or output_error=True"
+        )
+    counts = [
+        sum(int(np.isfinite(e.output(name)).sum()) for e in experiments)
+        for name, s in zip(model.output_names, sigmas, strict=True)
+        if not s[0]
+    ]
+    metric = objective.metric(z, counts, sum(e.n - 1 for e in experiments))
+    with Progress.of(progress, model.name) as watch:
+        end, hessian = _maximise(objective, z, first, metric, options.max_iterations, watch)
+    return make_filter_fit(model, experiments, noise, options, objective, end, hessian, time.perf_counter() - begin)
+
+
+def _check(model: Model, noise: Noise) -> None:
+    """Raises OptionError for what this method cannot do."""
+    if not isinstance(noise, Gaussian) or noise.correlated or noise.covariance is not None:
+        raise OptionError("FilterError: measurement noise is independent and Gaussian here")
+    local = [name for name, p in model.declared_parameters.items() if p.per_experiment]
+    if local:
+        raise OptionError(
+            f"FilterError: parameters are those of all experiments here, but {local[0]} is per experiment"
+        )
+    if model._core.conditions:
+        raise OptionError("FilterError: initial, final and periodic conditions are not supported; use initial=...")
+
+
+def _floored(sigma: tuple[bool, float, float, float], given: bool, scale: float) -> tuple[bool, float, float, float]:
+    """A higher lower bound than that of the output-error method, unless the user gave one: process noise can explain an
+    output exactly, and then the likelihood is flat below what matters."""
+    known, value, low, high = sigma
+    low = low if known or given else max(low, _FLOOR * scale)
+    return known, max(value, low), low, high
+
+
+def _states(
+    model: Model,
+    e: Experiment,
+    times: _Array,
+    parameters: Mapping[str, float],
+    given: Mapping[str, Any],
+    warm: Fit | None,
+    i: int,
+) -> _Array:
+    """States to start from, (n_x, points)."""
+    states = state_start(model, e, times, parameters, given)
+    if warm is not None and i < len(warm.records):
+        record = warm.records[i]
+        for k, name in enumerate(model.state_names):
+            if name in record.states:
+                states[k] = _core.interpolate("linear", record.t.tolist(), record.states[name].tolist(), times.tolist())
+    return states
+
+
+def _maximise(
+    objective: Objective,
+    z: _Array,
+    first: tuple[float, _Array],
+    metric: _Array,
+    max_iterations: int,
+    watch: Callable[[Iteration], None] | None,
+) -> tuple[Minimum, _Array | None]:
+    """Quasi-Newton to the end, then the exact Hessian: it confirms the end, or sets out again from there."""
+    history: list[Iteration] = []
+    hessian = None
+    number = 0
+    for _ in range(_ROUNDS):
+        end = minimise(
+            objective, z, first, metric, objective.bounds,
+            tolerance=_TOLERANCE, max_iterations=max_iterations - number, watch=watch, number=number,
+        )  # fmt: skip
+        number = end.iterations
+        history += end.history
+        end.history = history
+        z, first = end.x, (end.value, end.gradient)
+        if end.status not in ("converged", "failed"):
+            break
+        try:
+            objective(z)  # the path there
+            lower, upper = objective.bounds
+            held = (lower == upper) | ((z <= lower) & (end.gradient > 0)) | ((z >= upper) & (end.gradient < 0))
+            hessian = objective.hessian(z, end.metric, held)
+        except KeyboardInterrupt:
+            end.status = "interrupted"
+            break
+        if hessian is None:
+            break
+        metric, saddle = _positive(hessian, end.metric, held)
+        if saddle is not None and end.status == "converged":
+            # A saddle, as q = 0 is where there is noise: one standard error down the slope there.
+            found = objective(z + saddle)
+            if found is not None and found[0] < end.value:
+                z, first = z + saddle, found
+                continue
+        step = bounded_step(end.gradient, metric, lower - z, upper - z)
+        if -0.5 * float(end.gradient @ step) < _TOLERANCE:
+            end.status = "converged"
+            break
+        end.status = "iteration limit"
+    return end, hessian
+
+
+def _positive(hessian: _Array, metric: _Array, held: NDArray[np.bool_]) -> tuple[_Array, _Array | None]:
+    """A positive definite matrix near the Hessian, and a step along its most negative direction, if there is one."""
+    scale = 1 / np.sqrt(np.where(held, 1.0, np.maximum(np.abs(np.diag(hessian)), 1e-6 * np.diag(metric))))
+    scaled = hessian * np.outer(scale, scale)
+    scaled[held, held] = 1.0
+    values, vectors = np.linalg.eigh(scaled)
+    step = scale * vectors[:, 0] if values[0] < -1e-6 else None
+    near = (vectors * np.maximum(np.abs(values), 1e-10)) @ vectors.T
+    return near / np.outer(scale, scale), step

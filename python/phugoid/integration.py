@@ -1,0 +1,215 @@
+"""How exactly a fit's state path solves its differential equations: the integration error of each segment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _core
+from ._core import Expr
+from .equations import Equation, Evaluation
+from .errors import EvaluationError
+from .guess import measured_states
+from .model import Model
+from .records import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["IntegrationError", "integration_error"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+# Nodes of the finer rule beyond those of the segment; two more for every sample inside it, up to a limit.
+_MORE, _MOST = 5, 24
+# No scale is smaller than this part of how far the state moves; a state that is not measured counts as measured to so
+# much of that.
+_FLOOR, _UNMEASURED = 1e-6, 1e-2
+# Most numbers of Jacobians that are held at a time.
+_CHUNK = 4_000_000
+# Most sweeps of Picard's iteration, and the change after which they end.
+_SWEEPS, _SETTLED = 12, 1e-4
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class IntegrationError:
+    """The error that each of S segments of one experiment adds to the path.
+
+    name    the experiment's.
+    edges   (S + 1,) ends of the segments, s.
+    errors  state -> (S,): how far, at most, the collocation polynomial departs within the segment from the exact
+            solution through its first point, in the state's unit.
+    scales  state -> what is small for it: the standard deviation of the noise of its measurement; one hundredth of
+            the standard deviation of its path where it is not measured; at least 1e-6 of that.
+    """
+
+    name: str
+    edges: _Array
+    errors: Mapping[str, _Array]
+    scales: Mapping[str, float]
+
+    @property
+    def relative(self) -> dict[str, _Array]:
+        """State -> (S,): errors over scales."""
+        return {name: e / self.scales[name] for name, e in self.errors.items()}
+
+    @property
+    def worst(self) -> _Array:
+        """(S,): the largest relative error of any state in each segment."""
+        return np.asarray(np.max(list(self.relative.values()), axis=0))
+
+    def plot(self, axes: Axes, tolerance: float | None = None) -> None:
+        """Relative errors over time, on a logarithmic scale, into axes of your own."""
+        for name, e in self.relative.items():
+            axes.stairs(np.maximum(e, 1e-300), self.edges, label=name, linewidth=0.9, baseline=None)
+        axes.set_yscale("log")
+        largest = float(self.worst.max())
+        axes.set_ylim(max(1e-8 * largest, 1e-14), 3.0 * max(largest, tolerance or 0.0))
+        if tolerance is not None:
+            axes.axhline(tolerance, color="0.3", linestyle="--", linewidth=0.8, label="tolerance")
+        axes.set_xlabel("time, s")
+        axes.set_ylabel("error of a segment / noise")
+        axes.legend(fontsize="small", frameon=False, ncols=3)
+
+    def __repr__(self) -> str:
+        size = f"{self.edges.size - 1} segments, at most {self.worst.max():.1e} of the noise in one"
+        return f"<IntegrationError of '{self.name}': {size}>"
+
+
+def integration_error(
+    model: Model, values: Mapping[str, float], sigmas: Mapping[str, float], record: Record, order: int
+) -> IntegrationError:
+    """The errors of a path that collocation of an order left in ``record.mesh_t`` and ``mesh_states``.
+
+    On a segment, collocation replaces f along the path by its polynomial through the segment's points (Eq. fhat_interp
+    of the paper). What f is in truth between the points, at those of a finer Lobatto rule, leaves a defect d; the error
+    follows from the linearised state equations e' = f_x e + d, e = 0 at the start of the segment, solved on the finer
+    rule. ``values`` and ``sigmas`` are those of the parameters and of the noise by output.
+
+    Raises EvaluationError where f is not finite between the points.
+    """
+    rough = np.array(_core.lgl(order)[0])
+    edges = record.mesh_t[:: order - 1]
+    inside = np.searchsorted(record.t, edges[1:] - 1e-9) - np.searchsorted(record.t, edges[:-1] + 1e-9)
+    fine = np.array(_core.lgl(min(order + _MORE + 2 * max(int(inside.max()), 0), max(_MOST, order + _MORE)))[0])
+    s, m, n = edges.size - 1, fine.size, len(model.state_names)
+    h = np.diff(edges)
+
+    flow = _Flow(model, values, record)
+    mesh = np.array([record.mesh_states[name] for name in model.state_names])
+    f_mesh = flow.slopes(record.mesh_t, mesh)
+    to, rise, there = _integrals(fine, fine), _integrals(rough, fine), _lagrange(rough, fine)
+    points = (order - 1) * np.arange(s)[:, None] + np.arange(order)  # of each segment
+    errors = np.empty((n, s))
+    step = max(1, _CHUNK // (m * n * n))
+    for first in range(0, s, step):
+        part = slice(first, first + step)
+        f = f_mesh[:, points[part]]  # (n, s, order)
+        path = mesh[:, points[part, :1]] + h[part, None] * (f @ rise)  # (n, s, m)
+        t = edges[:-1][part, None] + h[part, None] * fine
+        true, jacobian = flow.slopes_and_jacobian(t.ravel(), path.reshape(n, -1))
+        defect = true.reshape(path.shape) - f @ there
+        e = _departure(jacobian.reshape(*path.shape, n), defect, h[part], to)
+        errors[:, part] = np.abs(e).max(axis=2)
+    return IntegrationError(
+        name=record.name,
+        edges=edges,
+        errors=dict(zip(model.state_names, errors, strict=True)),
+        scales=_scales(model, values, sigmas, mesh),
+    )
+
+
+def _departure(jacobian: _Array, defect: _Array, h: _Array, to: _Array) -> _Array:
+    """e, (n, s, m), of e' = J e + d, e = 0 at the first node: J (n, s, m, n), d (n, s, m), integrals ``to`` (m, m)."""
+    forced = h[:, None] * (defect @ to)
+    e = forced
+    # Picard's iterations are enough where segments are short beside the time constants.
+    left = np.arange(h.size)
+    with np.errstate(all="ignore"):  # of stiff ones they diverge
+        for _ in range(_SWEEPS):
+            before, e = e, forced + h[:, None] * (np.einsum("aslb,bsl->asl", jacobian, e, optimize=True) @ to)
+            moved, size = np.abs(e - before).max(axis=(0, 2)), np.abs(e).max(axis=(0, 2))
+            left = np.flatnonzero(~(moved <= _SETTLED * size))
+            if not left.size:
+                break
+    n, _, m = defect.shape
+    for k in left:  # the others: all nodes but the first at once
+        # Row (j, a), column (l, b): what e_b at node l adds to e_a at node j.
+        coupling = h[k] * np.einsum("lj,alb->jalb", to[1:, 1:], jacobian[:, k, 1:])
+        system = np.eye((m - 1) * n) - coupling.reshape((m - 1) * n, -1)
+        e[:, k, 1:] = np.linalg.solve(system, forced[:, k, 1:].T.ravel()).reshape(m - 1, n).T
+    return np.asarray(e)
+
+
+class _Flow:
+    """The state equations of a model with numbers put in, along a record's inputs."""
+
+    def __init__(self, model: Model, values: Mapping[str, float], record: Record) -> None:
+        self.values, self.record = values, record
+        known: dict[str, Expr | float] = {}
+        for name, e, *_ in model._core.quantities:
+            known[name] = e.substitute(known)
+        sides = {name: e.substitute(known) for name, e, *_ in model._core.dynamics}
+        listed = [Equation(f"{name}'", sides[name], None) for name in model.state_names]
+        self.listed = listed
+        self.plain = Evaluation(model, listed, [])
+        self.full = Evaluation(model, listed, model.state_names)
+
+    def _columns(self, t: _Array, x: _Array) -> _Array:
+        r = self.record
+        u = [
+            np.array(_core.interpolate(r.interpolation, r.t.tolist(), values.tolist(), t.tolist()))
+            for values in r.inputs.values()
+        ]
+        return np.vstack([t, *u, x])
+
+    def slopes(self, t: _Array, x: _Array) -> _Array:
+        return self._checked(t, self.plain(self.values, self._columns(t, x))[0])
+
+    def slopes_and_jacobian(self, t: _Array, x: _Array) -> tuple[_Array, _Array]:
+        f, jacobian = self.full(self.values, self._columns(t, x))
+        return self._checked(t, f), jacobian
+
+    def _checked(self, t: _Array, f: _Array) -> _Array:
+        if not np.isfinite(f).all():
+            k, i = np.argwhere(~np.isfinite(f.T))[0]
+            raise EvaluationError(
+                f"experiment '{self.record.name}': the equation of {self.listed[i].name} is not finite at "
+                f"t = {t[k]:g} s on the collocation polynomial: the mesh is too coarse there"
+            )
+        return f
+
+
+def _legendre(x: _Array, n: int) -> _Array:
+    return np.asarray(np.polynomial.legendre.legvander(2.0 * x - 1.0, n - 1), dtype=np.float64)
+
+
+def _lagrange(nodes: _Array, at: _Array) -> _Array:
+    """Values of the nodes' Lagrange polynomials, (nodes, at), on the unit interval."""
+    return np.asarray(np.linalg.solve(_legendre(nodes, nodes.size).T, _legendre(at, nodes.size).T))
+
+
+def _integrals(nodes: _Array, at: _Array) -> _Array:
+    """Their integrals from 0, (nodes, at)."""
+    n = nodes.size
+    x = 2.0 * at - 1.0
+    high = np.polynomial.legendre.legvander(x, n)
+    # Of P_0 it is x + 1, of P_k (P_{k+1} - P_{k-1})/(2 k + 1); half of that on the unit interval.
+    columns = [x + 1.0] + [(high[:, k + 1] - high[:, k - 1]) / (2 * k + 1) for k in range(1, n)]
+    return np.asarray(np.linalg.solve(_legendre(nodes, n).T, 0.5 * np.array(columns)))
+
+
+def _scales(model: Model, values: Mapping[str, float], sigmas: Mapping[str, float], mesh: _Array) -> dict[str, float]:
+    measured = measured_states(model, values)
+    scales = {}
+    for name, path in zip(model.state_names, mesh, strict=True):
+        moves = float(path.std()) or float(np.abs(path).max()) or 1.0
+        scales[name] = _UNMEASURED * moves
+        if name in measured and measured[name][0] in sigmas:
+            output, _, slope = measured[name]
+            scales[name] = max(sigmas[output] / abs(slope), _FLOOR * moves)
+    return scales

@@ -1,0 +1,113 @@
+"""What mesh refinement did: its passes, and what they changed in the estimates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .parameters import Estimates, text_table
+
+__all__ = ["Refinement", "Step"]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One pass: the transcription, and how exact it was.
+
+    order           points of a segment.
+    segments        their number in all experiments.
+    largest         largest integration error of a segment, in units of `IntegrationError.scales`.
+    coarse          number of segments above the tolerance.
+    iterations      of the solver.
+    log_likelihood  at the end.
+    """
+
+    order: int
+    segments: int
+    largest: float
+    coarse: int
+    iterations: int
+    log_likelihood: float
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """The passes of a refined estimation, the first as asked for, the last the one that the fit holds.
+
+    tolerance  of the integration error of a segment, in units of the noise.
+    steps      the passes.
+    changes    parameter -> (first estimate, last estimate, standard error of the last).
+    """
+
+    tolerance: float
+    steps: Sequence[Step]
+    changes: Mapping[str, tuple[float, float, float]]
+
+    @staticmethod
+    def of(first: Estimates, last: Estimates, steps: Sequence[Step], tolerance: float) -> Refinement:
+        """From the estimates of the first and the last pass."""
+        changes = {
+            name: (first[name].value, e.value, e.std_error) for name, e in last.items() if name in first and not e.fixed
+        }
+        return Refinement(tolerance, tuple(steps), changes)
+
+    @property
+    def met(self) -> bool:
+        """Whether the tolerance was met in the end."""
+        return self.steps[-1].coarse == 0
+
+    def change(self, name: str) -> tuple[float, float]:
+        """By how much refinement moved a parameter: in % of its value, and in standard errors; NaN where undefined."""
+        first, last, error = self.changes[name]
+        return (
+            100.0 * (last - first) / abs(last) if last else math.nan,
+            (last - first) / error if error > 0 else math.nan,
+        )
+
+    def summary(self) -> str:
+        """Passes and changes as plain-text tables."""
+        rows = [
+            [
+                str(s.order),
+                str(s.segments),
+                f"{s.largest:.1e}",
+                str(s.coarse),
+                str(s.iterations),
+                f"{s.log_likelihood:.3f}",
+            ]
+            for s in self.steps
+        ]
+        header = ["order", "segments", "largest error", "too coarse", "iterations", "log-likelihood"]
+        outcome = "met" if self.met else "not met"
+        parts = [
+            f"mesh refinement: tolerance {self.tolerance:g} of the noise {outcome}",
+            text_table(header, rows, "rrrrrr"),
+        ]
+        if len(self.steps) > 1:
+            moved = [
+                [name, f"{first:.6g}", f"{last:.6g}", *(_signed(c) for c in self.change(name))]
+                for name, (first, last, _) in self.changes.items()
+            ]
+            header = ["parameter", "first mesh", "last mesh", "change, %", "in std errors"]
+            parts.append(text_table(header, moved, "lrrrr"))
+        return "\n\n".join(parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        changes = {name: list(c) for name, c in self.changes.items()}
+        return {"tolerance": self.tolerance, "steps": [vars(s) for s in self.steps], "changes": changes}
+
+    @staticmethod
+    def from_dict(saved: Mapping[str, Any]) -> Refinement:
+        """Reads `to_dict`."""
+        changes = {
+            name: (float(a), float(b), math.nan if e is None else float(e))
+            for name, (a, b, e) in saved["changes"].items()
+        }
+        return Refinement(saved["tolerance"], tuple(Step(**s) for s in saved["steps"]), changes)
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.3f}" if math.isfinite(value) else ""

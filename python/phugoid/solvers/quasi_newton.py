@@ -1,0 +1,146 @@
+"""A quasi-Newton method with bounds, for few unknowns and a first metric that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .solution import Iteration
+
+__all__ = ["Minimum", "bounded_step", "minimise"]
+
+_Array = NDArray[np.float64]
+
+# Value and gradient, or None where there is none.
+Function = Callable[[_Array], "tuple[float, _Array] | None"]
+
+_SUFFICIENT, _FLAT = 1e-4, 0.9  # of weak Wolfe conditions
+_TRIALS = 30
+
+
+@dataclass
+class Minimum:
+    """Where `minimise` ended."""
+
+    x: _Array
+    value: float
+    gradient: _Array
+    metric: _Array
+    status: str
+    iterations: int
+    history: list[Iteration] = field(default_factory=list)
+
+
+def bounded_step(gradient: _Array, metric: _Array, low: _Array, high: _Array) -> _Array:
+    """The step within ``low <= d <= high`` that lessens g d + d B d / 2, B positive definite: an active-set method.
+
+    A variable that a step would take past its bound is put on it, and is not set free again: near the solution, where
+    it matters, few are.
+    """
+    step = np.clip(np.zeros_like(gradient), low, high)
+    free = (low < high) & ~((low >= 0) & (gradient > 0)) & ~((high <= 0) & (gradient < 0))
+    while free.any():
+        rest = gradient + metric @ np.where(free, 0.0, step)
+        step[free] = np.linalg.solve(metric[np.ix_(free, free)], -rest[free])
+        past = free & ((step < low) | (step > high))
+        if not past.any():
+            break
+        step[past] = np.clip(step, low, high)[past]
+        free &= ~past
+    return step
+
+
+def minimise(
+    function: Function,
+    x: _Array,
+    first: tuple[float, _Array],
+    metric: _Array,
+    bounds: tuple[_Array, _Array],
+    *,
+    tolerance: float,
+    max_iterations: int,
+    watch: Callable[[Iteration], None] | None = None,
+    number: int = 0,
+) -> Minimum:
+    """Minimises ``function`` from ``x``, where it is ``first``, by BFGS with Powell's damping, from the Hessian
+    ``metric`` (Nocedal and Wright, *Numerical Optimization*, 2006, chapters 6 and 18).
+
+    Ends where a step promises less than ``tolerance``. An interrupt ends with the best point so far.
+    """
+    value, gradient = first
+    lower, upper = bounds
+    end = Minimum(x.copy(), value, gradient, metric.copy(), "iteration limit", number)
+    try:
+        while end.iterations < number + max_iterations:
+            step = bounded_step(end.gradient, end.metric, lower - end.x, upper - end.x)
+            slope = float(end.gradient @ step)
+            promise = -0.5 * slope
+            if not promise >= tolerance:
+                end.status = "converged"
+                break
+            found = _search(function, end, step, slope, lower, upper)
+            if found is None:
+                # A metric that leads nowhere is given up once.
+                start = np.diag(np.diag(metric))
+                if np.array_equal(end.metric, start):
+                    end.status = "failed"
+                    break
+                end.metric = start
+                continue
+            size, there, (new_value, new_gradient), trials = found
+            end.metric = _updated(end.metric, there - end.x, new_gradient - end.gradient)
+            end.x, end.value, end.gradient = there, new_value, new_gradient
+            end.iterations += 1
+            line = Iteration(end.iterations, -end.value, 0.0, promise, size, trials)
+            end.history.append(line)
+            if watch is not None:
+                watch(line)
+    except KeyboardInterrupt:
+        end.status = "interrupted"
+    return end
+
+
+def _search(
+    function: Function, at: Minimum, step: _Array, slope: float, lower: _Array, upper: _Array
+) -> tuple[float, _Array, tuple[float, _Array], int] | None:
+    """A step length by bisection: (length, point, value and gradient there, trials)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(step > 0, (upper - at.x) / step, np.where(step < 0, (lower - at.x) / step, np.inf))
+    longest = max(1.0, float(np.min(room)))
+    low, high, size = 0.0, np.inf, 1.0
+    best = None
+    for trial in range(1, _TRIALS + 1):
+        point = np.clip(at.x + size * step, lower, upper)
+        here = function(point)
+        # Rounding of the value must not refuse the last steps.
+        slack = 1e-13 * abs(at.value)
+        if here is None or here[0] > at.value + _SUFFICIENT * size * slope + slack:
+            if best is not None:
+                return best
+            high = size
+            size = 0.5 * (low + high) if here is not None else 0.25 * size
+            continue
+        best = (size, point, here, trial)
+        if float(here[1] @ step) >= _FLAT * slope or size >= longest or high < np.inf:
+            return best
+        low = size
+        size = min(2.0 * size, longest)
+    return best
+
+
+def _updated(metric: _Array, s: _Array, y: _Array) -> _Array:
+    """BFGS, damped so that the metric stays positive definite."""
+    bs = metric @ s
+    sbs = float(s @ bs)
+    if not sbs > 0:
+        return metric
+    sy = float(s @ y)
+    if sy < 0.2 * sbs:
+        share = 0.8 * sbs / (sbs - sy)
+        y = share * y + (1 - share) * bs
+        sy = float(s @ y)
+    updated: _Array = metric - np.outer(bs, bs) / sbs + np.outer(y, y) / sy
+    return 0.5 * (updated + updated.T)

@@ -1,0 +1,80 @@
+//! What a Kalman filter predicts of every sample from those before it.
+//!
+//! The filter is linearised about the most probable path (for a linear system it is the Kalman filter), and starts at
+//! the first state as estimated; one with a prior starts at the prior. Its innovations are white where the model is
+//! right, which the residuals of a smoothed path are not.
+
+use super::dense::{cholesky, dot, product, product_transposed, solve, symmetrise};
+use super::path::{At, Found};
+
+/// Innovations and their standard deviations.
+#[derive(Clone, Debug, Default)]
+pub struct Innovations {
+    /// z_k minus its prediction: n_y columns of N, NaN where a sample is missing.
+    pub values: Vec<Vec<f64>>,
+    /// Standard deviations, n_y columns of N.
+    pub deviations: Vec<Vec<f64>>,
+}
+
+pub(super) fn innovations(at: &At<'_>, found: &Found) -> Innovations {
+    let (n, samples) = (at.initial.len(), at.run.samples());
+    let slopes = at.samples.residual_slopes(at.theta, &at.run.data, &found.path.x, 0);
+    let residuals = at.samples.residuals(at.theta, &at.run.data, &found.path.x);
+    let n_y = residuals.len() / (2 * samples);
+    let nn = n * n;
+    // Deviation of the filter's state from the path, and its covariance.
+    let (mut dx, mut p) = (vec![0.0; n], vec![0.0; nn]);
+    for (i, prior) in at.initial.iter().enumerate() {
+        if let Some((mean, std)) = prior.filter(|p| p.1.is_finite()) {
+            dx[i] = mean - found.path.x[i];
+            p[i * n + i] = std * std;
+        }
+    }
+    let mut out = Innovations { values: vec![Vec::new(); n_y], deviations: vec![Vec::new(); n_y] };
+    for k in 0..samples {
+        // In units of σ: the residual r = (z − g)/σ has slope C = ∂r/∂x and unit noise; it is 0 where missing.
+        let c = &slopes[k * n_y * n..(k + 1) * n_y * n];
+        let (r, root) = residuals[2 * k * n_y..2 * (k + 1) * n_y].split_at(n_y);
+        let mut pc = vec![0.0; n * n_y];
+        product_transposed(&mut pc, &p, c, [n, n, n_y]);
+        let mut s = vec![0.0; n_y * n_y];
+        product(&mut s, c, &pc, [n_y, n, n_y]);
+        let mut innovation: Vec<f64> = (0..n_y).map(|i| r[i] + dot(&c[i * n..(i + 1) * n], &dx)).collect();
+        for i in 0..n_y {
+            s[i * n_y + i] += 1.0;
+            let there = root[i] > 0.0;
+            out.values[i].push(if there { innovation[i] / root[i] } else { f64::NAN });
+            out.deviations[i].push(if there { s[i * n_y + i].sqrt() / root[i] } else { f64::NAN });
+        }
+        if k + 1 == samples || cholesky(&mut s, n_y).is_err() {
+            continue;
+        }
+        // Correction: K = −P Cᵀ S⁻¹ for r falls as x grows.
+        let mut gain: Vec<f64> = (0..n_y * n).map(|i| pc[(i % n) * n_y + i / n]).collect();
+        solve(&s, &mut gain, n_y, n);
+        innovation.iter_mut().for_each(|v| *v = -*v);
+        for i in 0..n {
+            for j in 0..n_y {
+                dx[i] += gain[j * n + i] * innovation[j];
+                for l in 0..n {
+                    p[i * n + l] -= pc[i * n_y + j] * gain[j * n + l];
+                }
+            }
+        }
+        // Prediction: the path's own noise G ε is part of the path, not of the prediction.
+        let a = &found.chain.a[k * nn..(k + 1) * nn];
+        let mut next: Vec<f64> = (0..n).map(|i| dot(&a[i * n..(i + 1) * n], &dx)).collect();
+        let mut ap = vec![0.0; nn];
+        product(&mut ap, a, &p, [n, n, n]);
+        product_transposed(&mut p, &ap, a, [n, n, n]);
+        let m = at.noisy.len();
+        for (i, &state) in at.noisy.iter().enumerate() {
+            let g = found.chain.g[k * m + i];
+            next[state] -= g * found.path.e[k * m + i];
+            p[state * n + state] += g * g;
+        }
+        symmetrise(&mut p, n);
+        dx = next;
+    }
+    out
+}

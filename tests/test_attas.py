@@ -1,0 +1,78 @@
+"""The ATTAS example: both records in one fit, each validating the other; its twins without the records."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
+
+import attas
+from records import find
+
+import phugoid as ph
+
+needs_records = pytest.mark.skipif(
+    not all(find(name) for name in attas.RECORDS), reason=f"the records {', '.join(attas.RECORDS)} are not there"
+)
+
+
+def test_the_truth_of_the_twins_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(attas, "find", lambda name: None)
+    fit = attas.estimate(attas.records())
+    assert fit.converged
+    for name, value in attas.TWIN.items():
+        e = fit.parameters[name]
+        assert abs(e.value - value) < 4 * e.std_error
+
+
+@needs_records
+def test_each_record_predicts_the_other() -> None:
+    first, second = attas.records()
+    for own, other in ((first, second), (second, first)):
+        there = attas.validate(attas.estimate(own), other)
+        assert there.converged
+        record = there.records[0]
+        for name in attas.OUTPUTS:
+            assert attas.theil(record.measured[name], record.outputs[name]) < 0.05
+
+
+@needs_records
+def test_a_late_vane_misleads_the_regression() -> None:
+    """With alpha put right for the delay and the scale that the fit finds, the regression comes near it."""
+    runs, model = attas.records(), attas.model(vane=False)
+    fit = attas.estimate(runs).parameters
+    K, tau = fit["K"].value, fit["tau"].value
+
+    def right(run: ph.Experiment) -> ph.Experiment:
+        alpha = np.interp(run.t + tau, run.t, run.outputs["alpha"]) / K
+        return run.with_outputs({**run.outputs, "alpha": alpha}).window(0.8, 24.2)
+
+    late, put_right = (ph.equation_error(model, data).parameters for data in (runs, [right(run) for run in runs]))
+    assert late["Zde"].value > 0 > fit["Zde"].value
+    for name, off in (("Zde", 0.02), ("Mq", 0.2)):
+        assert abs(put_right[name].value - fit[name].value) < off < abs(late[name].value - fit[name].value)
+
+
+@needs_records
+def test_both_records_together() -> None:
+    runs = attas.records()
+    alone, both = [attas.estimate(run) for run in runs], attas.estimate(runs)
+    assert both.converged and not both.warnings
+    for name in (*attas.SHARED, *attas.VANE):
+        first, second, joint = (fit.parameters[name] for fit in (*alone, both))
+        assert joint.std_error < min(first.std_error, second.std_error)
+        assert min(first.value, second.value) < joint.value < max(first.value, second.value)
+    # Each record finds the delay of the vane by itself.
+    assert [fit.parameters["tau"].value for fit in alone] == pytest.approx([0.114, 0.114], abs=0.006)
+    for name in ("Z0", "M0", "b_az"):
+        assert {f"{name}[first]", f"{name}[second]"} <= set(both.parameters)
+
+
+def test_theil_is_zero_for_the_truth_and_one_for_a_constant() -> None:
+    z = 5.0 + np.sin(np.arange(100))
+    assert attas.theil(z, z) == 0.0
+    assert attas.theil(z, np.full(100, z.mean())) == pytest.approx(1.0)

@@ -1,0 +1,188 @@
+"""Delays of inputs and sensors as parameters, and records with time stamps of their own for each channel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfiltfilt
+
+import phugoid as ph
+
+TRUTH = {"k": 2.0, "c": 0.7, "tau": 0.237, "late": 0.163}
+SIGMA = {"x": 0.01, "v": 0.02, "a": 0.03}
+
+
+def model(**fixed: float) -> ph.Model:
+    """A mass that follows its input tau late; position and acceleration are measured late."""
+    m = ph.Model("late")
+    x, v = m.states(x="m", v="m/s")
+    (u,) = m.inputs(u="m")
+    declared = {name: ph.Parameter(value, fixed=True) for name, value in fixed.items()}
+    start = {"k": 1.0, "c": 0.5, "tau": ph.Parameter(0.0, bounds=(-0.5, 2.0)), "late": ph.Parameter(0.0)}
+    k, c, tau, late = m.parameters(**{**start, **declared})  # type: ignore[arg-type]
+    acceleration = -k * (x - m.delay(u, tau)) - c * v
+    m.dynamics(x=v, v=acceleration)
+    m.outputs(x=x, v=v, a=acceleration)
+    m.sensor_delay(x=late, a=late)
+    return m
+
+
+def smooth(n: int, seed: int = 0) -> np.ndarray:
+    u = sosfiltfilt(butter(4, 0.1, output="sos"), np.random.default_rng(seed).standard_normal(n))
+    return np.asarray(u / u.std())
+
+
+def record(interpolation: str = "cubic", name: str = "run", seed: int = 0) -> ph.Experiment:
+    t = np.arange(0, 40, 0.1)
+    u = {"u": smooth(t.size, seed)}
+    e = ph.Experiment(t, u, name=name, interpolation=interpolation)  # type: ignore[arg-type]
+    path = ph.simulate(model(), TRUTH, e, initial={"x": 0.1, "v": 0.0})
+    random = np.random.default_rng(seed + 1)
+    return e.with_outputs({n: path.outputs[n] + s * random.standard_normal(t.size) for n, s in SIGMA.items()})
+
+
+def test_the_simulation_is_late() -> None:
+    """Against the same model on an input that was moved by hand, and read late by hand."""
+    t = np.arange(0, 20, 0.01)
+    e = ph.Experiment(t, {"u": smooth(t.size)}, interpolation="cubic")
+    now = ph.simulate(model(), {**TRUTH, "tau": 0.0, "late": 0.0}, e, initial={"x": 0.0, "v": 0.0})
+    shifted = np.concatenate([np.full(50, e.input("u")[0]), e.input("u")[:-50]])
+    moved = ph.Experiment(t, {"u": shifted}, interpolation="cubic")
+    by_hand = ph.simulate(model(), {**TRUTH, "tau": 0.0, "late": 0.0}, moved, initial={"x": 0.0, "v": 0.0})
+    late = ph.simulate(model(), {**TRUTH, "tau": 0.5, "late": 0.25}, e, initial={"x": 0.0, "v": 0.0})
+    # Held before its first sample, the input starts with a bend that a spline through samples rounds off.
+    assert late.states["x"] == pytest.approx(by_hand.states["x"], abs=1e-4)
+    assert np.abs(late.states["x"] - now.states["x"]).max() > 0.1
+    assert np.isnan(late.outputs["x"][:25]).all()
+    assert late.outputs["x"][25:] == pytest.approx(late.states["x"][:-25], abs=1e-5)
+    assert late.outputs["v"] == pytest.approx(late.states["v"], abs=1e-12)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "cubic"])
+def test_delays_are_found(interpolation: str) -> None:
+    data = [record(interpolation, "one", 0), record(interpolation, "two", 7)]
+    fit = ph.estimate(model(), data)
+    assert fit.converged
+    for name, true in TRUTH.items():
+        e = fit.parameters[name]
+        assert abs(e.value - true) < 4 * e.std_error, name
+        assert e.std_error < 0.002
+    # Residuals are at the samples of the record: those that reach back beyond its start are missing.
+    for r, e in zip(fit.records, data, strict=True):
+        assert r.t is e.t
+        assert np.isnan(r.residuals["x"][:2]).all() and np.isfinite(r.residuals["x"][2:]).all()
+        assert np.isfinite(r.residuals["v"]).all()
+        for name, rms in r.rms().items():
+            assert rms == pytest.approx(SIGMA[name], rel=0.15)
+        # The delayed input bends within segments: the fit's mesh cannot follow as closely as a simulation.
+        path = ph.simulate(model(), fit, e)
+        assert path.outputs["x"][2:] == pytest.approx(r.outputs["x"][2:], abs=3e-4)
+
+
+def test_the_estimate_is_the_maximum_and_its_error_the_curvature_there() -> None:
+    data = record()
+    fit = ph.estimate(model(), data)
+    at, step = fit.parameters["tau"].value, fit.parameters["tau"].std_error
+    start = {name: fit.parameters[name].value for name in ("k", "c", "late")}
+    best, above, below = (
+        ph.estimate(model(tau=value), data, start=start).log_likelihood for value in (at, at + step, at - step)
+    )
+    assert fit.log_likelihood == pytest.approx(best, abs=1e-6)
+    # One standard error from the maximum the profile is 1/2 lower, on either side.
+    assert above - best == pytest.approx(-0.5, abs=0.02)
+    assert below - best == pytest.approx(-0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "cubic"])
+def test_rates_of_signals_are_those_of_the_interpolation(interpolation: str) -> None:
+    """Derivatives of the transcribed program with respect to a delay, while the base stays."""
+    from phugoid.delayed import at_delays
+    from phugoid.late import _moved
+
+    m, data, base = model(), record(interpolation), {"tau": 0.2, "late": 0.1}
+    slim = at_delays(m, base)
+    noise = ph.Gaussian().resolve(list("xva"), dict.fromkeys("xva", 1.0), {})
+    problem = ph.Collocation(3).problem(slim, [_moved(m, slim, data, base)], noise)
+    random = np.random.default_rng(0)
+    xi = random.standard_normal(problem.n)
+    xi[:4], xi[4:7] = [2.0, 0.7, 0.21, 0.12], 1.3
+    assert problem.check_derivatives(xi, random.standard_normal(problem.m), list(range(12)), 1e-6) == []
+
+
+def test_what_is_late_is_saved_with_the_model() -> None:
+    m = model()
+    again = ph.Model.from_json(m.to_json())
+    assert again.delays == m.delays
+    assert again.input_names == ("u",)
+    assert again.delays.parameters == ("tau", "late")
+
+
+def test_wrong_delays_are_refused() -> None:
+    m = ph.Model("wrong")
+    (x,) = m.states("x")
+    (u,) = m.inputs("u")
+    (tau,) = m.parameters("tau")
+    with pytest.raises(ph.ModelError, match="delay: give the symbol of an input"):
+        m.delay(x, tau)
+    with pytest.raises(ph.ModelError, match="delay of u: give the symbol of a parameter"):
+        m.delay(u, x)
+    with pytest.raises(ph.ModelError, match="'y' is not an output"):
+        m.sensor_delay(y=tau)
+    with pytest.raises(ph.DataError, match="no sample is left with a delay of 100 s"):
+        ph.estimate(model(late=100.0), record())
+
+
+# ---------------------------------------------------------------- time stamps of their own
+
+
+def test_channels_with_their_own_times_make_one_record() -> None:
+    fast, slow = np.linspace(0, 10, 501), np.linspace(0.003, 9.9, 95)
+    u = np.linspace(-0.2, 10.1, 300)
+    run = ph.multirate(
+        {"u": (u, np.sin(u))}, {"x": (fast, fast), "v": (slow, slow**2)}, name="log", interpolation="cubic"
+    )
+    assert run.n == 501 + 95 - np.isin(slow, fast).sum()
+    assert np.isfinite(run.output("x")).sum() == 501 and np.isfinite(run.output("v")).sum() == 95
+    assert run.output("v")[np.isfinite(run.output("v"))] == pytest.approx(slow**2)
+    assert run.input("u") == pytest.approx(np.sin(run.t), abs=1e-5)
+    assert run.mesh_times is not None and run.mesh_times == pytest.approx(fast)
+    part = run.window(2.0, 3.0)
+    assert part.mesh_times is not None and part.mesh_times[[0, -1]] == pytest.approx(part.t[[0, -1]])
+    assert part.signal("u") is run.signal("u")
+
+
+def test_the_fit_of_a_multirate_record_is_that_of_its_samples() -> None:
+    """Channels taken at their own times from one path tell the same as the path."""
+    t = np.arange(0, 20, 0.02)
+    e = ph.Experiment(t, {"u": smooth(t.size)}, interpolation="cubic")
+    path = ph.simulate(model(), {**TRUTH, "tau": 0.0, "late": 0.0}, e, initial={"x": 0.3, "v": 0.0})
+    random = np.random.default_rng(3)
+    x, v, a = slice(0, None, 5), slice(3, None, 7), slice(1, None, 11)
+    outputs = {
+        name: (t[s], path.outputs[name][s] + SIGMA[name] * random.standard_normal(t[s].size))
+        for name, s in {"x": x, "v": v, "a": a}.items()
+    }
+    run = ph.multirate({"u": (t, e.input("u"))}, outputs, interpolation="cubic")
+    fit = ph.estimate(model(tau=0.0, late=0.0), run, transcription=ph.Collocation(order=7))
+    assert fit.converged
+    for name in ("k", "c"):
+        assert abs(fit.parameters[name].value - TRUTH[name]) < 4 * fit.parameters[name].std_error
+    # The same samples as one record with gaps, its input at every time: a finer mesh, the same answer.
+    z = {n: np.full(t.size, np.nan) for n in outputs}
+    for (name, (_, values)), s in zip(outputs.items(), (x, v, a), strict=True):
+        z[name][s] = values
+    whole = ph.estimate(model(tau=0.0, late=0.0), e.with_outputs(z))
+    assert fit.parameters["k"].value == pytest.approx(whole.parameters["k"].value, rel=1e-5)
+    assert fit.log_likelihood == pytest.approx(whole.log_likelihood, abs=1e-3)
+
+
+def test_channels_that_do_not_overlap_are_refused() -> None:
+    t = np.linspace(0, 1, 5)
+    with pytest.raises(ph.DataError, match="output 'x': no sample lies between 5 and 6 s"):
+        ph.multirate({"u": (t + 5, t)}, {"x": (t, t)})
+    with pytest.raises(ph.DataError, match="input 'u': give \\(times, values\\)"):
+        ph.multirate({"u": t}, {"x": (t, t)})  # type: ignore[dict-item]
+    with pytest.raises(ph.DataError, match="does not come after"):
+        ph.multirate({}, {"x": (t[::-1], t)})
+    with pytest.raises(ph.DataError, match="there are no outputs"):
+        ph.multirate({"u": (t, t)}, {})

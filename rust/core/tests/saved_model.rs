@@ -47,6 +47,7 @@ fn problem(saved: &Value) -> Collocation {
             inputs: many(&e["inputs"]),
             outputs: many(&e["outputs"]),
             interpolation: if cubic { Interpolation::Cubic } else { Interpolation::Linear },
+            signals: Vec::new(),
         }
     };
     let experiments: Vec<Experiment> =

@@ -22,7 +22,14 @@ fn record(model: &Model, name: &str, n: usize, near: &[f64], seed: u64) -> Exper
         z[(3 * c + 2) % n] = f64::NAN;
         outputs.push(z);
     }
-    Experiment { name: name.into(), t, inputs, outputs, interpolation: Interpolation::Cubic }
+    Experiment {
+        name: name.into(),
+        t,
+        inputs,
+        outputs,
+        interpolation: Interpolation::Cubic,
+        signals: Vec::new(),
+    }
 }
 
 fn unknown(n: usize) -> Noise {

@@ -65,6 +65,28 @@ def test_a_condition_holds_and_parameters_in_it_are_found(runs: int) -> None:
     assert free.log_likelihood - 10 < fit.log_likelihood < free.log_likelihood
 
 
+@pytest.mark.parametrize("transcription", [ph.SingleShooting(), ph.MultipleShooting(segments=8)], ids=str)
+def test_initial_conditions_hold_in_shooting(transcription: ph.SingleShooting | ph.MultipleShooting) -> None:
+    data = [record("one", 0), record("two", 1)]
+    fit = ph.estimate(trimmed(), data, transcription=transcription, start={"k": 1.8, "c": 0.15, "g": 0.7})
+    reference = ph.estimate(trimmed(), data, transcription=ph.Collocation(order=6))
+    assert fit.converged
+    for name, e in reference.parameters.items():
+        assert abs(fit.parameters[name].value - e.value) < 0.01 * e.std_error
+        assert fit.parameters[name].std_error == pytest.approx(e.std_error, rel=1e-4)
+    for r in fit.records:
+        g = fit.parameters["g"].value
+        assert r.states["x"][0] == pytest.approx(g, abs=1e-12)
+        assert r.states["v"][0] == pytest.approx(g**2 + 0.1, abs=1e-12)
+
+    problem = transcription.problem(trimmed(), data, ph.Gaussian().resolve(["x", "v"], {"x": 1.0, "v": 1.0}, {}))
+    random = np.random.default_rng(0)
+    xi = 0.3 * random.standard_normal(problem.n)
+    xi[:5] = 2.0, 0.2, 0.8, 1.3, 1.3
+    assert problem.check_derivatives(xi, random.standard_normal(problem.m), list(range(problem.n)), 1e-6) == []
+    assert problem.constraint_name(problem.m - 1) == "initial condition of v of 'two'"
+
+
 def test_newton_and_ipopt_agree() -> None:
     pytest.importorskip("cyipopt")
     newton, ipopt = (ph.estimate(trimmed(), record(), solver=s) for s in (ph.Newton(), ph.Ipopt()))

@@ -79,6 +79,18 @@ def test_delays_are_found(interpolation: str) -> None:
         assert path.outputs["x"][2:] == pytest.approx(r.outputs["x"][2:], abs=3e-4)
 
 
+@pytest.mark.parametrize("transcription", [ph.MultipleShooting(segments=20), ph.SingleShooting()], ids=str)
+def test_delays_are_found_by_shooting(transcription: ph.SingleShooting | ph.MultipleShooting) -> None:
+    near = {"k": 1.5, "c": 0.6}
+    fit = ph.estimate(model(), record(), transcription=transcription, start=near)
+    reference = ph.estimate(model(), record(), transcription=ph.Collocation(order=6))
+    assert fit.converged
+    for name in TRUTH:
+        e = reference.parameters[name]
+        assert abs(fit.parameters[name].value - e.value) < 0.1 * e.std_error
+        assert fit.parameters[name].std_error == pytest.approx(e.std_error, rel=0.01)
+
+
 def test_the_estimate_is_the_maximum_and_its_error_the_curvature_there() -> None:
     data = record()
     fit = ph.estimate(model(), data)

@@ -239,8 +239,10 @@ def test_other_noise_is_collocations(noise: Any) -> None:
         assert distance(fit, reference) < 1e-3
 
 
-def test_conditions_at_the_ends_are_for_collocation() -> None:
+def test_conditions_at_the_end_are_for_collocation() -> None:
     model = oscillator()
-    model.initial(x=0.5)
-    with pytest.raises(OptionError, match="no boundary conditions, and there is one of x; take collocation"):
+    model.final(x=0.5)
+    with pytest.raises(
+        OptionError, match="initial conditions only, and there is one of x at the end; take collocation"
+    ):
         estimate(model, record(), transcription=SingleShooting())

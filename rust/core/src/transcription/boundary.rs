@@ -2,10 +2,11 @@
 
 use super::estimands::Estimands;
 use super::layout::Layout;
+use super::posed::Written;
 use crate::condition::{Condition, End};
 use crate::experiment::Experiment;
-use crate::expr::graph::{Graph, Id};
-use crate::mesh::Mesh;
+use crate::expr::graph::Id;
+use crate::model::Model;
 use crate::nlp::Structure;
 use crate::tape::{Arguments, Function, LANE_MULTIPLE, Tape, Workspace};
 
@@ -16,40 +17,41 @@ pub(super) struct Boundary {
     pub conditions: Vec<Condition>,
     pub states: Vec<usize>,
     f: Function,
-    /// Time and inputs at both ends of each experiment.
+    /// Time and inputs at both ends of each experiment, and its last point.
     data: Vec<Vec<f64>>,
+    last: Vec<usize>,
     /// First constraint, and first entries of Jacobian and Hessian.
     first_row: usize,
     jacobian: usize,
     hessian: usize,
 }
 
-/// What conditions are written in.
-pub(super) struct Symbols<'a> {
-    /// Time and inputs, and states, as the model has them.
-    pub data: &'a [Id],
-    pub states: &'a [Id],
-    /// Parameters as functions see them.
-    pub theta: &'a [Id],
-}
+/// Where points stand, and which variable is which parameter.
+pub(super) type Places<'a> = (&'a Layout, &'a Estimands);
 
 impl Boundary {
-    /// `roots` holds the right-hand sides of the conditions in the model's symbols.
+    /// The conditions of a model, if there are any. `ends` holds for each experiment its last point, counted from
+    /// its first, and the times of both.
     pub fn new(
-        mut graph: Graph,
-        symbols: &Symbols<'_>,
-        (conditions, roots, states): (&[Condition], &[Id], Vec<usize>),
+        model: &Model,
+        written: Written,
         experiments: &[Experiment],
-        meshes: &[Mesh],
+        ends: &[(usize, [f64; 2])],
         first_row: usize,
-    ) -> Boundary {
-        let n = symbols.states.len();
+    ) -> Option<Boundary> {
+        if model.conditions.is_empty() {
+            return None;
+        }
+        let Written { mut graph, compiled, theta } = written;
+        let (conditions, roots) = (&model.conditions, &compiled.conditions);
+        let place = |c: &Condition| model.states.iter().position(|s| s.name == c.state);
+        let states: Vec<usize> = conditions.iter().filter_map(place).collect();
         let mut at = |ids: &[Id], end: &str| -> Vec<Id> {
             (0..ids.len()).map(|i| graph.symbol(&format!("{i} {end}"))).collect()
         };
-        let x = [at(symbols.states, "state at the start"), at(symbols.states, "state at the end")];
-        let u = [at(symbols.data, "datum at the start"), at(symbols.data, "datum at the end")];
-        let own: Vec<Id> = symbols.states.iter().chain(symbols.data).copied().collect();
+        let x = [at(&compiled.states, "state at the start"), at(&compiled.states, "state at the end")];
+        let u = [at(&compiled.data, "datum at the start"), at(&compiled.data, "datum at the end")];
+        let own: Vec<Id> = compiled.states.iter().chain(&compiled.data).copied().collect();
         let functions = conditions.iter().zip(roots).zip(&states).map(|((c, &root), &s)| {
             let end = usize::from(c.end != End::Initial);
             let there: Vec<Id> = x[end].iter().chain(&u[end]).copied().collect();
@@ -58,23 +60,26 @@ impl Boundary {
             graph.sub(left, right)
         });
         let functions: Vec<Id> = functions.collect();
-        let arguments =
-            Arguments { data: u.concat(), states: x.concat(), parameters: symbols.theta.to_vec() };
-        let ends = |(e, mesh): (&Experiment, &Mesh)| {
-            let times = [mesh.times[0], mesh.times[mesh.n_mesh - 1]];
-            let channels: Vec<Vec<f64>> = (0..e.inputs.len()).map(|c| e.input(c, &times)).collect();
+        let arguments = Arguments { data: u.concat(), states: x.concat(), parameters: theta };
+        let data = |(e, (_, times)): (&Experiment, &(usize, [f64; 2]))| {
+            let channels: Vec<Vec<f64>> = (0..e.inputs.len()).map(|c| e.input(c, times)).collect();
             (0..2).flat_map(|i| std::iter::once(times[i]).chain(channels.iter().map(move |c| c[i]))).collect()
         };
-        debug_assert_eq!(n, x[0].len());
-        Boundary {
+        Some(Boundary {
             f: Function::new(graph, &arguments, functions),
-            conditions: conditions.to_vec(),
+            conditions: conditions.clone(),
             states,
-            data: experiments.iter().zip(meshes).map(ends).collect(),
+            data: experiments.iter().zip(ends).map(data).collect(),
+            last: ends.iter().map(|e| e.0).collect(),
             first_row,
             jacobian: 0,
             hessian: 0,
-        }
+        })
+    }
+
+    /// Number of entries of the Hessian.
+    pub fn hessian_entries(&self) -> usize {
+        self.f.hessian_pattern.len() * self.data.len()
     }
 
     /// Number of conditions of an experiment.
@@ -104,11 +109,11 @@ impl Boundary {
     }
 
     /// The variable that a local variable of the function is.
-    fn variable(layout: &Layout, meshes: &[Mesh], map: &[usize], e: usize, local: usize) -> usize {
+    fn variable(&self, layout: &Layout, map: &[usize], e: usize, local: usize) -> usize {
         let (n, first) = (layout.n_x, layout.first_point[e]);
         match local {
             i if i < n => layout.state(first) + i,
-            i if i < 2 * n => layout.state(first + meshes[e].n_mesh - 1) + i - n,
+            i if i < 2 * n => layout.state(first + self.last[e]) + i - n,
             i => map[i - 2 * n],
         }
     }
@@ -117,13 +122,12 @@ impl Boundary {
     pub fn place(
         &mut self,
         layout: &Layout,
-        meshes: &[Mesh],
         estimands: &Estimands,
         (jacobian, hessian): (&mut Structure, &mut Structure),
     ) {
         (self.jacobian, self.hessian) = (jacobian.len(), hessian.len());
         for (e, map) in estimands.maps.iter().enumerate() {
-            let variable = |local: usize| Self::variable(layout, meshes, map, e, local);
+            let variable = |local: usize| self.variable(layout, map, e, local);
             for (r, c) in self.f.jacobian_pattern.iter() {
                 jacobian.push(self.row(e) + r, variable(c));
             }
@@ -138,7 +142,7 @@ impl Boundary {
     fn run(
         &self,
         tape: &Tape,
-        (layout, meshes, estimands): (&Layout, &[Mesh], &Estimands),
+        (layout, estimands): Places<'_>,
         xi: &[f64],
         (e, weights): (usize, &[f64]),
         mut each: impl FnMut(usize, f64),
@@ -147,7 +151,7 @@ impl Boundary {
         estimands.theta(e, xi, &mut theta);
         tape.uniforms(&theta, &mut uniforms);
         let map = &estimands.maps[e];
-        let state = |i: usize| xi[Self::variable(layout, meshes, map, e, i)];
+        let state = |i: usize| xi[self.variable(layout, map, e, i)];
         let columns = self.data[e].iter().copied().chain((0..2 * layout.n_x).map(state));
         let mut workspace = Workspace::default();
         let registers = workspace.registers(tape, LANE_MULTIPLE);
@@ -162,7 +166,7 @@ impl Boundary {
     }
 
     /// Writes the constraints; whether all are finite.
-    pub fn values(&self, problem: (&Layout, &[Mesh], &Estimands), xi: &[f64], out: &mut [f64]) -> bool {
+    pub fn values(&self, problem: Places<'_>, xi: &[f64], out: &mut [f64]) -> bool {
         let out = &mut out[self.first_row..];
         for e in 0..self.data.len() {
             let first = e * self.count();
@@ -172,7 +176,7 @@ impl Boundary {
     }
 
     /// Writes the entries of the Jacobian.
-    pub fn jacobian(&self, problem: (&Layout, &[Mesh], &Estimands), xi: &[f64], out: &mut [f64]) -> bool {
+    pub fn jacobian(&self, problem: Places<'_>, xi: &[f64], out: &mut [f64]) -> bool {
         let (count, out) = (self.f.jacobian_pattern.len(), &mut out[self.jacobian..]);
         for e in 0..self.data.len() {
             self.run(&self.f.jacobian, problem, xi, (e, &[]), |i, v| out[e * count + i] = v);
@@ -181,13 +185,7 @@ impl Boundary {
     }
 
     /// Writes the entries of Σ λ ∇²c.
-    pub fn hessian(
-        &self,
-        problem: (&Layout, &[Mesh], &Estimands),
-        xi: &[f64],
-        lambda: &[f64],
-        out: &mut [f64],
-    ) -> bool {
+    pub fn hessian(&self, problem: Places<'_>, xi: &[f64], lambda: &[f64], out: &mut [f64]) -> bool {
         let (count, out) = (self.f.hessian_pattern.len(), &mut out[self.hessian..]);
         for e in 0..self.data.len() {
             let weights = &lambda[self.row(e)..self.row(e) + self.count()];

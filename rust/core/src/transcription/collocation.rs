@@ -3,15 +3,14 @@
 use std::collections::BTreeMap;
 use std::ops::{Deref, Range};
 
-use super::boundary::{Boundary, Symbols};
+use super::boundary::Boundary;
 use super::chunk::Chunk;
 use super::defects::{self, Dynamics};
 use super::disjoint::Disjoint;
 use super::estimands::Estimands;
 use super::layout::{Layout, Place};
 use super::objective::{Objective, add};
-use super::posed::{OfExperiment, Posed, Written};
-use crate::condition::Condition;
+use super::posed::{OfExperiment, Posed};
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::mesh::{Grid, Mesh};
@@ -121,14 +120,9 @@ impl Collocation {
             Posed::new(model, experiments, noise, (settings.threads, settings.noise_per_experiment))?;
         let meshes = meshes(experiments, settings)?;
         let layout = Layout::new(posed.parameters.len(), model.states.len(), &meshes);
-        let Written { graph, compiled, theta } = written;
-        let boundary = (!model.conditions.is_empty()).then(|| {
-            let place = |c: &Condition| model.states.iter().position(|s| s.name == c.state);
-            let states = model.conditions.iter().filter_map(place).collect();
-            let symbols = Symbols { data: &compiled.data, states: &compiled.states, theta: &theta };
-            let conditions = (&model.conditions[..], &compiled.conditions[..], states);
-            Boundary::new(graph, &symbols, conditions, experiments, &meshes, layout.m())
-        });
+        let ends = |mesh: &Mesh| (mesh.n_mesh - 1, [mesh.times[0], mesh.times[mesh.n_mesh - 1]]);
+        let ends: Vec<_> = meshes.iter().map(ends).collect();
+        let boundary = Boundary::new(model, written, experiments, &ends, layout.m());
         let mut problem = Collocation {
             layout,
             meshes,
@@ -199,7 +193,7 @@ impl Collocation {
         self.objective.place_pairs(&self.posed, place);
         if let Some(boundary) = &mut self.boundary {
             let structures = (&mut self.jacobian_structure, &mut self.hessian_structure);
-            boundary.place(&self.layout, &self.meshes, &self.posed.estimands, structures);
+            boundary.place(&self.layout, &self.posed.estimands, structures);
         }
     }
 
@@ -208,12 +202,9 @@ impl Collocation {
     }
 
     /// Evaluates what there is of boundary conditions.
-    fn at_ends(
-        &self,
-        work: impl FnOnce(&Boundary, (&Layout, &[Mesh], &Estimands)) -> bool,
-    ) -> Result<(), NotFinite> {
+    fn at_ends(&self, work: impl FnOnce(&Boundary, (&Layout, &Estimands)) -> bool) -> Result<(), NotFinite> {
         let Some(boundary) = &self.boundary else { return Ok(()) };
-        if work(boundary, (&self.layout, &self.meshes, &self.estimands)) { Ok(()) } else { Err(NotFinite) }
+        if work(boundary, (&self.layout, &self.estimands)) { Ok(()) } else { Err(NotFinite) }
     }
 
     /// Model outputs at the samples of an experiment: `[output][sample]`.

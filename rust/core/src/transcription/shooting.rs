@@ -5,7 +5,9 @@ use std::ops::{Deref, Range};
 
 use rayon::prelude::*;
 
+use super::boundary::Boundary;
 use super::disjoint::Disjoint;
+use super::estimands::Estimands;
 use super::flow::{Flow, Memory};
 use super::group::Group;
 use super::layout::{Layout, Place};
@@ -18,11 +20,12 @@ use super::posed::Posed;
 use super::steps::{Steps, Track};
 use super::tableau::{Integrator, Tableau};
 use super::transcribed::Transcribed;
+use crate::condition::End;
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::mesh::Grid;
 use crate::model::Model;
-use crate::nlp::{Boundary, Chain, Chains, Nlp, NotFinite, Reach, Structure};
+use crate::nlp::{self, Chain, Chains, Nlp, NotFinite, Reach, Structure};
 use crate::noise::Noise;
 use crate::tape::Tape;
 
@@ -97,6 +100,8 @@ pub struct Shooting {
     jacobian_structure: Structure,
     hessian_structure: Structure,
     chains: Option<Chains>,
+    /// Initial conditions.
+    boundary: Option<Boundary>,
 }
 
 impl Deref for Shooting {
@@ -122,13 +127,13 @@ impl Shooting {
         noise: Noise,
         settings: &Shots,
     ) -> Result<Self, Error> {
-        if let Some(condition) = model.conditions.first() {
+        if let Some(condition) = model.conditions.iter().find(|c| c.end != End::Initial) {
             return Err(Error::Option(format!(
-                "shooting knows no boundary conditions, and there is one of {}; take collocation",
+                "shooting knows initial conditions only, and there is one of {} at the end; take collocation",
                 condition.state
             )));
         }
-        let (posed, _) =
+        let (posed, written) =
             Posed::new(model, experiments, noise, (settings.threads, settings.noise_per_experiment))?;
         let count = settings.grid.len();
         if count != 1 && count != experiments.len() {
@@ -153,7 +158,10 @@ impl Shooting {
             let all: Vec<usize> = (0..experiment.t.len()).collect();
             objective.add(&posed, &sampled, e, &all);
         }
+        let ends: Vec<_> = experiments.iter().map(|x| (0, [x.t[0]; 2])).collect();
+        let boundary = Boundary::new(model, written, experiments, &ends, layout.m());
         let mut problem = Shooting {
+            boundary,
             posed,
             layout,
             tableau,
@@ -197,6 +205,10 @@ impl Shooting {
         for r in 0..n_theta {
             (0..=r).for_each(|q| self.hessian_structure.push(r, q));
         }
+        if let Some(boundary) = &mut self.boundary {
+            let structures = (&mut self.jacobian_structure, &mut self.hessian_structure);
+            boundary.place(&self.layout, &self.posed.estimands, structures);
+        }
         // The objective's own: of samples, then dense between parameters.
         self.objective.place(&self.posed, &self.sampled, &mut self.sampled_hessian);
         let first = self.sampled_hessian.len();
@@ -214,7 +226,10 @@ impl Shooting {
             segments: nodes.len() - 1,
             points: 1,
             ties: Vec::new(),
-            boundary: Boundary::default(),
+            boundary: self.boundary.as_ref().map_or_else(nlp::Boundary::default, |b| nlp::Boundary {
+                row: b.row(e),
+                states: b.states.clone(),
+            }),
         };
         let chains: Vec<Chain> = self.nodes.iter().enumerate().map(chain).collect();
         // A chain of a single node is none; such programs are small.
@@ -292,8 +307,9 @@ impl Shooting {
         self.objective.gradient(&self.posed, &self.sampled, &zeta, &mut gradient)?;
         gradient.iter_mut().for_each(|g| *g *= factor);
         let between = sampled.len() - triangle(self.layout.n_theta);
-        let first = out.len() - triangle(self.layout.n_theta);
-        let (stored, pairs) = out.split_at_mut(first);
+        let (own, conditions) = out.split_at_mut(out.len() - self.boundary_entries());
+        conditions.fill(0.0);
+        let (stored, pairs) = own.split_at_mut(own.len() - triangle(self.layout.n_theta));
         pairs.copy_from_slice(&sampled[between..]);
         let job = Second {
             problem: self,
@@ -318,6 +334,17 @@ impl Shooting {
                 }
             },
         )
+    }
+
+    /// Entries of the Hessian that are those of initial conditions, the last.
+    fn boundary_entries(&self) -> usize {
+        self.boundary.as_ref().map_or(0, Boundary::hessian_entries)
+    }
+
+    /// Evaluates what there is of initial conditions.
+    fn at_start(&self, work: impl FnOnce(&Boundary, (&Layout, &Estimands)) -> bool) -> Result<(), NotFinite> {
+        let Some(boundary) = &self.boundary else { return Ok(()) };
+        if work(boundary, (&self.layout, &self.posed.estimands)) { Ok(()) } else { Err(NotFinite) }
     }
 
     pub(super) fn tracks(&self) -> &[Track] {
@@ -370,7 +397,7 @@ impl Nlp for Shooting {
     }
 
     fn m(&self) -> usize {
-        self.layout.m()
+        self.layout.m() + self.boundary.as_ref().map_or(0, Boundary::rows)
     }
 
     fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
@@ -401,7 +428,8 @@ impl Nlp for Shooting {
     }
 
     fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        if out.is_empty() {
+        self.at_start(|b, places| b.values(places, xi, out))?;
+        if self.layout.m() == 0 {
             return Ok(());
         }
         let (out, uniforms) = (Disjoint::new(out), self.uniforms_of(&self.posed.f.value, xi));
@@ -417,7 +445,8 @@ impl Nlp for Shooting {
     }
 
     fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        if out.is_empty() {
+        self.at_start(|b, places| b.jacobian(places, xi, out))?;
+        if self.layout.m() == 0 {
             return Ok(());
         }
         let (out, uniforms) = (Disjoint::new(out), self.both(xi));
@@ -433,7 +462,8 @@ impl Nlp for Shooting {
     }
 
     fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        self.second(xi, factor, Some(lambda), out)
+        self.second(xi, factor, Some(lambda), out)?;
+        self.at_start(|b, places| b.hessian(places, xi, lambda, out))
     }
 
     fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
@@ -467,6 +497,10 @@ impl Nlp for Shooting {
     }
 
     fn constraint_name(&self, i: usize) -> String {
+        if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
+            let (e, name) = boundary.name(i);
+            return format!("{name} of '{}'", self.experiments[e].name);
+        }
         let (e, row, state) = self.layout.constraint(i);
         let (t, name) = (self.nodes[e][row + 1], &self.state_names[state]);
         format!("continuity of {name} at t = {t} s of '{}'", self.experiments[e].name)

@@ -87,6 +87,34 @@ def test_initial_conditions_hold_in_shooting(transcription: ph.SingleShooting | 
     assert problem.constraint_name(problem.m - 1) == "initial condition of v of 'two'"
 
 
+@pytest.mark.parametrize("transcription", [ph.SingleShooting(), ph.MultipleShooting(segments=8)], ids=str)
+def test_final_and_periodic_conditions_hold_in_shooting(
+    transcription: ph.SingleShooting | ph.MultipleShooting,
+) -> None:
+    m = oscillator()
+    m.final(v=-0.25)
+    data = [record("one", 0), record("two", 1)]
+    near = {"k": 1.8, "c": 0.15, "g": 0.7}
+    fit = ph.estimate(m, data, transcription=transcription, start=near)
+    reference = ph.estimate(m, data, transcription=ph.Collocation(order=6))
+    assert fit.converged
+    for r in fit.records:
+        assert r.states["x"][0] == pytest.approx(fit.parameters["g"].value, abs=1e-10)
+        assert r.states["v"][-1] == pytest.approx(-0.25, abs=1e-9)
+    for name, e in reference.parameters.items():
+        assert abs(fit.parameters[name].value - e.value) < 0.02 * e.std_error
+        assert fit.parameters[name].std_error == pytest.approx(e.std_error, rel=1e-3)
+
+    m = oscillator()
+    m.periodic(v=_core.Expr.symbol("g"))
+    problem = transcription.problem(m, data, ph.Gaussian().resolve(["x", "v"], {"x": 1.0, "v": 1.0}, {}))
+    random = np.random.default_rng(0)
+    xi = 0.3 * random.standard_normal(problem.n)
+    xi[:5] = 2.0, 0.2, 0.8, 1.3, 1.3
+    assert problem.check_derivatives(xi, random.standard_normal(problem.m), list(range(problem.n)), 1e-6) == []
+    assert problem.constraint_name(problem.m - 1) == "periodic condition of v of 'two'"
+
+
 def test_newton_and_ipopt_agree() -> None:
     pytest.importorskip("cyipopt")
     newton, ipopt = (ph.estimate(trimmed(), record(), solver=s) for s in (ph.Newton(), ph.Ipopt()))

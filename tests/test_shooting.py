@@ -237,12 +237,3 @@ def test_other_noise_is_collocations(noise: Any) -> None:
         fit = estimate(oscillator(), data, transcription=transcription, noise=noise)
         assert fit.converged and set(fit.parameters) == set(reference.parameters)
         assert distance(fit, reference) < 1e-3
-
-
-def test_conditions_at_the_end_are_for_collocation() -> None:
-    model = oscillator()
-    model.final(x=0.5)
-    with pytest.raises(
-        OptionError, match="initial conditions only, and there is one of x at the end; take collocation"
-    ):
-        estimate(model, record(), transcription=SingleShooting())

@@ -16,7 +16,7 @@ pub(super) struct Group {
     pub(super) n: usize,
     /// Node at which the first starts, counted over all experiments.
     pub(super) node: usize,
-    /// Whether the last segment ends the experiment: then no node follows it.
+    /// Whether no node follows the last segment.
     pub(super) last: bool,
     /// Number of steps.
     pub(super) steps: usize,
@@ -52,13 +52,15 @@ impl OfExperiment for Group {
 }
 
 impl Group {
-    /// Groups of an experiment, whose first node and first sample are given.
+    /// Groups of an experiment, whose first node and first sample are given; `last` where no node follows the last
+    /// segment.
     pub(super) fn cut(
         e: usize,
         experiment: &Experiment,
         track: &Track,
         tableau: &Tableau,
         (node, sample): (usize, usize),
+        last: bool,
     ) -> Vec<Group> {
         let width = if track.segments.len() < FEW { 1 } else { WIDE };
         let stages = tableau.b.len();
@@ -109,7 +111,7 @@ impl Group {
                 width,
                 n: segments.len(),
                 node: node + first,
-                last: first + segments.len() == track.segments.len(),
+                last: last && first + segments.len() == track.segments.len(),
                 steps,
                 h,
                 data,

@@ -100,7 +100,7 @@ pub struct Shooting {
     jacobian_structure: Structure,
     hessian_structure: Structure,
     chains: Option<Chains>,
-    /// Initial conditions.
+    /// Conditions on the ends of records.
     boundary: Option<Boundary>,
 }
 
@@ -127,12 +127,8 @@ impl Shooting {
         noise: Noise,
         settings: &Shots,
     ) -> Result<Self, Error> {
-        if let Some(condition) = model.conditions.iter().find(|c| c.end != End::Initial) {
-            return Err(Error::Option(format!(
-                "shooting knows initial conditions only, and there is one of {} at the end; take collocation",
-                condition.state
-            )));
-        }
+        // Conditions on the end of a record need a node there.
+        let ends = model.conditions.iter().any(|c| c.end != End::Initial);
         let (posed, written) =
             Posed::new(model, experiments, noise, (settings.threads, settings.noise_per_experiment))?;
         let count = settings.grid.len();
@@ -147,25 +143,35 @@ impl Shooting {
         let tracks: Vec<Track> =
             tracks.map(|(e, x)| Track::new(x, grid(e), &settings.steps)).collect::<Result<_, _>>()?;
         let (n_theta, n_x) = (posed.parameters.len(), model.states.len());
-        let layout = Layout::of_counts(n_theta, n_x, tracks.iter().map(|t| t.segments.len()));
+        let layout =
+            Layout::of_counts(n_theta, n_x, tracks.iter().map(|t| t.segments.len() + usize::from(ends)));
         let sampled = Layout::of_counts(n_theta, n_x, experiments.iter().map(|e| e.t.len()));
         let tableau = settings.integrator.tableau();
         let mut objective = Objective::default();
         let mut groups = Vec::new();
         for (e, (experiment, track)) in experiments.iter().zip(&tracks).enumerate() {
             let firsts = (layout.first_point[e], sampled.first_point[e]);
-            groups.extend(Group::cut(e, experiment, track, &tableau, firsts));
+            groups.extend(Group::cut(e, experiment, track, &tableau, firsts, !ends));
             let all: Vec<usize> = (0..experiment.t.len()).collect();
             objective.add(&posed, &sampled, e, &all);
         }
-        let ends: Vec<_> = experiments.iter().map(|x| (0, [x.t[0]; 2])).collect();
-        let boundary = Boundary::new(model, written, experiments, &ends, layout.m());
+        let of_ends = |(x, track): (&Experiment, &Track)| {
+            let (first, last) = (x.t[0], x.t[x.t.len() - 1]);
+            if ends { (track.segments.len(), [first, last]) } else { (0, [first; 2]) }
+        };
+        let places: Vec<_> = experiments.iter().zip(&tracks).map(of_ends).collect();
+        let boundary = Boundary::new(model, written, experiments, &places, layout.m());
+        let nodes = |(x, track): (&Experiment, &Track)| {
+            let mut nodes = track.starts();
+            nodes.extend(ends.then_some(x.t[x.t.len() - 1]));
+            nodes
+        };
         let mut problem = Shooting {
             boundary,
             posed,
             layout,
             tableau,
-            nodes: tracks.iter().map(Track::starts).collect(),
+            nodes: experiments.iter().zip(&tracks).map(nodes).collect(),
             tracks,
             groups,
             objective,
@@ -310,6 +316,8 @@ impl Shooting {
         let (own, conditions) = out.split_at_mut(out.len() - self.boundary_entries());
         conditions.fill(0.0);
         let (stored, pairs) = own.split_at_mut(own.len() - triangle(self.layout.n_theta));
+        // Nothing but constraints depends on a node at the end.
+        stored.fill(0.0);
         pairs.copy_from_slice(&sampled[between..]);
         let job = Second {
             problem: self,
@@ -336,13 +344,13 @@ impl Shooting {
         )
     }
 
-    /// Entries of the Hessian that are those of initial conditions, the last.
+    /// Entries of the Hessian that are those of conditions on the ends, the last.
     fn boundary_entries(&self) -> usize {
         self.boundary.as_ref().map_or(0, Boundary::hessian_entries)
     }
 
-    /// Evaluates what there is of initial conditions.
-    fn at_start(&self, work: impl FnOnce(&Boundary, (&Layout, &Estimands)) -> bool) -> Result<(), NotFinite> {
+    /// Evaluates what there is of conditions on the ends.
+    fn at_ends(&self, work: impl FnOnce(&Boundary, (&Layout, &Estimands)) -> bool) -> Result<(), NotFinite> {
         let Some(boundary) = &self.boundary else { return Ok(()) };
         if work(boundary, (&self.layout, &self.posed.estimands)) { Ok(()) } else { Err(NotFinite) }
     }
@@ -414,6 +422,7 @@ impl Nlp for Shooting {
         self.objective.gradient(&self.posed, &self.sampled, &zeta, &mut at_samples)?;
         let (theta, states) = out.split_at_mut(self.layout.n_theta);
         theta.copy_from_slice(&at_samples[..self.layout.n_theta]);
+        states.fill(0.0); // nothing depends on a node at the end
         let (shared, uniforms) = (Disjoint::new(states), self.both(xi));
         self.each(
             self.posed.estimands.maps[0].len(),
@@ -428,7 +437,7 @@ impl Nlp for Shooting {
     }
 
     fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        self.at_start(|b, places| b.values(places, xi, out))?;
+        self.at_ends(|b, places| b.values(places, xi, out))?;
         if self.layout.m() == 0 {
             return Ok(());
         }
@@ -445,7 +454,7 @@ impl Nlp for Shooting {
     }
 
     fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        self.at_start(|b, places| b.jacobian(places, xi, out))?;
+        self.at_ends(|b, places| b.jacobian(places, xi, out))?;
         if self.layout.m() == 0 {
             return Ok(());
         }
@@ -463,7 +472,7 @@ impl Nlp for Shooting {
 
     fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
         self.second(xi, factor, Some(lambda), out)?;
-        self.at_start(|b, places| b.hessian(places, xi, lambda, out))
+        self.at_ends(|b, places| b.hessian(places, xi, lambda, out))
     }
 
     fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {

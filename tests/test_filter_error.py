@@ -116,11 +116,17 @@ def uneven(seed: int = 3) -> Experiment:
     return e.with_outputs(z)
 
 
-def marginal(options: FilterError, e: Experiment, q: tuple[float, ...], sigma: dict[str, float] = SIGMA) -> Any:
-    """The core's log-likelihood and gradient at the true parameters."""
-    m = short_period(**TRUTH)
+def marginal(
+    options: FilterError,
+    e: Experiment,
+    q: tuple[float, ...],
+    sigma: dict[str, float] = SIGMA,
+    at: dict[str, float] = TRUTH,
+) -> Any:
+    """The core's log-likelihood and gradient, at the true parameters unless others are given."""
+    m = short_period(**at)
     problem = options.problem(m, [e], [(True, s, s, s) for s in sigma.values()])
-    theta = np.array([*TRUTH.values(), *q])
+    theta = np.array([*at.values(), *q])
     found = problem.evaluate(theta, problem.start(np.zeros(2 * options.times(e).size)), True)
     assert not isinstance(found, str), found
     return found
@@ -328,6 +334,43 @@ def test_several_records_priors_bounds_and_known_noise() -> None:
     assert fit.parameters["Zde"].fixed and fit.parameters["Zde"].value == -6.3
     assert [r.n for r in fit.records] == [200, 120]
     assert set(fit.initial_states) == {"a", "b"} and fit.initial_states["b"]["w"].std_error > 0
+
+
+def test_biases_of_each_record() -> None:
+    """Derivatives shared, a bias of q of each: as with two parameters that inputs switch. All local: as two fits."""
+    runs = [replace_name(turbulent(7, (1.0, 0.05)), "a"), replace_name(turbulent(8, (1.0, 0.05), n=120), "b")]
+    biased = [e.with_outputs({**e.outputs, "q": e.output("q") + b}) for e, b in zip(runs, (0.02, -0.03), strict=True)]
+
+    other = Model("short period, biased")
+    w, q = other.states(w="m/s", q="rad/s")
+    (de,) = other.inputs(de="rad")
+    Zw, Zq, Zde, Mw, Mq, Mde = other.parameters(*TRUTH)
+    (b,) = other.parameters(bias=Parameter(0.0, per_experiment=True))
+    az = Zw * w + Zq * q + Zde * de
+    other.dynamics(w=az + U0 * q, q=Mw * w + Mq * q + Mde * de)
+    other.outputs(w=w, q=q + b, az=az)
+    fit = ph.estimate(other, biased, transcription=BOTH)
+    assert fit.converged
+    for i, true in enumerate((0.02, -0.03)):
+        e = fit.parameters[f"bias[{'ab'[i]}]"]
+        assert abs(e.value - true) < 4 * e.std_error
+    plain = ph.estimate(short_period(), runs, transcription=BOTH)
+    for name in TRUTH:
+        e = plain.parameters[name]
+        assert abs(fit.parameters[name].value - e.value) < 2 * e.std_error
+    assert set(fit.records[0].inputs) == set(other.input_names)
+    again = ph.estimate(other, biased, transcription=BOTH, start=fit)
+    assert again.log_likelihood == pytest.approx(fit.log_likelihood, abs=1e-4)
+    assert again.iterations < fit.iterations
+
+    local = short_period(**{n: Parameter(0.0, per_experiment=True) for n in TRUTH})
+    apart = ph.estimate(local, runs, transcription=BOTH, noise=ph.Gaussian(SIGMA))
+    total = 0.0
+    for e in runs:
+        own = {n: apart.parameters[f"{n}[{e.name}]"].value for n in TRUTH}
+        q = apart.parameters["q_w"].value, apart.parameters["q_q"].value
+        total += marginal(BOTH, e, q, at=own)[0]
+    assert apart.log_likelihood == pytest.approx(total, rel=1e-8)
 
 
 def replace_name(e: Experiment, name: str) -> Experiment:

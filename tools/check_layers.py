@@ -23,7 +23,7 @@ PYTHON = [
     "read", "transcription", "shooting", "filter_error", "guess", "solvers", "progress", "records", "io",
     "plot", "summary",
     "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
-    "result", "refine", "late", "simulate", "filter_variables", "filter_result", "filter_fit", "estimate",
+    "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

@@ -112,7 +112,9 @@ def estimate(
     if isinstance(transcription, FilterError):
         if isinstance(start, EquationError):
             start = start.as_start()
-        if transcription.output_error and not isinstance(start, Fit):
+        # Of parameters that each experiment has its own, states are measured with biases: their path is a fit's.
+        local = len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values())
+        if (transcription.output_error or local) and not isinstance(start, Fit):
             _, others = split(transcription, start or {})
             ordinary = estimate(model, experiments, noise=noise, start=others, progress=progress)
             return filter_error(model, experiments, transcription, noise, start, progress, ordinary)

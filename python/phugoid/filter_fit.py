@@ -20,6 +20,7 @@ from .model import Model
 from .noise import Gaussian, Noise
 from .progress import Progress
 from .result import Fit
+from .separate import Separated
 from .solvers import Iteration
 from .solvers.quasi_newton import Minimum, bounded_step, minimise
 
@@ -48,6 +49,11 @@ def filter_error(
     fit to start from."""
     begin = time.perf_counter()
     _check(model, noise)
+    if len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values()):
+        apart = Separated(model, experiments)
+        begun = apart.fit(start) if isinstance(start, Fit) else apart.start(start or {})
+        ordinary = None if ordinary is None else apart.fit(ordinary)
+        return apart.restored(filter_error(apart.model, apart.experiments, options, noise, begun, progress, ordinary))
     warm = start if isinstance(start, Fit) else ordinary
     of_q, rest = split(options, {} if start is None or isinstance(start, Fit) else start)
     if warm is not None:
@@ -102,11 +108,6 @@ def _check(model: Model, noise: Noise) -> None:
     """Raises OptionError for what this method cannot do."""
     if not isinstance(noise, Gaussian) or noise.correlated or noise.covariance is not None:
         raise OptionError("FilterError: measurement noise is independent and Gaussian here")
-    local = [name for name, p in model.declared_parameters.items() if p.per_experiment]
-    if local:
-        raise OptionError(
-            f"FilterError: parameters are those of all experiments here, but {local[0]} is per experiment"
-        )
     if model._core.conditions:
         raise OptionError("FilterError: initial, final and periodic conditions are not supported; use initial=...")
 

@@ -122,7 +122,10 @@ pub fn error_bound(root: &Expr, values: &HashMap<Arc<str>, f64>) -> f64 {
                     .iter()
                     .zip(&args)
                     .filter(|(_, arg)| arg.1 > 0.0)
-                    .map(|(slope, arg)| slope.evaluate(&at).unwrap().abs() * arg.1)
+                    .map(|(slope, arg)| (slope.evaluate(&at).unwrap().abs(), arg.1))
+                    // What an argument does that min or max leaves out does not matter, be it without bound: 0·∞.
+                    .filter(|(slope, _)| *slope > 0.0)
+                    .map(|(slope, bound)| slope * bound)
                     .sum();
                 (value, if jump { f64::INFINITY } else { value.abs() + carried })
             }

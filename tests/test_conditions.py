@@ -115,6 +115,19 @@ def test_final_and_periodic_conditions_hold_in_shooting(
     assert problem.constraint_name(problem.m - 1) == "periodic condition of v of 'two'"
 
 
+@pytest.mark.parametrize("transcription", [ph.SingleShooting(), ph.Collocation()], ids=str)
+def test_a_single_condition(transcription: ph.SingleShooting | ph.Collocation) -> None:
+    """Fewer conditions than states, and no other constraints in single shooting."""
+    near = {"k": 1.8, "c": 0.15, "g": 0.7}
+    fit = ph.estimate(oscillator(), record(), transcription=transcription, start=near)
+    assert fit.converged
+    assert fit.states["x"][0] == pytest.approx(fit.parameters["g"].value, abs=1e-12)
+    assert fit.warnings == ()
+    pytest.importorskip("cyipopt")
+    other = ph.estimate(oscillator(), record(), transcription=transcription, start=near, solver=ph.Ipopt())
+    assert other.log_likelihood == pytest.approx(fit.log_likelihood, abs=1e-6)
+
+
 def test_newton_and_ipopt_agree() -> None:
     pytest.importorskip("cyipopt")
     newton, ipopt = (ph.estimate(trimmed(), record(), solver=s) for s in (ph.Newton(), ph.Ipopt()))

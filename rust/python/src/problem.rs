@@ -141,8 +141,7 @@ impl PyProblem {
     /// For each boundary condition, which follow all other constraints, the state in whose unit it is.
     #[getter]
     fn boundary_states(&self) -> Vec<usize> {
-        let chains = self.0.chains().into_iter().flat_map(|c| &c.chains);
-        chains.flat_map(|c| c.boundary.states.iter().copied()).collect()
+        self.0.boundary_states()
     }
 
     /// First point of each experiment, and the total.

@@ -57,6 +57,7 @@ pub(super) fn large_defects(model: &Model, problem: &dyn Transcribed, xi: &[f64]
     if problem.constraints(xi, &mut defects).is_err() {
         return vec!["the equations are not finite at the result".into()];
     }
+    defects.truncate(problem.layout().m()); // conditions on the ends are none
     let sigmas = problem.posed().sigmas(xi);
     let mut found = Vec::new();
     for (i, state) in model.states.iter().enumerate() {

@@ -3,7 +3,7 @@
 use super::arrow::ArrowKkt;
 use super::sparse::SparseKkt;
 use super::{Curvature, KktSolver, Singular};
-use crate::nlp::{Nlp, Structure};
+use crate::nlp::{Chains, Nlp, Structure};
 
 /// The arrow factorisation where the program has chains, else the sparse one. `units` are those of the
 /// states of a point where there are chains, else a single one or one each variable.
@@ -15,7 +15,7 @@ pub fn kkt_for(nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
         return Box::new(sparse(nlp, units));
     };
     let arrow = arrow.with_threads(nlp.threads());
-    if chains.chains.iter().all(|c| c.boundary.states.is_empty()) {
+    if chains.boundary_states().next().is_none() {
         return Box::new(arrow);
     }
     let (columns, rows) = scales(nlp, units);
@@ -35,10 +35,10 @@ fn scales(nlp: &dyn Nlp, units: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let border = nlp.chains().map_or(0, |c| c.border);
     let mut columns = vec![1.0; border];
     columns.extend(units.iter().copied().cycle().take(nlp.n() - border));
-    let mut rows: Vec<f64> = units.iter().copied().cycle().take(nlp.m()).collect();
-    for boundary in nlp.chains().iter().flat_map(|c| &c.chains).map(|c| &c.boundary) {
-        boundary.states.iter().enumerate().for_each(|(i, &s)| rows[boundary.row + i] = units[s]);
-    }
+    let at_ends: Vec<f64> =
+        nlp.chains().into_iter().flat_map(Chains::boundary_states).map(|s| units[s]).collect();
+    let mut rows: Vec<f64> = units.iter().copied().cycle().take(nlp.m() - at_ends.len()).collect();
+    rows.extend(at_ends);
     (columns, rows)
 }
 

@@ -17,6 +17,13 @@ pub struct Chains {
     pub chains: Vec<Chain>,
 }
 
+impl Chains {
+    /// For each boundary condition, which follow all other constraints, the state in whose unit it is.
+    pub fn boundary_states(&self) -> impl Iterator<Item = usize> + '_ {
+        self.chains.iter().flat_map(|c| c.boundary.states.iter().copied())
+    }
+}
+
 /// A chain of segments.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Chain {

@@ -1,6 +1,6 @@
 //! Units in which steps and defects are of order one.
 
-use crate::nlp::Nlp;
+use crate::nlp::{Chains, Nlp};
 
 /// Units of states, and of constraints: a defect is measured in that of its state, and so is a boundary
 /// condition.
@@ -16,8 +16,8 @@ pub(super) struct Units {
 impl Units {
     pub fn new(nlp: &dyn Nlp, xi: &[f64]) -> Units {
         let states = state_units(nlp, xi);
-        let conditions = nlp.chains().into_iter().flat_map(|c| &c.chains).flat_map(|c| &c.boundary.states);
-        let boundary: Vec<f64> = conditions.map(|&s| states[s]).collect();
+        let conditions = nlp.chains().into_iter().flat_map(Chains::boundary_states);
+        let boundary: Vec<f64> = conditions.map(|s| states[s]).collect();
         Units { rows: nlp.m() - boundary.len(), states, boundary }
     }
 

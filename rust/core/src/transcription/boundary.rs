@@ -7,7 +7,7 @@ use crate::condition::{Condition, End};
 use crate::experiment::Experiment;
 use crate::expr::graph::Id;
 use crate::model::Model;
-use crate::nlp::Structure;
+use crate::nlp::{self, Structure};
 use crate::tape::{Arguments, Function, LANE_MULTIPLE, Tape, Workspace};
 
 /// The k conditions of each experiment, c(x(t₀), x(t_f), θ) = 0.
@@ -97,15 +97,25 @@ impl Boundary {
         self.first_row + experiment * self.count()
     }
 
+    /// For each of all conditions the state in whose unit it is.
+    pub fn all_states(&self) -> Vec<usize> {
+        self.states.repeat(self.data.len())
+    }
+
+    /// What the linear algebra must know of those of an experiment.
+    pub fn of_chain(&self, experiment: usize) -> nlp::Boundary {
+        nlp::Boundary { row: self.row(experiment), states: self.states.clone() }
+    }
+
     /// What a constraint is called.
-    pub fn name(&self, row: usize) -> (usize, String) {
+    pub fn name(&self, row: usize, experiments: &[Experiment]) -> String {
         let (e, i) = ((row - self.first_row) / self.count(), (row - self.first_row) % self.count());
         let end = match self.conditions[i].end {
             End::Initial => "initial",
             End::Final => "final",
             End::Periodic => "periodic",
         };
-        (e, format!("{end} condition of {}", self.conditions[i].state))
+        format!("{end} condition of {} of '{}'", self.conditions[i].state, experiments[e].name)
     }
 
     /// The variable that a local variable of the function is.

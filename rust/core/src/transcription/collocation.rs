@@ -15,7 +15,7 @@ use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::mesh::{Grid, Mesh};
 use crate::model::Model;
-use crate::nlp::{self, Chains, Nlp, NotFinite, Reach, Structure};
+use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
 use crate::noise::Noise;
 
 /// How a problem is transcribed.
@@ -88,7 +88,7 @@ pub struct Collocation {
     /// one where they do not differ. They are the last entries, from the first.
     pairs: (usize, Vec<Vec<usize>>),
     chains: Chains,
-    boundary: Option<Boundary>,
+    pub(super) boundary: Option<Boundary>,
 }
 
 impl Deref for Collocation {
@@ -142,7 +142,7 @@ impl Collocation {
         problem.chains = problem.layout.chains(&problem.meshes);
         if let Some(boundary) = &problem.boundary {
             for (e, chain) in problem.chains.chains.iter_mut().enumerate() {
-                chain.boundary = nlp::Boundary { row: boundary.row(e), states: boundary.states.clone() };
+                chain.boundary = boundary.of_chain(e);
             }
         }
         Ok(problem)
@@ -327,16 +327,14 @@ impl Nlp for Collocation {
         match self.layout.place(i) {
             Place::Parameter(p) => self.parameter_name(p),
             Place::State { experiment, point, state } => {
-                let t = self.meshes[experiment].times[point];
-                format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)
+                self.state_name(state, self.meshes[experiment].times[point], experiment)
             }
         }
     }
 
     fn constraint_name(&self, i: usize) -> String {
         if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
-            let (e, name) = boundary.name(i);
-            return format!("{name} of '{}'", self.experiments[e].name);
+            return boundary.name(i, &self.experiments);
         }
         let (e, row, state) = self.layout.constraint(i);
         let t = &self.meshes[e].times;

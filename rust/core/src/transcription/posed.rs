@@ -361,6 +361,11 @@ impl Posed {
         self.noise_maps().flat_map(|(_, map)| roots.iter().map(|&k| map[k])).collect()
     }
 
+    /// The user's name for a state at a time.
+    pub(super) fn state_name(&self, state: usize, t: f64, experiment: usize) -> String {
+        format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)
+    }
+
     /// What a variable that is a parameter is called.
     pub(super) fn parameter_name(&self, i: usize) -> String {
         if i < self.n_model_parameters {

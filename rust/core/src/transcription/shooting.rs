@@ -25,7 +25,7 @@ use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::mesh::Grid;
 use crate::model::Model;
-use crate::nlp::{self, Chain, Chains, Nlp, NotFinite, Reach, Structure};
+use crate::nlp::{Chain, Chains, Nlp, NotFinite, Reach, Structure};
 use crate::noise::Noise;
 use crate::tape::Tape;
 
@@ -232,10 +232,7 @@ impl Shooting {
             segments: nodes.len() - 1,
             points: 1,
             ties: Vec::new(),
-            boundary: self.boundary.as_ref().map_or_else(nlp::Boundary::default, |b| nlp::Boundary {
-                row: b.row(e),
-                states: b.states.clone(),
-            }),
+            boundary: self.boundary.as_ref().map_or_else(Default::default, |b| b.of_chain(e)),
         };
         let chains: Vec<Chain> = self.nodes.iter().enumerate().map(chain).collect();
         // A chain of a single node is none; such programs are small.
@@ -499,16 +496,14 @@ impl Nlp for Shooting {
         match self.layout.place(i) {
             Place::Parameter(p) => self.parameter_name(p),
             Place::State { experiment, point, state } => {
-                let t = self.nodes[experiment][point];
-                format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)
+                self.state_name(state, self.nodes[experiment][point], experiment)
             }
         }
     }
 
     fn constraint_name(&self, i: usize) -> String {
         if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
-            let (e, name) = boundary.name(i);
-            return format!("{name} of '{}'", self.experiments[e].name);
+            return boundary.name(i, &self.experiments);
         }
         let (e, row, state) = self.layout.constraint(i);
         let (t, name) = (self.nodes[e][row + 1], &self.state_names[state]);
@@ -527,6 +522,10 @@ impl Transcribed for Shooting {
 
     fn layout(&self) -> &Layout {
         &self.layout
+    }
+
+    fn boundary_states(&self) -> Vec<usize> {
+        self.boundary.as_ref().map_or_else(Vec::new, Boundary::all_states)
     }
 
     fn point_times(&self, experiment: usize) -> &[f64] {

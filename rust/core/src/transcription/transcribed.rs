@@ -1,5 +1,6 @@
 //! The seam between transcriptions and what is made of their solutions.
 
+use super::boundary::Boundary;
 use super::collocation::Collocation;
 use super::layout::Layout;
 use super::posed::Posed;
@@ -11,6 +12,8 @@ pub trait Transcribed: Nlp {
     fn posed(&self) -> &Posed;
     /// Which variable is which.
     fn layout(&self) -> &Layout;
+    /// For each condition on the ends of records, which follow all other constraints, the state in whose unit it is.
+    fn boundary_states(&self) -> Vec<usize>;
     /// Times of the points of an experiment whose states are variables, s.
     fn point_times(&self, experiment: usize) -> &[f64];
     /// States at the samples of an experiment, `[state][sample]`; NaN where there are none.
@@ -28,6 +31,10 @@ impl Transcribed for Collocation {
 
     fn layout(&self) -> &Layout {
         &self.layout
+    }
+
+    fn boundary_states(&self) -> Vec<usize> {
+        self.boundary.as_ref().map_or_else(Vec::new, Boundary::all_states)
     }
 
     fn point_times(&self, experiment: usize) -> &[f64] {

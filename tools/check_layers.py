@@ -19,9 +19,9 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "densities", "delayed", "model", "experiment", "multirate",
-    "read", "transcription", "shooting", "filter_error", "guess", "solvers", "progress", "records", "io",
-    "plot", "summary",
+    "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
+    "experiment", "multirate", "read", "transcription", "shooting", "filter_error", "guess", "solvers", "progress",
+    "records", "io", "plot", "summary",
     "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",

@@ -18,6 +18,7 @@ import numpy as np
 
 from . import _core
 from ._core import Expr
+from .rebuilt import equations_of, rebuilt
 
 __all__ = ["Delays", "at_delays"]
 
@@ -60,19 +61,7 @@ class Delays:
 
 def at_delays(model: Any, base: Mapping[str, float], reach: float = np.inf) -> Any:
     """The model without delays, for data that were moved by ``base`` (s): parameters are the same."""
-    core, old, delays = _core.Model(model.name), model._core, model.delays
-    for name, unit in old.states:
-        core.state(name, unit)
-    for name, unit in old.inputs:
-        core.input(name, unit)
-        core.input(f"{name}_rate", f"{unit}/s")
-        core.input(f"{name}_bend", f"{unit}/s**2")
-    for name, unit, start, low, high, prior, fixed, local, log, scale in old.parameters:
-        if name in base:
-            low, high = max(low, base[name] - reach), min(high, base[name] + reach)
-            start = min(max(base[name], low), high)
-        core.parameter(name, unit, start, low, high, prior, fixed, local, log, scale)
-
+    old, delays = model._core, model.delays
     rest: dict[str, Any] = {tau: Expr.symbol(tau) - value for tau, value in base.items()}
 
     def moved(name: str, by: Any) -> Expr:
@@ -80,23 +69,28 @@ def at_delays(model: Any, base: Mapping[str, float], reach: float = np.inf) -> A
         return Expr(Expr.symbol(name) - by * rate + 0.5 * by * by * bend)
 
     late = {name: moved(name, rest[tau]) for name, (_, tau) in delays.inputs.items()}
-    for name, e, _, source in old.quantities:
-        core.quantity(name, e.substitute(late), source)
-    for name, e, _, source in old.dynamics:
-        core.equation(name, e.substitute(late), source)
     whole = model.output_expressions()
-    for name, e, unit, source in old.outputs:
-        if name in delays.outputs:
-            e = _earlier(model, whole[name], rest[delays.outputs[name]], late, rest, moved)
-        else:
-            e = e.substitute(late)
-        core.output(name, e, unit, source)
-    for end, state, e, source in old.conditions:
-        core.condition(end, state, e.substitute(late), source)
-    kind: Any = type(model)
-    found = kind.__new__(kind)
-    found._core, found._noise, found._delays = _slim(core), model._noise, Delays()
-    return found
+
+    def changed(kind: str, name: str, e: Expr) -> Expr:
+        if kind == "output" and name in delays.outputs:
+            return _earlier(model, whole[name], rest[delays.outputs[name]], late, rest, moved)
+        return e.substitute(late)
+
+    def declare(core: _core.Model, declared: Any) -> None:
+        name, unit, start, low, high, *others = declared
+        if name in base:
+            low, high = max(low, base[name] - reach), min(high, base[name] + reach)
+            start = min(max(base[name], low), high)
+        core.parameter(name, unit, start, low, high, *others)
+
+    equations = {key: changed(*key, e) for key, e in equations_of(old)}
+    used = {symbol for e in equations.values() for symbol in e.symbols}
+    inputs = list(old.inputs)
+    for name, unit in old.inputs:
+        rates = (f"{name}_rate", f"{unit}/s"), (f"{name}_bend", f"{unit}/s**2")
+        inputs += [(rate, of) for rate, of in rates if rate in used]
+    core = rebuilt(old, inputs, declare, lambda key, _: equations[key])
+    return model._around(core, Delays())
 
 
 def _earlier(
@@ -129,27 +123,3 @@ def _earlier(
             bend = bend + right.diff(name).substitute(late) * rate
         at[state] = Expr.symbol(state) - by * slope + 0.5 * by * by * bend
     return Expr(g.substitute(at))
-
-
-def _slim(core: _core.Model) -> _core.Model:
-    """Without the rates of inputs that nothing needs."""
-    equations = [*core.quantities, *core.dynamics, *core.outputs]
-    used = {symbol for _, e, *_ in equations for symbol in e.symbols}
-    used |= {symbol for _, _, e, _ in core.conditions for symbol in e.symbols}
-    slim = _core.Model(core.name)
-    for name, unit in core.states:
-        slim.state(name, unit)
-    for name, unit in core.inputs:
-        if name in used or not name.endswith(("_rate", "_bend")):
-            slim.input(name, unit)
-    for declared in core.parameters:
-        slim.parameter(*declared)
-    for name, e, _, source in core.quantities:
-        slim.quantity(name, e, source)
-    for name, e, _, source in core.dynamics:
-        slim.equation(name, e, source)
-    for name, e, unit, source in core.outputs:
-        slim.output(name, e, unit, source)
-    for end, state, e, source in core.conditions:
-        slim.condition(end, state, e, source)
-    return slim

@@ -61,7 +61,7 @@ def estimate(
     Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model is not
     finite at the start. Not to converge is a status of the fit, not an error.
     """
-    experiments = _experiments(data)
+    experiments = as_experiments(data, "estimate")
     if not isinstance(model, Model):
         raise ModelError(f"estimate: the first argument is a Model, not a {type(model).__name__}")
     model.check()
@@ -182,7 +182,3 @@ def _moving(experiment: Experiment, outputs: Sequence[str]) -> set[str]:
     """The outputs that an experiment has and that are not constant there."""
     there = {*experiment.outputs, *experiment.channels}
     return {name for name in outputs if name in there and moves(experiment.output(name))}
-
-
-def _experiments(data: Any) -> list[Experiment]:
-    return as_experiments(data, "estimate")

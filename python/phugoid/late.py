@@ -18,7 +18,7 @@ from .errors import DataError
 from .experiment import Experiment, FloatArray, Signal
 from .guess import parameter_start
 from .model import Model
-from .multirate import together
+from .multirate import distinct, together
 from .records import Record
 from .result import Fit
 
@@ -85,12 +85,13 @@ def estimate_late(
         )
         if settled or fit.status in ("interrupted", "failed", "diverging", "infeasible", "time limit"):
             break
-        base = {name: fit.parameters[name].value for name in names}
-        if number == _PASSES - 1:
+        if number == _PASSES - 1:  # the base stays that of the fit
             warnings.append(
                 f"the delays still move by up to {max(map(abs, left.values())):.1e} s: where inputs bend sharply "
                 "between samples, the likelihood is not smooth in a delay"
             )
+            break
+        base = {name: fit.parameters[name].value for name in names}
     declared = model.declared_parameters
     estimates = type(fit.parameters)(
         replace(e, start=declared[e.name].start, bounds=declared[e.name].bounds) if e.name in names else e
@@ -139,8 +140,8 @@ def simulated_late(
     t = data.t
     later = [t + delays[tau] for _, tau in model.delays.inputs.values()]
     earlier = {name: t - delays[tau] for name, tau in model.delays.outputs.items()}
-    times = np.sort(np.concatenate([t, *later, *earlier.values()]))
-    times = times[np.concatenate([[True], np.diff(times) > 1e-9 * float(np.median(np.diff(t)))])]
+    everything = np.concatenate([t, *later, *earlier.values()])
+    times = distinct(everything, 1e-9 * float(np.median(np.diff(t))))
     if data.interpolation == "cubic":
         # A spline through samples of a spline that was moved is another: on a finer grid hardly so.
         share = np.arange(4 * (times.size - 1) + 1) / 4

@@ -314,6 +314,12 @@ class Model:
         model._delays = Delays.from_dict(saved.get("delays", {}))
         return model
 
+    def _around(self, core: _core.Model, delays: Delays) -> Model:
+        """A model with another core and the noise of this one."""
+        model = type(self).__new__(type(self))
+        model._core, model._noise, model._delays = core, self._noise, delays
+        return model
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes `to_json` to a file."""
         Path(path).write_text(self.to_json(), encoding="utf-8")

@@ -11,7 +11,7 @@ from . import _core
 from .errors import DataError
 from .experiment import Experiment, FloatArray, Interpolation, Signal
 
-__all__ = ["multirate", "together"]
+__all__ = ["distinct", "multirate", "together"]
 
 Channel = tuple[FloatArray, FloatArray]
 
@@ -66,12 +66,17 @@ def multirate(
     return record._sampled(signals, fastest)
 
 
+def distinct(times: FloatArray, same: float) -> FloatArray:
+    """Times in order; of those within ``same`` (s) of the one before, the first."""
+    times = np.sort(times)
+    return np.asarray(times[np.concatenate([[True], np.diff(times) > same])])
+
+
 def together(channels: Mapping[str, Channel]) -> tuple[FloatArray, dict[str, FloatArray]]:
     """The times of all channels, (N,), and each channel at these, NaN where it has no sample."""
-    everything = np.sort(np.concatenate([t for t, _ in channels.values()]))
     gaps = [np.diff(t).min() for t, _ in channels.values() if t.size > 1]
     same = _SAME * min(gaps, default=1.0)
-    t = everything[np.concatenate([[True], np.diff(everything) > same])]
+    t = distinct(np.concatenate([t for t, _ in channels.values()]), same)
     columns = {}
     for key, (own, values) in channels.items():
         column = np.full(t.size, np.nan)

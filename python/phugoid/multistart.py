@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import EvaluationError, MissingDependency, ModelError, OptionError, PhugoidError
-from .estimate import _experiments
-from .experiment import Experiment
+from .experiment import Experiment, as_experiments
 from .model import Model
 from .noise import KINDS, Noise
 from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, same
@@ -358,7 +357,7 @@ def _problem(model: Any, data: Any, transcription: Any, noise: Any, start: Any, 
     if not isinstance(model, Model):
         raise ModelError(f"multistart: the first argument is a Model, not a {type(model).__name__}")
     model.check()
-    experiments = tuple(_experiments(data))
+    experiments = tuple(as_experiments(data, "estimate"))
     transcription = transcription or Collocation()
     if not isinstance(transcription, (Collocation, MultipleShooting, SingleShooting)):
         raise OptionError(

@@ -18,6 +18,7 @@ from ._core import Expr
 from .experiment import Experiment
 from .model import Model
 from .parameters import Estimates
+from .rebuilt import rebuilt
 from .result import Fit
 
 __all__ = ["Separated"]
@@ -35,32 +36,21 @@ class Separated:
         self.experiments = [self._experiment(e, i) for i, e in enumerate(experiments)]
 
     def _model(self, local: Sequence[str], count: int) -> Model:
-        core, old = _core.Model(self.original.name), self.original._core
-        for name, unit in old.states:
-            core.state(name, unit)
-        for name, unit in old.inputs:
-            core.input(name, unit)
-        for i in range(count):
-            core.input(f"experiment__{i}", "")
-        for name, unit, start, low, high, prior, fixed, _, log, scale in old.parameters:
+        def declare(core: _core.Model, declared: Any) -> None:
+            name, unit, start, low, high, prior, fixed, _, log, scale = declared
+
+            def shared(name: str) -> Expr:
+                return core.parameter(name, unit, start, low, high, prior, fixed, False, log, scale)
+
             if name not in local:
-                core.parameter(name, unit, start, low, high, prior, fixed, False, log, scale)
-                continue
-            own = (
-                core.parameter(f"{name}__{i}", unit, start, low, high, prior, fixed, False, log, scale)
-                * Expr.symbol(f"experiment__{i}")
-                for i in range(count)
-            )
+                shared(name)
+                return
+            own = (shared(f"{name}__{i}") * Expr.symbol(f"experiment__{i}") for i in range(count))
             core.quantity(name, Expr(sum(own, Expr(0.0))), None)
-        for name, e, _, source in old.quantities:
-            core.quantity(name, e, source)
-        for name, e, _, source in old.dynamics:
-            core.equation(name, e, source)
-        for name, e, unit, source in old.outputs:
-            core.output(name, e, unit, source)
-        model = Model.__new__(Model)
-        model._core, model._noise, model._delays = core, self.original._noise, self.original._delays
-        return model
+
+        switches = [(f"experiment__{i}", "") for i in range(count)]
+        old = self.original._core
+        return self.original._around(rebuilt(old, [*old.inputs, *switches], declare), self.original.delays)
 
     def _experiment(self, e: Experiment, number: int) -> Experiment:
         switches = {f"experiment__{i}": np.full(e.n, float(i == number)) for i in range(len(self.records))}

@@ -9,6 +9,7 @@ mod model;
 mod newton;
 mod noise;
 mod problem;
+mod response;
 mod shooting;
 
 use pyo3::prelude::*;
@@ -28,6 +29,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<newton::PySolution>()?;
     m.add_function(wrap_pyfunction!(newton::newton, m)?)?;
     m.add_function(wrap_pyfunction!(newton::information, m)?)?;
+    m.add_function(wrap_pyfunction!(response::responses, m)?)?;
     m.add_function(wrap_pyfunction!(expr::apply, m)?)?;
     m.add_function(wrap_pyfunction!(expr::operations, m)?)?;
     m.add_function(wrap_pyfunction!(expr::load_expression, m)?)?;

@@ -213,6 +213,17 @@ impl PyProblem {
         Ok(self.posed().noise_report(xi).into_iter().map(one).collect())
     }
 
+    /// Inputs at the points of an experiment, `[input][point]`; none unless by collocation.
+    fn point_inputs<'py>(&self, py: Python<'py>, experiment: usize) -> Vec<Array<'py>> {
+        let inputs = self.0.collocation().map(|c| c.inputs[experiment].clone());
+        arrays(py, inputs.unwrap_or_default())
+    }
+
+    /// Place among the points of an experiment of each of its samples; none unless by collocation.
+    fn sample_points(&self, experiment: usize) -> Vec<usize> {
+        self.0.collocation().map(|c| c.meshes[experiment].sample_points.clone()).unwrap_or_default()
+    }
+
     /// Times of the points of an experiment whose states are variables.
     fn point_times<'py>(&self, py: Python<'py>, experiment: usize) -> Array<'py> {
         PyArray1::from_slice(py, self.0.point_times(experiment))

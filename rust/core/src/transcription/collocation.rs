@@ -207,6 +207,35 @@ impl Collocation {
         if work(boundary, (&self.layout, &self.estimands)) { Ok(()) } else { Err(NotFinite) }
     }
 
+    /// The change of all constraints when slopes b are added to f: −h Σ_j C[j,k] b_j (Eq. oem_coll_cxdot).
+    /// `slopes` holds n_x values for each mesh point, those of all experiments after each other; conditions on the
+    /// ends of records do not change.
+    pub fn forced(&self, slopes: &[f64], out: &mut [f64]) {
+        let n_x = self.layout.n_x;
+        out.fill(0.0);
+        let mut first = 0; // mesh point of the experiment
+        for (e, mesh) in self.meshes.iter().enumerate() {
+            let (k, row) = (mesh.rule.order() - 1, self.layout.first_row(e));
+            let b = |point: usize, r: usize| slopes[(first + point) * n_x + r];
+            for segment in &mesh.segments {
+                for i in 0..k {
+                    for (r, c) in out[(row + segment.point + i) * n_x..][..n_x].iter_mut().enumerate() {
+                        let integral: f64 =
+                            (0..=k).map(|j| mesh.rule.c(j, i) * b(segment.point + j, r)).sum();
+                        *c = -segment.h * integral;
+                    }
+                }
+            }
+            for tie in &mesh.between {
+                let point = mesh.segments[tie.segment].point;
+                for (r, c) in out[(row + tie.point - 1) * n_x..][..n_x].iter_mut().enumerate() {
+                    *c = -tie.weights.iter().enumerate().map(|(j, w)| w * b(point + j, r)).sum::<f64>();
+                }
+            }
+            first += mesh.n_mesh;
+        }
+    }
+
     /// Model outputs at the samples of an experiment: `[output][sample]`.
     pub fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
         self.objective.outputs(&self.posed, &self.layout, xi, experiment)

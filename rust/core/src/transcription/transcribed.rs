@@ -22,6 +22,10 @@ pub trait Transcribed: Nlp {
     fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>>;
     /// Times of the mesh on which the equation is solved, s, and the states there, `[state][time]`.
     fn path(&self, xi: &[f64], experiment: usize) -> (Vec<f64>, Vec<Vec<f64>>);
+    /// The collocation problem, if it is one.
+    fn collocation(&self) -> Option<&Collocation> {
+        None
+    }
 }
 
 impl Transcribed for Collocation {
@@ -49,6 +53,10 @@ impl Transcribed for Collocation {
 
     fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
         Collocation::outputs_at_samples(self, xi, experiment)
+    }
+
+    fn collocation(&self) -> Option<&Collocation> {
+        Some(self)
     }
 
     fn path(&self, xi: &[f64], experiment: usize) -> (Vec<f64>, Vec<Vec<f64>>) {

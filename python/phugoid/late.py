@@ -71,7 +71,7 @@ def estimate_late(
     base = {name: values[name] for name in names}
     interval = min(float(np.median(np.diff(e.t))) for e in experiments)
     # A warm start has the delays at which it was found.
-    begin: Any = {name: v for name, v in given.items() if name not in names} if start is not None else None
+    begin: Any = start if isinstance(start, Fit) else {n: v for n, v in given.items() if n not in names} or None
     iterations, time, warnings = 0, 0.0, []
     for number in range(_PASSES):
         slim = at_delays(model, base, _REACH * interval)
@@ -107,6 +107,8 @@ def estimate_late(
         time=time,
         warnings=(*fit.warnings, *warnings),
         solution=None,
+        experiments=tuple(experiments),
+        _moved=fit,
     )
 
 

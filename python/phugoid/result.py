@@ -63,6 +63,7 @@ class Fit:
     warnings        what to beware of in the result, in words.
     covariance      (n, n) of the parameters in their order; NaN where there is none.
     refinement      what ``Collocation(refine=True)`` did.
+    experiments     the data it was fitted to; empty for a fit that was loaded from a file.
     """
 
     model: Model
@@ -81,6 +82,9 @@ class Fit:
     history: Sequence[Iteration] = ()
     solution: Solution | None = field(default=None)
     refinement: Refinement | None = None
+    experiments: Sequence[Experiment] = ()
+    # Where something is late: the fit of the model without delays to data moved by them.
+    _moved: Fit | None = field(default=None, repr=False)
 
     @property
     def converged(self) -> bool:
@@ -285,6 +289,7 @@ def make_fit(
         warnings=tuple(warnings),
         history=solution.history,
         solution=solution,
+        experiments=tuple(experiments),
     )
 
 

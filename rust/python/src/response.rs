@@ -1,7 +1,7 @@
 //! Answers of a fitted path to forces on its equations.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
-use phugoid::diagnosis::Response;
+use phugoid::diagnosis::{Forward, Response};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -9,7 +9,8 @@ use crate::problem::PyProblem;
 
 /// How the path of a collocation problem answers to slopes (k, points · n_x) added to its equations, and its
 /// tangents along some variables: (k + tangents, n_θ + n_x · samples), parameters first, then the states at the
-/// samples of each experiment, sample by sample. `None` where something is not finite.
+/// samples of each experiment, sample by sample. Parameters and first states take no part in the answer to slopes,
+/// unless the motion is so unstable that it would grow out of all bounds: then the least. `None` where something is not finite.
 #[pyfunction]
 pub fn responses<'py>(
     py: Python<'py>,
@@ -30,24 +31,38 @@ pub fn responses<'py>(
     }
     let samples: usize = problem.meshes.iter().map(|m| m.sample_points.len()).sum();
     let width = layout.n_theta + layout.n_x * samples;
-    let (rows, forced) = (slopes.nrows() + tangents.len(), slopes.nrows());
+    let rows = slopes.nrows() + tangents.len();
+    let forced: Vec<Vec<f64>> = slopes.rows().into_iter().map(|r| r.to_vec()).collect();
+    let at_samples = |d: &[f64], out: &mut Vec<f64>| {
+        for (mesh, first) in problem.meshes.iter().zip(&layout.first_point) {
+            for point in &mesh.sample_points {
+                out.extend_from_slice(&d[layout.state(first + point)..][..layout.n_x]);
+            }
+        }
+    };
     let found = py.detach(|| {
+        let mut out = Vec::with_capacity(rows * width);
+        let forward = if forced.is_empty() { None } else { Forward::new(problem, xi).ok()? };
+        if let Some(forward) = &forward {
+            for states in forward.solve(&forced.iter().map(Vec::as_slice).collect::<Vec<_>>()) {
+                out.resize(out.len() + layout.n_theta, 0.0);
+                out.extend(states);
+            }
+            if tangents.is_empty() {
+                return Some(out);
+            }
+        }
         let mut response = Response::new(problem, xi, &held).ok()?;
         let mut d = vec![0.0; layout.n()];
-        let mut out = Vec::with_capacity(rows * width);
-        for row in 0..rows {
-            if row < forced {
-                let slope = slopes.row(row);
-                response.forced(slope.to_slice().unwrap_or(&slope.to_vec()), &mut d);
-            } else {
-                response.tangent(tangents[row - forced], &mut d);
-            }
+        for slope in forced.iter().filter(|_| forward.is_none()) {
+            response.forced(slope, &mut d);
             out.extend_from_slice(&d[..layout.n_theta]);
-            for (mesh, first) in problem.meshes.iter().zip(&layout.first_point) {
-                for point in &mesh.sample_points {
-                    out.extend_from_slice(&d[layout.state(first + point)..][..layout.n_x]);
-                }
-            }
+            at_samples(&d, &mut out);
+        }
+        for &i in &tangents {
+            response.tangent(i, &mut d);
+            out.extend_from_slice(&d[..layout.n_theta]);
+            at_samples(&d, &mut out);
         }
         Some(out)
     });

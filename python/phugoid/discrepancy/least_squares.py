@@ -1,0 +1,109 @@
+"""A fit's residuals against its tangents, whitened: what efficient estimates would be, and their likelihood."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .linearised import Linearised
+from .whitening import Whitening, runs_of
+
+__all__ = ["Whitened", "own_whitening", "row_runs"]
+
+_Array = NDArray[np.float64]
+
+# Rounds of fitting the noise to residuals and parameters to the noise.
+_ROUNDS = 3
+_NOTHING = 1e-9
+
+
+def row_runs(linear: Linearised) -> list[list[slice]]:
+    """The runs of equally spaced rows of each output."""
+    found = []
+    for line in linear.rows:
+        runs = []
+        for rows in line:
+            runs += [slice(rows.start + r.start, rows.start + r.stop) for r in runs_of(linear.times[rows])]
+        found.append([r for r in runs if r.stop > r.start])
+    return found
+
+
+class Whitened:
+    """A linearised fit seen through a whitening filter.
+
+    One step of generalised least squares from the fit: of all that differ from it by a tangent, the residuals most
+    likely under the filter. To first order that is the maximum-likelihood estimate with coloured noise, whose standard
+    errors are honest where those of white noise are not.
+    """
+
+    def __init__(self, linear: Linearised, filter: Whitening) -> None:
+        self.linear, self.filter = linear, filter
+        scale = linear.scale()[:, None]
+        outputs, self._moves = linear.moves
+        u, values, vt = np.linalg.svd(filter(outputs * scale), full_matrices=False)
+        kept = values > _NOTHING * values[:1]
+        self.basis, self._back = u[:, kept], vt[kept].T / values[kept]
+        e = filter(linear.residuals)
+        self._part = self.basis.T @ e
+        self.errors = e - self.basis @ self._part
+        """(n_rows,) whitened residuals after the step."""
+
+    @cached_property
+    def residuals(self) -> _Array:
+        """(n_rows,) residuals after the step."""
+        outputs, _ = self.linear.moves
+        return np.asarray(self.linear.residuals - self.linear.scale() * (outputs @ (self._back @ self._part)))
+
+    @cached_property
+    def log_densities(self) -> _Array:
+        """(n_measured,) log-likelihood of each sample after the step; NaN for samples that the fit leaves out."""
+        at = self.linear.measured_rows
+        out = np.full(self.linear.n_measured, np.nan)
+        out[at] = self.filter.log_densities(self.errors)
+        return out
+
+    @cached_property
+    def log_likelihood(self) -> float:
+        """Of the residuals after the step, as if there were all samples."""
+        total = 0.0
+        densities = self.filter.log_densities(self.errors)
+        for line, measured in zip(self.linear.rows, self.linear.counts, strict=True):
+            rows = densities[line[0].start : line[-1].stop]
+            # A late sensor leaves some samples out: they count as the others of the channel do.
+            total += float(rows.sum()) * measured / max(rows.size, 1)
+        return total
+
+    @cached_property
+    def step(self) -> _Array:
+        """(n_theta,) of the variables."""
+        return np.asarray(self._moves @ (self._back @ self._part))
+
+    @cached_property
+    def covariance(self) -> _Array:
+        """(n_theta, n_theta) of the variables after the step."""
+        root = self._moves @ self._back
+        return np.asarray(root @ root.T)
+
+    def parameter(self, name: str) -> tuple[float, float]:
+        """Value after the step and standard error of a parameter."""
+        return self.linear.value(name, self.step, self.covariance)
+
+    def beside(self, columns: _Array) -> _Array:
+        """Columns (n_rows, k), whitened, without what tangents can imitate."""
+        c = self.filter(columns)
+        return np.asarray(c - self.basis @ (self.basis.T @ c))
+
+
+def own_whitening(linear: Linearised, start: Whitening | None = None) -> Whitened:
+    """The fit seen through the filter that is the likeliest together with it, from that of its own residuals or
+    another."""
+    runs = row_runs(linear)
+    best = Whitened(linear, start or Whitening.of(linear.residuals, runs))
+    for _ in range(_ROUNDS):
+        following = Whitened(linear, Whitening.of(best.residuals, runs))
+        if following.log_likelihood <= best.log_likelihood:
+            break
+        best = following
+    return best

@@ -1,0 +1,406 @@
+"""A fit linearised: residuals, and how the outputs answer to parameters, first states and forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from .._core import Expr
+from ..errors import EvaluationError
+from ..estimate import estimate
+from ..experiment import Experiment
+from ..guess import spread
+from ..result import Fit
+from ..transcription import Collocation
+from .candidate import Candidate, Place
+from .points import Points
+
+__all__ = ["Linearised", "collocated", "dataset"]
+
+_Array = NDArray[np.float64]
+
+# Responses that are solved for at one time: bounds the memory that they take.
+_AT_ONCE = 64
+# Tangents whose singular value, in units of the noise, is below this part of the greatest are rounding.
+_NOTHING = 1e-9
+
+
+def dataset(fit: Fit) -> Sequence[Experiment]:
+    """The data of a fit; of one from a file what its records hold."""
+    if fit.experiments:
+        return fit.experiments
+    return [
+        Experiment(r.t, dict(r.inputs), dict(r.measured), r.name, "cubic" if r.interpolation == "cubic" else "linear")
+        for r in fit.records
+    ]
+
+
+def collocated(fit: Fit) -> Fit:
+    """The fit by collocation, with its solution at hand: estimated again from it where it is another."""
+    inner = fit._moved or fit
+    if isinstance(inner.transcription, Collocation) and inner.solution is not None:
+        return fit
+    return estimate(fit.model, dataset(fit), noise=fit.noise, start=fit)
+
+
+class Linearised:
+    """The outputs of a collocation fit as a linear function of what may change in its model.
+
+    Rows stand for samples that were measured, output by output, within these experiment by experiment:
+
+    rows      (n_y, n_experiments) slices into them.
+    times     (n_rows,) s.
+    residuals (n_rows,) measured minus model.
+    sigmas    (n_y,) standard deviations of the noise as fitted.
+    tangents  (n_rows, k) changes of the outputs by the free parameters and first states: an orthogonal basis in units
+              of the noise, k their number (less where data or conditions leave less).
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        inner = fit._moved or fit
+        assert inner.solution is not None and isinstance(inner.transcription, Collocation)
+        self.fit, self.inner = fit, inner
+        self.model, self.experiments = inner.model, inner.experiments
+        names = self.model.output_names
+        spreads = {name: spread(self.experiments, name) for name in names}
+        noise = inner.noise.resolve(names, spreads, inner.as_start(inner.noise))
+        self._problem = inner.transcription.problem(self.model, self.experiments, noise)
+        self._xi = inner.solution.xi
+        present = [[np.isfinite(e.output(name)) for e in self.experiments] for name in names]
+        counts = np.array([[int(p.sum()) for p in line] for line in present])
+        ends = np.cumsum(counts.ravel()).reshape(counts.shape)
+        self.rows = [
+            [slice(end - n, end) for end, n in zip(*line, strict=True)] for line in zip(ends, counts, strict=True)
+        ]
+        self._present = present
+        self.n_rows = int(counts.sum())
+        self.times = self._stacked(lambda _, e: self.experiments[e].t)
+        self.residuals = self._stacked(lambda name, e: inner.records[e].residuals[name])
+        self.sigmas = np.array([self._sigma(name) for name in names])
+        self._evaluate()
+
+    def _sigma(self, output: str) -> float:
+        """Of the noise as the fit has it; where that is nothing of the kind, of the residual."""
+        label = f"sigma_{output}"
+        if label in self.inner.parameters:
+            return self.inner.parameters[label].value
+        known: Mapping[str, float] = getattr(self.inner.noise, "known", {})
+        if output in known:
+            return float(known[output])
+        i = self.model.output_names.index(output)
+        r = self.residuals[slice(self.rows[i][0].start, self.rows[i][-1].stop)]
+        return float(np.sqrt(np.mean(r**2))) or 1.0
+
+    def _stacked(self, channel: Callable[[str, int], _Array]) -> _Array:
+        parts = [
+            channel(name, e)[self._present[i][e]]
+            for i, name in enumerate(self.model.output_names)
+            for e in range(len(self.experiments))
+        ]
+        return np.concatenate(parts)
+
+    def scale(self) -> _Array:
+        """(n_rows,) standard deviation of the noise in each row."""
+        scale = np.empty(self.n_rows)
+        for sigma, line in zip(self.sigmas, self.rows, strict=True):
+            scale[line[0].start : line[-1].stop] = sigma
+        return scale
+
+    def _evaluate(self) -> None:
+        """Derivatives of f and g along the path, at all points, by symbols."""
+        model, problem, record = self.model, self._problem, self.inner.records
+        derivatives = _Derivatives(model)
+        self.points: list[Points] = []
+        self._slopes: list[Mapping[Place, _Array]] = []  # place -> (n_x, mesh points)
+        self._direct: list[Mapping[Place, _Array]] = []  # place -> (n_y, samples)
+        self._by_state: list[_Array] = []  # (n_y, n_x, samples)
+        self._by_parameter: list[_Array] = []  # (n_y, n_theta, samples), of the problem's variables
+        self.sample_points: list[NDArray[np.intp]] = []  # places among the points
+        self._mesh_points: list[NDArray[np.intp]] = []
+        n_theta, xi = problem.n_theta, self._xi
+        values = problem.values(xi[: len(problem.estimands)].tolist())
+        first = problem.first_point
+        for e, experiment in enumerate(self.experiments):
+            theta = np.empty(len(model.parameter_names))
+            for (_, p, own), (value, _) in zip(problem.estimands, values, strict=True):
+                if own is None or own == e:
+                    theta[p] = value
+            t = problem.point_times(e)
+            x = xi[n_theta + first[e] * problem.n_states : n_theta + first[e + 1] * problem.n_states]
+            columns = np.vstack([t, *problem.point_inputs(e), x.reshape(t.size, -1).T])
+            order = np.argsort(t, kind="stable")  # samples between mesh points stand after all mesh points
+            columns, place_of = columns[:, order], np.argsort(order)
+            found = derivatives(theta, columns)
+            if not all(np.isfinite(part).all() for part in (found.f, found.g, found.by_state, found.by_parameter)):
+                raise EvaluationError(f"diagnose: the model is not finite along the path of '{experiment.name}'")
+            at = place_of[problem.sample_points(e)]
+            mesh = place_of[: record[e].mesh_t.size]
+            self.sample_points.append(at)
+            self._mesh_points.append(mesh)
+            self._by_state.append(found.by_state[:, :, at])
+            by_variable = np.zeros((len(model.output_names), n_theta, at.size))
+            for i, ((_, p, own), (_, slope)) in enumerate(zip(problem.estimands, values, strict=True)):
+                if own is None or own == e:
+                    by_variable[:, i] = slope * found.by_parameter[:, p, at]
+            self._by_parameter.append(by_variable)
+            self._slopes.append({place: f[:, mesh] for place, (f, _) in found.by_place.items()})
+            self._direct.append({place: g[:, at] for place, (_, g) in found.by_place.items()})
+            self.points.append(self._points(experiment.name, columns, found))
+
+    def _points(self, name: str, columns: _Array, found: Any) -> Points:
+        """The path at all points; slopes of inputs and outputs by differences along time."""
+        model, t = self.model, columns[0]
+
+        def rate(v: _Array) -> _Array:
+            return np.gradient(v, t)
+
+        inputs = [n for n, _ in model._core.inputs]
+        values = dict(zip([*inputs, *model.state_names], columns[1:], strict=True))
+        rates = {n: rate(values[n]) for n in inputs} | dict(zip(model.state_names, found.f, strict=True))
+        outputs = dict(zip(model.output_names, found.g, strict=True))
+        values |= dict(zip((n for n, *_ in model._core.quantities), found.quantities, strict=True))
+        return Points(name, t, values, rates, outputs, {n: rate(v) for n, v in outputs.items()})
+
+    @cached_property
+    def moves(self) -> tuple[_Array, _Array]:
+        """Tangents as they come: changes of the outputs (n_rows, k) in units of the noise, and of variables (n, k)."""
+        problem, held = self._problem, self._held()
+        n_theta, n_x = problem.n_theta, problem.n_states
+        wanted = [i for i in range(n_theta) if i not in held]
+        for first, record in zip(problem.first_point[:-1], self.inner.records, strict=True):
+            # The last states too: in an unstable motion all first states but those on one line are out of reach.
+            for point in (first, first + record.mesh_t.size - 1):
+                wanted += range(n_theta + n_x * point, n_theta + n_x * (point + 1))
+        answers = self._solve(np.empty((0, self._n_slopes())), wanted)
+        columns = self._outputs(answers).T / self.scale()[:, None]
+        size = np.linalg.norm(columns, axis=0)
+        kept = size > 0
+        return columns[:, kept] / size[kept], answers[kept, :n_theta].T / size[kept]
+
+    @cached_property
+    def tangents(self) -> _Array:
+        """See the class."""
+        basis, values, _ = np.linalg.svd(self.moves[0], full_matrices=False)
+        return np.asarray(basis[:, values > _NOTHING * values[:1]] * self.scale()[:, None])
+
+    @cached_property
+    def counts(self) -> list[int]:
+        """(n_y,) samples of each output that were measured."""
+        data = dataset(self.fit)
+        return [sum(int(np.isfinite(e.output(name)).sum()) for e in data) for name in self.model.output_names]
+
+    @property
+    def n_measured(self) -> int:
+        """All samples that were measured."""
+        return sum(self.counts)
+
+    @cached_property
+    def measured_rows(self) -> NDArray[np.intp]:
+        """(n_rows,) places of the rows among all samples that were measured: a late sensor loses some."""
+        delays = self.fit.model.delays.outputs
+        all_rows, first = [], 0
+        for name, line in zip(self.model.output_names, self.rows, strict=True):
+            late = self.fit.parameters[delays[name]].value if name in delays else 0.0
+            for e, rows in zip(dataset(self.fit), line, strict=True):
+                t = e.t[np.isfinite(e.output(name))]
+                at = np.searchsorted(t, self.times[rows] + late)
+                before, after = np.clip(at - 1, 0, None), np.clip(at, None, t.size - 1)
+                nearer = np.abs(t[after] - self.times[rows] - late) <= np.abs(t[before] - self.times[rows] - late)
+                all_rows.append(first + np.where(nearer, after, before))
+                first += t.size
+        return np.concatenate(all_rows)
+
+    def value(self, name: str, step: _Array, covariance: _Array) -> tuple[float, float]:
+        """Of a parameter of the model after a step of the variables, and its standard error."""
+        names = [n for n, *_ in self._problem.estimands]
+        i = names.index(name)
+        value, slope = self._problem.values(self._xi[: len(names)].tolist())[i]
+        return value + slope * step[i], float(abs(slope) * np.sqrt(covariance[i, i]))
+
+    def without_states(self, columns: _Array, parameters: _Array) -> _Array:
+        """What is left of answers (n_rows, k), in units of the noise, when first states alone take part in them.
+
+        ``parameters`` (n_theta, k) is how parameters took part.
+        """
+        outputs, moves = self.moves
+        unit = np.linalg.norm(moves, axis=1)
+        moves = moves[unit > 0] / unit[unit > 0, None]
+        u, values, vt = np.linalg.svd(moves)
+        rank = int((values > _NOTHING * values[:1]).sum())
+        back = vt[:rank].T @ ((u[:, :rank].T @ (parameters[unit > 0] / unit[unit > 0, None])) / values[:rank, None])
+        alone = columns - outputs @ back
+        basis, values, _ = np.linalg.svd(outputs @ vt[rank:].T, full_matrices=False)
+        basis = basis[:, values > _NOTHING * values[:1]]
+        return np.asarray(alone - basis @ (basis.T @ alone))
+
+    def _held(self) -> list[int]:
+        """Variables that do not move: the noise's, and parameters fixed or at a bound."""
+        problem = self._problem
+        lower, upper = problem.bounds()
+        names = [name for name, *_ in problem.estimands]
+        held = [i for i, name in enumerate(names) if lower[i] == upper[i] or self.inner.parameters[name].bounds_active]
+        return held + list(range(len(names), problem.n_theta))
+
+    def _n_slopes(self) -> int:
+        return self._problem.n_states * sum(r.mesh_t.size for r in self.inner.records)
+
+    def _solve(self, slopes: _Array, tangents: list[int]) -> _Array:
+        found = _core.responses(self._problem, self._xi, self._held(), slopes, tangents)
+        if found is None:
+            raise EvaluationError("diagnose: the fit cannot be linearised: its equations depend on each other")
+        return found
+
+    def _outputs(self, answers: _Array) -> _Array:
+        """(k, n_rows) changes of the outputs by those of parameters and states."""
+        n_theta, n_x = self._problem.n_theta, self._problem.n_states
+        theta, states = answers[:, :n_theta], answers[:, n_theta:]
+        out = np.empty((answers.shape[0], self.n_rows))
+        first = 0
+        for e, (by_state, by_parameter) in enumerate(zip(self._by_state, self._by_parameter, strict=True)):
+            n = by_state.shape[2]
+            x = states[:, first * n_x : (first + n) * n_x].reshape(-1, n, n_x)
+            for i, line in enumerate(self.rows):
+                y = np.einsum("knx,xn->kn", x, by_state[i]) + theta @ by_parameter[i]
+                out[:, line[e]] = y[:, self._present[i][e]]
+            first += n
+        return out
+
+    def columns(self, effects: Sequence[tuple[Candidate, Mapping[str, float]]]) -> list[tuple[_Array, _Array]]:
+        """For each candidate at a shape, (n_rows, k) the outputs' answer to its coefficients, and (n_theta, k) how
+        parameters took part in it.
+
+        What differs by tangents is the same answer: parameters and first states take part in the least way.
+        """
+        result: list[tuple[_Array, _Array]] = []
+        for begin in range(0, len(effects), _AT_ONCE):
+            result += self._columns(effects[begin : begin + _AT_ONCE])
+        return result
+
+    def _columns(self, effects: Sequence[tuple[Candidate, Mapping[str, float]]]) -> list[tuple[_Array, _Array]]:
+        signals = [[c.signals(points, shape) for points in self.points] for c, shape in effects]
+        owner = [i for i, per_run in enumerate(signals) for _ in range(per_run[0].shape[0])]
+        number = [k for per_run in signals for k in range(per_run[0].shape[0])]
+        direct = np.zeros((len(owner), self.n_rows))
+        slopes = np.zeros((len(owner), self._n_slopes()))
+        n_x, first = self._problem.n_states, 0
+        for e in range(len(self.points)):
+            mesh = self.inner.records[e].mesh_t.size
+            for column, (i, k) in enumerate(zip(owner, number, strict=True)):
+                signal, place = signals[i][e][k], effects[i][0].place
+                at_samples = signal[self.sample_points[e]]
+                if place.kind == "output":
+                    y = self.model.output_names.index(place.name)
+                    direct[column, self.rows[y][e]] = at_samples[self._present[y][e]]
+                    continue
+                for y, line in enumerate(self.rows):
+                    direct[column, line[e]] = (self._direct[e][place][y] * at_samples)[self._present[y][e]]
+                forced = self._slopes[e][place] * signal[self._mesh_points[e]]
+                slopes[column, first * n_x : (first + mesh) * n_x] = forced.T.ravel()
+            first += mesh
+        parameters = np.zeros((len(owner), self._problem.n_theta))
+        forced_ones = np.flatnonzero(slopes.any(axis=1))
+        if forced_ones.size:
+            answers = self._solve(slopes[forced_ones], [])
+            direct[forced_ones] += self._outputs(answers)
+            parameters[forced_ones] = answers[:, : self._problem.n_theta]
+        owners = np.array(owner)
+        return [(direct[owners == i].T, parameters[owners == i].T) for i in range(len(effects))]
+
+
+class _Derivatives:
+    """f, g, quantities, and derivatives of f and g with respect to states, parameters and places, compiled."""
+
+    def __init__(self, model: Any) -> None:
+        core = model._core
+        self.states, self.outputs = list(model.state_names), list(model.output_names)
+        self.parameters = list(model.parameter_names)
+        inputs = [name for name, _ in core.inputs]
+        quantities = [name for name, *_ in core.quantities]
+        # What is added to a quantity is a symbol of its own, nothing in the end.
+        extra = {name: f"added to {name}" for name in quantities}
+        known: dict[str, Any] = {}
+        for name, e, *_ in core.quantities:
+            known[name] = e.substitute(known) + Expr.symbol(extra[name])
+        none: dict[str, float] = dict.fromkeys(extra.values(), 0.0)
+        f = [Expr(e.substitute(known)) for _, e, *_ in core.dynamics]
+        g = [Expr(e.substitute(known)) for _, e, *_ in core.outputs]
+        order = [name for name, *_ in core.dynamics]
+        f = [f[order.index(name)] for name in self.states]
+        aux = _core.Model("derivatives")
+        for name in self.parameters:
+            aux.parameter(name, "", 0.0, -np.inf, np.inf, None, False, False, False, None)
+        for name in inputs:
+            aux.input(name, "")
+        for name in self.states:
+            aux.state(name, "")
+            aux.equation(name, 0.0, None)
+        self._entries: list[tuple[str, Any, int, int]] = []  # what, which, row, output of aux; -1 where zero
+
+        def ask(what: str, which: Any, row: int, e: Expr) -> None:
+            e = Expr(e.substitute(none))
+            if e.constant == 0.0:
+                return
+            aux.output(f"e{len(self._entries)} of phugoid", e, "", None)
+            self._entries.append((what, which, row, len(self._entries)))
+
+        for k, e in enumerate(f):
+            ask("f", 0, k, e)
+        for k, e in enumerate(g):
+            ask("g", 0, k, e)
+        for k, name in enumerate(quantities):
+            ask("quantities", 0, k, Expr(known[name]))
+        for i, e in enumerate(g):
+            for k, name in enumerate([*self.states, *self.parameters]):
+                if name in e.symbols:
+                    ask("by_state" if k < len(self.states) else "by_parameter", name, i, e.diff(name))
+        self.places: list[tuple[Place, str]] = [(Place("quantity", n), s) for n, s in extra.items()]
+        self.places += [(Place("input", n), n) for n in inputs]
+        for place, symbol in self.places:
+            for k, e in enumerate(f):
+                if symbol in e.symbols:
+                    ask("place f", place, k, e.diff(symbol))
+            for k, e in enumerate(g):
+                if symbol in e.symbols:
+                    ask("place g", place, k, e.diff(symbol))
+        self.n_quantities = len(quantities)
+        self._evaluator = _core.Evaluator(aux)
+
+    def __call__(self, theta: _Array, columns: _Array) -> _Values:
+        n = columns.shape[1]
+        rows = self._evaluator.outputs(theta, columns) if self._entries else np.empty((0, n))
+        n_x, n_y = len(self.states), len(self.outputs)
+        v = _Values(
+            np.zeros((n_x, n)),
+            np.zeros((n_y, n)),
+            np.zeros((self.n_quantities, n)),
+            np.zeros((n_y, n_x, n)),
+            np.zeros((n_y, len(self.parameters), n)),
+        )
+        for place, _ in self.places:
+            v.by_place[place] = (np.zeros((n_x, n)), np.zeros((n_y, n)))
+        for k, name in enumerate(self.states):
+            slope = np.zeros((n_x, n))
+            slope[k] = 1.0
+            v.by_place[Place("equation", name)] = (slope, np.zeros((n_y, n)))
+        for what, which, row, k in self._entries:
+            if what in ("f", "g", "quantities"):
+                getattr(v, what)[row] = rows[k]
+            elif what == "by_state":
+                v.by_state[row, self.states.index(which)] = rows[k]
+            elif what == "by_parameter":
+                v.by_parameter[row, self.parameters.index(which)] = rows[k]
+            else:
+                v.by_place[which][what == "place g"][row] = rows[k]
+        return v
+
+
+class _Values:
+    def __init__(self, f: _Array, g: _Array, quantities: _Array, by_state: _Array, by_parameter: _Array) -> None:
+        self.f, self.g, self.quantities = f, g, quantities
+        self.by_state, self.by_parameter = by_state, by_parameter
+        self.by_place: dict[Place, tuple[_Array, _Array]] = {}

@@ -1,0 +1,90 @@
+"""A model with candidates added, fitted, and what its likelihood is with coloured noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..errors import PhugoidError
+from ..estimate import estimate
+from ..result import Fit
+from ..solvers import Newton
+from .candidate import Candidate
+from .least_squares import Whitened, own_whitening, row_runs
+from .linearised import Linearised, dataset
+from .whitening import Whitening
+
+__all__ = ["Refit", "refit"]
+
+# A refit goes on from a fit nearby: one that needs more goes nowhere.
+_ITERATIONS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """Candidates, in the order in which they were found, and the fit of the model with all of them."""
+
+    candidates: tuple[Candidate, ...]
+    fit: Fit
+
+    @cached_property
+    def linear(self) -> Linearised:
+        """About this fit."""
+        return Linearised(self.fit)
+
+    @cached_property
+    def own(self) -> Whitened:
+        """Through the filter that is the likeliest with it."""
+        return own_whitening(self.linear)
+
+    def through(self, filter: Whitening) -> Whitened:
+        """Through another's filter."""
+        return Whitened(self.linear, filter.on(row_runs(self.linear)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the candidates."""
+        return tuple(c.name for c in self.candidates)
+
+    def parameters(self, candidate: Candidate) -> dict[str, tuple[float, float]]:
+        """Value and standard error, for coloured noise, of a candidate's parameters."""
+        inflation = float(np.sqrt(self.linear.n_rows / max(self.linear.n_rows - self.own.basis.shape[1], 1)))
+        found = {}
+        for name in (*candidate.coefficients, *candidate.shape_names):
+            value, error = self.own.parameter(name)
+            found[name] = value, error * inflation
+        return found
+
+
+def refit(
+    base: Fit, candidates: Sequence[Candidate], starts: Mapping[str, float], near: Fit | None = None
+) -> Refit | None:
+    """The base model with candidates, fitted from the values in ``starts`` and a fit nearby.
+
+    None where there is no such model or the solver does not come to an end.
+    """
+    model = base.model
+    try:
+        for candidate in sorted(candidates, key=lambda c: c.stage):
+            own = {n: starts[n] for n in (*candidate.coefficients, *candidate.shape_names) if n in starts}
+            model = candidate.extended(model, own)
+        fit = estimate(
+            model,
+            dataset(base),
+            transcription=base.transcription,
+            noise=base.noise,
+            start=_start(near or base, model.parameter_names, starts),
+            solver=Newton(max_iterations=_ITERATIONS),
+        )
+    except PhugoidError:
+        return None
+    return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None
+
+
+def _start(near: Fit, names: Sequence[str], starts: Mapping[str, float]) -> Fit | dict[str, float]:
+    """The fit nearby, unless it has parameters that the model has not."""
+    gone = set(near.as_start()) - set(names) - near.noise_parameters
+    return near if not gone else {n: v for n, v in near.as_start().items() if n not in gone}

@@ -1,0 +1,141 @@
+"""Coloured residuals made white: an autoregressive model of each channel's residual, and its prediction errors.
+
+The residuals of real records are never white: turbulence and what the model misses colour them. Statistics that take
+them as white see an effect in any slow motion. So each channel's residual is modelled as r_t = -a_1 r_{t-1} - ... -
+a_p r_{t-p} + e_t, with p by Schwarz's criterion, and everything (residuals, sensitivities) is replaced by its
+prediction error e_t / sigma_e, the first samples of a run by those of the lower orders (Levinson's recursion), which
+makes the transform that of the exact likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+__all__ = ["Channel", "Whitening", "burg", "runs_of"]
+
+_Array = NDArray[np.float64]
+
+# The greatest order, and samples that there are to be for each coefficient.
+_MOST, _SAMPLES_EACH = 12, 10
+# A reflection coefficient this near to 1 is as good as a unit root: the filter stays invertible.
+_EDGE = 1.0 - 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """The autoregressive model of one channel.
+
+    predictors  predictors[k] (k,) is the best predictor from k samples: r_t is about -sum_i predictors[k][i] r_{t-1-i}.
+    sigmas      (p + 1,) standard deviations of their errors.
+    """
+
+    predictors: tuple[_Array, ...]
+    sigmas: _Array
+
+    @property
+    def order(self) -> int:
+        """p."""
+        return len(self.predictors) - 1
+
+    def errors(self, x: _Array) -> _Array:
+        """Prediction errors of a run (n, ...) along its first axis, in units of their standard deviations."""
+        p = min(self.order, x.shape[0])
+        out = lfilter(np.r_[1.0, self.predictors[self.order]], [1.0], x, axis=0) / self.sigmas[-1]
+        for t in range(p):
+            out[t] = (x[t] + np.tensordot(self.predictors[t][::-1], x[:t], axes=1)) / self.sigmas[t]
+        return np.asarray(out)
+
+    def log_scales(self, n: int) -> _Array:
+        """(n,) logarithms of the standard deviations of the errors of a run."""
+        return np.log(self.sigmas[np.minimum(np.arange(n), self.order)])
+
+    def autocorrelation(self, lags: int) -> _Array:
+        """(lags + 1,) of the modelled noise."""
+        impulse = np.zeros(4096)
+        impulse[0] = 1.0
+        h = lfilter([1.0], np.r_[1.0, self.predictors[self.order]], impulse)
+        r = np.array([h[k:] @ h[: h.size - k] for k in range(lags + 1)])
+        return np.asarray(r / r[0])
+
+
+def burg(runs: Sequence[_Array], most: int | None = None) -> Channel:
+    """The autoregressive model of residuals, runs of equally spaced samples, by Burg's method over all of them.
+
+    The order is Schwarz's, ``most`` at most (12). Its reflection coefficients are below 1, so the model is stationary.
+    """
+    n = sum(run.size for run in runs)
+    most = min(_MOST if most is None else most, n // _SAMPLES_EACH, max((run.size for run in runs), default=1) - 1)
+    power = sum(float(run @ run) for run in runs) / max(n, 1)
+    predictors = [np.empty(0)]
+    powers = [power]
+    forward, backward = [run.copy() for run in runs], [run.copy() for run in runs]
+    for _ in range(most):
+        forward, backward = [f[1:] for f in forward], [b[:-1] for b in backward]
+        cross = sum(float(f @ b) for f, b in zip(forward, backward, strict=True))
+        size = sum(float(f @ f + b @ b) for f, b in zip(forward, backward, strict=True))
+        if size <= 0.0:
+            break
+        k = float(np.clip(-2.0 * cross / size, -_EDGE, _EDGE))
+        last = predictors[-1]
+        predictors.append(np.r_[last + k * last[::-1], k])
+        powers.append(powers[-1] * (1.0 - k * k))
+        pairs = list(zip(forward, backward, strict=True))
+        forward, backward = [f + k * b for f, b in pairs], [b + k * f for f, b in pairs]
+    floor = np.finfo(float).tiny
+    criterion = [n * np.log(max(v, floor)) + p * np.log(max(n, 2)) for p, v in enumerate(powers)]
+    order = int(np.argmin(criterion))
+    return Channel(tuple(predictors[: order + 1]), np.sqrt(np.maximum(powers[: order + 1], floor)))
+
+
+def runs_of(times: _Array) -> list[slice]:
+    """Runs of samples that are equally spaced: a gap, or another spacing, begins a new one."""
+    if times.size < 3:
+        return [slice(0, times.size)]
+    steps = np.diff(times)
+    usual = float(np.median(steps))
+    breaks = np.flatnonzero(np.abs(steps - usual) > 0.1 * usual) + 1
+    edges = [0, *breaks.tolist(), times.size]
+    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+class Whitening:
+    """Autoregressive models of all channels: what makes rows of residuals and sensitivities white.
+
+    channels  the models, one an output.
+    runs      runs[i] the runs of rows of output i.
+    """
+
+    def __init__(self, channels: Sequence[Channel], runs: Sequence[Sequence[slice]]) -> None:
+        self.channels, self.runs = tuple(channels), tuple(tuple(r) for r in runs)
+
+    @classmethod
+    def of(cls, residuals: _Array, runs: Sequence[Sequence[slice]], most: int | None = None) -> Whitening:
+        """The models of residuals (n_rows,)."""
+        return cls([burg([residuals[run] for run in line], most) for line in runs], runs)
+
+    def on(self, runs: Sequence[Sequence[slice]]) -> Whitening:
+        """The same models on other runs."""
+        return Whitening(self.channels, runs)
+
+    def __call__(self, rows: _Array) -> _Array:
+        """Rows (n_rows, ...) as prediction errors in units of their standard deviations."""
+        out = np.empty_like(rows)
+        for channel, line in zip(self.channels, self.runs, strict=True):
+            for run in line:
+                if run.stop > run.start:
+                    out[run] = channel.errors(rows[run])
+        return out
+
+    def log_densities(self, errors: _Array) -> _Array:
+        """(n_rows,) log-likelihood of each row, given those before it, of errors (n_rows,) that were whitened; without
+        the constant of the normal density."""
+        out = -0.5 * errors**2
+        for channel, line in zip(self.channels, self.runs, strict=True):
+            for run in line:
+                out[run] -= channel.log_scales(run.stop - run.start)
+        return out

@@ -1,0 +1,172 @@
+//! The linearised equations solved forward in time, for many right-hand sides at once.
+
+use nalgebra::{DMatrix, Dyn, LU};
+use rayon::prelude::*;
+
+use crate::nlp::{Nlp, NotFinite};
+use crate::solver::state_units;
+use crate::transcription::Collocation;
+
+/// First states may grow by this factor, in units of what the states do: digits that a later projection loses.
+const GROWTH: f64 = 1e6;
+
+/// Right-hand sides that are solved for together: their path stays in the cache.
+const AT_ONCE: usize = 16;
+
+/// One segment: the constraints of its points, and of the samples between them.
+struct Step {
+    /// Factors of the derivatives by the states at all its points but the first.
+    own: LU<f64, Dyn, Dyn>,
+    /// Derivatives by the states at its first point.
+    first: DMatrix<f64>,
+    /// For each sample between: its point, and derivatives by the states at all points of the segment.
+    between: Vec<(usize, DMatrix<f64>)>,
+    /// Its first point within the experiment.
+    point: usize,
+}
+
+/// ∂h/∂x of a collocation problem, segment by segment.
+pub struct Forward<'a> {
+    problem: &'a Collocation,
+    steps: Vec<Vec<Step>>,
+}
+
+impl<'a> Forward<'a> {
+    /// Linearises at ξ; `None` where the motion is so unstable that a solution forward in time loses its digits.
+    ///
+    /// # Errors
+    /// [`NotFinite`] when a derivative is not finite there, or a segment is singular.
+    pub fn new(problem: &'a Collocation, xi: &[f64]) -> Result<Option<Self>, NotFinite> {
+        let mut values = vec![0.0; problem.jacobian_structure().len()];
+        problem.jacobian(xi, &mut values)?;
+        let layout = &problem.layout;
+        let n = layout.n_x;
+        let mut blocks: Vec<Vec<[DMatrix<f64>; 2]>> = Vec::new();
+        let mut between: Vec<Vec<Vec<(usize, DMatrix<f64>)>>> = Vec::new();
+        for mesh in &problem.meshes {
+            let k = mesh.rule.order() - 1;
+            let empty = || [DMatrix::zeros(k * n, n), DMatrix::zeros(k * n, k * n)];
+            blocks.push(mesh.segments.iter().map(|_| empty()).collect());
+            let mut ties: Vec<Vec<(usize, DMatrix<f64>)>> = vec![Vec::new(); mesh.segments.len()];
+            for tie in &mesh.between {
+                ties[tie.segment].push((tie.point, DMatrix::zeros(n, (k + 1) * n)));
+            }
+            between.push(ties);
+        }
+        let structure = problem.jacobian_structure();
+        for ((&r, &c), v) in structure.rows.iter().zip(&structure.columns).zip(&values) {
+            let (r, c) = (r as usize, c as usize);
+            if r >= layout.m() || c < layout.n_theta {
+                continue;
+            }
+            let (e, row, state) = layout.constraint(r);
+            let mesh = &problem.meshes[e];
+            let (k, point) = (mesh.rule.order() - 1, (c - layout.n_theta) / n - layout.first_point[e]);
+            let column = (c - layout.n_theta) % n;
+            if row + 1 < mesh.n_mesh {
+                let (segment, inner) = (row / k, row % k);
+                let at = point - mesh.segments[segment].point;
+                let [first, own] = &mut blocks[e][segment];
+                match at {
+                    0 => first[(inner * n + state, column)] += v,
+                    _ => own[(inner * n + state, (at - 1) * n + column)] += v,
+                }
+            } else {
+                let tie = &mesh.between[row + 1 - mesh.n_mesh];
+                if point != tie.point {
+                    let at = point - mesh.segments[tie.segment].point;
+                    let ties = &mut between[e][tie.segment];
+                    let (_, block) = ties.iter_mut().find(|t| t.0 == tie.point).expect("its own segment's");
+                    block[(state, at * n + column)] += v;
+                }
+            }
+        }
+        let mut steps = Vec::new();
+        for ((mesh, blocks), between) in problem.meshes.iter().zip(blocks).zip(between) {
+            let each = mesh.segments.iter().zip(blocks).zip(between);
+            let step = each.map(|((segment, [first, own]), between)| {
+                let own: DMatrix<f64> = own;
+                Step { own: own.lu(), first, between, point: segment.point }
+            });
+            steps.push(step.collect::<Vec<_>>());
+        }
+        let forward = Forward { problem, steps };
+        if forward.steps.iter().flatten().any(|s| !s.own.is_invertible()) {
+            return Err(NotFinite);
+        }
+        Ok((forward.growth(&state_units(problem, xi)) < GROWTH).then_some(forward))
+    }
+
+    /// By how much first states of the size of the states' units can grow, in these units.
+    fn growth(&self, units: &[f64]) -> f64 {
+        let n = self.problem.layout.n_x;
+        let unit = |r: usize| units.get(r).copied().unwrap_or(1.0);
+        let mut most: f64 = 1.0;
+        for steps in &self.steps {
+            let mut x = DMatrix::from_fn(n, n, |r, c| if r == c { unit(r) } else { 0.0 });
+            for step in steps {
+                let mut y = -(&step.first * &x);
+                step.own.solve_mut(&mut y);
+                x = y.rows(y.nrows() - n, n).into_owned();
+                for (r, row) in x.row_iter().enumerate() {
+                    most = row.iter().fold(most, |m, v| m.max(v.abs() / unit(r)));
+                }
+                if !most.is_finite() {
+                    return f64::INFINITY;
+                }
+            }
+        }
+        most
+    }
+
+    /// States at the samples, `out[k][sample · n_x + state]` of all experiments after each other, that answer to
+    /// slopes added to f, (k, points · n_x): first states and parameters stay.
+    pub fn solve(&self, slopes: &[&[f64]]) -> Vec<Vec<f64>> {
+        slopes.par_chunks(AT_ONCE).flat_map_iter(|some| self.solve_some(some)).collect()
+    }
+
+    fn solve_some(&self, slopes: &[&[f64]]) -> Vec<Vec<f64>> {
+        let n = self.problem.layout.n_x;
+        let samples: usize = self.problem.meshes.iter().map(|m| m.sample_points.len()).sum();
+        let mut out = vec![Vec::with_capacity(samples * n); slopes.len()];
+        let mut begin = 0; // mesh point of the experiment among all
+        for (mesh, steps) in self.problem.meshes.iter().zip(&self.steps) {
+            let k = mesh.rule.order() - 1;
+            // States at all points, a column for each right-hand side.
+            let mut path = DMatrix::<f64>::zeros(mesh.times.len() * n, slopes.len());
+            let mut ties = mesh.between.iter();
+            for (step, segment) in steps.iter().zip(&mesh.segments) {
+                let b = |point: usize, r: usize, c: usize| slopes[c][(begin + point) * n + r];
+                let mut y = DMatrix::<f64>::zeros(k * n, slopes.len());
+                for c in 0..slopes.len() {
+                    for i in 0..k {
+                        for r in 0..n {
+                            let sum: f64 = (0..=k).map(|j| mesh.rule.c(j, i) * b(step.point + j, r, c)).sum();
+                            y[(i * n + r, c)] = segment.h * sum;
+                        }
+                    }
+                }
+                y.gemm(-1.0, &step.first, &path.rows(step.point * n, n), 1.0);
+                step.own.solve_mut(&mut y);
+                path.rows_mut((step.point + 1) * n, k * n).copy_from(&y);
+                for (point, block) in &step.between {
+                    let tie = ties.next().expect("one for each");
+                    let mut x = -(block * path.rows(step.point * n, (k + 1) * n));
+                    for (c, mut column) in x.column_iter_mut().enumerate() {
+                        for (r, v) in column.iter_mut().enumerate() {
+                            *v += (0..=k).map(|j| tie.weights[j] * b(step.point + j, r, c)).sum::<f64>();
+                        }
+                    }
+                    path.rows_mut(point * n, n).copy_from(&x);
+                }
+            }
+            for (c, column) in path.column_iter().enumerate() {
+                for point in &mesh.sample_points {
+                    out[c].extend(column.rows(point * n, n).iter());
+                }
+            }
+            begin += mesh.n_mesh;
+        }
+        out
+    }
+}

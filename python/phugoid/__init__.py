@@ -14,6 +14,10 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 from ._core import Expr, __version__
 from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
+from .discrepancy.candidate import Candidate, Place
+from .discrepancy.candidates import candidates
+from .discrepancy.collection import Candidates
+from .discrepancy.points import Points
 from .equation_error import EquationError, equation_error
 from .errors import (
     DataError,
@@ -70,6 +74,8 @@ from .symbols import (
 from .transcription import Collocation
 
 __all__ = [
+    "Candidate",
+    "Candidates",
     "Collocation",
     "DataError",
     "Density",
@@ -100,6 +106,8 @@ __all__ = [
     "PerExperiment",
     "PerOutput",
     "PhugoidError",
+    "Place",
+    "Points",
     "Record",
     "Refinement",
     "SavitzkyGolay",
@@ -113,6 +121,7 @@ __all__ = [
     "asin",
     "atan",
     "atan2",
+    "candidates",
     "cos",
     "cosh",
     "equation_error",

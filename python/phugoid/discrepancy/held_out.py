@@ -49,7 +49,7 @@ def _left_out(refit: Refit, filter: Whitening) -> _Array:
     linear = refit.linear
     filter = filter.on(row_runs(linear))
     outputs, _ = linear.moves
-    columns = filter(outputs * linear.scale()[:, None])
+    columns = filter((outputs * linear.scale()[:, None]).T).T
     e = filter(linear.residuals)
     block = _blocks(linear)
     errors = np.empty_like(e)

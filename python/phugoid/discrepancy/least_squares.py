@@ -42,7 +42,7 @@ class Whitened:
         self.linear, self.filter = linear, filter
         scale = linear.scale()[:, None]
         outputs, self._moves = linear.moves
-        u, values, vt = np.linalg.svd(filter(outputs * scale), full_matrices=False)
+        u, values, vt = np.linalg.svd(filter((outputs * scale).T).T, full_matrices=False)
         kept = values > _NOTHING * values[:1]
         self.basis, self._back = u[:, kept], vt[kept].T / values[kept]
         e = filter(linear.residuals)
@@ -91,9 +91,10 @@ class Whitened:
         return self.linear.value(name, self.step, self.covariance)
 
     def beside(self, columns: _Array) -> _Array:
-        """Columns (n_rows, k), whitened, without what tangents can imitate."""
+        """Columns (k, n_rows), whitened, without what tangents can imitate."""
         c = self.filter(columns)
-        return np.asarray(c - self.basis @ (self.basis.T @ c))
+        c -= (c @ self.basis) @ self.basis.T
+        return c
 
 
 def own_whitening(linear: Linearised, start: Whitening | None = None) -> Whitened:

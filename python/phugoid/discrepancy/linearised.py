@@ -223,20 +223,21 @@ class Linearised:
         return value + slope * step[i], float(abs(slope) * np.sqrt(covariance[i, i]))
 
     def without_states(self, columns: _Array, parameters: _Array) -> _Array:
-        """What is left of answers (n_rows, k), in units of the noise, when first states alone take part in them.
+        """What is left of answers (k, n_rows), in units of the noise, when first states alone take part in them.
 
-        ``parameters`` (n_theta, k) is how parameters took part.
+        ``parameters`` (k, n_theta) is how parameters took part.
         """
         outputs, moves = self.moves
         unit = np.linalg.norm(moves, axis=1)
         moves = moves[unit > 0] / unit[unit > 0, None]
         u, values, vt = np.linalg.svd(moves)
         rank = int((values > _NOTHING * values[:1]).sum())
-        back = vt[:rank].T @ ((u[:, :rank].T @ (parameters[unit > 0] / unit[unit > 0, None])) / values[:rank, None])
-        alone = columns - outputs @ back
-        basis, values, _ = np.linalg.svd(outputs @ vt[rank:].T, full_matrices=False)
-        basis = basis[:, values > _NOTHING * values[:1]]
-        return np.asarray(alone - basis @ (basis.T @ alone))
+        basis, sizes, _ = np.linalg.svd(outputs @ vt[rank:].T, full_matrices=False)
+        basis = basis[:, sizes > _NOTHING * sizes[:1]]
+        if parameters.any():
+            part = (parameters[:, unit > 0] / unit[unit > 0]) @ u[:, :rank] / values[:rank]
+            columns = columns - part @ (outputs @ vt[:rank].T).T
+        return np.asarray(columns - (columns @ basis) @ basis.T)
 
     def _held(self) -> list[int]:
         """Variables that do not move: the noise's, and parameters fixed or at a bound."""
@@ -265,51 +266,60 @@ class Linearised:
             n = by_state.shape[2]
             x = states[:, first * n_x : (first + n) * n_x].reshape(-1, n, n_x)
             for i, line in enumerate(self.rows):
-                y = np.einsum("knx,xn->kn", x, by_state[i]) + theta @ by_parameter[i]
+                y = theta @ by_parameter[i] if theta.any() else np.zeros((answers.shape[0], n))
+                for k in range(n_x):
+                    if by_state[i, k].any():
+                        y += x[:, :, k] * by_state[i, k]
                 out[:, line[e]] = y[:, self._present[i][e]]
             first += n
         return out
 
-    def columns(self, effects: Sequence[tuple[Candidate, Mapping[str, float]]]) -> list[tuple[_Array, _Array]]:
-        """For each candidate at a shape, (n_rows, k) the outputs' answer to its coefficients, and (n_theta, k) how
-        parameters took part in it.
+    def columns(self, effects: Sequence[tuple[Candidate, Mapping[str, float]]]) -> tuple[_Array, _Array, list[slice]]:
+        """The outputs' answers to the coefficients of candidates at a shape.
 
-        What differs by tangents is the same answer: parameters and first states take part in the least way.
+        (k, n_rows) answers, (k, n_theta) how parameters took part in them, and which of the k are each effect's. What
+        differs by tangents is the same answer: parameters and first states take part in the least way, or none.
         """
-        result: list[tuple[_Array, _Array]] = []
-        for begin in range(0, len(effects), _AT_ONCE):
-            result += self._columns(effects[begin : begin + _AT_ONCE])
-        return result
-
-    def _columns(self, effects: Sequence[tuple[Candidate, Mapping[str, float]]]) -> list[tuple[_Array, _Array]]:
         signals = [[c.signals(points, shape) for points in self.points] for c, shape in effects]
-        owner = [i for i, per_run in enumerate(signals) for _ in range(per_run[0].shape[0])]
-        number = [k for per_run in signals for k in range(per_run[0].shape[0])]
-        direct = np.zeros((len(owner), self.n_rows))
-        slopes = np.zeros((len(owner), self._n_slopes()))
-        n_x, first = self._problem.n_states, 0
-        for e in range(len(self.points)):
-            mesh = self.inner.records[e].mesh_t.size
-            for column, (i, k) in enumerate(zip(owner, number, strict=True)):
-                signal, place = signals[i][e][k], effects[i][0].place
-                at_samples = signal[self.sample_points[e]]
-                if place.kind == "output":
-                    y = self.model.output_names.index(place.name)
-                    direct[column, self.rows[y][e]] = at_samples[self._present[y][e]]
-                    continue
-                for y, line in enumerate(self.rows):
-                    direct[column, line[e]] = (self._direct[e][place][y] * at_samples)[self._present[y][e]]
-                forced = self._slopes[e][place] * signal[self._mesh_points[e]]
-                slopes[column, first * n_x : (first + mesh) * n_x] = forced.T.ravel()
-            first += mesh
-        parameters = np.zeros((len(owner), self._problem.n_theta))
-        forced_ones = np.flatnonzero(slopes.any(axis=1))
-        if forced_ones.size:
-            answers = self._solve(slopes[forced_ones], [])
-            direct[forced_ones] += self._outputs(answers)
-            parameters[forced_ones] = answers[:, : self._problem.n_theta]
-        owners = np.array(owner)
-        return [(direct[owners == i].T, parameters[owners == i].T) for i in range(len(effects))]
+        ends = np.cumsum([0, *(per_run[0].shape[0] for per_run in signals)])
+        groups = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        owner = np.repeat(np.arange(len(effects)), np.diff(ends))
+        answers = np.zeros((int(ends[-1]), self.n_rows))
+        parameters = np.zeros((int(ends[-1]), self._problem.n_theta))
+        by_place: dict[Place, list[int]] = {}
+        for k, i in enumerate(owner):
+            by_place.setdefault(effects[i][0].place, []).append(k)
+        stacked = [np.vstack([per_run[e] for per_run in signals]) for e in range(len(self.points))] if signals else []
+        for place, members in by_place.items():
+            for begin in range(0, len(members), _AT_ONCE):
+                some = members[begin : begin + _AT_ONCE]
+                answers[some], parameters[some] = self._answers(place, [s[some] for s in stacked])
+        return answers, parameters, groups
+
+    def _answers(self, place: Place, signals: Sequence[_Array]) -> tuple[_Array, _Array]:
+        """Answers to signals at a place, (k, points) for each experiment."""
+        k, n_x, first = signals[0].shape[0], self._problem.n_states, 0
+        direct, parameters = np.zeros((k, self.n_rows)), np.zeros((k, self._problem.n_theta))
+        slopes = np.zeros((k, self._n_slopes()))
+        for e, signal in enumerate(signals):
+            at_samples = signal[:, self.sample_points[e]]
+            if place.kind == "output":
+                y = self.model.output_names.index(place.name)
+                direct[:, self.rows[y][e]] = at_samples[:, self._present[y][e]]
+                continue
+            for y, line in enumerate(self.rows):
+                by = self._direct[e][place][y]
+                if by.any():
+                    direct[:, line[e]] = (by * at_samples)[:, self._present[y][e]]
+            mesh = self._mesh_points[e]
+            forced = self._slopes[e][place].T * signal[:, mesh, None]
+            slopes[:, first * n_x : (first + mesh.size) * n_x] = forced.reshape(k, -1)
+            first += mesh.size
+        if slopes.any():
+            answers = self._solve(slopes, [])
+            direct += self._outputs(answers)
+            parameters = answers[:, : self._problem.n_theta]
+        return direct, parameters
 
 
 class _Derivatives:

@@ -31,7 +31,7 @@ class Statistics:
 
     values      twice the gain in log-likelihood, to first order.
     amplitudes  one-step estimates of its coefficients.
-    beside      its columns, whitened, without what tangents can imitate, (n_rows, all columns).
+    beside      its columns, whitened, without what tangents can imitate, (all columns, n_rows).
     """
 
     values: _Array
@@ -43,6 +43,7 @@ class Scan:
     """The effects of candidates on the outputs of a fit.
 
     effects   candidate and shape; several for a candidate with shapes.
+    groups    which columns are whose.
     distinct  for each, the part of its effect that the parameters there cannot imitate.
     lost      names of candidates without such a part.
     """
@@ -50,27 +51,19 @@ class Scan:
     def __init__(self, linear: Linearised, candidates: Sequence[Candidate]) -> None:
         self.linear = linear
         effects = [(c, shape) for c in candidates for shape in c.shapes]
-        found = linear.columns(effects)
-        widths = [columns.shape[1] for columns, _ in found]
-        ends = np.cumsum(widths)
-        groups = [slice(int(end - w), int(end)) for end, w in zip(ends, widths, strict=True)]
-        empty = np.empty((linear.n_rows, 0))
-        self.columns = np.hstack([empty, *(c for c, _ in found)])
+        self.columns, parameters, groups = linear.columns(effects)
         self.white = Whitened(linear, _white(linear))
-        beside = self.white.beside(self.columns)
-        parameters = np.hstack([np.empty((found[0][1].shape[0] if found else 0, 0)), *(p for _, p in found)])
-        whole = linear.without_states(self.columns / linear.scale()[:, None], parameters)
-
-        def size(columns: _Array, group: slice) -> float:
-            return float(np.linalg.norm(columns[:, group]))
-
-        distinct = [size(beside, g) / max(size(whole, g), 1e-300) for g in groups]
-        kept = [i for i, g in enumerate(groups) if distinct[i] > CONFOUNDED and size(beside, g) > _ROUNDING]
+        own = _sizes(self.white.beside(self.columns))
+        whole = _sizes(linear.without_states(self.columns / linear.scale(), parameters))
+        own, whole = (np.array([np.sqrt(np.sum(v[g] ** 2)) for g in groups]) for v in (own, whole))
+        distinct = own / np.maximum(whole, 1e-300)
+        kept = np.flatnonzero((distinct > CONFOUNDED) & (own > _ROUNDING))
         self.effects: list[tuple[Candidate, Mapping[str, float]]] = [effects[i] for i in kept]
         self.groups = [groups[i] for i in kept]
-        self.distinct = np.array([distinct[i] for i in kept])
+        self.distinct = distinct[kept]
         there = {c.name for c, _ in self.effects}
         self.lost = tuple(dict.fromkeys(c.name for c in candidates if c.name not in there))
+        self._clean: Whitening | None = None
 
     def through(self, filter: Whitening) -> Statistics:
         """Statistics through a filter."""
@@ -80,37 +73,56 @@ class Scan:
         beside, errors = whitened.beside(self.columns), whitened.errors
         # The filter may be that of other residuals: what is left here is not less certain than its variance.
         variance = min(float(errors @ errors) / max(errors.size - whitened.basis.shape[1], 1), 1.0)
-        values, amplitudes = np.zeros(len(self.groups)), []
-        for i, group in enumerate(self.groups):
-            j = beside[:, group]
-            c = np.linalg.lstsq(j, errors, rcond=1e-10)[0] if j.shape[1] > 1 else (j.T @ errors) / (j[:, 0] @ j[:, 0])
-            values[i] = (j.T @ errors) @ c / variance
+        grams, parts = _grams(beside, self.groups), beside @ errors
+        values, amplitudes = [], []
+        for gram, group in zip(grams, self.groups, strict=True):
+            c = _solved(gram, parts[group])
+            values.append(float(parts[group] @ c) / variance)
             amplitudes.append(c)
-        return Statistics(values, amplitudes, beside)
+        return Statistics(np.array(values), amplitudes, beside)
 
     def clean(self) -> Whitening:
         """The filter of the residuals without the few terms that explain most of them, taken as white.
 
         Slow effects hide in a noise model that was made with them.
         """
-        errors, columns = self.white.errors, self.white.beside(self.columns)
-        taken: list[int] = []
-        e, c = errors.copy(), columns.copy()
+        if self._clean is None:
+            self._clean = self._cleaned()
+        return self._clean
+
+    def _cleaned(self) -> Whitening:
+        beside, errors = self.white.beside(self.columns), self.white.errors.copy()
+        grams = _grams(beside, self.groups)
+        found: list[_Array] = []
         for _ in range(min(_GREEDY, len(self.groups))):
-            gains = [-1.0 if i in taken else _gain(c[:, g], e) for i, g in enumerate(self.groups)]
-            taken.append(int(np.argmax(gains)))
-            q = np.linalg.qr(c[:, self.groups[taken[-1]]])[0]
-            e, c = e - q @ (q.T @ e), c - q @ (q.T @ c)
-        own = self.white.residuals + self.linear.scale() * (e - errors)
+            parts = beside @ errors
+            gains = [float(parts[g] @ _solved(gram, parts[g])) for gram, g in zip(grams, self.groups, strict=True)]
+            best = beside[self.groups[int(np.argmax(gains))]].T.copy()
+            for q in found:
+                best -= np.outer(q, q @ best)
+            for q in np.linalg.qr(best)[0].T:
+                errors -= q * (q @ errors)
+                found.append(q)
+                along = beside @ q
+                grams = [gram - np.outer(along[g], along[g]) for gram, g in zip(grams, self.groups, strict=True)]
+        own = self.white.residuals + self.linear.scale() * (errors - self.white.errors)
         return Whitening.of(own, row_runs(self.linear))
 
 
-def _gain(columns: _Array, e: _Array) -> float:
-    """Part of e that columns explain."""
-    if columns.shape[1] == 1:
-        size = float(columns[:, 0] @ columns[:, 0])
-        return float(columns[:, 0] @ e) ** 2 / size if size > _ROUNDING else -1.0
-    return float(np.sum((np.linalg.qr(columns)[0].T @ e) ** 2))
+def _sizes(columns: _Array) -> _Array:
+    return np.sqrt(np.einsum("ij,ij->i", columns, columns))
+
+
+def _grams(columns: _Array, groups: Sequence[slice]) -> list[_Array]:
+    """Products of each group's columns with each other."""
+    return [columns[g] @ columns[g].T for g in groups]
+
+
+def _solved(gram: _Array, part: _Array) -> _Array:
+    """Least squares from normal equations, of one column or two; nothing where the columns are nothing."""
+    if gram.shape[0] == 1:
+        return part / gram[0] if gram[0, 0] > _ROUNDING**2 else np.zeros(1)
+    return np.asarray(np.linalg.lstsq(gram, part, rcond=1e-10)[0])
 
 
 def _white(linear: Linearised) -> Whitening:

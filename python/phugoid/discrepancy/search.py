@@ -102,7 +102,7 @@ class Search:
             candidate, shape = scan.effects[i]
             if any(candidate is c for c, _ in chosen):
                 continue
-            q = _unit(beside[:, scan.groups[i]])
+            q = _unit(beside[scan.groups[i]].T)
             if any(_cosine(q, other) > _SAME for _, other in chosen):
                 continue
             chosen.append((candidate, q))
@@ -233,11 +233,11 @@ class Search:
         mine = [i for i, (c, _) in enumerate(scan.effects) if c.name == candidate.name]
         if not mine:
             return []
-        q = [_unit(beside[:, scan.groups[i]]) for i in mine]
+        q = [_unit(beside[scan.groups[i]].T) for i in mine]
         found = {}
         for i, (c, _) in enumerate(scan.effects):
             if c.name != candidate.name and c.name in self._by_name:
-                other = _unit(beside[:, scan.groups[i]])
+                other = _unit(beside[scan.groups[i]].T)
                 cosine = max(_cosine(a, other) for a in q)
                 if cosine > _ALIAS:
                     found[c.name] = max(found.get(c.name, 0.0), cosine)

@@ -122,7 +122,9 @@ def _random(
 
     core = rebuilt(old, old.inputs, declare)
     every = [Expr.symbol(name) for name in quantities] + [equations["equation", name] for name in model.state_names]
-    for i, e in enumerate([*every, *wanted]):
+    # A delay of an output stands in no equation, which an evaluator takes for a slip: here all stand in the last.
+    every_parameter = [Expr(sum((Expr.symbol(name) for name in model.parameter_names), Expr(0.0)))]
+    for i, e in enumerate([*every, *wanted, *every_parameter]):
         core.output(f"no_output__{i}", e, "", None)
     # Half of them on the positive side: equations may hold a root or a logarithm.
     draws = random.uniform(-1.0, 1.0, (len(names), 4 * n))
@@ -145,4 +147,4 @@ def _random(
     values |= dict(zip(quantities, y[m : m + n_q], strict=True))
     rates = dict(zip(model.state_names, y[m + n_q : m + n_q + n_x], strict=True))
     outputs = dict(zip(model.output_names, y[:m], strict=True))
-    return Points("random", t, values, rates, outputs, {}), list(y[m + n_q + n_x :])
+    return Points("random", t, values, rates, outputs, {}), list(y[m + n_q + n_x : -1])

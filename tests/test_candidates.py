@@ -316,3 +316,187 @@ def test_what_was_put_in_is_estimated(name: str, library: ph.Candidates) -> None
         low, high = low_high[parameter]
         assert low <= value <= high
     assert fit.parameters["Cma"].value == pytest.approx(TRUTH["Cma"], rel=0.1)
+
+
+# ---------------------------------------------------------------- several at once
+
+
+CHAIN = (
+    "Cm:lag_alpha",
+    "Cm:alpha*de",
+    "de:deadband",
+    "de:saturation",
+    "de:lag",
+    "de:delay",
+    "az:q'",
+    "az:lag",
+    "az:delay",
+)
+CHAIN_VALUES = {
+    **{"Cm_lag_alpha": -1.5, "tau_Cm_alpha": 0.5, "Cm_alpha_de": 3.0, "deadband_de": 0.01, "saturation_de": 0.05},
+    **{"lag_de": 0.2, "tau_de": 0.15, "y_az_q_dot": 0.1, "lag_az": 0.3, "tau_az": 0.1},
+}
+
+
+def chained(library: ph.Candidates, m: ph.Model) -> ph.Model:
+    for c in sorted((library[name] for name in CHAIN), key=lambda c: c.stage):
+        m = c.extended(m)
+    return m
+
+
+def test_effects_compose_in_the_order_of_their_stages(library: ph.Candidates) -> None:
+    """The input is late, lags, saturates, and has a dead-band, in that order; the lever arm sees the whole equation."""
+    m, empty = chained(library, pitch()), record()
+    m.check()
+    assert m.delays.inputs == {"de_delayed": ("de", "tau_de")} and m.delays.outputs == {"az": "tau_az"}
+    assert m.noise_model == pitch().noise_model
+    first = {"alpha": 0.04, "q": 0.0, "alpha_lag": 0.04, "de_lag": float(empty.input("de")[0])}
+    values = {**TRUTH, **CHAIN_VALUES}
+    r = ph.simulate(m, values, empty, initial=first)
+    t, centre = empty.t, library["de:lag"].scales.centre("de")  # type: ignore[attr-defined]
+    acting = lagged(t, np.interp(t - 0.15, t, empty.input("de")), 0.2)
+    # What the delay bends lies at samples here (0.15 s are three intervals), so the lag is exact.
+    assert r.states["de_lag"] == pytest.approx(acting, abs=1e-8)
+    acting = np.clip(acting - centre, -0.05, 0.05)
+    acting = centre + np.sign(acting) * np.maximum(np.abs(acting) - 0.01, 0.0)
+    alpha, q, lag = (r.states[name] for name in ("alpha", "q", "alpha_lag"))
+    Cm = TRUTH["Cm0"] + TRUTH["Cma"] * alpha + TRUTH["Cmq"] * q + TRUTH["Cmde"] * acting
+    trim = library["Cm:alpha*de"].scales.centre("alpha")  # type: ignore[attr-defined]
+    Cm += -1.5 * lag + 3.0 * (alpha - trim) * (acting - centre)
+    smooth = np.gradient(q, t)[2:-2]
+    assert Cm[2:-2] == pytest.approx(smooth, abs=0.05 * np.ptp(smooth))
+    y = -8.0 * (TRUTH["CL0"] + TRUTH["CLa"] * alpha) + TRUTH["b_az"] + 0.1 * Cm
+    z = lagged(t, y, 0.3)
+    assert r.states["az_sensor"] == pytest.approx(
+        z + r.states["az_sensor"][0] * np.exp(-t / 0.3) - y[0] * np.exp(-t / 0.3), abs=0.01 * np.ptp(z)
+    )
+    assert r.outputs["az"][2:] == pytest.approx(r.states["az_sensor"][:-2], abs=1e-6)
+
+
+def test_extensions_are_saved_and_printed_like_any_model(library: ph.Candidates, tmp_path: Path) -> None:
+    m = chained(library, pitch())
+    m.save(tmp_path / "model.json")
+    again = ph.Model.load(tmp_path / "model.json")
+    assert again.to_json() == m.to_json() and str(again) == str(m)
+    assert "Cm_lag_alpha*alpha_lag" in str(m) and r"\dot{" in m.latex()
+    for c in library:
+        extended = c.extended(pitch())
+        assert ph.Model.from_json(extended.to_json()).to_json() == extended.to_json(), c.name
+
+
+def test_extending_leaves_the_model_as_it_was(library: ph.Candidates) -> None:
+    m = pitch()
+    before = m.to_json()
+    for c in library:
+        c.extended(m)
+    assert m.to_json() == before
+
+
+def test_two_effects_together_are_estimated(library: ph.Candidates) -> None:
+    names, true = ("Cm:alpha^2", "de:delay"), {"Cm_alpha2": 9.0, "tau_de": 0.09}
+    model = pitch()
+    for name in names:
+        model = library[name].extended(model)
+    empty, random = record(5), np.random.default_rng(11)
+    r = ph.simulate(model, {**TRUTH, **true}, empty, initial={"alpha": 0.04, "q": 0.0})
+    z = {n: y + SIGMA[n] * random.standard_normal(empty.n) for n, y in r.outputs.items()}
+    fit = ph.estimate(model, empty.with_outputs(z), start=TRUTH)
+    assert fit.converged
+    for parameter, value in true.items():
+        e = fit.parameters[parameter]
+        assert abs(e.value - value) < 4 * e.std_error and e.std_error < 0.1 * value
+
+
+def test_the_library_of_an_extended_model_does_not_doubt_its_extensions(path: ph.Points) -> None:
+    base = pitch()
+    library = ph.candidates(base, points=[path])
+    m = base
+    for name in ("Cm:lag_alpha", "de:delay"):
+        m = library[name].extended(m)
+    again = ph.candidates(m, base=base)
+    assert "Cm:de^2" in again and again["Cm:de^2"].variables == ("de_delayed",)  # type: ignore[attr-defined]
+    assert again["de:deadband"].place == ph.Place("input", "de_delayed")
+    assert "de:delay" not in again and not any("alpha_lag" in name for name in again.names)
+    # One more of the same kind gets parameters of its own.
+    assert again["Cm:lag_alpha"].coefficients == ("Cm_lag_alpha_2",)
+    assert again["Cm:lag_alpha"].extended(m).state_names[-2:] == ("alpha_lag", "alpha_lag_2")
+    for c in again:
+        c.extended(m).check()
+    # So has a sensor that is late already.
+    late = library["az:delay"].extended(base)
+    assert "az:delay" not in ph.candidates(late) and "az:lag" in ph.candidates(late)
+
+
+# ---------------------------------------------------------------- terms of the user's own, and bad input
+
+
+def test_terms_of_the_users_own() -> None:
+    m = pitch()
+    alpha, q, de, CL = (ph.Expr.symbol(name) for name in ("alpha", "q", "de", "CL"))
+    own = {"Cm": [alpha * q**2, ph.sin(3 * alpha)], "q'": CL * q, "y:alpha": alpha**3, "Cm:gap effect": de * alpha**2}
+    library = ph.candidates(m, terms=own, leave_out=[f for f in FAMILIES if f != "own"])
+    assert library.names == ("Cm:alpha*q^2", "Cm:sin(3*alpha)", "q':CL*q", "alpha:alpha^3", "Cm:gap effect")
+    extended = library["Cm:gap effect"].extended(m, {"Cm_gap_effect": 2.0})
+    assert "Cm_gap_effect*de*alpha**2" in str(extended)
+    # One that the library would make itself keeps the user's name.
+    renamed = ph.candidates(m, terms={"Cm:hardening": 2 * (alpha - 0.1) ** 3}, trim={"alpha": 0.1})
+    assert "Cm:hardening" in renamed and "Cm:alpha^3" not in renamed
+
+
+BAD_TERMS = [
+    ({"CM": "q"}, "'CM' names no quantity, state equation (with a prime) or output. Did you mean"),
+    ({"Cm": "Cmq*q"}, "holds the parameter 'Cmq'"),
+    ({"Cm": "beta*q"}, "holds the unknown 'beta'"),
+    ({"Cm": "3*q"}, "the model has this already"),
+    ({"Cm": "sign(q)"}, "use smooth_sign(x, width) in place of sign"),
+    ({"Cm": "q*(alpha > 0.1)"}, "use smooth_step(x, width) in place of lt"),
+    ({"Cm": "2.0"}, "is a number"),
+    ({"Cm": ["q**2", "2*q**2 + q"]}, "Cm:2*q^2+q and Cm:q^2 are the same but for a factor and what the model has"),
+    ({"Cm:both": ["q**2", "q**3"]}, "'Cm:both' names one term, but 2 are given"),
+    ({"CL": "Cm*q"}, "holds 'Cm', which stands below CL in the model"),
+]
+
+
+@pytest.mark.parametrize("terms, message", BAD_TERMS, ids=lambda x: str(x)[:30])
+def test_terms_that_cannot_be_are_refused(terms: dict[str, object], message: str) -> None:
+    known = {name: ph.Expr.symbol(name) for name in ("alpha", "q", "beta", "Cmq", "Cm", "CL")} | {"sign": ph.sign}
+
+    def read(text: object) -> object:
+        return [read(t) for t in text] if isinstance(text, list) else eval(str(text), dict(known))
+
+    with pytest.raises(ph.ModelError, match=re.escape(message)):
+        ph.candidates(pitch(), terms={key: read(text) for key, text in terms.items()})
+
+
+def test_wrong_options_and_wrong_extensions_are_refused(library: ph.Candidates, path: ph.Points) -> None:
+    m = pitch()
+    with pytest.raises(ph.OptionError, match="there is no family 'cubes'. Did you mean 'cube'"):
+        ph.candidates(m, leave_out=["cubes"])
+    with pytest.raises(ph.OptionError, match="leave_out is several families"):
+        ph.candidates(m, leave_out="cube")
+    with pytest.raises(ph.OptionError, match="trim names 'alfa', no state or input. Did you mean 'alpha'"):
+        ph.candidates(m, trim={"alfa": 0.1})
+    with pytest.raises(ph.OptionError, match='equations is "own" or "all"'):
+        ph.candidates(m, equations="both")  # type: ignore[arg-type]
+    with pytest.raises(ph.ModelError, match="give a Model, not a str"):
+        ph.candidates("pitch")  # type: ignore[arg-type]
+    with pytest.raises(ph.DataError, match="there are no points"):
+        ph.candidates(m, points=[])
+    with pytest.raises(KeyError, match="there is no candidate 'Cm:alfa"):
+        library["Cm:alfa*q"]
+    with pytest.raises(KeyError, match="there is no candidate 'Cx:"):
+        library.without("Cx:*")
+    with pytest.raises(ph.ModelError, match="'Cm:alpha\\*q' is there twice"):
+        library + library.only("Cm:alpha*q")
+    c = library["Cm:alpha*q"]
+    with pytest.raises(ph.ModelError, match="start names 'Cm_alpha'"):
+        c.extended(m, {"Cm_alpha": 1.0})
+    with pytest.raises(ph.ModelError, match="'Cm_alpha_q' is in the model already"):
+        c.extended(c.extended(m))
+    with pytest.raises(ph.ModelError, match="the model has no quantity 'Cm'"):
+        c.extended(oscillator())
+    with pytest.raises(ph.ModelError, match="'de' stands in no equation; extend inputs in order of stage"):
+        library["de:deadband"].extended(library["de:delay"].extended(m))
+    other = ph.candidates(oscillator())
+    with pytest.raises(ph.DataError, match="the points have no"):
+        other["v':x^3"].signals(path, {})

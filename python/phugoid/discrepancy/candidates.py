@@ -98,8 +98,6 @@ def candidates(
     own = list(_own(model, anatomy, scales, terms or {}, names))
     made = [c for c in _library(anatomy, scales, names) if c.family not in leave_out]
     kept = _distinct(own, made, Directions(model, scales))
-    for c in own:
-        c.extended(model).check()  # terms that lead in a circle
     return Candidates(c for c in kept if points is None or c.worthwhile())
 
 

@@ -32,9 +32,9 @@ class Place:
 class Candidate(ABC):
     """An effect at one place, with unknown coefficients.
 
-    To first order the effect adds ``sum_k c_k signal_k(t)`` to its place; ``signals`` gives these signals along a fitted
-    path for one *shape*, that is for given values of the unknowns that enter nonlinearly (a time constant, a frequency,
-    a dead-band's width). ``extended`` adds the effect to a model exactly.
+    To first order the effect adds ``sum_k c_k signal_k(t)`` to its place; ``signals`` gives these signals along a
+    fitted path for one *shape*, that is for given values of the unknowns that enter nonlinearly (a time constant, a
+    frequency, a dead-band's width). ``extended`` adds the effect to a model exactly.
 
     name         canonical, ``where:what``: ``Cm:alpha*q``.
     place        what the signals are added to.

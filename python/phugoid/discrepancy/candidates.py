@@ -90,14 +90,14 @@ def candidates(
     """
     _check(model, trim, leave_out, equations, base)
     model.check()
-    scales = Scales.of(points, trim) if points is not None else Scales(trim=dict(trim or {}))
+    trim = dict(trim or {})
+    trim |= {late: trim[of] for late, (of, _) in model.delays.inputs.items() if of in trim}
+    scales = Scales.of(points, trim) if points is not None else Scales(trim=trim)
     anatomy = Anatomy(model, equations == "all", base)
     names = _Names(model)
     own = list(_own(model, anatomy, scales, terms or {}, names))
     made = [c for c in _library(anatomy, scales, names) if c.family not in leave_out]
     kept = _distinct(own, made, Directions(model, scales))
-    for c in own:
-        c.extended(model).check()  # terms that lead in a circle
     return Candidates(c for c in kept if points is None or c.worthwhile())
 
 
@@ -197,7 +197,7 @@ def _in_equation(anatomy: Anatomy, place: Place, scales: Scales, names: _Names) 
     yield from (term("product", v, w) for v, w in combinations(variables, 2))
     for form in ("cube", "quadratic", "absolute"):
         yield from (term(form, v) for v in variables)
-    yield from (term("sign", v) for v in variables if (v.rate or v.kind == "input") and scales.crosses(v.symbol))
+    yield from (term("sign", v) for v in variables if v.rate or v.kind == "input")
     shown, stem, words = anatomy.shown(place), _stem(place), where(place)
     for v in variables:
         yield LaggedVariable(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from .._core import Expr
+from ..errors import ModelError
 from ..model import Model
 from ..rebuilt import Key, rebuilt
 from .candidate import Candidate
@@ -92,7 +93,7 @@ class Directions:
 
     def of(self, candidate: Candidate) -> Direction:
         """The direction of a candidate with one signal that depends on no shape."""
-        signal = candidate.signals(self.points, {})[0]
+        signal = np.nan_to_num(candidate.signals(self.points, {})[0], posinf=0.0, neginf=0.0)
         if candidate.place.kind == "input":
             blocks = {key: slope * signal for key, slope in self._slopes.get(candidate.place.name, {}).items()}
         else:
@@ -121,20 +122,29 @@ def _random(
 
     core = rebuilt(old, old.inputs, declare)
     every = [Expr.symbol(name) for name in quantities] + [equations["equation", name] for name in model.state_names]
-    for i, e in enumerate([*every, *wanted]):
+    # A delay of an output stands in no equation, which an evaluator takes for a slip: here all stand in the last.
+    every_parameter = [Expr(sum((Expr.symbol(name) for name in model.parameter_names), Expr(0.0)))]
+    for i, e in enumerate([*every, *wanted, *every_parameter]):
         core.output(f"no_output__{i}", e, "", None)
     # Half of them on the positive side: equations may hold a root or a logarithm.
     draws = random.uniform(-1.0, 1.0, (len(names), 4 * n))
     draws[:, ::2] = np.abs(draws[:, ::2])
-    columns = [scales.centre(name) + 1.3 * scales.span(name) * row for name, row in zip(names, draws, strict=True)]
+    # Wider than the record: where a speed hardly varies, what goes with it would look like a constant.
+    widths = [max(1.3 * scales.span(name), 0.3 * abs(scales.centre(name))) for name in names]
+    columns = [scales.centre(name) + w * row for name, w, row in zip(names, widths, draws, strict=True)]
     t = scales.begin + scales.duration * np.sort(random.random(4 * n))
     theta = random.uniform(0.5, 1.5, len(model.parameter_names))
     y = _core.Evaluator(core).outputs(theta, np.vstack([t, *columns]))
     good = np.flatnonzero(np.isfinite(y).all(axis=0))[-n:]
+    if good.size < 16:
+        raise ModelError(
+            "candidates: the model's equations are hardly anywhere finite at random points about zero or the trims; "
+            "give trim=..., typical values of states and inputs"
+        )
     y, t = y[:, good], t[good]
     m, n_q, n_x = len(model.output_names), len(quantities), len(model.state_names)
     values = {name: column[good] for name, column in zip(names, columns, strict=True)}
     values |= dict(zip(quantities, y[m : m + n_q], strict=True))
     rates = dict(zip(model.state_names, y[m + n_q : m + n_q + n_x], strict=True))
     outputs = dict(zip(model.output_names, y[:m], strict=True))
-    return Points("random", t, values, rates, outputs, {}), list(y[m + n_q + n_x :])
+    return Points("random", t, values, rates, outputs, {}), list(y[m + n_q + n_x : -1])

@@ -104,6 +104,9 @@ class Term(Effect):
             factors += [_less(Expr.symbol(name), centre), self.scales.span(name)]
         return Expr(form.make(*factors))
 
+    def worthwhile(self) -> bool:
+        return super().worthwhile() and (self.form != "sign" or self.scales.crosses(self.variables[0]))
+
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         return evaluated(self.expression, points)[np.newaxis]
 

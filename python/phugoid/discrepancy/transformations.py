@@ -30,6 +30,8 @@ _CORNER = 0.01
 class InputScale(Effect):
     """u becomes (1 + k) u."""
 
+    stage: int = 1
+
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         return of(points.values, self.place.name, points, "input")[np.newaxis]
 
@@ -46,6 +48,8 @@ class InputScale(Effect):
 @dataclass(frozen=True, eq=False, repr=False)
 class InputBias(Effect):
     """u becomes u + b."""
+
+    stage: int = 1
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         return np.ones((1, points.n))

@@ -36,7 +36,7 @@ def read_terms(model: Model, terms: Mapping[str, Any]) -> Iterator[tuple[Place, 
         if what and len(expressions) > 1:
             raise ModelError(f"terms: '{key}' names one term, but {len(expressions)} are given")
         for given in expressions:
-            e = _checked(model, str(key), given)
+            e = _checked(model, place, str(key), given)
             yield place, what or str(e).replace("**", "^").replace(" ", ""), e
 
 
@@ -59,12 +59,17 @@ def _place(model: Model, key: str) -> tuple[Place, str]:
     )
 
 
-def _checked(model: Model, key: str, given: Any) -> Expr:
+def _checked(model: Model, place: Place, key: str, given: Any) -> Expr:
     try:
         e = Expr(given)
     except TypeError:
         raise ModelError(f"terms: '{key}' holds {given!r}, not an expression") from None
-    known = {*model.state_names, "time", *(n for n, _ in model._core.inputs), *(n for n, *_ in model._core.quantities)}
+    quantities = [n for n, *_ in model._core.quantities]
+    if place.kind == "quantity":  # it may hold only those above it
+        later = quantities[quantities.index(place.name) :]
+        for name in {*later}.intersection(e.symbols):
+            raise ModelError(f"terms: {e} in '{key}' holds '{name}', which stands below {place.name} in the model")
+    known = {*model.state_names, "time", *(n for n, _ in model._core.inputs), *quantities}
     for name in e.symbols:
         if name in model.parameter_names:
             raise ModelError(

@@ -27,6 +27,7 @@ from .estimate import estimate
 from .experiment import Experiment
 from .filter_error import FilterError
 from .integration import IntegrationError
+from .match import Match
 from .model import Model
 from .multirate import multirate
 from .multistart import Multistart, multistart
@@ -68,6 +69,7 @@ from .symbols import (
     where,
 )
 from .transcription import Collocation
+from .validation import Validation
 
 __all__ = [
     "Collocation",
@@ -87,6 +89,7 @@ __all__ = [
     "Ipopt",
     "Iteration",
     "Laplace",
+    "Match",
     "MissingDependency",
     "Model",
     "ModelError",
@@ -108,6 +111,7 @@ __all__ = [
     "SmoothingSpline",
     "StudentT",
     "Table",
+    "Validation",
     "__version__",
     "acos",
     "asin",

@@ -1,0 +1,141 @@
+"""A fit held as it is, to be tried on other experiments: its model, its noise, and its mesh."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from . import _core
+from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+from .errors import OptionError
+from .experiment import Experiment
+from .filter_error import FilterError
+from .model import Model
+from .noise import Gaussian, Noise
+from .parameters import Estimates, Parameter
+from .rebuilt import rebuilt
+from .result import Fit
+from .shooting import MultipleShooting, SingleShooting, Transcription
+from .transcription import Collocation
+
+__all__ = ["held_model", "held_noise", "mesh_for"]
+
+
+def held_model(model: Model, values: Mapping[str, float], free: Collection[str]) -> Model:
+    """The model with all parameters fixed at ``values`` but those in ``free``, which stay as declared."""
+
+    def declare(core: _core.Model, declared: Any) -> None:
+        name, unit, start, low, high, prior, _, local, log, scale = declared
+        if name in free:
+            core.parameter(name, unit, start, low, high, prior, False, local, log, scale)
+        else:
+            # Without bounds: a value at one may lie outside by rounding.
+            core.parameter(name, unit, values[name], -math.inf, math.inf, None, True, False, False, None)
+
+    return model._around(rebuilt(model._core, model._core.inputs, declare), model.delays)
+
+
+def held_noise(fit: Fit) -> tuple[Noise, tuple[str, ...]]:
+    """The fit's noise with every number known, and what to say of that.
+
+    Where each experiment of the fit has noise of its own, another experiment gets its mean: of variances and
+    covariances, weighted by samples. Raises OptionError for other numbers of which there are several.
+    """
+    outputs = fit.model.output_names
+    if not isinstance(fit.noise, PerExperiment):
+        return _known(fit.noise, outputs, fit.parameters.to_dict()), ()
+    inner, estimated = fit.noise.noise, fit.noise.noise.names(outputs)
+    each = [{name: fit.parameters[f"{name}[{r.name}]"].value for name in estimated} for r in fit.records]
+    if len(each) == 1 or not estimated:
+        return _known(inner, outputs, each[0]), ()
+    several = [name for name in estimated if not name.startswith(("sigma_", "corr_"))]
+    if several:
+        raise OptionError(
+            f"validate: each experiment of the fit has its own {several[0]}, and which another one has is not known: "
+            "fit with noise that is shared"
+        )
+    said = ("each experiment of the fit has its own noise: these have the mean of its variances, weighted by samples",)
+    if isinstance(inner, Gaussian) and inner.correlated:
+        weights = [r.n for r in fit.records]
+        matrices = [np.array(_known(inner, outputs, values).covariance) for values in each]  # type: ignore[attr-defined]
+        return Gaussian(covariance=np.average(matrices, axis=0, weights=weights)), said
+    pooled = {}
+    for name in estimated:
+        output = name.removeprefix("sigma_")
+        counts = [int(np.isfinite(r.measured[output]).sum()) for r in fit.records]
+        pooled[name] = math.sqrt(float(np.average([values[name] ** 2 for values in each], weights=counts)))
+    return _known(inner, outputs, pooled), said
+
+
+def _known(noise: Noise, outputs: Sequence[str], values: Mapping[str, float]) -> Noise:
+    """A noise model with ``values`` (``sigma_<output>``, ...) in place of what it estimates."""
+    sigma = {name: values.get(f"sigma_{name}", noise.known_sigmas(outputs).get(name, math.nan)) for name in outputs}
+    if isinstance(noise, Gaussian):
+        if noise.covariance is not None:
+            return noise
+        if not noise.correlated:
+            return Gaussian(sigma)
+        correlation = np.eye(len(outputs))
+        for i, a in enumerate(outputs):
+            for j, b in enumerate(outputs[i + 1 :], i + 1):
+                correlation[i, j] = correlation[j, i] = values[f"corr_{a}_{b}"]
+        scale = np.array([sigma[name] for name in outputs])
+        return Gaussian(covariance=correlation * np.outer(scale, scale))
+    if isinstance(noise, StudentT):
+        return replace(noise, sigma=sigma, dof={n: values.get(f"dof_{n}", noise._dof(n)) for n in outputs})
+    if isinstance(noise, (Huber, Laplace)):
+        return replace(noise, sigma=sigma)
+    if isinstance(noise, PerOutput):
+        own = {name: _known(noise._of(name), [name], {**values, f"sigma_{name}": sigma[name]}) for name in outputs}
+        return PerOutput(own)
+    assert isinstance(noise, Density)  # there is no other
+    each: dict[str, Noise] = {}
+    for name in outputs:
+        start = {
+            p: values.get(f"{p}_{name}", float(getattr(d, "start", math.nan))) for p, d in noise.parameters.items()
+        }
+        each[name] = Density(
+            noise.log_density, {name: sigma[name]}, {p: Parameter(v, fixed=True) for p, v in start.items()}
+        )
+    return PerOutput(each)
+
+
+def mesh_for(fit: Fit, experiments: Sequence[Experiment]) -> Transcription:
+    """The fit's transcription for other experiments: where it counts or names segments, others as long.
+
+    A mesh that was refined for the fit is refined anew. Raises OptionError for the filter-error method.
+    """
+    t = fit.transcription
+    if isinstance(t, FilterError):
+        raise OptionError(
+            "validate: a fit with process noise (FilterError) follows any record, and cannot be held to what its "
+            "parameters say: fit without process noise"
+        )
+    if isinstance(t, Collocation) and fit.refinement is not None:
+        first = fit.refinement.steps[0].order
+        return Collocation(first, threads=t.threads, refine=True, tolerance=fit.refinement.tolerance)
+    shortest = min(float(r.t[-1] - r.t[0]) for r in fit.records)
+    longest = max(float(e.t[-1] - e.t[0]) for e in experiments)
+    if isinstance(t, SingleShooting):
+        return t if t.steps is None else replace(t, steps=math.ceil(t.steps * longest / shortest - 1e-9))
+    if t.segments is None:
+        return t
+    if isinstance(t.segments, int):
+        length = shortest / t.segments
+    else:
+        ends: Any = t.segments if isinstance(t.segments[0], tuple) else (t.segments,)  # type: ignore[index]
+        length = float(np.median(np.concatenate([np.diff(each) for each in ends])))
+    interval = float(np.median(np.concatenate([np.diff(e.t) for e in experiments])))
+    if isinstance(t, MultipleShooting) or length > 1.5 * interval:
+        return replace(t, segments=math.ceil(longest / length - 1e-9))
+    # Inputs bend at samples, which segments of this length had better not straddle.
+    return replace(t, segments=None, substeps=math.ceil(interval / length - 1e-9))
+
+
+def estimates_of(estimates: Estimates, names: Collection[str]) -> Estimates:
+    """Those of the named parameters, also where each experiment has its own."""
+    return Estimates(e for e in estimates.values() if e.name in names or e.name.partition("[")[0] in names)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import _core
 from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
@@ -19,10 +20,12 @@ from .noise import Gaussian, Noise
 from .parameters import Estimates, Parameter
 from .rebuilt import rebuilt
 from .result import Fit
-from .shooting import MultipleShooting, SingleShooting, Transcription
+from .shooting import SingleShooting, Transcription
 from .transcription import Collocation
 
-__all__ = ["held_model", "held_noise", "mesh_for"]
+__all__ = ["estimates_of", "held_model", "held_noise", "mesh_for"]
+
+_Array = NDArray[np.float64]
 
 
 def held_model(model: Model, values: Mapping[str, float], free: Collection[str]) -> Model:
@@ -49,9 +52,9 @@ def held_noise(fit: Fit) -> tuple[Noise, tuple[str, ...]]:
     if not isinstance(fit.noise, PerExperiment):
         return _known(fit.noise, outputs, fit.parameters.to_dict()), ()
     inner, estimated = fit.noise.noise, fit.noise.noise.names(outputs)
+    if len(fit.records) == 1 or not estimated:  # one experiment's are called as shared ones are
+        return _known(inner, outputs, fit.parameters.to_dict()), ()
     each = [{name: fit.parameters[f"{name}[{r.name}]"].value for name in estimated} for r in fit.records]
-    if len(each) == 1 or not estimated:
-        return _known(inner, outputs, each[0]), ()
     several = [name for name in estimated if not name.startswith(("sigma_", "corr_"))]
     if several:
         raise OptionError(
@@ -118,22 +121,42 @@ def mesh_for(fit: Fit, experiments: Sequence[Experiment]) -> Transcription:
     if isinstance(t, Collocation) and fit.refinement is not None:
         first = fit.refinement.steps[0].order
         return Collocation(first, threads=t.threads, refine=True, tolerance=fit.refinement.tolerance)
-    shortest = min(float(r.t[-1] - r.t[0]) for r in fit.records)
-    longest = max(float(e.t[-1] - e.t[0]) for e in experiments)
+    lengths = [float(r.t[-1] - r.t[0]) for r in fit.records]
+    longest, shortest = max(float(e.t[-1] - e.t[0]) for e in experiments), min(lengths)
+    alike = np.allclose([*lengths, *(float(e.t[-1] - e.t[0]) for e in experiments)], shortest, rtol=1e-9, atol=0)
+    interval = float(np.median(np.concatenate([np.diff(e.t) for e in experiments])))
+
+    def number(size: float, of: float) -> int:
+        return max(math.ceil(of / size - 1e-9), 1)
+
     if isinstance(t, SingleShooting):
-        return t if t.steps is None else replace(t, steps=math.ceil(t.steps * longest / shortest - 1e-9))
-    if t.segments is None:
+        if t.steps is None or alike:
+            return t
+        step = shortest / t.steps
+        if step > interval:
+            return replace(t, steps=number(step, longest))
+        return replace(t, steps=None, substeps=number(step, interval))
+    if t.segments is None or (alike and isinstance(t.segments, int)):
         return t
     if isinstance(t.segments, int):
         length = shortest / t.segments
     else:
         ends: Any = t.segments if isinstance(t.segments[0], tuple) else (t.segments,)  # type: ignore[index]
         length = float(np.median(np.concatenate([np.diff(each) for each in ends])))
-    interval = float(np.median(np.concatenate([np.diff(e.t) for e in experiments])))
-    if isinstance(t, MultipleShooting) or length > 1.5 * interval:
-        return replace(t, segments=math.ceil(longest / length - 1e-9))
-    # Inputs bend at samples, which segments of this length had better not straddle.
-    return replace(t, segments=None, substeps=math.ceil(interval / length - 1e-9))
+    if isinstance(t, Collocation) and length < 1.5 * interval:
+        return replace(t, segments=None, substeps=number(length, interval))
+    if fit.model.delays:  # which move the samples
+        return replace(t, segments=number(length, longest))
+    return replace(t, segments=[_at_samples(e.t, length) for e in experiments])
+
+
+def _at_samples(t: _Array, length: float) -> _Array:
+    """Ends of segments of about a length. Inputs bend at samples, which segments had better not straddle."""
+    count = math.ceil(float(t[-1] - t[0]) / length - 1e-9)
+    wanted = np.linspace(t[0], t[-1], count + 1)
+    after = np.clip(np.searchsorted(t, wanted), 1, t.size - 1)
+    nearest = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
+    return np.asarray(t[np.unique(nearest)])
 
 
 def estimates_of(estimates: Estimates, names: Collection[str]) -> Estimates:

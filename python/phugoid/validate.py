@@ -139,12 +139,12 @@ def _held(fit: Fit, free: Sequence[str], values: Mapping[str, Any]) -> dict[str,
             continue
         if name in values:
             held[name] = _finite(f"the value of '{name}'", values[name])
-        elif name in fit.parameters:
-            held[name] = fit.parameters[name].value
         elif declared.fixed:
             held[name] = declared.start
-        else:
+        elif declared.per_experiment:  # also of a fit to a single one: its value is that experiment's
             own.append(name)
+        else:
+            held[name] = fit.parameters[name].value
     if own:
         listed, one = ", ".join(f"'{name}'" for name in own), own[0]
         raise ModelError(
@@ -176,9 +176,9 @@ def _check(fit: Fit, e: Experiment, free: Sequence[str]) -> tuple[str, ...]:
     for record in fit.records:
         shared = _shared(model, record, e)
         if shared:
-            what = "is" if shared == e.n else f"shares {shared} samples with"
+            what = f"shares {shared} samples with" if shared < e.n else "is" if e.n == record.n else "is part of"
             return (
-                f"experiment '{e.name}' {what} '{record.name}', which the fit was made on: "
+                f"experiment '{e.name}' {what} the record '{record.name}' that the fit was made on: "
                 "how well it matches says nothing of other manoeuvres",
             )
     return ()

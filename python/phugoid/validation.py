@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ __all__ = ["Validation"]
 
 # Residuals are called coloured below this p-value, and their error an offset above this part of their mean square.
 _WHITE, _MOSTLY = 0.01, 0.5
+_WIDTH = 120  # of lines of text
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,7 +79,7 @@ class Validation:
         parts.append(_match_table(self.matches.values()))
         if len(self.records) > 1:
             parts += [f"{name} alone\n{_match_table(each.values())}" for name, each in self.by_experiment.items()]
-        parts.append("\n".join(self._words()))
+        parts.append("\n".join(textwrap.fill(line, _WIDTH, subsequent_indent="  ") for line in self._words()))
         return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 
     def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:

@@ -479,6 +479,12 @@ def test_theil_is_zero_for_the_truth_and_one_for_a_constant() -> None:
     assert nothing.theil < 0.1
 
 
+def test_an_output_without_measurements_is_named(fit: ph.Fit) -> None:
+    assert ph.match(fit.records, "v").rms == ph.match(fit.records[0], "v").rms == fit.records[0].rms()["v"]
+    with pytest.raises(KeyError, match="'first' has no measured 'V'. Did you mean 'v'"):
+        ph.match(fit.records, "V")
+
+
 def test_ljung_box_is_as_by_hand() -> None:
     r = np.random.default_rng(0).standard_normal(200)
     m = match([_record(r, np.zeros(200))], "y")

@@ -27,7 +27,7 @@ from .estimate import estimate
 from .experiment import Experiment
 from .filter_error import FilterError
 from .integration import IntegrationError
-from .match import Match
+from .match import Match, match
 from .model import Model
 from .multirate import multirate
 from .multistart import Multistart, multistart
@@ -125,6 +125,7 @@ __all__ = [
     "from_sympy",
     "load",
     "log",
+    "match",
     "maximum",
     "minimum",
     "multirate",

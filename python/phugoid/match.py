@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import UnknownName, listing
 from .records import Record
 
 __all__ = ["Match", "match"]
@@ -68,8 +69,18 @@ class Match:
     inside: float = math.nan
 
 
-def match(records: Sequence[Record], output: str, sigma: float = math.nan, tolerance: float | None = None) -> Match:
-    """The match of an output over records that have measurements of it; NaN where there are none."""
+def match(
+    records: Record | Sequence[Record], output: str, sigma: float = math.nan, tolerance: float | None = None
+) -> Match:
+    """The match of an output over one record or several that have measurements of it; NaN where there are none.
+
+    ``match(fit.records, "q")``; ``sigma`` and ``tolerance`` (in the output's unit) are passed on. Raises UnknownName
+    for an output that a record has no measurements of.
+    """
+    records = [records] if isinstance(records, Record) else records
+    for record in records:
+        if output not in record.measured:
+            raise UnknownName(f"record '{record.name}' has no measured '{output}'.{listing(output, record.measured)}")
     pieces = [piece for record in records if (piece := _present(record, output))[0].size]
     n = sum(t.size for t, _, _ in pieces)
     r2 = sum(_squares(z - y) for _, z, y in pieces)

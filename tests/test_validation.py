@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
 import attas
 import hfb320
+import turbulence
 from matplotlib import pyplot as plt
 from records import find
 
@@ -287,6 +288,20 @@ def test_long_segments_stay_as_long(fit: ph.Fit) -> None:
     assert ends.size == math.ceil(17.2 / 0.2975) + 1
     # Each ends at a sample.
     assert np.abs(ends[:, None] - e.t).min(axis=1).max() < 1e-9
+
+
+def test_process_noise_is_held() -> None:
+    """In gusts: predictions from the samples before are as good as the fit says, and white; output error's are not."""
+    pair, other = turbulence.solve(0), turbulence.record(1)[0]
+    own = pair.filtered.validate(pair.data)
+    assert own.log_likelihood == pytest.approx(pair.filtered.log_likelihood, abs=1e-6)
+    v, ordinary = pair.filtered.validate(other), pair.ordinary.validate(other)
+    assert v.converged and v.held["q_wg"] == pair.filtered.parameters["q_wg"].value
+    assert v.log_likelihood > ordinary.log_likelihood + 1000
+    for m in v.matches.values():
+        assert 0.85 < m.rms / m.sigma < 1.15 and m.whiteness > 1e-3
+        assert ordinary.matches[m.output].whiteness < 1e-6
+    assert math.isnan(v.chi_square) and "predictions from the samples before" in v.summary()
 
 
 def test_delays_are_held() -> None:
@@ -622,13 +637,6 @@ def test_a_fit_that_has_not_converged_is_warned_of() -> None:
     assert f"Warning: {v.warnings[0]}" in v.summary()
 
 
-def test_a_fit_with_process_noise_is_refused() -> None:
-    fit = ph.estimate(oscillator(), record(1000, "first"), noise=Gaussian(SIGMA))
-    filtered = replace(fit, transcription=ph.FilterError("v"))
-    with pytest.raises(OptionError, match="process noise"):
-        filtered.validate(record(1))
-
-
 def test_a_saved_fit_validates_alike(fit: ph.Fit, tmp_path: Path) -> None:
     fit.save(tmp_path / "fit.json")
     loaded = ph.load(tmp_path / "fit.json").validate(record(1))
@@ -644,7 +652,7 @@ def test_summary_says_it_in_words(fit: ph.Fit) -> None:
     assert "validated on    'other': 240 measured values" in text
     assert "fitted to       'first'" in text and "held            k, c, b" in text
     assert "of the samples lie within ±0.25 m/s; the error is mostly a constant offset" in text
-    assert "x: residuals are" in text and "they pass for white" in text
+    assert "x: RMS is" in text and "its residuals pass for white" in text
     assert max(map(len, printed.split("\n"))) < 140
 
 

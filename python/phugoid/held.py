@@ -107,17 +107,14 @@ def _known(noise: Noise, outputs: Sequence[str], values: Mapping[str, float]) ->
     return PerOutput(each)
 
 
-def mesh_for(fit: Fit, experiments: Sequence[Experiment]) -> Transcription:
+def mesh_for(fit: Fit, experiments: Sequence[Experiment]) -> Transcription | FilterError:
     """The fit's transcription for other experiments: where it counts or names segments, others as long.
 
-    A mesh that was refined for the fit is refined anew. Raises OptionError for the filter-error method.
+    A mesh that was refined for the fit is refined anew; process noise has the intensities of the fit.
     """
     t = fit.transcription
     if isinstance(t, FilterError):
-        raise OptionError(
-            "validate: a fit with process noise (FilterError) follows any record, and cannot be held to what its "
-            "parameters say: fit without process noise"
-        )
+        return replace(t, output_error=False, intensities={n: fit.parameters[f"q_{n}"].value for n in t.states})
     if isinstance(t, Collocation) and fit.refinement is not None:
         first = fit.refinement.steps[0].order
         return Collocation(first, threads=t.threads, refine=True, tolerance=fit.refinement.tolerance)

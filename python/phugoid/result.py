@@ -205,7 +205,7 @@ class Fit:
         Part 60): the part of the samples within is reported, and the bands are drawn.
 
         Raises ModelError, DataError or OptionError for what cannot be right: unknown names, an experiment without the
-        model's channels or with fewer samples than unknowns, a fit with process noise. An experiment that the fit was
+        model's channels or with fewer samples than unknowns. An experiment that the fit was
         made on, and a fit that has not converged, are among the ``warnings`` of the result.
         """
         from .validate import validate

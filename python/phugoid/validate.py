@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,10 @@ from .biases import freed_by_default
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .estimate import estimate
 from .experiment import Experiment, as_experiments
+from .filter_error import FilterError
 from .guess import measured_states
 from .held import estimates_of, held_model, held_noise, mesh_for
-from .match import match
+from .match import Match, match
 from .model import Model
 from .noise import Gaussian, Noise
 from .records import Record
@@ -49,40 +51,51 @@ def validate(
         warnings += _check(fit, e, free)
 
     slim = held_model(model, held, free)
-    found = estimate(
-        slim,
-        experiments,
-        transcription=mesh,
-        noise=noise,
-        start=_start(fit, slim, held, free),
-        # A regression on measured states is for parameters, and these are held.
-        solver=Newton(regression=False),
-    )
+    filtered = isinstance(mesh, FilterError)
+    # A regression on measured states is for parameters, and these are held.
+    solver = None if filtered else Newton(regression=False)
+    begin = _start(fit, slim, held, free)
+    found = estimate(slim, experiments, transcription=mesh, noise=noise, start=begin, solver=solver)
+    records = [_predicted(r) for r in found.records] if filtered else found.records
     if not found.converged:
         warnings += (f"the initial states and biases were not found ({found.status}): {found.message}",)
-    sigma = noise.known_sigmas(model.output_names)
-    by_experiment = {
-        r.name: {n: match([r], n, sigma.get(n, math.nan), limits.get(n)) for n in model.output_names}
-        for r in found.records
-    }
+    known = noise.known_sigmas(model.output_names)
+
+    def matches(records: Sequence[Record]) -> dict[str, Match]:
+        sizes = {n: _predicted_std(records, n) if filtered else known.get(n, math.nan) for n in model.output_names}
+        return {n: match(records, n, sizes[n], limits.get(n)) for n in model.output_names}
+
     return Validation(
         model=model,
         noise=noise,
         fitted_to=tuple(r.name for r in fit.records),
-        records=found.records,
-        held=held,
+        records=records,
+        held=held | {n: e.value for n, e in found.parameters.items() if filtered and n in found.noise_parameters},
         freed=estimates_of(found.parameters, free),
         initial_states=found.initial_states,
         log_likelihood=found.log_likelihood,
-        chi_square=_chi_square(noise, model.output_names, found.records),
+        chi_square=math.nan if filtered else _chi_square(noise, model.output_names, records),
         degrees_of_freedom=_degrees(model, free, found),
-        matches={n: match(found.records, n, sigma.get(n, math.nan), limits.get(n)) for n in model.output_names},
-        by_experiment=by_experiment,
+        matches=matches(records),
+        by_experiment={r.name: matches([r]) for r in records},
         status=found.status,
         message="" if found.converged else found.message,
         warnings=(*warnings, *found.warnings),
         tolerances=limits,
     )
+
+
+def _predicted(record: Record) -> Record:
+    """A record of the filter-error method with what is predicted from the samples before: its most probable path
+    follows any measurements."""
+    outputs = {name: record.measured[name] - r for name, r in record.innovations.items()}
+    return replace(record, outputs=outputs, residuals=record.innovations)
+
+
+def _predicted_std(records: Sequence[Record], output: str) -> float:
+    """What the root mean square of the innovations of an output should be."""
+    expected = np.concatenate([r.innovation_std[output][np.isfinite(r.innovations[output])] for r in records])
+    return float(np.sqrt(np.mean(expected**2))) if expected.size else math.nan
 
 
 def _tolerances(model: Model, given: Any) -> dict[str, float]:

@@ -40,13 +40,19 @@ class Validation:
                     ``freed``, take held parameters for exact and the noise for that of the fit.
     log_likelihood  of these measurements, at the noise of the fit: as `Fit.log_likelihood`, without the constant
                     -N n_y/2 ln 2 pi. On the same experiments it compares models, the greater the better.
+                    With process noise it is the marginal one.
     chi_square      sum of squared residuals over the fit's variances (r' R^-1 r where noise is correlated); NaN where
-                    noise is not Gaussian. Where the model is right and the parameters are exact its expectation is
+                    noise is not Gaussian or there is process noise. Where the model is right and the parameters are exact its expectation is
                     ``degrees_of_freedom``: the number of measured values minus what was estimated.
-    matches         output -> `Match` over all experiments: Theil's coefficient and more.
+    matches         output -> `Match` over all experiments: Theil's coefficient and more. ``sigma`` in it is that of
+                    the fit's noise.
     by_experiment   experiment -> output -> `Match`.
     status          "converged", or what else happened; ``message`` says what to do then.
     warnings        what to beware of, in words.
+
+    With process noise (`FilterError`) intensities are held too, initial states are integrated out, and outputs and
+    residuals are those of predictions from the samples before, since the most probable path follows any measurements;
+    ``sigma`` of a `Match` is what the root mean square of these residuals should be.
     """
 
     model: Model
@@ -70,6 +76,10 @@ class Validation:
     def converged(self) -> bool:
         """Whether the initial states and biases were found."""
         return self.status == "converged"
+
+    @property
+    def _predicted(self) -> bool:
+        return any(r.innovations for r in self.records)
 
     def summary(self) -> str:
         """The validation in plain text: what was held and freed, how each output matches, and what that means."""
@@ -99,6 +109,8 @@ class Validation:
             "found anew": ", ".join([f"{first} initial states", *self.freed]),
             "log-likelihood": f"{self.log_likelihood:.3f} at the noise of the fit",
         }
+        if self._predicted:
+            entries["residuals"] = "of predictions from the samples before"
         if math.isfinite(self.chi_square):
             entries["chi-square"] = f"{self.chi_square:.1f} on {self.degrees_of_freedom} degrees of freedom"
         if self.noise.description:
@@ -116,15 +128,16 @@ class Validation:
                 continue
             said = []
             if math.isfinite(m.sigma):
-                said.append(f"residuals are {m.rms / m.sigma:.2g} times the fit's noise")
+                what = "what the fit makes one expect" if self._predicted else "the fit's noise"
+                said.append(f"RMS is {m.rms / m.sigma:.2g} times {what}")
             if m.tolerance is not None:
-                said.append(f"{100 * m.inside:.1f} % of the samples lie within ±{m.tolerance:g} {m.unit}".rstrip())
+                said.append(f"{100 * m.inside:.1f} % of the samples lie within ±{m.tolerance:.4g} {m.unit}".rstrip())
             parts = {"a constant offset": m.bias, "a difference in amplitude": m.variance}
             said += [f"the error is mostly {what}" for what, part in parts.items() if part > _MOSTLY]
             if m.whiteness < _WHITE:
-                said.append(f"they are coloured (lag-1 correlation {m.lag_one:.2f})")
+                said.append(f"its residuals are coloured (lag-1 correlation {m.lag_one:.2f})")
             elif math.isfinite(m.whiteness):
-                said.append("they pass for white")
+                said.append("its residuals pass for white")
             lines.append(f"{m.output}: {'; '.join(said)}.")
         return lines
 

@@ -670,8 +670,8 @@ def test_plot_shows_the_bands(fit: ph.Fit) -> None:
     assert len(axes["v"].collections) == 2
     dashed = [line.get_ydata()[0] for line in axes["v residual"].get_lines() if line.get_linestyle() == "--"]
     assert dashed == [-0.2, 0.2]
-    # One far away is no reason to flatten the residuals.
-    assert axes["x residual"].get_ylim()[1] < 1.0
+    # One far away is no reason to flatten the residuals, nor the panel.
+    assert axes["x residual"].get_ylim()[1] < 1.0 and axes["x"].get_ylim()[1] < 5.0
     assert "tolerance" in [text.get_text() for text in figure.legends[0].get_texts()]
     assert not v.plot(0, ["x"])[1].keys() - {"x", "x residual"}
 

@@ -52,7 +52,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 0.78, 0.12, 0.56, 0.42
 _LABEL = 0.53  # from the axis to the middle of its label
 _LETTER = 0.58  # mean width of a letter, in units of the font's size
 _TWO_COLUMNS_FROM = 7
-_FAR = 3.0  # times what a strip of residuals must show
+_FAR = 3.0  # a tolerance of so many times what a panel must show is left out of its range
 
 
 def plot_fit(
@@ -212,6 +212,8 @@ def _draw_channel(axis: Axes, record: Record, name: str, tolerance: float | None
                 rasterized=many,
             )
         axis.plot(record.t, record.outputs[name], color=_MODEL, linewidth=1.0, label="model", rasterized=many)
+        if tolerance is not None and name in record.measured:
+            _keep_in_view(axis, record, name, tolerance)
     elif name in record.inputs:
         axis.plot(record.t, record.inputs[name], color=_INPUT, linewidth=0.8, label="input", rasterized=many)
     else:
@@ -237,6 +239,15 @@ def _draw_tolerance(axis: Axes, record: Record, name: str, tolerance: float) -> 
     for part, values in zip(np.split(t, pieces), np.split(z, pieces), strict=True):
         low, high = values - tolerance, values + tolerance
         axis.fill_between(part, low, high, color=_TOLERANCE, alpha=0.55, linewidth=0.0, label="tolerance", zorder=0.5)
+
+
+def _keep_in_view(axis: Axes, record: Record, name: str, tolerance: float) -> None:
+    """A band far wider than what it is about reaches out of the panel, or nothing else would be seen."""
+    drawn = np.concatenate([record.measured[name], record.outputs[name]])
+    drawn = drawn[np.isfinite(drawn)]
+    span = float(np.ptp(drawn)) if drawn.size else 0.0
+    if 0.0 < _FAR * span < tolerance:
+        axis.set_ylim(float(drawn.min()) - span, float(drawn.max()) + span)
 
 
 def _draw_residual(axis: Axes, record: Record, name: str, sigma: float | None, tolerance: float | None = None) -> None:

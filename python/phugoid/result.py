@@ -196,9 +196,10 @@ class Fit:
         Parameters and noise are held at this fit, so that log-likelihoods on the same experiments compare; the
         transcription is that of the fit. Gaps, delays and channels with times of their own are as in `estimate`.
 
-        ``biases``: what is found anew. None: parameters that enter outputs only, each as a term with a constant
-        coefficient, as a sensor's bias does; those declared fixed stay. Names of parameters of any kind: these; () for
-        none. A parameter with ``per_experiment`` has one value an experiment here too, any other one for all.
+        ``biases``: what is found anew, with bounds and priors as declared. None: parameters that enter outputs only,
+        each as a term with a constant coefficient, as a sensor's bias does; those declared fixed stay. Names of
+        parameters of any kind: these; () for none. A parameter with ``per_experiment`` has one value an experiment here
+        too, any other one for all.
         ``values``: name -> value of parameters to hold elsewhere than at the fit. A parameter with ``per_experiment``
         that is no bias needs one, or must be named in ``biases``.
         ``tolerances``: output -> greatest deviation in its unit, in the style of flight-simulator qualification (14 CFR

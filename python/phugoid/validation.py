@@ -42,8 +42,8 @@ class Validation:
                     -N n_y/2 ln 2 pi. On the same experiments it compares models, the greater the better.
                     With process noise it is the marginal one.
     chi_square      sum of squared residuals over the fit's variances (r' R^-1 r where noise is correlated); NaN where
-                    noise is not Gaussian or there is process noise. Where the model is right and its parameters are exact,
-                    its expectation is ``degrees_of_freedom``: the number of measured values minus what was estimated.
+                    noise is not Gaussian or there is process noise. Where model and parameters are exact its
+                    expectation is ``degrees_of_freedom``: the number of measured values minus what was estimated.
     matches         output -> `Match` over all experiments: Theil's coefficient and more. ``sigma`` in it is that of
                     the fit's noise.
     by_experiment   experiment -> output -> `Match`.

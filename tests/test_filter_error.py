@@ -407,6 +407,25 @@ def test_a_fit_is_saved_plotted_simulated_and_gone_on_from(gust: tuple[Experimen
     assert ph.estimate(short_period(), e, start=fit).converged
 
 
+def test_known_intensities_are_held(gust: tuple[Experiment, Fit], tmp_path: Path) -> None:
+    e, fit = gust
+    known = {n: fit.parameters[f"q_{n}"].value for n in ("w", "q")}
+    held = ph.estimate(short_period(), e, transcription=replace(BOTH, intensities=known))
+    assert held.converged and held.log_likelihood == pytest.approx(fit.log_likelihood, abs=1e-6)
+    for name, q in known.items():
+        assert held.parameters[f"q_{name}"].value == q and held.parameters[f"q_{name}"].fixed
+        assert np.isnan(held.parameters[f"q_{name}"].std_error)
+    for name in TRUTH:
+        a, b = held.parameters[name], fit.parameters[name]
+        assert abs(a.value - b.value) < 1e-2 * b.std_error and a.std_error < 1.001 * b.std_error
+    held.save(tmp_path / "held.json")
+    assert ph.load(tmp_path / "held.json").transcription == held.transcription
+    # A fit with unknown ones is a start; and none in q is noise in w alone.
+    one = ph.estimate(short_period(), e, transcription=replace(BOTH, intensities={"q": 0.0}), start=fit)
+    alone = ph.estimate(short_period(), e, transcription=FilterError("w"))
+    assert one.log_likelihood == pytest.approx(alone.log_likelihood, abs=1e-5) and one.parameters["q_q"].value == 0.0
+
+
 def test_interrupt_gives_the_best_point_so_far() -> None:
     lines: list[Iteration] = []
 
@@ -431,10 +450,13 @@ def test_interrupt_gives_the_best_point_so_far() -> None:
         ({"parts": -1}, "parts is a whole number from 0"),
         ({"initial": {"w": 1.0}}, "initial 'w' is a mean and a positive standard deviation, or None"),
         ({"initial": {"v": (0, 1)}}, "'v' is not a state"),
+        ({"intensities": {"q": 1.0}}, "intensity of 'q', which is none of states=('w',)"),
+        ({"intensities": {"w": -1.0}}, "intensity of 'w' is a number from 0, not -1.0"),
+        ({"intensities": 1.0}, "intensities are given by state"),
     ],
 )
 def test_wrong_options_are_named(options: dict[str, Any], words: str) -> None:
-    with pytest.raises(OptionError, match=words.replace("(", r"\(")):
+    with pytest.raises(OptionError, match=words.replace("(", r"\(").replace(")", r"\)")):
         ph.estimate(
             short_period(), turbulent(0, (1.0, 0.05)), transcription=FilterError(**{"states": ("w",), **options})
         )
@@ -448,6 +470,8 @@ def test_what_cannot_be_is_refused() -> None:
         ph.estimate(short_period(), e, transcription=BOTH, start={"q_v": 1.0})
     with pytest.raises(ModelError, match="start of q_w is a positive number"):
         ph.estimate(short_period(), e, transcription=BOTH, start={"q_w": -0.0})
+    with pytest.raises(ModelError, match="q_w is known"):
+        ph.estimate(short_period(), e, transcription=replace(BOTH, intensities={"w": 1.0}), start={"q_w": 1.0})
     with pytest.raises(DataError, match="no output 'az'"):
         ph.estimate(
             short_period(), Experiment(e.t, e.inputs, {n: e.outputs[n] for n in ("w", "q")}), transcription=BOTH

@@ -79,7 +79,7 @@ def test_regression_example_starts_a_fit(folder: Path, capsys: pytest.CaptureFix
     assert "equation error" in capsys.readouterr().out
 
 
-def test_flights_with_biases_and_a_late_actuator() -> None:
+def test_flights_with_biases_and_a_late_actuator(capsys: pytest.CaptureFixture[str]) -> None:
     (block,) = (b for b in blocks() if "m.delay" in b)
     t = np.arange(0, 10, 0.05)
     de = 0.1 * np.sign(np.sin(1.5 * t))
@@ -89,7 +89,7 @@ def test_flights_with_biases_and_a_late_actuator() -> None:
     assert isinstance(m, ph.Model)
     random = np.random.default_rng(0)
     truth = {"Mq": -2.0, "Mde": -6.0, "tau": 0.12}
-    for name, bias in (("run1", 0.02), ("run2", -0.01)):
+    for name, bias in (("run1", 0.02), ("run2", -0.01), ("run3", 0.03)):
         e = ph.Experiment(t, {"de": de}, name=name)
         path = ph.simulate(m, {**truth, "b": bias}, e, initial={"theta": 0.1})
         z = {n: y + 0.002 * random.standard_normal(t.size) for n, y in path.outputs.items()}
@@ -99,6 +99,11 @@ def test_flights_with_biases_and_a_late_actuator() -> None:
     assert isinstance(fit, ph.Fit) and fit.converged
     for name, true in {**truth, "b[run1]": 0.02, "b[run2]": -0.01}.items():
         assert abs(fit.parameters[name].value - true) < 4 * fit.parameters[name].std_error, name
+    exec(next(b for b in blocks() if "fit.validate" in b), names)
+    check = names["check"]
+    assert isinstance(check, ph.Validation) and check.converged
+    assert abs(check.freed["b"].value - 0.03) < 4 * check.freed["b"].std_error
+    assert "within ±0.035 rad/s" in capsys.readouterr().out
 
 
 def test_noise_models_are_noise_of_three_outputs() -> None:

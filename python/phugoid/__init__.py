@@ -31,6 +31,7 @@ from .estimate import estimate
 from .experiment import Experiment
 from .filter_error import FilterError
 from .integration import IntegrationError
+from .match import Match, match
 from .model import Model
 from .multirate import multirate
 from .multistart import Multistart, multistart
@@ -72,6 +73,7 @@ from .symbols import (
     where,
 )
 from .transcription import Collocation
+from .validation import Validation
 
 __all__ = [
     "Candidate",
@@ -93,6 +95,7 @@ __all__ = [
     "Ipopt",
     "Iteration",
     "Laplace",
+    "Match",
     "MissingDependency",
     "Model",
     "ModelError",
@@ -116,6 +119,7 @@ __all__ = [
     "SmoothingSpline",
     "StudentT",
     "Table",
+    "Validation",
     "__version__",
     "acos",
     "asin",
@@ -130,6 +134,7 @@ __all__ = [
     "from_sympy",
     "load",
     "log",
+    "match",
     "maximum",
     "minimum",
     "multirate",

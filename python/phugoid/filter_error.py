@@ -40,6 +40,8 @@ class FilterError:
     q = 0 is that of output error; but where process noise can explain an output by itself, this likelihood grows
     without bound as its sigma goes to 0. Likelihoods with different ``initial`` cannot be compared.
 
+    ``intensities``: known ones by state, q in the unit above; 0 is no noise. Those not named are estimated.
+
     R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 5.
 
     Raises OptionError for what cannot be right.
@@ -51,6 +53,7 @@ class FilterError:
     initial: Mapping[str, tuple[float, float] | None] | None = None
     output_error: bool = False
     max_iterations: int = 200
+    intensities: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         names = (self.states,) if isinstance(self.states, str) else self.states
@@ -65,7 +68,11 @@ class FilterError:
         if self.initial is not None and not isinstance(self.initial, Mapping):
             raise OptionError(f"FilterError: initial maps states to (mean, std), not {self.initial!r}")
         initial = {name: _prior(name, value) for name, value in (self.initial or {}).items()}
+        if self.intensities is not None and not isinstance(self.intensities, Mapping):
+            raise OptionError(f"FilterError: intensities are given by state, not as {self.intensities!r}")
+        known = {name: _known(name, value, names) for name, value in (self.intensities or {}).items()}
         object.__setattr__(self, "states", tuple(names))
+        object.__setattr__(self, "intensities", known or None)
         object.__setattr__(self, "initial", initial)
 
     def problem(
@@ -136,3 +143,15 @@ def _prior(name: str, value: Any) -> tuple[float, float] | None:
             f"FilterError: initial '{name}' is a mean and a positive standard deviation, or None, not {value!r}"
         )
     return mean, std
+
+
+def _known(name: str, value: Any, states: Sequence[str]) -> float:
+    if name not in states:
+        raise OptionError(f"FilterError: intensity of '{name}', which is none of states={tuple(states)!r}")
+    try:
+        q = float(value)
+    except (TypeError, ValueError):
+        q = math.nan
+    if not 0 <= q < math.inf:
+        raise OptionError(f"FilterError: the intensity of '{name}' is a number from 0, not {value!r}")
+    return q

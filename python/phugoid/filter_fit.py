@@ -55,12 +55,13 @@ def filter_error(
         ordinary = None if ordinary is None else apart.fit(ordinary)
         return apart.restored(filter_error(apart.model, apart.experiments, options, noise, begun, progress, ordinary))
     warm = start if isinstance(start, Fit) else ordinary
+    known_q = options.intensities or {}
     of_q, rest = split(options, {} if start is None or isinstance(start, Fit) else start)
     if warm is not None:
         rest = warm.as_start(noise)
         of_q = of_q or {
             n: warm.parameters[n].value
-            for n in warm.noise_parameters & {f"q_{s}" for s in options.states}
+            for n in warm.noise_parameters & {f"q_{s}" for s in options.states if s not in known_q}
             if warm.parameters[n].value > 0
         }
     check_names(model, rest, experiments)
@@ -77,12 +78,13 @@ def filter_error(
     intensities = intensity_start(options, model, times, states, of_q)
     unknown = [s for s in sigmas if not s[0]]
     declared = model.declared_parameters.values()
-    infinite = np.full(len(intensities), np.inf)
+    low_q = np.array([known_q.get(name, -np.inf) for name in options.states])
+    high_q = np.array([known_q.get(name, np.inf) for name in options.states])
     lower = np.array([p.start if p.fixed else p.bounds[0] for p in declared])
     upper = np.array([p.start if p.fixed else p.bounds[1] for p in declared])
     bounds = (
-        np.concatenate([lower, np.log([s[2] for s in unknown]), -infinite]),
-        np.concatenate([upper, np.log([s[3] for s in unknown]), infinite]),
+        np.concatenate([lower, np.log([s[2] for s in unknown]), low_q]),
+        np.concatenate([upper, np.log([s[3] for s in unknown]), high_q]),
     )
     path = problem.start(np.concatenate([x.T.ravel() for x in states]))
     objective = Objective(model, problem, path, bounds, len(intensities))

@@ -84,6 +84,9 @@ def make_filter_fit(
             continue
         state = name.removeprefix("q_")
         unit = f"{units[state]}/√s" if state in units else ""
+        if fixed[i]:
+            estimates.append(Estimate(name, values[i], errors[i], unit, values[i], (0.0, np.inf), fixed=True))
+            continue
         none = bool(values[i] < _NONE * errors[i])
         if none:
             warnings.append(

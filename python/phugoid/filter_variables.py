@@ -126,6 +126,11 @@ def intensity_start(
     """
     starts = []
     for name in options.states:
+        if name in (options.intensities or {}):
+            if f"q_{name}" in given:
+                raise ModelError(f"start: q_{name} is known (intensities) and cannot be given a start as well")
+            starts.append((options.intensities or {})[name])
+            continue
         if f"q_{name}" in given:
             starts.append(_positive(f"q_{name}", given[f"q_{name}"]))
             continue

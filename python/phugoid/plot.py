@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_fit", "plot_record"]
+__all__ = ["plot_fit", "plot_record", "plot_validation"]
 
 # Okabe and Ito's palette, which colour-blind readers tell apart; points against a line also print in grey.
 _MEASURED = "#0072B2"
@@ -24,6 +25,7 @@ _STATE = "#009E73"
 _INPUT = "#000000"
 _RESIDUAL = "#4D4D4D"
 _BAND = "#DDDDDD"
+_TOLERANCE, _LIMIT = "#F0E442", "#A08A00"
 
 _STYLE: dict[Any, Any] = {
     "font.size": 8.0,
@@ -50,6 +52,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 0.78, 0.12, 0.56, 0.42
 _LABEL = 0.53  # from the axis to the middle of its label
 _LETTER = 0.58  # mean width of a letter, in units of the font's size
 _TWO_COLUMNS_FROM = 7
+_FAR = 3.0  # a tolerance of so many times what a panel must show is left out of its range
 
 
 def plot_fit(
@@ -74,6 +77,16 @@ def plot_fit(
     model = getattr(getattr(fit, "model", None), "name", "")
     title = f"{model}: {chosen.name}" if model else chosen.name
     return _draw(chosen, channels, axes, sigma, title)
+
+
+def plot_validation(
+    validation: Any, record: int | str = 0, channels: Sequence[str] | None = None
+) -> tuple[Figure, dict[str, Axes]]:
+    """`plot_fit` of a `Validation`, with its tolerances as bands about the measurements."""
+    chosen = _choose(validation.records, record)
+    sigma = {name: m.sigma for name, m in validation.matches.items() if math.isfinite(m.sigma)}
+    title = f"{validation.model.name}: {chosen.name}, validation"
+    return _draw(chosen, channels, None, sigma, title, validation.tolerances)
 
 
 def plot_record(
@@ -105,6 +118,7 @@ def _draw(
     axes: Mapping[str, Axes] | None,
     sigma: Mapping[str, float],
     title: str,
+    tolerances: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[Figure, dict[str, Axes]]:
     from matplotlib import rc_context
 
@@ -132,9 +146,9 @@ def _draw(
             figure = _figure_of(next(iter(panels.values())))
         for name in channels:
             if name in panels:
-                _draw_channel(panels[name], record, name)
+                _draw_channel(panels[name], record, name, tolerances.get(name))
             if name in record.residuals and f"{name} residual" in panels:
-                _draw_residual(panels[f"{name} residual"], record, name, sigma.get(name))
+                _draw_residual(panels[f"{name} residual"], record, name, sigma.get(name), tolerances.get(name))
         if axes is None:
             _finish(figure, panels, title)
     return figure, panels
@@ -181,10 +195,12 @@ def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, 
     return figure, panels
 
 
-def _draw_channel(axis: Axes, record: Record, name: str) -> None:
+def _draw_channel(axis: Axes, record: Record, name: str, tolerance: float | None = None) -> None:
     many = record.n > 5000  # as vectors, so many points would make a PDF heavy
     if name in record.outputs:
         if name in record.measured:
+            if tolerance is not None:
+                _draw_tolerance(axis, record, name, tolerance)
             size = 2.0 if record.n <= 1000 else 1.2
             axis.plot(
                 record.t,
@@ -196,6 +212,8 @@ def _draw_channel(axis: Axes, record: Record, name: str) -> None:
                 rasterized=many,
             )
         axis.plot(record.t, record.outputs[name], color=_MODEL, linewidth=1.0, label="model", rasterized=many)
+        if tolerance is not None and name in record.measured:
+            _keep_in_view(axis, record, name, tolerance)
     elif name in record.inputs:
         axis.plot(record.t, record.inputs[name], color=_INPUT, linewidth=0.8, label="input", rasterized=many)
     else:
@@ -210,7 +228,29 @@ def _draw_channel(axis: Axes, record: Record, name: str) -> None:
     axis.locator_params(axis="y", nbins=5)
 
 
-def _draw_residual(axis: Axes, record: Record, name: str, sigma: float | None) -> None:
+def _draw_tolerance(axis: Axes, record: Record, name: str, tolerance: float) -> None:
+    """The band about the measurements that the model should stay in; a short gap does not end it."""
+    there = np.isfinite(record.measured[name])
+    t, z = record.t[there], record.measured[name][there]
+    if t.size < 2:
+        return
+    gaps = np.diff(t)
+    pieces = np.flatnonzero(gaps > 5.0 * np.median(gaps)) + 1
+    for part, values in zip(np.split(t, pieces), np.split(z, pieces), strict=True):
+        low, high = values - tolerance, values + tolerance
+        axis.fill_between(part, low, high, color=_TOLERANCE, alpha=0.55, linewidth=0.0, label="tolerance", zorder=0.5)
+
+
+def _keep_in_view(axis: Axes, record: Record, name: str, tolerance: float) -> None:
+    """A band far wider than what it is about reaches out of the panel, or nothing else would be seen."""
+    drawn = np.concatenate([record.measured[name], record.outputs[name]])
+    drawn = drawn[np.isfinite(drawn)]
+    span = float(np.ptp(drawn)) if drawn.size else 0.0
+    if 0.0 < _FAR * span < tolerance:
+        axis.set_ylim(float(drawn.min()) - span, float(drawn.max()) + span)
+
+
+def _draw_residual(axis: Axes, record: Record, name: str, sigma: float | None, tolerance: float | None = None) -> None:
     residual = record.residuals[name]
     if sigma is not None:
         axis.axhspan(-2.0 * sigma, 2.0 * sigma, color=_BAND, linewidth=0.0, label="±2σ")
@@ -220,6 +260,10 @@ def _draw_residual(axis: Axes, record: Record, name: str, sigma: float | None) -
     # Symmetric about zero, so that a bias is seen at a glance.
     largest = float(np.nanmax(np.abs(residual))) if not np.isnan(residual).all() else 0.0
     limit = 1.08 * max(largest, 2.0 * (sigma or 0.0))
+    if tolerance is not None and tolerance < _FAR * limit:  # one far away would flatten the residual
+        limit = max(limit, 1.08 * tolerance)
+        for side in (-tolerance, tolerance):
+            axis.axhline(side, color=_LIMIT, linewidth=0.7, linestyle="--", label="tolerance")
     if limit > 0.0:
         axis.set_ylim(-limit, limit)
     axis.locator_params(axis="y", nbins=3)
@@ -246,7 +290,9 @@ def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
     height = float(figure.get_size_inches()[1])
     left = _LEFT / _WIDTH
     figure.text(left, 1.0 - 0.08 / height, _plain(title), ha="left", va="top", fontsize=9.5)
-    order = [name for name in ("measured", "model", "state", "input", "residual", "±2σ") if name in handles]
+    order = [
+        name for name in ("measured", "tolerance", "model", "state", "input", "residual", "±2σ") if name in handles
+    ]
     figure.legend(
         [handles[name] for name in order],
         order,

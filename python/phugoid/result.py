@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from .validation import Validation
+
 __all__ = ["Fit", "load", "make_fit"]
 
 _Array = NDArray[np.float64]
@@ -184,6 +186,36 @@ class Fit:
     def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
         """The proof-of-match figure of an experiment: measured points, model, residuals, inputs."""
         return plot.plot_fit(self, record, channels)
+
+    def validate(
+        self,
+        other: Experiment | Sequence[Experiment],
+        *,
+        biases: Sequence[str] | None = None,
+        values: Mapping[str, float] | None = None,
+        tolerances: Mapping[str, float] | None = None,
+    ) -> Validation:
+        """Tries the fitted model on other experiments: only initial states and biases are found anew.
+
+        Parameters and noise are held at this fit, so that log-likelihoods on the same experiments compare; the
+        transcription is that of the fit. Gaps, delays and channels with times of their own are as in `estimate`.
+
+        ``biases``: what is found anew, with bounds and priors as declared. None: parameters that enter outputs only,
+        each as a term with a constant coefficient, as a sensor's bias does; those declared fixed stay. Names of
+        parameters of any kind: these; () for none. A parameter with ``per_experiment`` has one value an experiment here
+        too, any other one for all.
+        ``values``: name -> value of parameters to hold elsewhere than at the fit. A parameter with ``per_experiment``
+        that is no bias needs one, or must be named in ``biases``.
+        ``tolerances``: output -> greatest deviation in its unit, in the style of flight-simulator qualification (14 CFR
+        Part 60): the part of the samples within is reported, and the bands are drawn.
+
+        Raises ModelError, DataError or OptionError for what cannot be right: unknown names, an experiment without the
+        model's channels or with fewer samples than unknowns. An experiment that the fit was
+        made on, and a fit that has not converged, are among the ``warnings`` of the result.
+        """
+        from .validate import validate
+
+        return validate(self, other, biases=biases, values=values, tolerances=tolerances)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the fit to a versioned JSON file, which `load` reads."""

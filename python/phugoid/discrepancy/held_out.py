@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
-from .._core import Expr
-from ..errors import DataError, PhugoidError
+from ..biases import biases
+from ..errors import DataError
 from ..estimate import estimate
 from ..experiment import Experiment
-from ..model import Model
-from ..rebuilt import rebuilt
-from ..result import Fit
-from .least_squares import Whitened, row_runs
+from ..held import held_model, held_noise
+from .least_squares import Whitened, own_whitening, row_runs
 from .linearised import Linearised
 from .refit import Refit
 from .whitening import Whitening
 
-__all__ = ["across_blocks", "held", "on_other_data", "sensor_biases"]
+__all__ = ["across_blocks", "gain_on_other_data", "on_other_data"]
 
 _Array = NDArray[np.float64]
 
@@ -75,61 +71,28 @@ def _blocks(linear: Linearised) -> NDArray[np.intp]:
     return block
 
 
-def sensor_biases(model: Model) -> set[str]:
-    """Parameters that do no more than shift an output."""
-    outputs = {name: Expr(e) for name, e in model.output_expressions().items()}
-    known: dict[str, Any] = {}
-    for name, e, *_ in model._core.quantities:
-        known[name] = e.substitute(known)
-    inside: set[str] = set()
-    for _, e, *_ in model._core.dynamics:
-        inside |= set(e.substitute(known).symbols)
-    found = set()
-    for name in set(model.parameter_names) - inside:
-        slopes = [e.diff(name).constant for e in outputs.values() if name in e.symbols]
-        if slopes and all(s is not None for s in slopes):
-            found.add(name)
-    return found
+def on_other_data(refit: Refit, data: Sequence[Experiment]) -> Linearised:
+    """A refit's model on other data, linearised: first states and biases are free, all else is as fitted.
 
-
-def held(fit: Fit, data: Sequence[Experiment]) -> Model:
-    """The model of a fit with all its parameters fixed but the biases of sensors."""
-    model = fit.model
-    free = sensor_biases(model)
-    values = {n: fit.parameters[n].value for n in model.parameter_names if n in fit.parameters}
-    own = [n for n in model.parameter_names if n not in values and n not in free]
+    Raises DataError where there is no such fit.
+    """
+    fit, free = refit.fit, biases(refit.fit.model)
+    values = {n: e.value for n, e in fit.parameters.items()}
+    own = [n for n in fit.model.parameter_names if n not in values and n not in free]
     if own:
         raise DataError(
             f"diagnose: {', '.join(own)} has a value for each experiment of the fit, so none for the validation record: "
             "leave validation out"
         )
-
-    def declare(core: _core.Model, declared: Any) -> None:
-        name, unit, start, low, high, prior, fixed, local, log, scale = declared
-        start = values.get(name, start)
-        own = local and len(data) > 1
-        core.parameter(name, unit, start, low, high, prior, fixed or name not in free, own and name in free, log, scale)
-
-    return model._around(rebuilt(model._core, model._core.inputs, declare), model.delays)
-
-
-def on_other_data(refit: Refit, data: Sequence[Experiment]) -> Linearised:
-    """A refit's model on other data, linearised: first states and biases are free, all else is as fitted.
-
-    Raises PhugoidError where there is no such fit.
-    """
-    fit = refit.fit
-    starts: Mapping[str, float] = {n: v for n, v in fit.as_start().items() if n.startswith("sigma_")}
-    found = estimate(held(fit, data), data, transcription=fit.transcription, noise=fit.noise, start=dict(starts))
+    model, noise = held_model(fit.model, values, free), held_noise(fit)[0]
+    found = estimate(model, list(data), noise=noise, start={n: values[n] for n in free if n in values})
     if found.status not in ("converged", "acceptable", "unidentifiable"):
-        raise PhugoidError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")
+        raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")
     return Linearised(found)
 
 
 def gain_on_other_data(base: Linearised, more: Linearised) -> tuple[float, float]:
     """Gain in log-likelihood on other data and its standard deviation, through the likeliest filter of the richer one."""
-    from .least_squares import own_whitening
-
     own = own_whitening(more)
     other = Whitened(base, own.filter.on(row_runs(base)))
     d = own.log_densities - other.log_densities

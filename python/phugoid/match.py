@@ -1,0 +1,174 @@
+"""How well a model's output matches what was measured, in numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import UnknownName, listing
+from .records import Record
+
+__all__ = ["Match", "match"]
+
+_Array = NDArray[np.float64]
+_Piece = tuple[_Array, _Array, _Array]  # of one record where measured: times, measured, model
+
+# Most lags of the Ljung-Box test, and the part of the samples that they may be.
+_LAGS, _SHARE = 20, 0.2
+
+
+@dataclass(frozen=True)
+class Match:
+    """One output of the model against its measurements z, with residuals r = z - y; missing samples are left out.
+
+    Over several records squares and products about a mean are taken about the mean of each record and then summed:
+    what differs from record to record makes no match look good, and offsets of opposite sign do not cancel.
+
+    output, unit  name and unit.
+    samples       measured values.
+    rms           root mean square of the residuals, in the unit.
+    sigma         standard deviation of the fit's noise (the scale of other than Gaussian noise), in the unit.
+    r_squared     1 - sum r**2 / sum (z - mean z)**2: 1 for a perfect match, 0 for one no better than a constant; NaN
+                  where the measurements stand still.
+    theil         Theil's inequality coefficient U = rms(r) / (rms(z) + rms(y)): 0 for a perfect match, 1 for none;
+                  below 0.25 to 0.3 counts as a good match.
+    theil_about_mean  the same with z and y about the mean of z; a large offset such as gravity would make any U small.
+    bias, variance, covariance  parts of the mean square of r: of the difference of means, of the difference of
+                  standard deviations, and of what is left, 2 (1 - correlation) std(z) std(y). Their sum is 1; without a
+                  systematic error only ``covariance`` is large. NaN where r is 0.
+    lag_one       autocorrelation of r from one sample of this output to the next; 0 for white residuals.
+    whiteness     p-value of the Ljung-Box test that r is white, over ``lags`` lags: small where it is not. NaN where
+                  there are fewer than 8 samples, or r is constant.
+    tolerance     as given, in the unit, or None; ``inside`` is the part of the samples with abs(r) <= tolerance, NaN
+                  without one.
+
+    R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 11; G. M. Ljung and
+    G. E. P. Box, Biometrika 65 (1978), with lagged pairs counted where samples are missing (D. S. Stoffer and C. M. C.
+    Toloi, Statistics & Probability Letters 13, 1992).
+    """
+
+    output: str
+    unit: str
+    samples: int
+    rms: float
+    sigma: float
+    r_squared: float
+    theil: float
+    theil_about_mean: float
+    bias: float
+    variance: float
+    covariance: float
+    lag_one: float
+    whiteness: float
+    lags: int
+    tolerance: float | None = None
+    inside: float = math.nan
+
+
+def match(
+    records: Record | Sequence[Record], output: str, sigma: float = math.nan, tolerance: float | None = None
+) -> Match:
+    """The match of an output over one record or several that have measurements of it; NaN where there are none.
+
+    ``match(fit.records, "q")``; ``sigma`` and ``tolerance`` (in the output's unit) are passed on. Raises UnknownName
+    for an output that a record has no measurements of.
+    """
+    records = [records] if isinstance(records, Record) else records
+    for record in records:
+        if output not in record.measured:
+            raise UnknownName(f"record '{record.name}' has no measured '{output}'.{listing(output, record.measured)}")
+    pieces = [piece for record in records if (piece := _present(record, output))[0].size]
+    n = sum(t.size for t, _, _ in pieces)
+    r2 = sum(_squares(z - y) for _, z, y in pieces)
+    scatter = sum(_squares((z - y) - (z - y).mean()) for _, z, y in pieces)
+    sizes = [math.sqrt(sum(_squares(piece[i]) for piece in pieces)) for i in (1, 2)]
+    about = sum(_squares(z - z.mean()) for _, z, _ in pieces)
+    sizes_about = [math.sqrt(about), math.sqrt(sum(_squares(y - z.mean()) for _, z, y in pieces))]
+    offset = sum(t.size * float(z.mean() - y.mean()) ** 2 for t, z, y in pieces)
+    spread = sum(t.size * float(z.std() - y.std()) ** 2 for t, z, y in pieces)
+    p_value, lag_one, lags = _whiteness(pieces)
+    residuals = np.concatenate([np.empty(0), *(z - y for _, z, y in pieces)])
+    return Match(
+        output=output,
+        unit=next((r.units[output] for r in records if output in r.units), ""),
+        samples=n,
+        rms=math.sqrt(r2 / n) if n else math.nan,
+        sigma=sigma,
+        r_squared=1.0 - r2 / about if about > 0 else math.nan,
+        theil=_share(math.sqrt(r2), sum(sizes)),
+        theil_about_mean=_share(math.sqrt(r2), sum(sizes_about)),
+        bias=_share(offset, r2),
+        variance=_share(spread, r2),
+        # What is left of the scatter of r about its mean: 2 (1 - correlation) std(z) std(y), without the division.
+        covariance=_share(max(scatter - spread, 0.0), r2),
+        lag_one=lag_one,
+        whiteness=p_value,
+        lags=lags,
+        tolerance=tolerance,
+        inside=float(np.mean(np.abs(residuals) <= tolerance)) if tolerance is not None and n else math.nan,
+    )
+
+
+def _present(record: Record, output: str) -> _Piece:
+    z, y = record.measured[output], record.outputs[output]
+    there = np.isfinite(z) & np.isfinite(y)
+    return record.t[there], z[there], y[there]
+
+
+def _squares(x: _Array) -> float:
+    return float(np.sum(x**2))
+
+
+def _share(part: float, whole: float) -> float:
+    return float(part / whole) if whole > 0 else math.nan
+
+
+def _whiteness(pieces: Sequence[_Piece]) -> tuple[float, float, int]:
+    """p-value of the Ljung-Box test, autocorrelation at lag 1, and the number of lags.
+
+    Each record's residuals are put on the grid of the output's own sampling, with gaps where samples are missing.
+    """
+    grids = [_on_grid(t, z - y) for t, z, y in pieces]
+    n = sum(t.size for t, _, _ in pieces)
+    squares = sum(float(np.nansum(g**2)) for g in grids)
+    if n < 2 or squares <= 0.0:
+        return math.nan, math.nan, 0
+    products = [_lagged(grids, lag) for lag in range(1, min(_LAGS, max(int(_SHARE * n), 1)) + 1)]
+    pairs = [(total / squares, count) for total, count in products if count > 0]
+    lag_one = products[0][0] / squares if products[0][1] else math.nan
+    if n < 8 or not pairs:
+        return math.nan, lag_one, 0
+    from scipy.special import gammaincc
+
+    q = n * (n + 2.0) * sum(r**2 / count for r, count in pairs)
+    return float(gammaincc(0.5 * len(pairs), 0.5 * q)), lag_one, len(pairs)
+
+
+def _on_grid(t: _Array, r: _Array) -> _Array:
+    """Residuals about their mean, one a sampling interval, NaN where one is missing.
+
+    A grid has no room for a record of which almost all is missing: there samples count one by one.
+    """
+    r = r - r.mean()
+    # Of equal residuals rounding alone is left.
+    r = np.where(np.abs(r) > 1e-12 * np.abs(r).max(initial=0.0), r, 0.0)
+    if t.size < 3:
+        return r
+    gaps = np.diff(t)
+    steps = np.maximum(np.round(gaps / np.median(gaps)), 1.0)
+    if steps.sum() > 100.0 * t.size:
+        return r
+    at = np.concatenate([[0], np.cumsum(steps.astype(np.int64))])
+    grid = np.full(int(at[-1]) + 1, np.nan)
+    grid[at] = r
+    return grid
+
+
+def _lagged(grids: Sequence[_Array], lag: int) -> tuple[float, int]:
+    """Sum of the products of residuals so many intervals apart, and their number."""
+    products = [g[lag:] * g[:-lag] for g in grids if g.size > lag]
+    return sum(float(np.nansum(p)) for p in products), sum(int(np.isfinite(p).sum()) for p in products)

@@ -14,7 +14,7 @@ from ..experiment import Experiment
 from ..held import held_model, held_noise
 from .least_squares import Whitened, own_whitening, row_runs
 from .linearised import Linearised
-from .refit import Refit
+from .refit import Refit, started_from
 from .whitening import Whitening
 
 __all__ = ["across_blocks", "gain_on_other_data", "on_other_data"]
@@ -71,8 +71,10 @@ def _blocks(linear: Linearised) -> NDArray[np.intp]:
     return block
 
 
-def on_other_data(refit: Refit, data: Sequence[Experiment]) -> Linearised:
+def on_other_data(refit: Refit, data: Sequence[Experiment], near: Linearised | None = None) -> Linearised:
     """A refit's model on other data, linearised: first states and biases are free, all else is as fitted.
+
+    ``near`` is another model's, whose path is a start.
 
     Raises DataError where there is no such fit.
     """
@@ -85,7 +87,8 @@ def on_other_data(refit: Refit, data: Sequence[Experiment]) -> Linearised:
             "leave validation out"
         )
     model, noise = held_model(fit.model, values, free), held_noise(fit)[0]
-    found = estimate(model, list(data), noise=noise, start={n: values[n] for n in free if n in values})
+    start = started_from(near.fit, ()) if near else {n: values[n] for n in free if n in values}
+    found = estimate(model, list(data), noise=noise, start=start)
     if found.status not in ("converged", "acceptable", "unidentifiable"):
         raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")
     return Linearised(found)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from ..errors import PhugoidError
 from ..estimate import estimate
+from ..parameters import Estimates
 from ..result import Fit
 from ..solvers import Newton
 from .candidate import Candidate
@@ -17,7 +18,7 @@ from .least_squares import Whitened, own_whitening, row_runs
 from .linearised import Linearised, dataset
 from .whitening import Whitening
 
-__all__ = ["Refit", "refit"]
+__all__ = ["Refit", "refit", "started_from"]
 
 # A refit goes on from a fit nearby: one that needs more goes nowhere.
 _ITERATIONS = 60
@@ -55,7 +56,7 @@ class Refit:
         found = {}
         for name in (*candidate.coefficients, *candidate.shape_names):
             value, error = self.own.parameter(name)
-            found[name] = value, error * inflation
+            found[name] = float(value), float(error * inflation)
         return found
 
 
@@ -76,7 +77,7 @@ def refit(
             dataset(base),
             transcription=base.transcription,
             noise=base.noise,
-            start=_start(near or base, model.parameter_names, starts),
+            start=started_from(near or base, model.parameter_names),
             solver=Newton(max_iterations=_ITERATIONS),
         )
     except PhugoidError:
@@ -84,7 +85,7 @@ def refit(
     return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None
 
 
-def _start(near: Fit, names: Sequence[str], starts: Mapping[str, float]) -> Fit | dict[str, float]:
-    """The fit nearby, unless it has parameters that the model has not."""
-    gone = set(near.as_start()) - set(names) - near.noise_parameters
-    return near if not gone else {n: v for n, v in near.as_start().items() if n not in gone}
+def started_from(near: Fit, names: Collection[str]) -> Fit:
+    """A fit as a start: its path, and of its parameters those of the noise and those in ``names``."""
+    kept = {*names} | near.noise_parameters
+    return replace(near, parameters=Estimates(e for n, e in near.parameters.items() if n.partition("[")[0] in kept))

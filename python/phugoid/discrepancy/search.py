@@ -13,7 +13,6 @@ from ..experiment import Experiment
 from ..result import Fit
 from .candidate import Candidate
 from .held_out import across_blocks, gain_on_other_data, on_other_data
-from .least_squares import own_whitening
 from .refit import Refit, refit
 from .scan import Scan, Statistics
 from .whitening import Whitening
@@ -246,7 +245,8 @@ class Search:
     def held_out(self, base: Refit, more: Refit) -> tuple[float, float]:
         """Gain on held-out data and its standard deviation."""
         if self.validation:
-            return gain_on_other_data(on_other_data(base, self.validation), on_other_data(more, self.validation))
+            others = on_other_data(base, self.validation)
+            return gain_on_other_data(others, on_other_data(more, self.validation, others))
         return across_blocks(base, more)
 
 
@@ -261,5 +261,3 @@ def _cosine(a: _Array, b: _Array) -> float:
     """Of the angle between the spaces of two bases: the smaller within the other."""
     return float(np.linalg.svd(a.T @ b, compute_uv=False).min())
 
-
-_ = own_whitening

@@ -78,7 +78,8 @@ class Baseline:
             moves += self.h[:, None] * self.projection.steps(left)
             left = y - self.whitened(self.moved(moves))
             rest = self.projection.rest(left)
-            now = (rest**2).sum(axis=0)
+            with np.errstate(over="ignore"):
+                now = (rest**2).sum(axis=0)
             if np.allclose(now, before, rtol=SETTLED):
                 break
             before = now
@@ -117,7 +118,7 @@ class Baseline:
                 linear = (self.projection.rest(y - self.y) ** 2).sum(axis=0)
             crude = linear.copy()
             # Where parameters move far to imitate it, the linear answer is off, but not by as much as this.
-            near = np.flatnonzero(np.isfinite(crude) & (crude > strength / 10) & (crude < 10 * strength))
+            near = np.flatnonzero(np.isfinite(crude) & (crude > strength / 4) & (crude < 4 * strength))
             if near.size:
                 left = self.residual(y[:, near])
                 crude[near] = (left**2).sum(axis=0)

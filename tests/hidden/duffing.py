@@ -41,7 +41,7 @@ def _effects() -> list[Effect]:
         Effect("f:u|u|", "control", (0.01, 1)),
         Effect("u:delay", "control", late, (1,)),
         Effect("u:lag", "control", (8e-3, 0.4), (1,)),
-        Effect("u:deadband", "control", (3e-3, 1), (1,)),
+        Effect("u:deadband", "control", (1e-3, 1), (1,)),
         Effect("u:saturation", "control", (0.3, 3), (1,)),
         Effect("f:lag_x", "unmodelled state", (0.01, 5), shapes={"tau": (0.1, 1.0)}),
         Effect("f:lag_v", "unmodelled state", (0.01, 3), shapes={"tau": (0.1, 1.0)}),

@@ -47,24 +47,24 @@ def measured(x: Sequence[Any], u: Sequence[Any], c: Mapping[str, Any], p: Mappin
 
 def _effects() -> list[Effect]:
     aerodynamic = {
-        "Cl:beta^3": (0.2, 60), "Cn:beta^3": (0.2, 60), "CY:beta^3": (1, 400), "Cn:beta|beta|": (0.02, 5),
-        "CY:beta|beta|": (0.1, 40), "Cn:beta^2": (0.02, 5), "Cl:beta^2": (0.02, 5), "CY:p": (2e-3, 2),
-        "CY:da": (2e-3, 1), "Cl:da|da|": (0.02, 5), "Cn:dr|dr|": (0.02, 5), "Cn:beta*dr": (0.05, 10),
-        "Cl:p|p|": (2e-3, 1), "Cn:beta*p": (0.01, 5), "Cn:r|r|": (0.02, 10), "Cl:p*r": (0.01, 5),
+        "Cl:beta^3": (0.03, 60), "Cn:beta^3": (0.02, 60), "CY:beta^3": (1, 400), "Cn:beta|beta|": (2e-3, 5),
+        "CY:beta|beta|": (0.1, 40), "Cn:beta^2": (1e-3, 5), "Cl:beta^2": (1e-3, 5), "CY:p": (2e-3, 2),
+        "CY:da": (2e-3, 1), "Cl:da|da|": (0.02, 5), "Cn:dr|dr|": (0.02, 5), "Cn:beta*dr": (5e-3, 10),
+        "Cl:p|p|": (3e-4, 1), "Cn:beta*p": (1e-3, 5), "Cn:r|r|": (2e-3, 10), "Cl:p*r": (1e-3, 5),
     }  # fmt: skip
-    late, lag, tau = (3e-3, 0.3), (0.01, 0.5), {"tau": (0.1, 0.8)}
+    late, lag, tau = (2e-3, 0.3), (5e-3, 0.5), {"tau": (0.1, 0.8)}
     found = [Effect(name, "aerodynamic", span) for name, span in aerodynamic.items()]
     for name in ("da", "dr"):
         found += [
             Effect(f"{name}:delay", "control", late, (1,)),
             Effect(f"{name}:lag", "control", lag, (1,)),
-            Effect(f"{name}:deadband", "control", (1e-3, 0.06), (1,)),
+            Effect(f"{name}:deadband", "control", (1e-4, 0.06), (1,)),
             Effect(f"{name}:saturation", "control", (0.01, 0.15), (1,)),
             Effect(f"{name}:bias", "control", (1e-4, 0.05)),
         ]
     found += [
         Effect(name, "unmodelled state", span, shapes=tau)
-        for name, span in {"Cn:lag_beta": (5e-3, 0.5), "CY:lag_beta": (0.02, 3), "Cl:lag_beta": (5e-3, 0.5)}.items()
+        for name, span in {"Cn:lag_beta": (5e-4, 0.5), "CY:lag_beta": (0.02, 3), "Cl:lag_beta": (5e-4, 0.5)}.items()
     ]
     sensor = {
         "beta:scale": (3e-3, 0.4), "p:scale": (3e-3, 0.4), "r:scale": (3e-3, 0.4), "phi:scale": (3e-3, 0.4),

@@ -32,17 +32,17 @@ def _effects() -> list[Effect]:
     wave = {"frequency": (0.3, 6.0), "phase": (0, 2 * np.pi)}
     late = (1e-3, 0.1)
     found = [
-        Effect("torque:sign(rate)", "friction", (0.05, 30), (-1,)),
+        Effect("torque:sign(rate)", "friction", (0.02, 30), (-1,)),
         Effect("torque:rate|rate|", "damping", (3e-3, 3), (-1,)),
-        Effect("torque:angle^2", "stiffness", (0.05, 30)),
-        Effect("torque:angle", "stiffness", (0.05, 30), (-1,)),
-        Effect("torque:angle^3", "stiffness", (0.05, 60), (-1,)),
-        Effect("torque:volts|volts|", "control", (0.1, 6)),
+        Effect("torque:angle^2", "stiffness", (5e-4, 30)),
+        Effect("torque:angle", "stiffness", (5e-4, 30), (-1,)),
+        Effect("torque:angle^3", "stiffness", (1e-5, 60), (-1,)),
+        Effect("torque:volts|volts|", "control", (0.01, 6)),
         Effect("volts:delay", "control", late, (1,)),
         Effect("volts:lag", "control", (3e-3, 0.2), (1,)),
-        Effect("volts:deadband", "control", (0.01, 1.5), (1,)),
+        Effect("volts:deadband", "control", (1e-3, 1.5), (1,)),
         Effect("volts:saturation", "control", (0.5, 5), (1,)),
-        Effect("torque:lag_rate", "unmodelled state", (0.2, 20), shapes={"tau": (0.04, 0.4)}),
+        Effect("torque:lag_rate", "unmodelled state", (0.02, 20), shapes={"tau": (0.04, 0.4)}),
         Effect("torque:periodic", "disturbance", (0.05, 20), (1,), wave),
     ]
     sensor = {

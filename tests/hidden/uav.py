@@ -43,14 +43,14 @@ def _effects() -> list[Effect]:
     late = (3e-3, 0.3)
     terms = {
         "q':w^2": (0.02, 5), "q':w^3": (0.01, 5), "q':w*q": (0.05, 10), "q':q|q|": (0.05, 30), "q':de|de|": (0.5, 400),
-        "q':u": (2e-3, 0.5), "u':w^2": (5e-3, 2), "u':de": (0.05, 30), "u':u^2": (2e-3, 1), "w':w^2": (0.01, 5),
+        "u':w^2": (5e-3, 2), "u':de": (0.05, 30), "u':u^2": (2e-3, 1), "w':w^2": (0.01, 5),
         "w':w^3": (5e-3, 5), "u':w*q": (0.01, 3),
     }  # fmt: skip
     found = [Effect(name, "aerodynamic", span) for name, span in terms.items()]
     found += [
         Effect("de:delay", "control", late, (1,)),
         Effect("de:lag", "control", (0.01, 0.5), (1,)),
-        Effect("de:deadband", "control", (1e-3, 0.05), (1,)),
+        Effect("de:deadband", "control", (1e-4, 0.05), (1,)),
         Effect("de:saturation", "control", (0.01, 0.2), (1,)),
         Effect("q':lag_w", "unmodelled state", (0.05, 10), shapes={"tau": (0.08, 0.8)}),
         Effect("w':lag_w", "unmodelled state", (0.1, 10), shapes={"tau": (0.08, 0.8)}),
@@ -77,10 +77,10 @@ UAV = System(
     quantities=quantities,
     dynamics=dynamics,
     measured=measured,
-    sigma={"V": 0.2, "alpha": 6e-3, "q": 0.02, "theta": 6e-3, "az": 0.3},
+    sigma={"V": 0.1, "alpha": 3e-3, "q": 0.01, "theta": 3e-3, "az": 0.15},
     step=0.04,
     samples=601,
-    amplitudes={"de": (0.04, 0.12)},
+    amplitudes={"de": (0.05, 0.14)},
     pulse=(0.25, 0.8),
     wander={"u": 0.5, "w": 0.2, "q": 0.05, "theta": 0.03},
     limits={"u": 6.0, "w": 3.5, "q": 2.0, "theta": 0.7},

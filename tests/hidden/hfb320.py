@@ -79,12 +79,12 @@ def _effects() -> list[Effect]:
         "Cm:q|q|": (0.02, 10), "Cm:alpha*de": (0.1, 40), "CL:q": (0.002, 1), "CL:de": (0.01, 3), "CD:de": (0.01, 3),
         "CD:de^2": (0.2, 60), "CL:V*alpha": (1e-4, 0.2), "CD:q": (0.002, 1),
     }  # fmt: skip
-    late, lag = (0.003, 0.4), (0.015, 0.6)
+    late, lag = (0.003, 0.4), (0.01, 0.6)
     found = [Effect(name, "aerodynamic", span) for name, span in aerodynamic.items()]
     found += [
         Effect("de:delay", "control", late, (1,)),
         Effect("de:lag", "control", lag, (1,)),
-        Effect("de:deadband", "control", (2e-4, 0.01), (1,)),
+        Effect("de:deadband", "control", (5e-5, 0.01), (1,)),
         Effect("de:saturation", "control", (3e-3, 0.03), (1,)),
         Effect("T:scale", "control", (0.005, 0.3)),
         Effect("T:lag", "control", (0.02, 3), (1,)),
@@ -98,7 +98,7 @@ def _effects() -> list[Effect]:
         "alpha:scale": (0.003, 0.4), "q:scale": (0.003, 0.4), "theta:scale": (0.003, 0.4), "V:scale": (0.003, 0.4),
         "alpha:drift": (1e-6, 2e-3), "theta:drift": (1e-6, 2e-3), "V:drift": (1e-4, 0.2), "q:drift": (1e-6, 1e-3),
         "ax:drift": (1e-5, 0.02), "alpha:bias": (1e-4, 0.05), "theta:bias": (1e-4, 0.05), "alpha:q": (2e-3, 1),
-        "ax:q^2": (0.2, 12), "az:q": (0.02, 5),
+        "ax:q^2": (0.2, 15), "az:q": (0.02, 5),
     }  # fmt: skip
     found += [Effect(name, "sensor", span) for name, span in sensor.items()]
     found += [Effect(f"{name}:delay", "sensor", late, (1,)) for name in ("V", "alpha", "theta", "q", "az")]
@@ -120,8 +120,8 @@ HFB320 = System(
     quantities=quantities,
     dynamics=dynamics,
     measured=measured,
-    # A quarter (aq: half) of that of the flight record, of which most is not noise of the sensors.
-    sigma={"V": 0.2, "alpha": 6e-4, "theta": 5e-4, "q": 6e-4, "aq": 4e-3, "ax": 6e-3, "az": 0.05},
+    # Half of that of the flight record, of which most is not noise of the sensors.
+    sigma={"V": 0.4, "alpha": 1.1e-3, "theta": 1e-3, "q": 1.2e-3, "aq": 4e-3, "ax": 0.012, "az": 0.1},
     step=0.1,
     samples=601,
     amplitudes={"de": (0.01, 0.025), "T": (800, 2500)},

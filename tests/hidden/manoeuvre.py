@@ -73,7 +73,7 @@ KINDS = (_three_two_one_one, _doublets, _multisine, _steps, _sweep)
 def manoeuvre(
     system: System, vehicle: Vehicle, rng: np.random.Generator, moving: set[str], size: float = 1.0
 ) -> dict[str, np.ndarray]:
-    """Inputs name -> (N,): those in ``moving`` and the first move, others in half of all records.
+    """Inputs name -> (N,): those in ``moving``, those needed and the first move, others in half of all records.
 
     ``size`` shrinks all peaks.
     """
@@ -81,6 +81,6 @@ def manoeuvre(
     for k, name in enumerate(system.inputs):
         u = KINDS[int(rng.integers(len(KINDS)))](rng, t, rng.uniform(*system.pulse))
         peak = size * rng.uniform(*system.amplitudes[name]) / max(float(np.abs(u).max()), 1e-9)
-        still = bool(rng.random() < 0.5) and k > 0 and name not in moving
+        still = bool(rng.random() < 0.5) and k > 0 and name not in {*moving, *system.needed}
         inputs[name] = vehicle.inputs[name] + (np.zeros(t.size) if still else peak * u)
     return inputs

@@ -22,7 +22,7 @@ LANES = 24
 STEP = 1e-3
 ADAPTATIONS, SETTLED = 6, 0.01
 REFINEMENTS = 3
-LINEAR = 0.03
+LINEAR, HUGE = 0.03, 1e100
 STEEPEST = 4.0
 """More than this from one size to the next is looked at more closely."""
 
@@ -47,7 +47,7 @@ class Baseline:
         sizes = [abs(vehicle.parameters[n]) + 1e-3 for n in system.derivatives] + list(biased.values())
         self.h = STEP * np.array([*sizes, *(10 * system.wander[name] for name in system.states)])
         self.y, columns = self._sensitivity(np.zeros(self.h.size))
-        self.ok = bool(np.isfinite(columns).all())
+        self.ok = bool(np.abs(columns).max() < HUGE)
         if self.ok:
             self.projection = _Projection(columns)
 
@@ -56,7 +56,8 @@ class Baseline:
         n = self.h.size
         steps = np.diag(self.h)
         y = self.whitened(self.moved(moves[:, None] + np.concatenate([np.zeros((n, 1)), steps, -steps], axis=1)))
-        return y[:, :1], (y[:, 1 : n + 1] - y[:, n + 1 :]) / 2
+        with np.errstate(all="ignore"):
+            return y[:, :1], (y[:, 1 : n + 1] - y[:, n + 1 :]) / 2
 
     def moved(self, moves: np.ndarray) -> dict[str, np.ndarray]:
         """Outputs of the base model in lanes, parameters and initial states moved by ``moves`` (n, lanes)."""
@@ -67,7 +68,8 @@ class Baseline:
 
     def whitened(self, y: Mapping[str, np.ndarray]) -> np.ndarray:
         """(channels N, lanes) in units of the true noise, made white."""
-        return np.concatenate([self.colours[n].whiten(y[n] / self.system.sigma[n]) for n in self.system.outputs])
+        with np.errstate(all="ignore"):  # lanes that diverged
+            return np.concatenate([self.colours[n].whiten(y[n] / self.system.sigma[n]) for n in self.system.outputs])
 
     def residual(self, y: np.ndarray) -> np.ndarray:
         """What is left of whitened outputs (rows, lanes) when parameters and initial states have adapted, with the
@@ -78,7 +80,8 @@ class Baseline:
             moves += self.h[:, None] * self.projection.steps(left)
             left = y - self.whitened(self.moved(moves))
             rest = self.projection.rest(left)
-            now = (rest**2).sum(axis=0)
+            with np.errstate(over="ignore"):
+                now = (rest**2).sum(axis=0)
             if np.allclose(now, before, rtol=SETTLED):
                 break
             before = now
@@ -91,8 +94,8 @@ class Baseline:
         for _ in range(ADAPTATIONS):
             moves = moves + self.h * projection.steps(left)[:, 0]
             there, columns = self._sensitivity(moves)
-            if not np.isfinite(columns).all():
-                return np.inf
+            if not np.abs(columns).max() < HUGE:
+                return np.inf  # Gauss-Newton runs away
             projection, left = _Projection(columns), y[:, None] - there
             now = float((projection.rest(left) ** 2).sum())
             if abs(now - before) < SETTLED * before:
@@ -111,13 +114,15 @@ class Baseline:
         """The coefficient at which the effect has that strength, and what is left of it (rows,); None where no size
         within its span has."""
         sizes = np.geomspace(*effect.span, LANES)
+        if effect.form == "saturation":
+            sizes = sizes[::-1]  # from weak to strong
         for _ in range(REFINEMENTS):
             y = self.with_effect(effect, sign * sizes, shape)
             with np.errstate(all="ignore"):  # lanes that diverged
                 linear = (self.projection.rest(y - self.y) ** 2).sum(axis=0)
             crude = linear.copy()
             # Where parameters move far to imitate it, the linear answer is off, but not by as much as this.
-            near = np.flatnonzero(np.isfinite(crude) & (crude > strength / 10) & (crude < 10 * strength))
+            near = np.flatnonzero(np.isfinite(crude) & (crude > strength / 4) & (crude < 4 * strength))
             if near.size:
                 left = self.residual(y[:, near])
                 crude[near] = (left**2).sum(axis=0)
@@ -168,8 +173,7 @@ class _Projection:
 
 
 def _crossing(strengths: np.ndarray, wanted: float) -> int | None:
-    """The first lane after which the strength passes the wanted one."""
-    above = strengths > wanted
-    known = np.isfinite(strengths)
-    found = np.flatnonzero((above[1:] != above[:-1]) & known[1:] & known[:-1])
+    """The first lane after which the strength rises above the wanted one."""
+    above, known = strengths > wanted, np.isfinite(strengths)
+    found = np.flatnonzero(above[1:] & ~above[:-1] & known[1:] & known[:-1])
     return int(found[0]) if found.size else None

@@ -44,6 +44,7 @@ class System:
     limits          state -> farthest that it may get from trim.
     trim            completes (parameters, random numbers) to steady states and inputs; all zero where None.
     steep           state -> width of the tanh that stands for its sign.
+    needed          inputs that move in every record, since parameters stand with them; the first always does.
     substeps        Runge-Kutta steps in a sample interval, for the strength of effects.
     """
 
@@ -66,6 +67,7 @@ class System:
     effects: Sequence[Effect]
     trim: Callable[[dict[str, float], np.random.Generator], tuple[dict[str, float], dict[str, float]]] | None = None
     steep: Mapping[str, float] = field(default_factory=dict)
+    needed: Sequence[str] = ()
     substeps: int = 1
 
     @property

@@ -1,0 +1,186 @@
+"""What a diagnosis made of one case, and the counts over many that `discrepancy.py` prints."""
+
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from tables import median, seconds
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import hidden
+
+NAMES = 4
+"""A cause and its aliases count for no more names than this."""
+
+STATUSES = ("named", "surrogate")
+
+AMBIGUOUS = ("periodic",)
+"""Effects without one coefficient to compare: a disturbance has two, which depend on where its phase is 0."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A finding: its cause and aliases, the cause first; status; coefficient and 95 % interval."""
+
+    names: tuple[str, ...]
+    status: str
+    coefficient: float
+    interval: tuple[float, float]
+
+    @property
+    def claims(self) -> bool:
+        """Whether it says what it is, be it under reserve."""
+        return self.status != "unexplained"
+
+    def __str__(self) -> str:
+        aliases = f" or {', '.join(self.names[1:])}" if len(self.names) > 1 else ""
+        return f"{self.names[0] or '?'}{aliases} ({self.status})"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One case diagnosed.
+
+    again    the call that makes it.
+    truth    effect -> kind.
+    error    what was raised, or "".
+    time     of the diagnosis, s; ``fit_time`` and ``make_time`` before it.
+    """
+
+    seed: int
+    again: str
+    system: str
+    noise: str
+    strength: str
+    truth: dict[str, str]
+    coefficients: dict[str, float]
+    found: tuple[Found, ...] = ()
+    error: str = ""
+    time: float = float("nan")
+    fit_time: float = float("nan")
+    make_time: float = float("nan")
+
+    def hits(self, effect: str) -> list[Found]:
+        """Findings that have the effect among their names."""
+        return [f for f in self.found if f.claims and effect in f.names]
+
+    @property
+    def missed(self) -> list[str]:
+        """Hidden effects that were not found."""
+        return [effect for effect in self.truth if not self.hits(effect)]
+
+    @property
+    def false(self) -> list[Found]:
+        """Claims of what is not there."""
+        return [f for f in self.found if f.claims and not self.truth.keys() & {*f.names}]
+
+    @property
+    def failed(self) -> bool:
+        """Whether anything is wrong with it."""
+        return bool(self.error or self.missed or self.false)
+
+    def __str__(self) -> str:
+        found = "; ".join(map(str, self.found)) or "nothing found"
+        return f"{self.seed}: {self.again}: {self.error or found}"
+
+
+def diagnosed(seed: int, choice: dict, diagnose: Callable | None = None) -> Outcome:
+    """Makes the case of a seed, fits it and diagnoses it (by `ph.diagnose`)."""
+    import phugoid as ph
+
+    begin = time.perf_counter()
+    try:
+        case = hidden.draw(seed, **choice)
+    except hidden.Unreachable as error:
+        return Outcome(seed, f"draw({seed}, ...)", "", "", "", {}, {}, error=f"not made: {error}")
+    made = time.perf_counter()
+    about = (seed, case.again(), case.system, case.noise, str(case.strength), case.kinds, case.coefficients)
+    try:
+        fit = ph.estimate(case.model, case.data)
+        fitted = time.perf_counter()
+        d = (diagnose or ph.diagnose)(fit, validation=case.validation)
+        done = time.perf_counter()
+    except Exception as error:
+        text = str(error).strip().partition("\n")[0]
+        return Outcome(*about, error=f"raised {type(error).__name__}: {text}")
+    found = tuple(
+        Found((f.cause, *f.aliases)[:NAMES], f.status, float(f.coefficient), tuple(map(float, f.interval)))
+        for f in d.findings
+    )
+    times = {"time": done - fitted, "fit_time": fitted - made, "make_time": made - begin}
+    return Outcome(*about, found, **times)
+
+
+def share(part: int, whole: int) -> str:
+    """Text of a share and its counts."""
+    return f"{part / whole:.3f}  ({part} of {whole})" if whole else "-"
+
+
+def recall(outcomes: Iterable[Outcome], by: Callable[[Outcome, str], str]) -> list[list[str]]:
+    """Rows: group, share of hidden effects found, share named first; the groups as ``by`` has them."""
+    counts: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0])
+    for o in outcomes:
+        for effect in o.truth:
+            count = counts[by(o, effect)]
+            count[0] += 1
+            count[1] += bool(o.hits(effect))
+            count[2] += any(f.names[0] == effect for f in o.hits(effect))
+    return [[group, share(c[1], c[0]), share(c[2], c[0])] for group, c in sorted(counts.items())]
+
+
+def honesty(outcomes: list[Outcome]) -> list[list[str]]:
+    """Rows on claims of what is not there."""
+    empty = [o for o in outcomes if not o.truth]
+    claims = [f for o in outcomes for f in o.found if f.claims]
+    false = [f for o in outcomes for f in o.false]
+    statuses = {status: [[f.status for f in fs].count(status) for fs in (false, claims)] for status in STATUSES}
+    unexplained = [o for o in outcomes if any(not f.claims for f in o.found)]
+    rows = [["false alarms, of cases with nothing hidden", share(sum(bool(o.false) for o in empty), len(empty))]]
+    for noise in sorted({o.noise for o in empty}):
+        of = [o for o in empty if o.noise == noise]
+        rows.append([f"  {noise} noise", share(sum(bool(o.false) for o in of), len(of))])
+    silent = [o for o in empty if not o.found]
+    return [
+        *rows,
+        ["  nothing said at all", share(len(silent), len(empty))],
+        ["false discoveries, of all claims", share(len(false), len(claims))],
+        *([f"  of claims '{status}'", share(*counts)] for status, counts in statuses.items()),
+        ["'unexplained' said, of cases", share(len(unexplained), len(outcomes))],
+        ["names in a claim, mean", f"{np.mean([len(f.names) for f in claims]):.2f}" if claims else "-"],
+    ]
+
+
+def accuracy(outcomes: Iterable[Outcome]) -> list[list[str]]:
+    """Rows on coefficients, of effects named first: relative error and coverage, by strength."""
+    counts: dict[str, list[tuple[float, bool]]] = defaultdict(list)
+    for o in outcomes:
+        for effect, c in o.coefficients.items():
+            if effect.endswith(AMBIGUOUS):
+                continue
+            for f in o.hits(effect):
+                if f.names[0] == effect:
+                    low, high = f.interval
+                    counts[o.strength].append((abs(f.coefficient / c - 1), low <= c <= high))
+                    break
+    every = [each for group in counts.values() for each in group]
+    groups = {**dict(sorted(counts.items())), "all": every} if every else {}
+    return [
+        [name, f"{100 * median([e for e, _ in g]):.1f} %", share(sum(inside for _, inside in g), len(g))]
+        for name, g in groups.items()
+    ]
+
+
+def costs(outcomes: Iterable[Outcome]) -> list[list[str]]:
+    """Rows on time: diagnosis, fit, making the case."""
+    done = [o for o in outcomes if np.isfinite(o.time)]
+    kinds = {
+        "diagnosis": [o.time for o in done],
+        "fit": [o.fit_time for o in done],
+        "case": [o.make_time for o in done],
+    }
+    return [[name, seconds(median(t)), seconds(max(t))] for name, t in kinds.items() if t]

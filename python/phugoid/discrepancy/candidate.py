@@ -43,6 +43,8 @@ class Candidate(ABC):
                  holds there are none, for the signal at a shape is the whole effect (a delayed minus the plain input).
     shape_names  names of the other parameters that `extended` adds.
     shapes       values of those to try in a scan, a mapping each (one empty mapping where there are none).
+    transferable whether its parameters are those of the vehicle, so the same in another record: the phase of a
+                 disturbance is not.
     stage        terms (0) are added before inputs are transformed: dead-band (1), saturation (2), lag (3), delay (4).
     """
 
@@ -53,6 +55,7 @@ class Candidate(ABC):
     shape_names: tuple[str, ...] = ()
     shapes: Sequence[Mapping[str, float]] = ({},)
     unit_amplitude: bool = False
+    transferable: bool = True
     stage: int = 0
 
     @abstractmethod

@@ -12,6 +12,7 @@ from ..errors import DataError
 from ..estimate import estimate
 from ..experiment import Experiment
 from ..held import held_model, held_noise
+from .candidate import Candidate
 from .least_squares import Whitened, own_whitening, row_runs
 from .linearised import Linearised
 from .refit import Refit, started_from
@@ -23,41 +24,33 @@ _Array = NDArray[np.float64]
 
 # Blocks of each record that are left out in turn.
 _BLOCKS = 4
+# Of what a block says of a parameter: the precision that all data together have is 1.
+_LOOSE, _TINY = 0.01, 1e-9
 
 
-def across_blocks(base: Refit, more: Refit) -> tuple[float, float]:
-    """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say, and its
-    standard deviation.
+def across_blocks(base: Refit, more: Refit, candidate: Candidate) -> tuple[float, float]:
+    """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say of a
+    candidate, and its standard deviation.
 
-    Parameters are fitted without the block (one step of least squares from the fit to all), the path runs through it.
+    About the fit without the candidate, to first order: its coefficients are those that the other blocks ask for, none
+    where these say nothing of it. Parameters may follow by ten standard errors.
     """
-    filter = more.own.filter
-    total = np.zeros(more.linear.n_measured)
-    each = [_left_out(r, filter) for r in (base, more)]
-    total = each[1] - each[0]
-    there = np.isfinite(total)
-    d = total[there]
-    return float(d.sum()), float(np.sqrt(d.size) * d.std())
-
-
-def _left_out(refit: Refit, filter: Whitening) -> _Array:
-    """(n_measured,) log-likelihood of each sample when its block was left out."""
-    linear = refit.linear
-    filter = filter.on(row_runs(linear))
-    outputs, _ = linear.moves
-    columns = filter((outputs * linear.scale()[:, None]).T).T
-    e = filter(linear.residuals)
-    block = _blocks(linear)
-    errors = np.empty_like(e)
+    linear = base.linear
+    whitened = base.through(more.own.filter)
+    shape = {n: more.own.parameter(n)[0] for n in candidate.shape_names}
+    columns, _, _ = linear.columns([(candidate, shape)])
+    c = whitened.filter(columns).T
+    c /= np.maximum(np.linalg.norm(c, axis=0), 1e-300)
+    e = whitened.errors
+    block, gain = _blocks(linear), np.zeros(linear.n_rows)
     for b in range(_BLOCKS):
         inside = block == b
-        u, values, vt = np.linalg.svd(columns[~inside], full_matrices=False)
-        kept = values > 1e-9 * values[:1]
-        part = vt[kept].T @ ((u[:, kept].T @ e[~inside]) / values[kept])
-        errors[inside] = e[inside] - columns[inside] @ part
-    out = np.full(linear.n_measured, np.nan)
-    out[linear.measured_rows] = -0.5 * errors**2
-    return out
+        for sign, parts in ((-1.0, whitened.basis), (1.0, np.hstack([whitened.basis, c]))):
+            seen = parts[~inside]
+            damping = np.r_[np.full(whitened.basis.shape[1], _LOOSE), np.full(parts.shape[1], _TINY)][: parts.shape[1]]
+            step = np.linalg.solve(seen.T @ seen + np.diag(damping), seen.T @ e[~inside])
+            gain[inside] -= sign * 0.5 * (e[inside] - parts[inside] @ step) ** 2
+    return float(gain.sum()), float(np.sqrt(gain.size) * gain.std())
 
 
 def _blocks(linear: Linearised) -> NDArray[np.intp]:

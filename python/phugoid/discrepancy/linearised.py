@@ -176,11 +176,27 @@ class Linearised:
             # The last states too: in an unstable motion all first states but those on one line are out of reach.
             for point in (first, first + record.mesh_t.size - 1):
                 wanted += range(n_theta + n_x * point, n_theta + n_x * (point + 1))
-        answers = self._solve(np.empty((0, self._n_slopes())), wanted)
+        answers, forward = self._solve(np.empty((0, self._n_slopes())), wanted)
+        if forward and problem.boundary_states:
+            answers = self._conditions(wanted) @ answers
         columns = self._outputs(answers).T / self.scale()[:, None]
         size = np.linalg.norm(columns, axis=0)
         kept = size > 0
         return columns[:, kept] / size[kept], answers[kept, :n_theta].T / size[kept]
+
+    def _conditions(self, variables: Sequence[int]) -> _Array:
+        """(k, n) combinations of variables that leave the conditions on the beginnings of the records met."""
+        problem = self._problem
+        conditions = np.zeros((len(problem.boundary_states), problem.n))
+        rows, columns = problem.jacobian_structure()
+        values = problem.jacobian(self._xi)
+        assert values is not None  # the path was evaluated before
+        there = rows >= problem.m - conditions.shape[0]
+        np.add.at(conditions, (rows[there] - (problem.m - conditions.shape[0]), columns[there]), values[there])
+        conditions = conditions[:, list(variables)]
+        conditions /= np.linalg.norm(conditions, axis=1, keepdims=True)
+        _, sizes, vt = np.linalg.svd(conditions)
+        return np.asarray(vt[int((sizes > _NOTHING * sizes[0]).sum()) :])
 
     @cached_property
     def tangents(self) -> _Array:
@@ -250,7 +266,7 @@ class Linearised:
     def _n_slopes(self) -> int:
         return self._problem.n_states * sum(r.mesh_t.size for r in self.inner.records)
 
-    def _solve(self, slopes: _Array, tangents: list[int]) -> _Array:
+    def _solve(self, slopes: _Array, tangents: list[int]) -> tuple[_Array, bool]:
         found = _core.responses(self._problem, self._xi, self._held(), slopes, tangents)
         if found is None:
             raise EvaluationError("diagnose: the fit cannot be linearised: its equations depend on each other")
@@ -316,7 +332,7 @@ class Linearised:
             slopes[:, first * n_x : (first + mesh.size) * n_x] = forced.reshape(k, -1)
             first += mesh.size
         if slopes.any():
-            answers = self._solve(slopes, [])
+            answers, _ = self._solve(slopes, [])
             direct += self._outputs(answers)
             parameters = answers[:, : self._problem.n_theta]
         return direct, parameters

@@ -26,6 +26,8 @@ class Periodic(Effect):
     """a sin(w (t - tm)) + b cos(w (t - tm)), with tm the middle of the record: there phase and frequency are estimated
     almost independently of each other."""
 
+    transferable = False
+
     def grid(self) -> Iterable[float]:
         return frequency_grid(self.scales)
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from ..errors import PhugoidError
 from ..experiment import Experiment
 from ..result import Fit
 from .candidate import Candidate
 from .held_out import across_blocks, gain_on_other_data, on_other_data
+from .linearised import Linearised
 from .refit import Refit, refit
 from .scan import Scan, Statistics
 from .whitening import Whitening
@@ -21,29 +23,40 @@ __all__ = ["Found", "Search"]
 
 _Array = NDArray[np.float64]
 
-# Probability that something is found by any candidate where there is nothing.
+# Probability that anything at all is found where there is nothing.
 _FALSE = 0.01
 # Refits of a round: the best by ranking, by the base filter, and with residuals taken as white.
 _SHORT = (("clean", 6), ("base", 4), ("white", 3))
-# Rivals that are refitted when a term is looked at again.
-_AGAIN = 6
-# Two effects on the outputs are the same beyond this cosine: one stands for both in refits.
+# What is this far below its threshold in the scan, by the base filter and by the clean one, is not refitted.
+_HOPELESS = (0.4, 0.8)
+# Rivals that are refitted when a term is looked at again, and those whose effect is nearly the same.
+_AGAIN, _ALIKE = 6, 3
+# Two effects on the outputs are the same beyond this cosine: one stands for both in a shortlist.
 _SAME = 0.995
+# Beyond this one they are aliases, whatever their refits say.
 _ALIAS = 0.95
+# A rival is an alias unless Vuong's test tells them apart by this.
 _VUONG = 2.0
+# Twice the gain in log-likelihood by which a cause outside of what is physical must be ahead.
+_UNPHYSICAL = 6.0
+# The gain on held-out data must be above this, and above this part of its standard deviation.
+_HELD_OUT, _SURE = 1.0, 0.5
+# Next best candidates that are tried when the best gains nothing on held-out data.
+_CHANCES = 3
 _MOST = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A candidate that was accepted.
+    """A candidate that was accepted, or a misfit that none explains (``candidate`` None).
 
     gain      in log-likelihood over the model with the other candidates.
-    rivals    those that the data do not tell from it: name -> gain they would have instead.
+    threshold that it had to pass.
+    rivals    those that the data do not tell from it: name -> gain they would have instead, the likeliest first.
     held_out  gain on held-out data, and its standard deviation.
     """
 
-    candidate: Candidate
+    candidate: Candidate | None
     gain: float
     threshold: float
     rivals: Mapping[str, float]
@@ -54,19 +67,23 @@ class Found:
 class Search:
     """A search at a base fit.
 
-    ``validation`` is data for held-out gains; without it blocks of the records are left out in turn.
+    ``validation`` is data for held-out gains; without it blocks of the records are left out in turn. ``watch`` is called
+    with what is done.
     """
 
     base: Refit
     candidates: Sequence[Candidate]
     validation: Sequence[Experiment] = ()
+    watch: Callable[[str], None] = lambda _: None
     log: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._refits: dict[frozenset[str], Refit | None] = {frozenset(): self.base}
         self._scans: dict[frozenset[str], Scan] = {}
-        self._by_name = {c.name: c for c in self.candidates}
+        self._others: dict[frozenset[str], Linearised | None] = {}
         self._starts: dict[str, Mapping[str, float]] = {}
+        self._by_name = {c.name: c for c in self.candidates}
+        self._tries_in_all = sum(len(c.shapes) for c in self.candidates)
 
     # What is known of sets of candidates, each worked out once.
 
@@ -74,6 +91,7 @@ class Search:
         """The refit of a set."""
         key = frozenset(c.name for c in candidates)
         if key not in self._refits:
+            self.watch("fitting with " + ", ".join(c.name for c in candidates))
             starts: dict[str, float] = {}
             for c in candidates:
                 starts |= self._starts.get(c.name, {})
@@ -84,94 +102,140 @@ class Search:
         """The scan of all others at a set."""
         key = frozenset(at.names)
         if key not in self._scans:
+            self.watch("scanning all candidates" + (" beside " + ", ".join(at.names) if at.names else ""))
             self._scans[key] = Scan(at.linear, [c for c in self.candidates if c.name not in key])
         return self._scans[key]
 
     def threshold(self, candidate: Candidate) -> float:
         """Twice the gain in log-likelihood that chance reaches with none of all candidates."""
         unknowns = max(len(candidate.coefficients) + len(candidate.shape_names), 1)
-        tries = sum(len(c.shapes) for c in self.candidates)
-        return float(chi2.isf(_FALSE / max(tries, 1), unknowns))
+        return float(chi2.isf(_FALSE / max(self._tries_in_all, 1), unknowns))
 
-    def _best(self, scan: Scan, statistics: Statistics, count: int) -> list[Candidate]:
-        """The best candidates, one of each group that has the same effect on the outputs."""
-        beside = statistics.beside
-        chosen: list[tuple[Candidate, _Array]] = []
-        for i in np.argsort(-statistics.values):
-            candidate, shape = scan.effects[i]
-            if any(candidate is c for c, _ in chosen):
-                continue
-            q = _unit(beside[scan.groups[i]].T)
-            if any(_cosine(q, other) > _SAME for _, other in chosen):
-                continue
-            chosen.append((candidate, q))
-            amplitude = statistics.amplitudes[i]
-            start = dict(zip(candidate.coefficients, amplitude.tolist(), strict=False))
-            self._starts[candidate.name] = {**start, **shape}
-            if len(chosen) == count:
+    def gain(self, base: Refit, more: Refit) -> float:
+        """Twice the gain in log-likelihood, each with its likeliest noise."""
+        return 2.0 * (more.own.log_likelihood - base.own.log_likelihood)
+
+    def held_out(self, base: Refit, more: Refit, candidate: Candidate) -> tuple[float, float]:
+        """Gain on held-out data and its standard deviation; none where the model cannot be fitted there."""
+        if not self.validation or not candidate.transferable:
+            return across_blocks(base, more, candidate)
+        others = self._on_other_data(base, None)
+        mine = self._on_other_data(more, others)
+        return (-np.inf, 0.0) if others is None or mine is None else gain_on_other_data(others, mine)
+
+    def _on_other_data(self, at: Refit, near: Linearised | None) -> Linearised | None:
+        key = frozenset(at.names)
+        if key not in self._others:
+            try:
+                self._others[key] = on_other_data(at, self.validation, near)
+            except PhugoidError:
+                if not key:
+                    raise  # the base model's own trouble with the validation record is the user's to know
+                self._others[key] = None
+        return self._others[key]
+
+    # The search.
+
+    def run(self) -> tuple[Refit, list[Found]]:
+        """The model with all that was found."""
+        current, unexplained = self.base, None
+        while len(current.candidates) < _MOST:
+            following, unexplained = self._step(current)
+            if following is None:
                 break
-        return [c for c, _ in chosen]
+            current = following
+        found = [self._found(current, c) for c in current.candidates]
+        return current, found + ([unexplained] if unexplained else [])
+
+    def _step(self, current: Refit) -> tuple[Refit | None, Found | None]:
+        """The model with one more term, if one is accepted; else what remains unexplained, if anything does."""
+        tries = self._tries(current)
+        margins = {t.names: self.gain(current, t) - self.threshold(t.candidates[-1]) for t in tries}
+        self.log += [f"{'+'.join(names)}: {m:.1f} over its threshold" for names, m in margins.items()]
+        significant = sorted((t for t in tries if margins[t.names] > 0), key=lambda t: -margins[t.names])
+        unexplained = None
+        rejected: set[str] = set()
+        for t in significant:
+            if len(rejected) >= _CHANCES:
+                break
+            settled = self._settled(t)
+            new = [c for c in settled.candidates if c not in current.candidates]
+            if len(settled.candidates) <= len(current.candidates) or not new or {c.name for c in new} & rejected:
+                continue
+            if self.gain(current, settled) <= self.threshold(new[0]):
+                continue
+            held = self.held_out(current, settled, new[0])
+            self.log.append(f"{'+'.join(settled.names)}: held-out gain {held[0]:.1f} +- {held[1]:.1f}")
+            if held[0] > max(_HELD_OUT, _SURE * held[1]):
+                return settled, None
+            rejected.add(new[0].name)
+            if unexplained is None:
+                gain, threshold = self.gain(current, settled) / 2, self.threshold(new[0]) / 2
+                unexplained = Found(None, gain, threshold, {c.name: gain for c in new}, held)
+        return None, unexplained
 
     def _tries(self, at: Refit) -> list[Refit]:
         """Refits with one more candidate."""
         scan = self.scan(at)
         if not scan.effects:
             return []
-        clean = scan.clean()
-        filters = {"white": scan.white.filter, "base": at.own.filter, "clean": clean}
+        filters = {"white": scan.white.filter, "base": at.own.filter, "clean": scan.clean()}
+        statistics = {which: scan.through(filter) for which, filter in filters.items()}
+        thresholds = np.array([self.threshold(c) for c, _ in scan.effects])
+        hopeless = (statistics["base"].values < _HOPELESS[0] * thresholds) & (
+            statistics["clean"].values < _HOPELESS[1] * thresholds
+        )
         names: dict[str, Candidate] = {}
         for which, count in reversed(_SHORT):
-            for c in self._best(scan, scan.through(filters[which]), count):
+            for c in self._best(scan, statistics[which], count, ~hopeless):
                 names[c.name] = c
         tries = [self.refit([*at.candidates, c], at.fit) for c in names.values()]
         return [t for t in tries if t is not None]
 
-    def _own(self, at: Refit) -> float:
-        return at.own.log_likelihood
-
-    def _gain(self, base: Refit, more: Refit, filter: Whitening | None = None) -> float:
-        """Twice the gain in log-likelihood, each with the likeliest filter, or both through one."""
-        if filter is None:
-            return 2.0 * (self._own(more) - self._own(base))
-        return 2.0 * (more.through(filter).log_likelihood - base.through(filter).log_likelihood)
-
-    def run(self) -> tuple[Refit, list[Found]]:
-        """The model with all that was found."""
-        current = self.base
-        accepted: dict[frozenset[str], list[Found]] = {frozenset(): []}
-        while len(current.candidates) < _MOST:
-            following = self._step(current)
-            if following is None:
+    def _best(
+        self, scan: Scan, statistics: Statistics, count: int, among: NDArray[np.bool_] | None = None
+    ) -> list[Candidate]:
+        """The best candidates, one of each group that has the same effect on the outputs."""
+        beside = statistics.beside
+        chosen: list[tuple[Candidate, _Array]] = []
+        for i in np.argsort(-statistics.values):
+            candidate, shape = scan.effects[i]
+            if any(candidate is c for c, _ in chosen) or not (among is None or among[i]):
+                continue
+            q = _unit(beside[scan.groups[i]].T)
+            if any(_cosine(q, other) > _SAME for _, other in chosen):
+                continue
+            chosen.append((candidate, q))
+            self._remember(candidate, shape, statistics.amplitudes[i])
+            if len(chosen) == count:
                 break
-            current = following
-        founds = [self._found(current, c) for c in current.candidates]
-        del accepted
-        return current, founds
+        return [c for c, _ in chosen]
 
-    def _step(self, current: Refit) -> Refit | None:
-        """One more term, or None where none is significant."""
-        tries = self._tries(current)
-        margins = {t.names: self._gain(current, t) - self.threshold(t.candidates[-1]) for t in tries}
-        for t in tries:
-            self.log.append(f"{'+'.join(t.names)}: {margins[t.names]:.1f} over its threshold")
-        significant = [t for t in tries if margins[t.names] > 0]
-        if not significant:
-            return None
-        best = max(significant, key=lambda t: margins[t.names])
-        return self._settled(best, current)
+    def _remember(self, candidate: Candidate, shape: Mapping[str, float], amplitude: _Array) -> None:
+        """Where a refit starts."""
+        self._starts[candidate.name] = {
+            **dict(zip(candidate.coefficients, amplitude.tolist(), strict=False)),
+            **shape,
+        }
 
-    def _settled(self, at: Refit, before: Refit) -> Refit | None:
-        """With each term replaced by a better one where there is one, until nothing changes."""
+    def _settled(self, at: Refit) -> Refit:
+        """With each term replaced by a better one where there is one, until nothing changes; without those that are no
+        longer significant."""
         for _ in range(4):
             changed = False
             for candidate in reversed(at.candidates):
+                others = [c for c in at.candidates if c is not candidate]
+                without = self.refit(others, at.fit)
+                if without is not None and others and self.gain(without, at) < self.threshold(candidate):
+                    at, changed = without, True
+                    break
                 ranked = self._rivals(at, candidate)
-                if ranked and ranked[0][0].names != at.names and ranked[0][1] > 0:
+                if ranked[0][0] is not at:
                     at, changed = ranked[0][0], True
                     break
             if not changed:
                 break
-        return at if self._gain(before, at) > 0 else None
+        return at
 
     def _rivals(self, at: Refit, candidate: Candidate) -> list[tuple[Refit, float]]:
         """Refits with another in place of a candidate, and how much more likely they are through the same filter, less
@@ -182,29 +246,61 @@ class Search:
             return [(at, 0.0)]
         scan = self.scan(without)
         filter = at.own.filter
-        tries = [self.refit([*others, c], at.fit) for c in self._best(scan, scan.through(filter), _AGAIN)]
-        known = [
-            r
-            for key, r in self._refits.items()
-            if r is not None and len(key) == len(at.candidates) and key > frozenset(c.name for c in others)
-        ]
-        found = {t.names: t for t in [*tries, *known, at] if t is not None}
-        reference = at.through(filter).log_likelihood
-        q = self.threshold(candidate)
+        statistics = scan.through(filter)
+        wanted = [*self._best(scan, statistics, _AGAIN), *self._alike(scan, statistics, candidate)[:_ALIKE]]
+        for c in wanted:
+            self.refit([*others, c], at.fit)
+        base = frozenset(c.name for c in others)
+        refits = [r for key, r in self._refits.items() if r and len(key) == len(base) + 1 and key > base]
+        reference = at.through(filter).log_likelihood - self._cost(at, others) / 2
 
         def margin(r: Refit) -> float:
-            new = [c for c in r.candidates if c not in others]
-            own = self.threshold(new[0])
-            return 2.0 * (r.through(filter).log_likelihood - reference) - (own - q)
+            return 2.0 * (r.through(filter).log_likelihood - reference) - self._cost(r, others)
 
-        return sorted(((r, margin(r)) for r in found.values()), key=lambda pair: -pair[1])
+        pairs = [(r, 0.0 if r.names == at.names else margin(r)) for r in refits]
+        if not any(r is at for r, _ in pairs):
+            pairs.append((at, 0.0))
+        return sorted(pairs, key=lambda pair: (-pair[1], pair[0] is not at))
+
+    def _cost(self, at: Refit, others: Sequence[Candidate]) -> float:
+        """What counts against a refit's new term: the chances that it had, and to be out of what is physical."""
+        (new,) = [c for c in at.candidates if c not in others]
+        return self.threshold(new) + (0.0 if is_physical(at, new) else _UNPHYSICAL)
+
+    def _alike(self, scan: Scan, statistics: Statistics, candidate: Candidate) -> list[Candidate]:
+        """Candidates whose effect on the outputs is nearly the same, the nearest first."""
+        mine = [i for i, (c, _) in enumerate(scan.effects) if c.name == candidate.name]
+        if not mine:
+            return []
+        best = max(mine, key=lambda i: statistics.values[i])
+        q = _unit(statistics.beside[scan.groups[best]].T)
+        # All with one column at once: of the others there are few that could be.
+        found: dict[str, tuple[float, int]] = {}
+        along = q.T @ statistics.beside.T
+        size = np.einsum("ij,ij->j", along, along)
+        for i, (c, _) in enumerate(scan.effects):
+            group = scan.groups[i]
+            whole = sum(float(b @ b) for b in statistics.beside[group])
+            if c.name == candidate.name or float(size[group].sum()) < _ALIAS**2 * whole * 0.5:
+                continue
+            cosine = _cosine(q, _unit(statistics.beside[group].T))
+            if cosine > _ALIAS and cosine > found.get(c.name, (0.0, 0))[0]:
+                found[c.name] = cosine, i
+        order = sorted(found, key=lambda n: -found[n][0])
+        for name in order:
+            if name not in self._starts:
+                i = found[name][1]
+                self._remember(scan.effects[i][0], scan.effects[i][1], statistics.amplitudes[i])
+        return [self._by_name[n] for n in order]
 
     def _found(self, at: Refit, candidate: Candidate) -> Found:
+        """What is to be said of a term in the end."""
         others = [c for c in at.candidates if c is not candidate]
-        without = self.refit(others, at.fit)
-        assert without is not None
+        without = self.refit(others, at.fit) or self.base
         filter = at.own.filter
         mine = at.through(filter).log_densities
+        scan = self.scan(without)
+        alike = {c.name for c in self._alike(scan, scan.through(filter), candidate)}
         rivals = {}
         for r, _ in self._rivals(at, candidate):
             if r.names == at.names:
@@ -212,42 +308,23 @@ class Search:
             (other,) = [c for c in r.candidates if c not in others]
             d = mine - r.through(filter).log_densities
             d = d[np.isfinite(d)]
-            spread = float(np.sqrt(d.size) * d.std())
-            if float(d.sum()) < _VUONG * spread:
-                rivals[other.name] = self._gain(without, r) / 2
-        for name in self._alike(without, candidate, filter):
-            rivals.setdefault(name, float("nan"))
+            gain = self.gain(without, r) / 2
+            like = other.name in alike and gain > 0.5 * self.gain(without, at) / 2
+            if like or float(d.sum()) < _VUONG * float(np.sqrt(d.size) * d.std()):
+                rivals[other.name] = gain
         return Found(
             candidate,
-            self._gain(without, at) / 2,
+            self.gain(without, at) / 2,
             self.threshold(candidate) / 2,
             rivals,
-            self.held_out(without, at),
+            self.held_out(without, at, candidate),
         )
 
-    def _alike(self, without: Refit, candidate: Candidate, filter: Whitening) -> list[str]:
-        """Names of candidates whose effect on the outputs is nearly the same."""
-        scan = self.scan(without)
-        beside = scan.through(filter).beside
-        mine = [i for i, (c, _) in enumerate(scan.effects) if c.name == candidate.name]
-        if not mine:
-            return []
-        q = [_unit(beside[scan.groups[i]].T) for i in mine]
-        found = {}
-        for i, (c, _) in enumerate(scan.effects):
-            if c.name != candidate.name and c.name in self._by_name:
-                other = _unit(beside[scan.groups[i]].T)
-                cosine = max(_cosine(a, other) for a in q)
-                if cosine > _ALIAS:
-                    found[c.name] = max(found.get(c.name, 0.0), cosine)
-        return sorted(found, key=lambda n: -found[n])
 
-    def held_out(self, base: Refit, more: Refit) -> tuple[float, float]:
-        """Gain on held-out data and its standard deviation."""
-        if self.validation:
-            others = on_other_data(base, self.validation)
-            return gain_on_other_data(others, on_other_data(more, self.validation, others))
-        return across_blocks(base, more)
+def is_physical(at: Refit, candidate: Candidate) -> bool:
+    """Whether all parameters of a candidate lie within what is physical."""
+    limits = candidate.physical(at.linear.points)
+    return all(low <= at.own.parameter(n)[0] <= high for n, (low, high) in limits.items())
 
 
 def _unit(columns: _Array) -> _Array:
@@ -259,5 +336,6 @@ def _unit(columns: _Array) -> _Array:
 
 def _cosine(a: _Array, b: _Array) -> float:
     """Of the angle between the spaces of two bases: the smaller within the other."""
+    if a.shape[1] == b.shape[1] == 1:
+        return abs(float(a[:, 0] @ b[:, 0]))
     return float(np.linalg.svd(a.T @ b, compute_uv=False).min())
-

@@ -9,8 +9,10 @@ use crate::problem::PyProblem;
 
 /// How the path of a collocation problem answers to slopes (k, points · n_x) added to its equations, and its
 /// tangents along some variables: (k + tangents, n_θ + n_x · samples), parameters first, then the states at the
-/// samples of each experiment, sample by sample. Parameters and first states take no part in the answer to slopes,
-/// unless the motion is so unstable that it would grow out of all bounds: then the least. `None` where something is not finite.
+/// samples of each experiment, sample by sample; `None` where something is not finite. And whether that is forward in
+/// time: then parameters and first states take no part in the answers to slopes, and tangents are those of one variable
+/// alone, a parameter or a first state, whatever conditions there are. Else, where the motion is too unstable for
+/// that, they take the least part that there is.
 #[pyfunction]
 pub fn responses<'py>(
     py: Python<'py>,
@@ -19,7 +21,7 @@ pub fn responses<'py>(
     held: Vec<usize>,
     slopes: PyReadonlyArray2<'py, f64>,
     tangents: Vec<usize>,
-) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, bool)>> {
     let Some(problem) = problem.inner().collocation() else {
         return Err(PyValueError::new_err("responses are those of a collocation problem"));
     };
@@ -42,19 +44,20 @@ pub fn responses<'py>(
     };
     let found = py.detach(|| {
         let mut out = Vec::with_capacity(rows * width);
-        let forward = if forced.is_empty() { None } else { Forward::new(problem, xi).ok()? };
-        if let Some(forward) = &forward {
+        if let Some(forward) = Forward::new(problem, xi).ok()? {
             for states in forward.solve(&forced.iter().map(Vec::as_slice).collect::<Vec<_>>()) {
                 out.resize(out.len() + layout.n_theta, 0.0);
                 out.extend(states);
             }
-            if tangents.is_empty() {
-                return Some(out);
+            for (&i, states) in tangents.iter().zip(forward.tangents(&tangents)) {
+                out.extend((0..layout.n_theta).map(|p| f64::from(p == i)));
+                out.extend(states);
             }
+            return Some((out, true));
         }
         let mut response = Response::new(problem, xi, &held).ok()?;
         let mut d = vec![0.0; layout.n()];
-        for slope in forced.iter().filter(|_| forward.is_none()) {
+        for slope in &forced {
             response.forced(slope, &mut d);
             out.extend_from_slice(&d[..layout.n_theta]);
             at_samples(&d, &mut out);
@@ -64,7 +67,7 @@ pub fn responses<'py>(
             out.extend_from_slice(&d[..layout.n_theta]);
             at_samples(&d, &mut out);
         }
-        Some(out)
+        Some((out, false))
     });
-    found.map(|out| PyArray1::from_vec(py, out).reshape([rows, width])).transpose()
+    found.map(|(out, forward)| Ok((PyArray1::from_vec(py, out).reshape([rows, width])?, forward))).transpose()
 }

@@ -19,6 +19,8 @@ struct Step {
     own: LU<f64, Dyn, Dyn>,
     /// Derivatives by the states at its first point.
     first: DMatrix<f64>,
+    /// Derivatives by the parameters: row, variable, value.
+    parameters: Vec<(usize, usize, f64)>,
     /// For each sample between: its point, and derivatives by the states at all points of the segment.
     between: Vec<(usize, DMatrix<f64>)>,
     /// Its first point within the experiment.
@@ -29,20 +31,29 @@ struct Step {
 pub struct Forward<'a> {
     problem: &'a Collocation,
     steps: Vec<Vec<Step>>,
+    /// Derivatives of the constraints of samples between mesh points by parameters, as in a step, one list an
+    /// experiment.
+    of_ties: Vec<Vec<(usize, usize, f64)>>,
 }
 
 impl<'a> Forward<'a> {
-    /// Linearises at ξ; `None` where the motion is so unstable that a solution forward in time loses its digits.
+    /// Linearises at ξ; `None` where the motion is so unstable that a solution forward in time loses its digits, or
+    /// where there are conditions on the ends of the records. Conditions on their beginnings are left to the caller.
     ///
     /// # Errors
     /// [`NotFinite`] when a derivative is not finite there, or a segment is singular.
     pub fn new(problem: &'a Collocation, xi: &[f64]) -> Result<Option<Self>, NotFinite> {
+        if problem.has_conditions_at_ends() {
+            return Ok(None);
+        }
         let mut values = vec![0.0; problem.jacobian_structure().len()];
         problem.jacobian(xi, &mut values)?;
         let layout = &problem.layout;
         let n = layout.n_x;
         let mut blocks: Vec<Vec<[DMatrix<f64>; 2]>> = Vec::new();
         let mut between: Vec<Vec<Vec<(usize, DMatrix<f64>)>>> = Vec::new();
+        let mut parameters: Vec<Vec<Vec<(usize, usize, f64)>>> = Vec::new();
+        let mut of_ties: Vec<Vec<(usize, usize, f64)>> = vec![Vec::new(); problem.meshes.len()];
         for mesh in &problem.meshes {
             let k = mesh.rule.order() - 1;
             let empty = || [DMatrix::zeros(k * n, n), DMatrix::zeros(k * n, k * n)];
@@ -52,15 +63,26 @@ impl<'a> Forward<'a> {
                 ties[tie.segment].push((tie.point, DMatrix::zeros(n, (k + 1) * n)));
             }
             between.push(ties);
+            parameters.push(vec![Vec::new(); mesh.segments.len()]);
         }
         let structure = problem.jacobian_structure();
         for ((&r, &c), v) in structure.rows.iter().zip(&structure.columns).zip(&values) {
             let (r, c) = (r as usize, c as usize);
-            if r >= layout.m() || c < layout.n_theta {
+            if r >= layout.m() {
                 continue;
             }
             let (e, row, state) = layout.constraint(r);
             let mesh = &problem.meshes[e];
+            if c < layout.n_theta {
+                let k = mesh.rule.order() - 1;
+                if row + 1 < mesh.n_mesh {
+                    parameters[e][row / k].push((row % k * n + state, c, *v));
+                } else {
+                    let tie = row + 1 - mesh.n_mesh;
+                    of_ties[e].push((tie * n + state, c, *v));
+                }
+                continue;
+            }
             let (k, point) = (mesh.rule.order() - 1, (c - layout.n_theta) / n - layout.first_point[e]);
             let column = (c - layout.n_theta) % n;
             if row + 1 < mesh.n_mesh {
@@ -82,15 +104,16 @@ impl<'a> Forward<'a> {
             }
         }
         let mut steps = Vec::new();
-        for ((mesh, blocks), between) in problem.meshes.iter().zip(blocks).zip(between) {
-            let each = mesh.segments.iter().zip(blocks).zip(between);
-            let step = each.map(|((segment, [first, own]), between)| {
+        let each = problem.meshes.iter().zip(blocks).zip(between).zip(parameters);
+        for (((mesh, blocks), between), parameters) in each {
+            let each = mesh.segments.iter().zip(blocks).zip(between).zip(parameters);
+            let step = each.map(|(((segment, [first, own]), between), parameters)| {
                 let own: DMatrix<f64> = own;
-                Step { own: own.lu(), first, between, point: segment.point }
+                Step { own: own.lu(), first, parameters, between, point: segment.point }
             });
             steps.push(step.collect::<Vec<_>>());
         }
-        let forward = Forward { problem, steps };
+        let forward = Forward { problem, steps, of_ties };
         if forward.steps.iter().flatten().any(|s| !s.own.is_invertible()) {
             return Err(NotFinite);
         }
@@ -122,42 +145,91 @@ impl<'a> Forward<'a> {
     /// States at the samples, `out[k][sample · n_x + state]` of all experiments after each other, that answer to
     /// slopes added to f, (k, points · n_x): first states and parameters stay.
     pub fn solve(&self, slopes: &[&[f64]]) -> Vec<Vec<f64>> {
-        slopes.par_chunks(AT_ONCE).flat_map_iter(|some| self.solve_some(some)).collect()
-    }
-
-    fn solve_some(&self, slopes: &[&[f64]]) -> Vec<Vec<f64>> {
-        let n = self.problem.layout.n_x;
-        let samples: usize = self.problem.meshes.iter().map(|m| m.sample_points.len()).sum();
-        let mut out = vec![Vec::with_capacity(samples * n); slopes.len()];
-        let mut begin = 0; // mesh point of the experiment among all
-        for (mesh, steps) in self.problem.meshes.iter().zip(&self.steps) {
-            let k = mesh.rule.order() - 1;
-            // States at all points, a column for each right-hand side.
-            let mut path = DMatrix::<f64>::zeros(mesh.times.len() * n, slopes.len());
-            let mut ties = mesh.between.iter();
-            for (step, segment) in steps.iter().zip(&mesh.segments) {
-                let b = |point: usize, r: usize, c: usize| slopes[c][(begin + point) * n + r];
-                let mut y = DMatrix::<f64>::zeros(k * n, slopes.len());
-                for c in 0..slopes.len() {
+        let (n, threads) = (self.problem.layout.n_x, AT_ONCE);
+        let some = |slopes: &[&[f64]]| {
+            let force = |e: usize, begin: usize, step: usize, y: &mut DMatrix<f64>| {
+                let mesh = &self.problem.meshes[e];
+                let (k, segment) = (mesh.rule.order() - 1, mesh.segments[step]);
+                for (c, slope) in slopes.iter().enumerate() {
+                    let b = &slope[(begin + segment.point) * n..];
                     for i in 0..k {
                         for r in 0..n {
-                            let sum: f64 = (0..=k).map(|j| mesh.rule.c(j, i) * b(step.point + j, r, c)).sum();
+                            let sum: f64 = (0..=k).map(|j| mesh.rule.c(j, i) * b[j * n + r]).sum();
                             y[(i * n + r, c)] = segment.h * sum;
                         }
                     }
                 }
+            };
+            let tied = |e: usize, begin: usize, tie: usize, x: &mut DMatrix<f64>| {
+                let tie = &self.problem.meshes[e].between[tie];
+                let point = self.problem.meshes[e].segments[tie.segment].point;
+                for (c, slope) in slopes.iter().enumerate() {
+                    let b = &slope[(begin + point) * n..];
+                    for r in 0..n {
+                        x[(r, c)] +=
+                            tie.weights.iter().enumerate().map(|(j, w)| w * b[j * n + r]).sum::<f64>();
+                    }
+                }
+            };
+            self.march(slopes.len(), |_, _, _| 0.0, force, tied)
+        };
+        slopes.par_chunks(threads).flat_map_iter(some).collect()
+    }
+
+    /// The same for variables that move by 1: parameters, or states at a first point (all others give nothing).
+    pub fn tangents(&self, variables: &[usize]) -> Vec<Vec<f64>> {
+        let layout = &self.problem.layout;
+        let (n, theta) = (layout.n_x, layout.n_theta);
+        let first =
+            |e: usize, r: usize, c: usize| f64::from(variables[c] == layout.state(layout.first_point[e]) + r);
+        let column = |v: usize| variables.iter().position(|&i| i == v && v < theta);
+        let force = |e: usize, _: usize, step: usize, y: &mut DMatrix<f64>| {
+            for &(row, variable, v) in &self.steps[e][step].parameters {
+                if let Some(c) = column(variable) {
+                    y[(row, c)] -= v;
+                }
+            }
+        };
+        let tied = |e: usize, _: usize, tie: usize, x: &mut DMatrix<f64>| {
+            for &(row, variable, v) in self.of_ties[e].iter().filter(|t| t.0 / n == tie) {
+                if let Some(c) = column(variable) {
+                    x[(row % n, c)] -= v;
+                }
+            }
+        };
+        self.march(variables.len(), first, force, tied)
+    }
+
+    /// Goes from the first states of each experiment through its segments: `force` adds the right-hand sides of one,
+    /// `tied` those of a sample between mesh points.
+    fn march(
+        &self,
+        columns: usize,
+        first: impl Fn(usize, usize, usize) -> f64,
+        force: impl Fn(usize, usize, usize, &mut DMatrix<f64>),
+        tied: impl Fn(usize, usize, usize, &mut DMatrix<f64>),
+    ) -> Vec<Vec<f64>> {
+        let n = self.problem.layout.n_x;
+        let samples: usize = self.problem.meshes.iter().map(|m| m.sample_points.len()).sum();
+        let mut out = vec![Vec::with_capacity(samples * n); columns];
+        let mut begin = 0; // mesh point of the experiment among all
+        for (e, (mesh, steps)) in self.problem.meshes.iter().zip(&self.steps).enumerate() {
+            let k = mesh.rule.order() - 1;
+            // States at all points, a column for each right-hand side.
+            let mut path = DMatrix::<f64>::zeros(mesh.times.len() * n, columns);
+            path.rows_mut(0, n).copy_from(&DMatrix::from_fn(n, columns, |r, c| first(e, r, c)));
+            let mut tie = 0;
+            for (i, step) in steps.iter().enumerate() {
+                let mut y = DMatrix::<f64>::zeros(k * n, columns);
+                force(e, begin, i, &mut y);
                 y.gemm(-1.0, &step.first, &path.rows(step.point * n, n), 1.0);
                 step.own.solve_mut(&mut y);
                 path.rows_mut((step.point + 1) * n, k * n).copy_from(&y);
                 for (point, block) in &step.between {
-                    let tie = ties.next().expect("one for each");
                     let mut x = -(block * path.rows(step.point * n, (k + 1) * n));
-                    for (c, mut column) in x.column_iter_mut().enumerate() {
-                        for (r, v) in column.iter_mut().enumerate() {
-                            *v += (0..=k).map(|j| tie.weights[j] * b(step.point + j, r, c)).sum::<f64>();
-                        }
-                    }
+                    tied(e, begin, tie, &mut x);
                     path.rows_mut(point * n, n).copy_from(&x);
+                    tie += 1;
                 }
             }
             for (c, column) in path.column_iter().enumerate() {

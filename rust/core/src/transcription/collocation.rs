@@ -11,6 +11,7 @@ use super::estimands::Estimands;
 use super::layout::{Layout, Place};
 use super::objective::{Objective, add};
 use super::posed::{OfExperiment, Posed};
+use crate::condition::End;
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::mesh::{Grid, Mesh};
@@ -199,6 +200,11 @@ impl Collocation {
 
     fn dynamics_job<'a>(&'a self, chunk: &'a Chunk, xi: &'a [f64], uniforms: &'a [f64]) -> defects::Job<'a> {
         defects::Job { dynamics: &self.dynamics, layout: &self.layout, chunk, xi, uniforms }
+    }
+
+    /// Whether anything is said of states at the last samples.
+    pub fn has_conditions_at_ends(&self) -> bool {
+        self.boundary.as_ref().is_some_and(|b| b.conditions.iter().any(|c| c.end != End::Initial))
     }
 
     /// Evaluates what there is of boundary conditions.

@@ -11,7 +11,7 @@ from ..errors import ModelError, OptionError, did_you_mean
 from ..model import Model
 from .candidate import Place
 from .collection import Candidates
-from .directions import Direction, Directions
+from .directions import Directions
 from .effect import Effect
 from .lags import LaggedVariable
 from .periodic import Periodic
@@ -166,7 +166,6 @@ def _term(
 ) -> Term:
     f, shown = FORMS[form], [v.shown for v in factors]
     coefficient = names(f"{_stem(place)}_{f.suffix.format(*shown)}")
-    words = f"{where(place)} {f.words.format(*shown)}"
     name = f"{anatomy.shown(place)}:{f.what.format(*shown)}"
     symbols = tuple(v.symbol for v in factors)
     unit = anatomy.model.units.get(place.name, "") if place.kind == "output" else ""
@@ -175,12 +174,13 @@ def _term(
     return Term(
         name,
         place,
-        words,
+        "",
         form,
         scales,
         (coefficient,),
         variables=symbols,
         form=form,
+        shown=tuple(shown),
         unit=unit if form in ("bias", "drift") else "",
     )
 
@@ -266,23 +266,16 @@ def _on_input(anatomy: Anatomy, variable: Variable, scales: Scales, names: _Name
 def _distinct(own: Sequence[Effect], made: Sequence[Effect], directions: Directions) -> list[Effect]:
     """Those that say something new, in the order made, the user's own last; of the user's all must be new."""
     ranked = [*own, *sorted(made, key=lambda c: FAMILIES.index(c.family))]
-    known: dict[Any, list[tuple[Effect, Direction]]] = {}
+    ranked = [c for c in ranked if c.family in _STATIC]
     dropped: set[int] = set()
-    for c in ranked:
-        if c.family not in _STATIC:
-            continue
-        d = directions.of(c)
-        keys = d.blocks.keys()
-        twin = next((other for key in keys for other, e in known.get(key, ()) if d.parallel(e)), None)
-        if c.family == "own" and d.spanned:
+    for c, verdict in zip(ranked, directions.verdicts(ranked), strict=True):
+        if c.family == "own" and verdict.spanned:
             raise ModelError(
                 f"terms: {c.name}: the model has this already, its parameters change the equations in just that way"
             )
-        if c.family == "own" and twin is not None:
-            raise ModelError(f"terms: {c.name} and {twin.name} are the same but for a factor and what the model has")
-        if d.spanned or twin is not None:
+        if c.family == "own" and verdict.twin is not None:
+            twin = ranked[verdict.twin].name
+            raise ModelError(f"terms: {c.name} and {twin} are the same but for a factor and what the model has")
+        if verdict.spanned or verdict.twin is not None:
             dropped.add(id(c))
-            continue
-        for key in keys:
-            known.setdefault(key, []).append((c, d))
     return [c for c in (*made, *own) if id(c) not in dropped]

@@ -83,11 +83,26 @@ def where(place: Place) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Term(Effect):
-    """A coefficient times an expression: one of `FORMS` of its ``variables``, or ``given``."""
+    """A coefficient times an expression: one of `FORMS` of its ``variables``, called as ``shown``, or ``given``."""
 
     form: str = ""
+    shown: tuple[str, ...] = ()
     given: Expr | None = None
     unit: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.form:  # in words with the centres of this record
+            centres = [self._centre(name) for name in self.variables]
+            names = [
+                f"({n} {-c:+g})".replace("+", "+ ").replace("-", "- ") if c else n
+                for n, c in zip(self.shown, centres, strict=True)
+            ]
+            object.__setattr__(self, "explanation", f"{where(self.place)} {FORMS[self.form].words.format(*names)}")
+
+    def _centre(self, name: str) -> float:
+        # Lever arms at sensors multiply rates as they are: outputs are not centred.
+        return self.scales.centre(name) if FORMS[self.form].centred and self.place.kind != "output" else 0.0
 
     @property
     def expression(self) -> Expr:
@@ -99,9 +114,7 @@ class Term(Effect):
             return Expr(form.make(_less(Expr.symbol("time"), self.scales.begin)))
         factors: list[object] = []
         for name in self.variables:
-            # Lever arms at sensors multiply rates as they are: outputs are not centred.
-            centre = self.scales.centre(name) if form.centred and self.place.kind != "output" else 0.0
-            factors += [_less(Expr.symbol(name), centre), self.scales.span(name)]
+            factors += [_less(Expr.symbol(name), self._centre(name)), self.scales.span(name)]
         return Expr(form.make(*factors))
 
     def worthwhile(self) -> bool:

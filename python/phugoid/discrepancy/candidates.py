@@ -197,7 +197,7 @@ def _in_equation(anatomy: Anatomy, place: Place, scales: Scales, names: _Names) 
     yield from (term("product", v, w) for v, w in combinations(variables, 2))
     for form in ("cube", "quadratic", "absolute"):
         yield from (term(form, v) for v in variables)
-    yield from (term("sign", v) for v in variables if v.rate or v.kind == "input")
+    yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
     shown, stem, words = anatomy.shown(place), _stem(place), where(place)
     for v in variables:
         yield LaggedVariable(

@@ -21,9 +21,9 @@ __all__ = ["FORMS", "Form", "Rate", "Term", "where"]
 
 _Array = NDArray[np.float64]
 
-# Kinks and jumps are rounded over these parts of a variable's range. Friction of a true jump is found by 0.4 % too large
-# with the latter, by 4 % with 0.02 in its place; with 0.002 Newton's method takes three times the steps where a servo
-# sticks for half of the time.
+# Kinks and jumps are rounded over these parts of a variable's range. With the latter, friction that truly jumps comes
+# out 0.5 to 1 % too large, with 0.02 in its place 4 %; with 0.002 Newton's method takes three times the steps where a
+# servo sticks for a third of the time.
 _KINK, _JUMP = 0.003, 0.005
 
 

@@ -70,10 +70,8 @@ def estimate_late(
     values = parameter_start(model, given)
     base = {name: values[name] for name in names}
     interval = min(float(np.median(np.diff(e.t))) for e in experiments)
-    # A warm start has the delays at which it was found; a fit also has the states.
+    # A warm start has the delays at which it was found.
     begin: Any = {name: v for name, v in given.items() if name not in names} if start is not None else None
-    if isinstance(start, Fit):
-        begin = start
     iterations, time, warnings = 0, 0.0, []
     for number in range(_PASSES):
         slim = at_delays(model, base, _REACH * interval)

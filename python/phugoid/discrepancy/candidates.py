@@ -17,13 +17,13 @@ from .lags import LaggedVariable
 from .periodic import Periodic
 from .places import Anatomy, Variable
 from .points import Points
-from .scales import Scales
+from .scales import Scales, trim_of
 from .sensors import SensorDelay, SensorLag, SensorScale
 from .terms import FORMS, Rate, Term, where
 from .transformations import DeadBand, InputBias, InputDelay, InputLag, InputScale, Saturation
 from .user_terms import read_terms
 
-__all__ = ["FAMILIES", "candidates"]
+__all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
 
 # In the order in which duplicates count: the first stays.
 FAMILIES = (
@@ -35,6 +35,7 @@ FAMILIES = (
     "square",
     "product",
     "cube",
+    "damping",
     "quadratic",
     "absolute",
     "sign",
@@ -62,7 +63,8 @@ def candidates(
     """Everything that the library can think of that the model may be missing, with canonical names.
 
     In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms, squares,
-    products and cubes of states and inputs, x|x|, |x|, sign(x), first-order lags, a periodic disturbance. In outputs:
+    products and cubes of states and inputs, x^2 v for rates v, x|x|, |x|, sign(x), first-order lags, a periodic
+    disturbance. In outputs:
     bias, scale, drift, delay, lag, linear terms, squares and products of rates, derivatives of rates. On inputs: scale,
     bias, dead-band, saturation, lag, delay. What the model's parameters can do already is left out, and so is what
     another candidate says too: names of `FAMILIES` that stand first win.
@@ -175,7 +177,7 @@ def _term(
         name,
         place,
         "",
-        form,
+        form.partition(",")[0],
         scales,
         (coefficient,),
         variables=symbols,
@@ -195,6 +197,9 @@ def _in_equation(anatomy: Anatomy, place: Place, scales: Scales, names: _Names) 
     for form in ("linear", "square"):
         yield from (term(form, v) for v in variables)
     yield from (term("product", v, w) for v, w in combinations(variables, 2))
+    states = [v for v in variables if v.kind == "state"]
+    yield from (term("damping", v, w) for v, w in combinations(states, 2) if w.rate)
+    yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
     for form in ("cube", "quadratic", "absolute"):
         yield from (term(form, v) for v in variables)
     yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")

@@ -53,6 +53,13 @@ FORMS: Mapping[str, Form] = {
     "product": Form(
         lambda x, _, y, __: x * y, "{0}*{1}", "{0}_{1}", "has a part that goes with the product of {0} and {1}"
     ),
+    "damping": Form(
+        lambda x, _, v, __: x**2 * v, "{0}^2*{1}", "{0}2_{1}", "has a damping by {1} that goes with the square of {0}"
+    ),
+    # The same where the rate is declared before: factors of a name stand in that order.
+    "damping, rate first": Form(
+        lambda v, _, x, __: v * x**2, "{0}*{1}^2", "{0}_{1}2", "has a damping by {0} that goes with the square of {1}"
+    ),
     # Its slope has no jump, so nothing needs rounding.
     "quadratic": Form(
         lambda x, _: x * abs(x),

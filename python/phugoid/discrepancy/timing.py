@@ -48,7 +48,7 @@ def longest_lag(points: Sequence[Points]) -> float:
 def delay_grid(scales: Scales) -> _Array:
     """From a quarter of an interval to a little beyond what is physical, so that surrogates are seen as such."""
     longest = 1.5 * _longest_delay(scales.duration, scales.interval)
-    return np.geomspace(min(0.25 * scales.interval, 0.5 * longest), longest, 12)
+    return np.geomspace(min(0.25 * scales.interval, 0.5 * longest), longest, 8)
 
 
 def delay_bounds(scales: Scales) -> dict[str, Any]:
@@ -57,10 +57,10 @@ def delay_bounds(scales: Scales) -> dict[str, Any]:
 
 
 def lag_grid(scales: Scales) -> _Array:
-    """From half an interval to a fifth of the record, but no more than 5 s, by factors of 1.5 or less."""
+    """From half an interval to a fifth of the record, but no more than 5 s, by factors of 2 or less."""
     longest = min(scales.duration / 5.0, max(5.0, 20.0 * scales.interval))
     shortest = min(0.5 * scales.interval, 0.1 * longest)
-    return np.geomspace(shortest, longest, int(np.ceil(np.log(longest / shortest) / np.log(1.5))) + 1)
+    return np.geomspace(shortest, longest, int(np.ceil(np.log(longest / shortest) / np.log(2.0))) + 1)
 
 
 def lag_bounds(scales: Scales) -> dict[str, Any]:

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
-from scipy.linalg import solve_banded
 
 from .. import _core
 from .._core import Expr
@@ -46,6 +44,8 @@ def lagged(t: _Array, u: _Array, tau: float) -> _Array:
 
     Within an interval z - u + tau u' decays as exp(-t/tau); the recursion is solved as a bidiagonal system.
     """
+    from scipy.linalg import solve_banded
+
     x = np.diff(t) / tau
     decay, share = np.exp(-x), -np.expm1(-x) / x
     band = np.ones((2, t.size))
@@ -63,4 +63,6 @@ def late(t: _Array, u: _Array, tau: float) -> _Array:
 
 def late_smooth(t: _Array, y: _Array, rate: _Array, tau: float) -> _Array:
     """(n,) y(t - tau) by cubic Hermite interpolation; NaN where that lies outside the record."""
+    from scipy.interpolate import CubicHermiteSpline
+
     return np.asarray(CubicHermiteSpline(t, y, rate, extrapolate=False)(t - tau))

@@ -11,19 +11,19 @@ from ..errors import ModelError, OptionError, did_you_mean
 from ..model import Model
 from .candidate import Place
 from .collection import Candidates
-from .directions import Direction, Directions
+from .directions import Directions
 from .effect import Effect
 from .lags import LaggedVariable
 from .periodic import Periodic
 from .places import Anatomy, Variable
 from .points import Points
-from .scales import Scales
+from .scales import Scales, trim_of
 from .sensors import SensorDelay, SensorLag, SensorScale
 from .terms import FORMS, Rate, Term, where
 from .transformations import DeadBand, InputBias, InputDelay, InputLag, InputScale, Saturation
 from .user_terms import read_terms
 
-__all__ = ["FAMILIES", "candidates"]
+__all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
 
 # In the order in which duplicates count: the first stays.
 FAMILIES = (
@@ -35,6 +35,7 @@ FAMILIES = (
     "square",
     "product",
     "cube",
+    "damping",
     "quadratic",
     "absolute",
     "sign",
@@ -62,7 +63,8 @@ def candidates(
     """Everything that the library can think of that the model may be missing, with canonical names.
 
     In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms, squares,
-    products and cubes of states and inputs, x|x|, |x|, sign(x), first-order lags, a periodic disturbance. In outputs:
+    products and cubes of states and inputs, x^2 v for rates v, x|x|, |x|, sign(x), first-order lags, a periodic
+    disturbance. In outputs:
     bias, scale, drift, delay, lag, linear terms, squares and products of rates, derivatives of rates. On inputs: scale,
     bias, dead-band, saturation, lag, delay. What the model's parameters can do already is left out, and so is what
     another candidate says too: names of `FAMILIES` that stand first win.
@@ -166,7 +168,6 @@ def _term(
 ) -> Term:
     f, shown = FORMS[form], [v.shown for v in factors]
     coefficient = names(f"{_stem(place)}_{f.suffix.format(*shown)}")
-    words = f"{where(place)} {f.words.format(*shown)}"
     name = f"{anatomy.shown(place)}:{f.what.format(*shown)}"
     symbols = tuple(v.symbol for v in factors)
     unit = anatomy.model.units.get(place.name, "") if place.kind == "output" else ""
@@ -175,12 +176,13 @@ def _term(
     return Term(
         name,
         place,
-        words,
-        form,
+        "",
+        form.partition(",")[0],
         scales,
         (coefficient,),
         variables=symbols,
         form=form,
+        shown=tuple(shown),
         unit=unit if form in ("bias", "drift") else "",
     )
 
@@ -195,9 +197,12 @@ def _in_equation(anatomy: Anatomy, place: Place, scales: Scales, names: _Names) 
     for form in ("linear", "square"):
         yield from (term(form, v) for v in variables)
     yield from (term("product", v, w) for v, w in combinations(variables, 2))
+    states = [v for v in variables if v.kind == "state"]
+    yield from (term("damping", v, w) for v, w in combinations(states, 2) if w.rate)
+    yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
     for form in ("cube", "quadratic", "absolute"):
         yield from (term(form, v) for v in variables)
-    yield from (term("sign", v) for v in variables if v.rate or v.kind == "input")
+    yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
     shown, stem, words = anatomy.shown(place), _stem(place), where(place)
     for v in variables:
         yield LaggedVariable(
@@ -266,23 +271,16 @@ def _on_input(anatomy: Anatomy, variable: Variable, scales: Scales, names: _Name
 def _distinct(own: Sequence[Effect], made: Sequence[Effect], directions: Directions) -> list[Effect]:
     """Those that say something new, in the order made, the user's own last; of the user's all must be new."""
     ranked = [*own, *sorted(made, key=lambda c: FAMILIES.index(c.family))]
-    known: dict[Any, list[tuple[Effect, Direction]]] = {}
+    ranked = [c for c in ranked if c.family in _STATIC]
     dropped: set[int] = set()
-    for c in ranked:
-        if c.family not in _STATIC:
-            continue
-        d = directions.of(c)
-        keys = d.blocks.keys()
-        twin = next((other for key in keys for other, e in known.get(key, ()) if d.parallel(e)), None)
-        if c.family == "own" and d.spanned:
+    for c, verdict in zip(ranked, directions.verdicts(ranked), strict=True):
+        if c.family == "own" and verdict.spanned:
             raise ModelError(
                 f"terms: {c.name}: the model has this already, its parameters change the equations in just that way"
             )
-        if c.family == "own" and twin is not None:
-            raise ModelError(f"terms: {c.name} and {twin.name} are the same but for a factor and what the model has")
-        if d.spanned or twin is not None:
+        if c.family == "own" and verdict.twin is not None:
+            twin = ranked[verdict.twin].name
+            raise ModelError(f"terms: {c.name} and {twin} are the same but for a factor and what the model has")
+        if verdict.spanned or verdict.twin is not None:
             dropped.add(id(c))
-            continue
-        for key in keys:
-            known.setdefault(key, []).append((c, d))
     return [c for c in (*made, *own) if id(c) not in dropped]

@@ -8,8 +8,8 @@ beside a constant, or the scale of an input that only ever stands beside free pa
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,37 +23,21 @@ from .candidate import Candidate
 from .points import Points
 from .scales import Scales
 
-__all__ = ["Direction", "Directions"]
+__all__ = ["Directions", "Verdict"]
 
 _Array = NDArray[np.float64]
 
-# Sine of the angle between directions that count as one.
-_SAME = 1e-7
+# Length beside the parameters' span, of a direction of length 1, that counts as nothing; and of how much the cosine of
+# two that count as one falls short of 1.
+_SPANNED, _PARALLEL = 1e-7, 1e-9
 
 
-class Direction:
-    """How a candidate moves the equations: (rows,) values in some blocks of rows, beside the parameters' span."""
+@dataclass(frozen=True)
+class Verdict:
+    """On a candidate: whether the model's parameters move the equations just so; else which earlier one does."""
 
-    def __init__(self, blocks: dict[Key, _Array], along: _Array) -> None:
-        self.blocks, self.along = blocks, along
-        total = sum(float(v @ v) for v in blocks.values())
-        self.size = math.sqrt(total)
-        self.beside = math.sqrt(max(total - float(along @ along), 0.0))
-
-    @property
-    def spanned(self) -> bool:
-        """Whether the model's parameters move the equations so too."""
-        # Both squares carry rounding errors of 1e-16 or so, their difference's root 1e-8.
-        return self.beside <= _SAME * self.size
-
-    def parallel(self, other: Direction) -> bool:
-        """Whether both are the same beside the parameters."""
-        common = self.blocks.keys() & other.blocks.keys()
-        if not common or self.spanned or other.spanned:
-            return False
-        product = sum(float(self.blocks[key] @ other.blocks[key]) for key in common) - float(self.along @ other.along)
-        cosine = float(product / (self.beside * other.beside))
-        return 1.0 - abs(cosine) < 1e-9
+    spanned: bool = False
+    twin: int | None = None
 
 
 class Directions:
@@ -91,22 +75,42 @@ class Directions:
         basis = u[:, s > 1e-12 * s.max(initial=0.0)]
         self._basis = {key: basis[i * self.points.n : (i + 1) * self.points.n] for i, key in enumerate(self._keys)}
 
-    def of(self, candidate: Candidate) -> Direction:
-        """The direction of a candidate with one signal that depends on no shape."""
+    def verdicts(self, candidates: Sequence[Candidate]) -> list[Verdict]:
+        """On each of some candidates that have one signal, which depends on no shape."""
+        found = [Verdict()] * len(candidates)
+        groups: dict[tuple[Key, ...], list[tuple[int, _Array]]] = {}
+        for i, c in enumerate(candidates):
+            blocks = self._blocks(c)
+            groups.setdefault(tuple(blocks), []).append((i, np.concatenate([np.zeros(0), *blocks.values()])))
+        for keys, members in groups.items():
+            v = np.stack([vector for _, vector in members])
+            size = np.linalg.norm(v, axis=1)
+            v = v / np.where(size > 0, size, 1.0)[:, np.newaxis]
+            along = v @ np.concatenate([self._basis[key] for key in keys]) if keys else v
+            # Of the parts beside the parameters' span; the square of their lengths carries rounding errors of 1e-16.
+            product = v @ v.T - along @ along.T
+            beside = np.sqrt(np.maximum(np.diag(product), 0.0))
+            kept: list[int] = []
+            for row, (i, _) in enumerate(members):
+                if beside[row] <= _SPANNED:
+                    found[i] = Verdict(spanned=True)
+                    continue
+                cosine = np.abs(product[row, kept]) / (beside[row] * beside[kept])
+                twins = np.flatnonzero(1.0 - cosine < _PARALLEL)
+                if twins.size:
+                    found[i] = Verdict(twin=members[kept[twins[0]]][0])
+                else:
+                    kept.append(row)
+        return found
+
+    def _blocks(self, candidate: Candidate) -> dict[Key, _Array]:
+        """How a candidate moves the equations: values for each that it moves."""
         signal = np.nan_to_num(candidate.signals(self.points, {})[0], posinf=0.0, neginf=0.0)
         if candidate.place.kind == "input":
-            blocks = {key: slope * signal for key, slope in self._slopes.get(candidate.place.name, {}).items()}
-        else:
-            blocks = {(candidate.place.kind, candidate.place.name): signal}
-        blocks = {key: v / self._unit[key] for key, v in blocks.items()}
-        size = sum(float(v @ v) for v in blocks.values()) ** 0.5
-        if size > 0:
-            blocks = {key: v / size for key, v in blocks.items()}
-        first = next(iter(self._basis.values()), np.zeros((0, 0)))
-        along = np.zeros(first.shape[1])
-        for key, v in blocks.items():
-            along += self._basis[key].T @ v
-        return Direction(blocks, along)
+            slopes = self._slopes.get(candidate.place.name, {})
+            return {key: slope * signal / self._unit[key] for key, slope in slopes.items()}
+        key = (candidate.place.kind, candidate.place.name)
+        return {key: signal / self._unit[key]}
 
 
 def _random(

@@ -42,8 +42,8 @@ class Periodic(Effect):
         extension = Extension(model, self, start)
         a, b = (extension.parameter(name) for name in self.coefficients)
         (name,) = self.shape_names
-        # Half a cycle a record is still a trend; above half the sampling rate nothing is seen.
-        bounds = (0.5 * np.pi / self.scales.duration, np.pi / self.scales.interval)
+        # Half a cycle a record is still a trend; near half the sampling rate slow disturbances look fast.
+        bounds = (0.5 * np.pi / self.scales.duration, 0.7 * np.pi / self.scales.interval)
         w = extension.parameter(name, self.shapes[0][name], bounds=bounds, unit="rad/s")
         angle = w * (Expr.symbol("time") - self._middle())
         extension.put(self.place, extension.at(self.place) + a * sin(angle) + b * cos(angle))

@@ -20,7 +20,8 @@ class Variable:
     symbol: str
     shown: str
     kind: str  # "state" or "input"
-    rate: bool = False
+    rate: bool = False  # an angular rate, or the derivative of another state
+    speed: bool = False  # what friction may turn with
 
 
 class Anatomy:
@@ -60,8 +61,19 @@ class Anatomy:
         self._exact = {
             n: e for n, e in self.dynamics.items() if not {*e.symbols}.intersection(self._parameters | derived)
         }
+        rates = {name for name in model.state_names if self._is_rate(name)}
+        units = model.units
         self.variables = [
-            Variable(name, name, "state", self._is_rate(name)) for name in model.state_names if name in known
+            Variable(
+                name,
+                name,
+                "state",
+                name in rates,
+                # By its unit; where nothing is said of any, it might be.
+                name in rates or units.get(name, "").endswith("/s") or not (rates or name in units),
+            )
+            for name in model.state_names
+            if name in known
         ]
         self.variables += self._inputs()
 

@@ -12,7 +12,7 @@ from ..model import Model
 from .along import lagged, late_smooth, of
 from .effect import Effect, Extension
 from .points import Points
-from .timing import delay_grid, lag_bounds, lag_grid, longest_delay, longest_lag
+from .timing import delay_bounds, delay_grid, lag_bounds, lag_grid, longest_delay, longest_lag
 
 __all__ = ["SensorDelay", "SensorLag", "SensorScale"]
 
@@ -86,7 +86,7 @@ class SensorDelay(Effect):
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = Extension(model, self, start)
         extension.at(self.place)
-        extension.parameter(self.shape_names[0], unit="s")
+        extension.parameter(self.shape_names[0], **delay_bounds(self.scales))
         extension.late_output(self.place.name, self.shape_names[0])
         return extension.model()
 

@@ -12,6 +12,7 @@ from .points import Points
 from .scales import Scales
 
 __all__ = [
+    "delay_bounds",
     "delay_grid",
     "frequency_grid",
     "lag_bounds",
@@ -48,6 +49,11 @@ def delay_grid(scales: Scales) -> _Array:
     """From a quarter of an interval to a little beyond what is physical, so that surrogates are seen as such."""
     longest = 1.5 * _longest_delay(scales.duration, scales.interval)
     return np.geomspace(min(0.25 * scales.interval, 0.5 * longest), longest, 8)
+
+
+def delay_bounds(scales: Scales) -> dict[str, Any]:
+    """Declaration of a delay: wide, a lead is no delay but may be what fits best; some of the record must be left."""
+    return {"bounds": (-0.25 * scales.duration, 0.25 * scales.duration), "unit": "s"}
 
 
 def lag_grid(scales: Scales) -> _Array:

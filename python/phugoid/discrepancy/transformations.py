@@ -16,14 +16,14 @@ from .along import evaluated, lagged, late, of
 from .effect import Effect, Extension, place_range
 from .points import Points
 from .sensors import SCALE
-from .timing import delay_grid, lag_bounds, lag_grid, longest_delay, longest_lag
+from .timing import delay_bounds, delay_grid, lag_bounds, lag_grid, longest_delay, longest_lag
 
 __all__ = ["DeadBand", "InputBias", "InputDelay", "InputLag", "InputScale", "Saturation"]
 
 _Array = NDArray[np.float64]
 
-# Corners are rounded over this part of the input's range.
-_CORNER = 0.01
+# Corners are rounded over this part of the input's range: less than the narrowest dead-band that is tried.
+_CORNER = 0.003
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -176,7 +176,7 @@ class InputDelay(Effect):
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = Extension(model, self, start)
         (name,) = self.shape_names
-        extension.parameter(name, unit="s")
+        extension.parameter(name, **delay_bounds(self.scales))
         late = extension.late_input(self.place.name, name)
         extension.replace_input(self.place.name, late)
         return extension.model()

@@ -302,14 +302,15 @@ EFFECTS = {
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_what_was_put_in_is_estimated(name: str, library: ph.Candidates) -> None:
-    """From the base model's truth and a rough value of the shape, as a scan gives it."""
+    """From the base model's truth and, as a scan gives them, the nearest shape of the grid and rough coefficients."""
     c, true = library[name], EFFECTS[name]
     model, empty = c.extended(pitch()), record(3)
     r = ph.simulate(model, {**TRUTH, **true}, empty, initial={"alpha": 0.04, "q": 0.0})
     random = np.random.default_rng(7)
     z = {n: y + SIGMA[n] * random.standard_normal(empty.n) for n, y in r.outputs.items()}
     nearest = min(c.shapes, key=lambda s: sum(abs(np.log(s[n] / true[n])) for n in s))
-    fit = ph.estimate(c.extended(pitch(), nearest), empty.with_outputs(z), start=TRUTH)
+    rough = {n: 0.7 * true[n] for n in c.coefficients}
+    fit = ph.estimate(c.extended(pitch(), {**rough, **nearest}), empty.with_outputs(z), start=TRUTH)
     assert fit.converged
     low_high = c.physical([along(pitch(), TRUTH, ph.simulate(pitch(), TRUTH, empty, initial={"alpha": 0.04, "q": 0}))])
     for parameter, value in true.items():

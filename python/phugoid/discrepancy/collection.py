@@ -29,7 +29,7 @@ class Candidates(Sequence[Candidate]):
     >>> library["v':x^3"]
     <v':x^3: v' has a part that goes with the cube of x>
     >>> library.only("v':x*").names
-    ("v':x^2", "v':x*v", "v':x^3", "v':x|x|")
+    ("v':x^2", "v':x*v", "v':x^2*v", "v':x^3", "v':x|x|")
     """
 
     def __init__(self, candidates: Iterable[Candidate] = ()) -> None:

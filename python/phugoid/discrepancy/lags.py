@@ -22,7 +22,10 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LaggedVariable(Effect):
-    """c z with tau z' + z = variable, from a steady start."""
+    """c z with tau z' + z = variable, from a steady start.
+
+    While c is 0 nothing depends on tau: an estimation is to start from values for both, such as a scan gives.
+    """
 
     def grid(self) -> Iterable[float]:
         return lag_grid(self.scales)
@@ -36,7 +39,10 @@ class LaggedVariable(Effect):
         (tau_name,) = self.shape_names
         (variable,) = self.variables
         c = extension.parameter(self.coefficients[0])
-        tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 2][tau_name], **lag_bounds(self.scales))
+        # An ever smaller time constant with an ever larger coefficient comes to a derivative, and steps in the constant
+        # itself run away there; steps in its logarithm come back from twice as many starts.
+        options = {**lag_bounds(self.scales), "transform": "log"}
+        tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 2][tau_name], **options)
         u = Expr.symbol(variable)
         lag = extension.state(f"{variable}_lag", model.units.get(variable, ""), lambda z: (u - z) / tau, u)
         extension.put(self.place, extension.at(self.place) + c * lag)

@@ -66,7 +66,7 @@ def lag_grid(scales: Scales) -> _Array:
 def lag_bounds(scales: Scales) -> dict[str, Any]:
     """Declaration of a time constant. Its bounds keep the equation from dividing by zero, and are else wide: whether
     a value is physical is another question."""
-    return {"bounds": (0.02 * scales.interval, 2.0 * scales.duration), "unit": "s"}
+    return {"bounds": (0.05 * scales.interval, 2.0 * scales.duration), "unit": "s"}
 
 
 def frequency_grid(scales: Scales) -> _Array:

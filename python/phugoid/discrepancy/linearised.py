@@ -125,6 +125,7 @@ class Linearised:
         n_theta, xi = problem.n_theta, self._xi
         values = problem.values(xi[: len(problem.estimands)].tolist())
         first = problem.first_point
+        late = {of: name for name, (of, _) in self.fit.model.delays.inputs.items()}
         for e, experiment in enumerate(self.experiments):
             theta = np.empty(len(model.parameter_names))
             for (_, p, own), (value, _) in zip(problem.estimands, values, strict=True):
@@ -138,6 +139,11 @@ class Linearised:
             found = derivatives(theta, columns)
             if not all(np.isfinite(part).all() for part in (found.f, found.g, found.by_state, found.by_parameter)):
                 raise EvaluationError(f"diagnose: the model is not finite along the path of '{experiment.name}'")
+            for of, name in late.items():  # what acts on an input, acts on it late
+                by_place, inputs = found.by_place, [n for n, _ in model._core.inputs]
+                parts = zip(by_place[Place("input", of)], by_place[Place("input", name)], strict=True)
+                by_place[Place("input", of)] = tuple(a + b for a, b in parts)
+                columns[1 + inputs.index(of)] = columns[1 + inputs.index(name)]
             at = place_of[problem.sample_points(e)]
             mesh = place_of[: record[e].mesh_t.size]
             self.sample_points.append(at)

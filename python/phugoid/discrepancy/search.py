@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from .held_out import across_blocks, gain_on_other_data, on_other_data
 from .linearised import Linearised
 from .refit import Refit, refit
 from .scan import Scan, Statistics
+from .terms import FORMS, Term
 from .whitening import Whitening
 
 __all__ = ["Found", "Search"]
@@ -82,7 +83,7 @@ class Search:
         self._scans: dict[frozenset[str], Scan] = {}
         self._others: dict[frozenset[str], Linearised | None] = {}
         self._starts: dict[str, Mapping[str, float]] = {}
-        self._by_name = {c.name: c for c in self.candidates}
+        self.candidates = about_zero_too(self.candidates)
         self._tries_in_all = sum(len(c.shapes) for c in self.candidates)
 
     # What is known of sets of candidates, each worked out once.
@@ -200,7 +201,7 @@ class Search:
         chosen: list[tuple[Candidate, _Array]] = []
         for i in np.argsort(-statistics.values):
             candidate, shape = scan.effects[i]
-            if any(candidate is c for c, _ in chosen) or not (among is None or among[i]):
+            if any(candidate.name == c.name for c, _ in chosen) or not (among is None or among[i]):
                 continue
             q = _unit(beside[scan.groups[i]].T)
             if any(_cosine(q, other) > _SAME for _, other in chosen):
@@ -291,7 +292,7 @@ class Search:
             if name not in self._starts:
                 i = found[name][1]
                 self._remember(scan.effects[i][0], scan.effects[i][1], statistics.amplitudes[i])
-        return [self._by_name[n] for n in order]
+        return [scan.effects[found[n][1]][0] for n in order]
 
     def _found(self, at: Refit, candidate: Candidate) -> Found:
         """What is to be said of a term in the end."""
@@ -319,6 +320,21 @@ class Search:
             rivals,
             self.held_out(without, at, candidate),
         )
+
+
+def about_zero_too(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates, and those whose powers are centred at a trim once more about zero, where that lies within the record.
+
+    Of a variable that changes sign a record does not say where its trim is: the scan does.
+    """
+    found: list[Candidate] = []
+    for c in candidates:
+        found.append(c)
+        if isinstance(c, Term) and c.form and FORMS[c.form].centred:
+            away = [n for n in c.variables if c.scales.centre(n) and c.scales.crosses(n)]
+            if away:
+                found.append(c.on(replace(c.scales, trim={**c.scales.trim, **dict.fromkeys(away, 0.0)})))
+    return found
 
 
 def is_physical(at: Refit, candidate: Candidate) -> bool:

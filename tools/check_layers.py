@@ -24,7 +24,8 @@ PYTHON = [
     "records", "io", "plot", "summary",
     "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
-    "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
+    "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "discrepancy",
+    "cli", "__init__", "__main__",
 ]
 # fmt: on
 

@@ -1,0 +1,127 @@
+"""The colour of residuals: an autoregressive (AR) model of what can be predicted of them from their own past.
+
+``r[t] = a_1 r[t-1] + ... + a_p r[t-p] + e[t]``. Its innovations e are what noise there is, whatever the residuals
+consist of: by Kolmogorov's formula their variance is that of the best prediction, while differences of high order see
+only the noise near the Nyquist frequency, which a filtered sensor does not have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+__all__ = ["Colour", "burg", "self_product", "spread"]
+
+_Array = NDArray[np.float64]
+
+_LONGEST = 12  # lags
+_MEMORY = 1 << 15  # samples after which the impulse response of the model is cut
+
+
+@dataclass(frozen=True, eq=False)
+class Colour:
+    """An AR model.
+
+    coefficients  (p,) a_1 ... a_p, of a stable model; none where the residuals are white.
+    noise         standard deviation of the innovations.
+    """
+
+    coefficients: _Array
+    noise: float
+
+    @property
+    def order(self) -> int:
+        """Number of lags, p."""
+        return int(self.coefficients.size)
+
+    def whitened(self, grid: _Array) -> _Array:
+        """(G,) or (G, m) passed through the filter 1 - a_1 z^-1 - ...; NaN where a lag is missing."""
+        p = self.order
+        if p == 0:
+            return grid
+        out = np.full_like(grid, np.nan)
+        out[p:] = grid[p:]
+        for k, a in enumerate(self.coefficients, start=1):
+            out[p:] -= a * grid[p - k : grid.shape[0] - k]
+        return out
+
+    def autocorrelation(self, lags: int) -> _Array:
+        """(lags,) of the model, from lag 0, where it is 1."""
+        rho = np.zeros(lags)
+        if self.order == 0:
+            rho[:1] = 1.0
+            return rho
+        impulse = np.zeros(min(_MEMORY, max(4 * lags, 256)))
+        impulse[0] = 1.0
+        h = lfilter([1.0], np.concatenate([[1.0], -self.coefficients]), impulse)
+        full = self_product(h)[:lags]
+        rho[: full.size] = full / full[0]
+        return rho
+
+
+def spread(weights: Sequence[_Array], rho: _Array) -> float:
+    """Standard deviation of the weighted sum of residuals of size 1 with autocorrelation ``rho``, (at least G,).
+
+    ``weights``: (G,) on the grid of each experiment, 0 where there is no sample. For weights 1/n it is the standard
+    error of a mean, corrected for blocks of samples that are alike.
+    """
+    total = 0.0
+    for w in weights:
+        pairs = self_product(w)
+        total += float(pairs[0] + 2.0 * (rho[1 : pairs.size] @ pairs[1:]))
+    return math.sqrt(max(total, 0.0))
+
+
+def burg(grids: Sequence[_Array]) -> Colour:
+    """The AR model of residuals on grids, NaN where missing: Burg's recursion over all runs of samples without a gap.
+
+    Its models are stable whatever the data, and each order follows from the one before. The order, 12 at most and a
+    tenth of the samples, has the least BIC (Schwarz 1978). The mean is not removed: that of residuals should be zero.
+    """
+    runs = [run for grid in grids for run in _runs(grid)]
+    n = sum(run.size for run in runs)
+    power = sum(float(run @ run) for run in runs) / n
+    if power == 0.0:
+        return Colour(np.empty(0), 0.0)
+    forward, backward = runs, runs
+    a = np.empty(0)
+    best, best_bic, error = a, n * math.log(power), power
+    for p in range(1, min(_LONGEST, n // 10) + 1):
+        # Runs that are shorter than the lags say nothing more.
+        pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True) if f.size > 1]
+        below = sum(float(f @ f + b @ b) for f, b in pairs)
+        if below <= 0.0:
+            break
+        k = 2.0 * sum(float(f @ b) for f, b in pairs) / below
+        a = np.concatenate([a - k * a[::-1], [k]])
+        forward, backward = [f - k * b for f, b in pairs], [b - k * f for f, b in pairs]
+        error *= 1.0 - k * k
+        if error <= 1e-14 * power:  # predicted exactly, as a pure sine is
+            best = a
+            break
+        bic = n * math.log(error) + p * math.log(n)
+        if bic < best_bic:
+            best, best_bic = a, bic
+    plain = Colour(best, math.nan)
+    innovations = np.concatenate([plain.whitened(grid) for grid in grids])
+    innovations = innovations[np.isfinite(innovations)]
+    freedom = max(innovations.size - best.size, 1)
+    return Colour(best, math.sqrt(float(innovations @ innovations) / freedom))
+
+
+def _runs(grid: _Array) -> list[_Array]:
+    there = np.isfinite(grid)
+    edges = np.flatnonzero(np.diff(there.astype(np.int8)))
+    return [run for run in np.split(grid, edges + 1) if np.isfinite(run[0])]
+
+
+def self_product(x: _Array) -> _Array:
+    """sum_t x[t] x[t+k] for k = 0, 1, ..."""
+    size = 1 << (2 * x.size - 1).bit_length()
+    spectrum = np.fft.rfft(x, size)
+    return np.asarray(np.fft.irfft(spectrum * spectrum.conj(), size)[: x.size])

@@ -30,6 +30,7 @@ _ENOUGH = 30  # samples below which only the size of residuals is told
 _ENOUGH_FOR_REGIMES = 60
 _LAGS = 100
 _LJUNG_BOX = 20  # lags
+_ROUNDING = 1e-6  # of the RMS: less is no noise
 
 
 def _none() -> _Array:
@@ -40,13 +41,13 @@ def _none() -> _Array:
 class ChannelMisfit:
     """What is left of one output over all experiments, in its ``unit``.
 
-    n            samples.
+    n            samples, without outliers (which ``notes`` tell of).
     rms          of the residuals.
     noise        standard deviation of what in them cannot be predicted from their own past: the innovations of an AR
                  model of ``order`` lags (12 at most, by BIC). NaN where there are too few samples to say.
     mean, mean_error  of the residuals, with standard error for residuals so coloured.
     lags, autocorrelation, band   (L,) s, (L,), and the half-width of the band that holds 95 % of white residuals.
-    white        p-value of Ljung and Box's test that they are white (20 lags).
+    white        p-value of Ljung and Box's test that they are white (20 lags), whether or not their size changes.
     running, usual, spans   running RMS by experiment, its usual level, and the spans that stand out.
     regimes, correlations   against states, inputs and their rates; the least likely chance first.
     spectrum, tones         power by frequency, and lines in it.
@@ -80,8 +81,11 @@ class ChannelMisfit:
 
     @property
     def ratio(self) -> float:
-        """RMS of the residuals over their noise: 1 where nothing can be predicted, NaN where unknown."""
-        return self.rms / self.noise if self.noise > 0.0 else math.nan
+        """RMS of the residuals over their noise: 1 where nothing can be predicted, infinite where all is, NaN where
+        unknown."""
+        if self.noise == 0.0 and self.rms > 0.0:
+            return math.inf
+        return self.rms / self.noise
 
     @property
     def predictable(self) -> float:
@@ -97,7 +101,7 @@ class ChannelMisfit:
     def biased(self) -> bool:
         """Whether their mean is off zero."""
         if not self.mean_error > 0.0:
-            return False
+            return self.mean_error == 0.0 and self.mean != 0.0  # the same throughout
         effective = max((self.rms / self.mean_error) ** 2 - 1.0, 1.0)  # samples that coloured ones are worth
         return bool(2.0 * t.sf(abs(self.mean / self.mean_error), effective) < _ALPHA)
 
@@ -187,11 +191,14 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
     n, rms = r.size, float(np.sqrt(np.mean(r**2)))
     if rms == 0.0:
         return ChannelMisfit(name, unit, n, rms, notes=(f"{name} is matched exactly: there is no residual to look at",))
+    if float(np.ptp(r)) <= _ROUNDING * rms:
+        return ChannelMisfit(name, unit, n, rms, noise=0.0, mean=float(r.mean()), mean_error=0.0)
     if n < _ENOUGH:
         note = f"{name} has {n} samples: too few to tell noise from misfit ({_ENOUGH} are needed)"
         return ChannelMisfit(name, unit, n, rms, notes=(note,))
     series, others = same_rate(every)
-    notes = [
+    notes = [_on_outliers(name, every)] if any(s.outliers.size for s in every) else []
+    notes += [
         f"{name} is sampled at another rate in '{s.experiment}', which only its spans of large residuals look at"
         for s in others
     ]
@@ -201,7 +208,7 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
     longest = max(int(s.at[-1]) + 1 for s in series)
     rho = colour.autocorrelation(longest)
     mean_error = own_rms * spread([np.nan_to_num(s.on_grid(np.full(s.r.size, 1.0 / own.size))) for s in series], rho)
-    lags, correlation, pairs = _autocorrelation(series)
+    lags, correlation, scatter = _autocorrelation(series)
     running, usual, spans = spans_of(every, _ALPHA)
     regimes: list[Regime] = []
     correlations: list[Correlation] = []
@@ -222,7 +229,7 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
         lags=lags,
         autocorrelation=correlation,
         band=1.96 / math.sqrt(own.size),
-        white=_ljung_box(correlation, pairs, own.size),
+        white=_ljung_box(correlation, scatter, own.size),
         running=running,
         usual=usual,
         spans=tuple(spans),
@@ -235,29 +242,45 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
     )
 
 
+def _on_outliers(name: str, every: Sequence[Series]) -> str:
+    count = sum(s.outliers.size for s in every)
+    first = next(s for s in every if s.outliers.size)
+    where = f"{first.outliers[0]:g} s of '{first.experiment}'"
+    if count == 1:
+        return f"{name} has an outlier, at {where}, which is left out here"
+    return f"{name} has {count} outliers, the first at {where}, which are left out here"
+
+
 def _noise(colour: Colour, rms: float, own_rms: float) -> float:
     """Of white residuals all is noise, but for the degrees of freedom."""
-    return rms if colour.order == 0 else min(rms, colour.noise * rms / own_rms)
+    if colour.order == 0:
+        return rms
+    noise = min(rms, colour.noise * rms / own_rms)
+    return noise if noise > _ROUNDING * rms else 0.0
 
 
 def _autocorrelation(series: Sequence[Series]) -> tuple[_Array, _Array, _Array]:
-    """Lags in s, autocorrelation about zero and number of pairs, of all experiments together."""
+    """Lags in s, autocorrelation about zero, and its variance if residuals are white, of all experiments together.
+
+    The variance is that of residuals of which the size may change (Diebold 1986): a noisy stretch is no colour.
+    """
     grids = [s.on_grid(s.r) for s in series]
     n = sum(s.r.size for s in series)
     power = sum(float(s.r @ s.r) for s in series) / n
     lags = range(min(_LAGS, n // 4) + 1)
-    rho, pairs = [], []
+    rho, scatter = [], []
     for k in lags:
         products = np.concatenate([g[k:] * g[: g.size - k] for g in grids if g.size > k])
         products = products[np.isfinite(products)]
         rho.append(float(products.mean()) / power if products.size else 0.0)
-        pairs.append(products.size)
-    return np.array(lags) * series[0].dt, np.array(rho), np.array(pairs, dtype=float)
+        squares = float(np.mean(products**2)) if products.size else 0.0
+        scatter.append(squares / power**2 / products.size if squares > 0.0 else np.inf)
+    return np.array(lags) * series[0].dt, np.array(rho), np.array(scatter)
 
 
-def _ljung_box(rho: _Array, pairs: _Array, n: int) -> float:
+def _ljung_box(rho: _Array, scatter: _Array, n: int) -> float:
     """P-value; with gaps the pairs that there are stand for n - k (Dunsmuir and Robinson 1981)."""
     # With more lags than a twelfth of the samples the statistic exceeds its distribution.
     last = min(_LJUNG_BOX, max(n // 12, 2), rho.size - 1)
-    statistic = (n + 2.0) / n * float(np.sum(pairs[1 : last + 1] * rho[1 : last + 1] ** 2))
+    statistic = (n + 2.0) / n * float(np.sum(rho[1 : last + 1] ** 2 / scatter[1 : last + 1]))
     return float(chi2.sf(statistic, last))

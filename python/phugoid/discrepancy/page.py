@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 import datetime
-import io
 import os
 import platform
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .. import _core
 from ..model import Model
@@ -18,18 +16,15 @@ from ..parameters import Estimate
 from .extension import Extension
 from .figures import findings_figure, gain_figure, misfit_figure, ranking_figure
 from .finding import Finding
+from .markup import bullets, image, section, table
 from .mathml import equation
 from .misfit import Misfit, misfit
 from .phrases import number, percent, what_stands_out, with_unit
 from .style import STYLE
 from .words import alias_set, finding_lines, headline, outcome, with_sign
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["report"]
 
-_DPI = 160
 _RANKED = 20  # candidates in the table
 
 
@@ -37,8 +32,8 @@ def report(diagnosis: Any, path: str | os.PathLike[str]) -> None:
     """Writes a diagnosis as one HTML page: images inside, no script, no link; for screen, phone and print.
 
     What was wrong, the cause and its rivals, the evidence, the new equation, the gain, what is left open, and which
-    data and versions it comes from. ``diagnosis`` is a `Diagnosis`: .fit, .misfit, .findings, .ranking, .threshold, .notes,
-    .seconds and .extend(), which is called where a cause is named.
+    data and versions it comes from. ``diagnosis`` is a `Diagnosis`: .fit, .misfit, .findings, .ranking, .threshold,
+    .notes, .seconds and .extend(), which is called where a cause is named.
     """
     extension = diagnosis.extend() if outcome(diagnosis.findings) == "named" else None
     sections = [
@@ -78,7 +73,7 @@ def _wrong(diagnosis: Any) -> str:
     for name in found.worst:
         c = found.channels[name]
         share = percent(c.predictable) if c.predictable == c.predictable else ""
-        sizes = [with_unit(c.rms, c.unit), _number(c.noise), f"{c.ratio:.2g}" if c.ratio == c.ratio else "", share]
+        sizes = [with_unit(c.rms, c.unit), _number(c.noise), _number(c.ratio), share]
         rows.append([name, *sizes, what_stands_out(c)])
     heads = ["channel", "RMS", "noise", "ratio", "predictable", "what stands out"]
     explained = (
@@ -86,22 +81,22 @@ def _wrong(diagnosis: Any) -> str:
         "(innovations of an autoregressive model); a ratio of 1, and nothing predictable, is a perfect match. Claims "
         "take into account that residuals are coloured: each has a chance of about 1 in 1000 of being false."
     )
-    image = _image(
+    shown = image(
         misfit_figure(found, diagnosis.fit)[0],
         "Residuals of the worst channels",
         "The worst channels. Grey in the time histories: ±2 times the noise; orange spans stand out. Autocorrelation "
         "and its 95 % band for white noise. Spectrum: dashed, white noise of the same power; shaded, bands above it. "
-        "Last, the mean residual over the variable that it depends on most; grey, ±2 standard errors; orange, bins that "
-        "stand out.",
+        "Last, the mean residual over the variable that it depends on most; grey, ±2 standard errors; orange, bins "
+        "that stand out.",
     )
-    notes = _list(list(dict.fromkeys(n for c in found.channels.values() for n in c.notes)))
-    return _section("What was wrong", f"<p>{escape(explained)}</p>{_table(heads, rows, 'lrrrrl')}{notes}{image}")
+    notes = bullets(list(dict.fromkeys(n for c in found.channels.values() for n in c.notes)))
+    return section("What was wrong", f"<p>{escape(explained)}</p>{table(heads, rows, 'lrrrrl')}{notes}{shown}")
 
 
 def _causes(diagnosis: Any) -> str:
     findings: Sequence[Finding] = diagnosis.findings
     if not findings:
-        return _section("The cause", f"<p>{escape(headline(diagnosis))}</p>")
+        return section("The cause", f"<p>{escape(headline(diagnosis))}</p>")
     cards = []
     for finding in findings:
         lines = "".join(f"<p>{escape(line)}</p>" for line in finding_lines(finding))
@@ -109,24 +104,24 @@ def _causes(diagnosis: Any) -> str:
         rivals = ""
         if finding.aliases:
             rows = [[name, with_sign(gain)] for name, gain in gains.items()]
-            rivals = _table(["cause or rival", "gain in log-likelihood"], rows, "lr")
+            rivals = table(["cause or rival", "gain in log-likelihood"], rows, "lr")
         status = escape(finding.status)
         cards.append(
             f"<article><h3>{escape(alias_set(finding))} <span class='status {status}'>{status}</span></h3>"
             f"{lines}{rivals}</article>\n"
         )
-    return _section("The cause and its rivals" if len(findings) == 1 else "The causes and their rivals", "".join(cards))
+    return section("The cause and its rivals" if len(findings) == 1 else "The causes and their rivals", "".join(cards))
 
 
 def _candidates(diagnosis: Any) -> str:
     ranking = sorted(diagnosis.ranking, key=lambda s: s.statistic, reverse=True)
     if not ranking:
-        return _section("The evidence", "<p>No candidates were tried.</p>")
+        return section("The evidence", "<p>No candidates were tried.</p>")
     text = (
         f"<p>{len(ranking)} candidates were tried. Bars show by how much each would raise twice the log-likelihood, to "
         f"first order; what is below the threshold of {diagnosis.threshold:.1f} may well be chance among so many.</p>"
     )
-    image = _image(
+    shown = image(
         ranking_figure(ranking, diagnosis.threshold)[0],
         "The best candidates",
         "The best candidates of the first scan. Bars: residuals whitened, so that slow noise is no evidence; circles: "
@@ -145,8 +140,8 @@ def _candidates(diagnosis: Any) -> str:
         for s in ranking[:_RANKED]
     ]
     heads = ["candidate", "statistic", "ranking", "white", "distinct", "explanation", "remark"]
-    more = f"<details><summary>The best {len(rows)} in figures</summary>{_table(heads, rows, 'lrrrrll')}</details>"
-    return _section("The evidence", text + image + more)
+    more = f"<details><summary>The best {len(rows)} in figures</summary>{table(heads, rows, 'lrrrrll')}</details>"
+    return section("The evidence", text + shown + more)
 
 
 def _equations(diagnosis: Any, extension: Extension) -> str:
@@ -179,9 +174,9 @@ def _equations(diagnosis: Any, extension: Extension) -> str:
         rows.append([name, "" if old is None else _estimate(old), _estimate(now), now.unit, now.remark])
     heads = ["parameter", "before", "after", "unit", ""]
     added = [row for row in rows if not row[1]]
-    table = _table(["new parameter", "estimate ± std error", "unit", ""], [[r[0], *r[2:]] for r in added], "lrll")
-    every = f"<details><summary>All parameters, before and after</summary>{_table(heads, rows, 'lrrll')}</details>"
-    return _section("The new equations", intro + "".join(shown) + (table if added else "") + every)
+    news = table(["new parameter", "estimate ± std error", "unit", ""], [[r[0], *r[2:]] for r in added], "lrll")
+    every = f"<details><summary>All parameters, before and after</summary>{table(heads, rows, 'lrrll')}</details>"
+    return section("The new equations", intro + "".join(shown) + (news if added else "") + every)
 
 
 def _gain(diagnosis: Any, extension: Extension) -> str:
@@ -206,20 +201,18 @@ def _gain(diagnosis: Any, extension: Extension) -> str:
     told = f"<p>By adding {escape(', '.join(extension.added))} and fitting all parameters again.</p>"
     if gain.held_out != gain.held_out:
         told += "<p>No data were held out, so nothing shows that the extended model predicts better.</p>"
-    images = _image(
+    images = image(
         gain_figure(gain, diagnosis.fit.model.units)[0],
         "RMS of residuals after, over before",
         "RMS of the residuals of each channel after, in per cent of before.",
     )
-    images += _image(
+    images += image(
         findings_figure(diagnosis.fit, extension)[0],
         "Residuals before and after",
         "The channels that gain most: residuals before and after, and what the extension changes in the model's "
         "output: the added effect with what the other parameters make of it.",
     )
-    return _section(
-        "The gain", told + _table(["total", "gain"], totals, "lr") + _table(heads, rows, "llrrrrrr") + images
-    )
+    return section("The gain", told + table(["total", "gain"], totals, "lr") + table(heads, rows, "llrrrrrr") + images)
 
 
 def _open(diagnosis: Any, extension: Extension | None) -> str:
@@ -239,10 +232,10 @@ def _open(diagnosis: Any, extension: Extension | None) -> str:
     body = "".join(f"<p>{part}</p>" for part in parts)
     if extension is not None:
         left = misfit(extension.fit)
-        body += "<p>Residuals of the extended model:</p>" + _list(
+        body += "<p>Residuals of the extended model:</p>" + bullets(
             [left.channels[name].summary() for name in left.worst]
         )
-    return _section("What it leaves open", body or "<p>Nothing that these data tell of.</p>")
+    return section("What it leaves open", body or "<p>Nothing that these data tell of.</p>")
 
 
 def _provenance(diagnosis: Any, extension: Extension | None) -> str:
@@ -256,7 +249,7 @@ def _provenance(diagnosis: Any, extension: Extension | None) -> str:
         missing = sum(int((z != z).sum()) for z in r.measured.values())
         span = f"{r.t[0]:g} to {r.t[-1]:g} s"
         rows.append([r.name, str(r.n), span, str(missing), ", ".join(r.inputs), ", ".join(r.outputs)])
-    data = _table(["experiment", "samples", "time", "missing values", "inputs", "outputs"], rows, "lrrrll")
+    data = table(["experiment", "samples", "time", "missing values", "inputs", "outputs"], rows, "lrrrll")
     facts = {
         "model": f"{fit.model.name}; {len(fit.model.parameter_names)} parameters",
         "fit": f"{fit.status}; log-likelihood {fit.log_likelihood:.1f}; {fit.iterations} iterations",
@@ -271,7 +264,7 @@ def _provenance(diagnosis: Any, extension: Extension | None) -> str:
     versions += f"scipy {scipy.__version__}, matplotlib {matplotlib.__version__}"
     facts |= {"versions": versions, "written": datetime.date.today().isoformat()}
     listed = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts.items())
-    return _section("Data and versions", f"{data}<dl>{listed}</dl>")
+    return section("Data and versions", f"{data}<dl>{listed}</dl>")
 
 
 def _has(model: Model, name: str) -> bool:
@@ -293,35 +286,3 @@ def _before_after(before: Any, after: Any, name: str) -> list[str]:
 
 def _change(change: float) -> str:
     return f"{100.0 * change:+.0f} %" if change == change else ""
-
-
-def _section(title: str, body: str) -> str:
-    return f"<section>\n<h2>{escape(title)}</h2>\n{body}\n</section>\n"
-
-
-def _list(texts: Iterable[str]) -> str:
-    items = "".join(f"<li>{escape(text)}</li>" for text in texts)
-    return f"<ul>{items}</ul>" if items else ""
-
-
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], align: str) -> str:
-    """Escapes all; ``align`` holds l or r for each column. Wide tables scroll by themselves on a phone."""
-    side = [" class='r'" if a == "r" else "" for a in align]
-    head = "".join(f"<th{side[j]}>{escape(text)}</th>" for j, text in enumerate(heads))
-    body = "".join(
-        "<tr>" + "".join(f"<td{side[j]}>{escape(text)}</td>" for j, text in enumerate(row)) + "</tr>\n" for row in rows
-    )
-    return f"<div class='wide'><table><thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table></div>\n"
-
-
-def _image(figure: Figure, alt: str, caption: str) -> str:
-    from matplotlib import pyplot as plt
-
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=_DPI, format="png")
-    plt.close(figure)
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return (
-        f"<figure><img alt='{escape(alt, quote=True)}' src='data:image/png;base64,{data}'>"
-        f"<figcaption>{escape(caption)}</figcaption></figure>\n"
-    )

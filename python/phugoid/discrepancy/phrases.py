@@ -49,6 +49,8 @@ def _follows(found: Correlation) -> str:
 def _times(c: Any) -> str:
     if math.isnan(c.ratio):
         return ""
+    if c.ratio > 1000.0:
+        return ", with no noise in it"
     if c.ratio < 1.05:
         return ", as much as its noise"
     return f", {c.ratio:.2g} times its noise ({percent(c.predictable)} of its power predictable)"

@@ -29,7 +29,8 @@ class Bin:
     n           samples.
     mean        of the residuals there.
     std_error   of the mean, for residuals as coloured as these.
-    stands_out  whether the mean is off by more than chance explains, of all bins of all variables.
+    stands_out  whether the mean differs from that of the whole record by more than chance explains, of all bins of all
+                variables.
     """
 
     low: float
@@ -93,7 +94,10 @@ def regimes_of(series: Sequence[Series], colour: Colour, rho: _Array, rms: float
             mean = sum(float(s.r[i].sum()) for s, i in zip(series, inside, strict=True)) / m
             weights = [np.nan_to_num(s.on_grid(i / m)) for s, i in zip(series, inside, strict=True)]
             error = rms * spread(weights, rho)
-            chance = 2.0 * t.sf(abs(mean) / error, freedom) if error > 0.0 else 1.0
+            # A bias of the whole record is no matter of regimes.
+            beside = [np.nan_to_num(s.on_grid(i / m - 1.0 / n)) for s, i in zip(series, inside, strict=True)]
+            of_difference = rms * spread(beside, rho)
+            chance = 2.0 * t.sf(abs(mean - mean_r) / of_difference, freedom) if of_difference > 0.0 else 1.0
             chance *= edges.size - 1
             single = min(single, chance)
             stands_out = bool(2.0 * chance * len(names) < alpha)

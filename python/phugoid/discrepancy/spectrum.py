@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import welch
+from scipy.signal.windows import tukey
 from scipy.stats import chi2, f
 
 from .series import Series
@@ -18,8 +19,10 @@ __all__ = ["Band", "Spectrum", "Tone", "spectrum_of", "tones_of"]
 _Array = NDArray[np.float64]
 
 _SEGMENT = 256  # samples of a segment of Welch's method, at most
-_BACKGROUND = 41  # frequencies whose median is the background of a tone
+_BACKGROUND = 61  # frequencies whose median is the background of a tone
+_NEAR = np.repeat([1.0, 0.0, 1.0], [8, 5, 8])  # weights of lines by a line, without those that its window spreads to
 _SLOWEST = 4  # cycles in the record: less is no tone
+_LEAST = 64  # places of the grid for a tone
 _MOST = 3
 
 
@@ -72,7 +75,7 @@ def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
     rate = 1.0 / series[0].dt
     density: _Array = np.zeros(size // 2 + 1)
     segments = 0
-    frequency = np.fft.rfftfreq(size, 1.0 / rate)
+    frequency = np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
     for s in series:
         grid = np.nan_to_num(s.on_grid(s.r))
         pieces = max(1, (grid.size - size // 2) // (size - size // 2))
@@ -103,34 +106,48 @@ def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
 def tones_of(series: Sequence[Series], alpha: float) -> list[Tone]:
     """Lines that rise above the spectrum on either side of them, the strongest first.
 
-    Of the periodogram of each experiment, flattened by a first-order filter, which can be no resonance; the background
-    is the running median. The ratio of a line to it has an F-distribution where there is no tone.
+    Of the periodogram of each experiment, flattened by a first-order filter, which can be no resonance. Its background
+    is the running median, and the mean close by; ratios to it have an F-distribution where there is no tone.
     """
-    found = []
+    found: list[Tone] = []
     for s in series:
-        grid = np.nan_to_num(s.on_grid(s.r))
-        n = grid.size
-        if n < 4 * _SLOWEST * 4:
-            continue
+        grid = np.nan_to_num(s.on_grid(s.r - s.r.mean()))
         power = float(grid @ grid)
-        slope = float(grid[:-1] @ grid[1:]) / power if power > 0.0 else 0.0
+        if grid.size < _LEAST or power == 0.0:
+            continue
+        slope = float(grid[:-1] @ grid[1:]) / power
         flat = grid[1:] - slope * grid[:-1]
-        window = np.hanning(flat.size)
-        lines = np.abs(np.fft.rfft(flat * window)) ** 2
-        frequency = np.fft.rfftfreq(flat.size, s.dt)
-        width = min(_BACKGROUND, (lines.size - _SLOWEST) // 2 * 2 - 1)
-        background = median_filter(lines[1:], width, mode="reflect") / np.log(2.0)
-        ratio = np.concatenate([[0.0], lines[1:] / np.maximum(background, 1e-300)])
-        ratio[:_SLOWEST] = 0.0
-        ratio[-2:] = 0.0  # the line at Nyquist has one degree of freedom
-        # A median of k exponential values is as sure as the mean of about 0.48 k; Hann's window joins neighbours.
-        limit = f.isf(alpha / (ratio.size * len(series)), 2, 2 * 0.48 * width / 1.5)
-        peaks = np.flatnonzero((ratio > limit) & (ratio >= np.roll(ratio, 1)) & (ratio > np.roll(ratio, -1)))
-        for k in peaks[np.argsort(-ratio[peaks])][:_MOST]:
-            refined, amplitude = _line(s, float(frequency[k]), float(frequency[1]))
-            share = 0.5 * amplitude**2 / float(np.mean(s.r**2))
-            found.append(Tone(s.experiment, refined, amplitude, min(share, 1.0)))
+        flat *= tukey(flat.size, 0.2)  # little leakage is left, and little is lost
+        step = 1.0 / (flat.size * s.dt)
+        chance = alpha / (flat.size * len(series))
+        peaks = [peak for shift in (0.0, 0.5) for peak in _peaks(flat, shift, chance)]
+        kept: list[float] = []
+        for _, place in sorted(peaks, reverse=True):
+            if len(kept) < _MOST and all(abs(place - other) > 2.0 for other in kept):
+                kept.append(place)
+                frequency, amplitude = _line(s, place * step, step)
+                share = 0.5 * amplitude**2 / float(np.mean(s.r**2))
+                found.append(Tone(s.experiment, frequency, amplitude, min(share, 1.0)))
     return sorted(found, key=lambda tone: -tone.share)[:_MOST]
+
+
+def _peaks(x: _Array, shift: float, chance: float) -> list[tuple[float, float]]:
+    """Lines of the periodogram that are no chance: how far above the limit, and where, in lines from 0.
+
+    ``shift``: part of a line that all lines are moved by; a tone halfway between two would lose more than half of its
+    power in both.
+    """
+    turned = x * np.exp(-2j * np.pi * shift * np.arange(x.size) / x.size)
+    lines = np.abs(np.fft.fft(turned)[1 : x.size // 2 - 1]) ** 2  # neither 0 nor Nyquist
+    width = min(_BACKGROUND, lines.size // 2 * 2 - 1)
+    background = median_filter(lines, width, mode="reflect") / np.log(2.0)
+    # A median of k exponential values is as sure as the mean of about 0.48 k; the window joins neighbours.
+    ratio = lines / np.maximum(background, 1e-300) / f.isf(chance, 2, 2 * 0.48 * width / 1.15)
+    # A resonance is broad, a tone is not: the line must rise above the mean of those close by, too.
+    near = np.convolve(np.pad(lines, _NEAR.size // 2, "reflect"), _NEAR / _NEAR.sum(), "valid")
+    sharp = lines / np.maximum(near, 1e-300) / f.isf(chance, 2, 2 * _NEAR.sum() / 1.15)
+    over = np.minimum(ratio, sharp)
+    return [(float(over[k]), k + 1 + shift) for k in np.flatnonzero(over > 1.0) if k + 1 >= _SLOWEST]
 
 
 def _line(s: Series, near: float, step: float) -> tuple[float, float]:

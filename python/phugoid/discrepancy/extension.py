@@ -53,10 +53,10 @@ class Gain:
         held_out = bool(self.held_out_rms_before)
         rows = []
         for name in self.channels:
-            row = [name, f"{self.rms_before[name]:.4g}", f"{self.rms_after[name]:.4g}", _percent(self.change(name))]
+            row = [name, *map(_number, (self.rms_before[name], self.rms_after[name])), _percent(self.change(name))]
             if held_out:
                 before, after = self.held_out_rms_before.get(name), self.held_out_rms_after.get(name)
-                row += ["" if before is None else f"{before:.4g}", "" if after is None else f"{after:.4g}"]
+                row += [_number(before), _number(after)]
                 row.append(_percent(self.change(name, held_out=True)))
             rows.append(row)
         heads = ["channel", "RMS before", "after", "change"]
@@ -83,6 +83,10 @@ class Extension:
 
     def __repr__(self) -> str:
         return f"<Extension of '{self.model.name}' by {', '.join(self.added) or 'nothing'}>"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None or value != value else f"{value:.4g}"
 
 
 def _percent(change: float) -> str:

@@ -45,7 +45,10 @@ def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
         # A dot where two numbers would else run together.
         numbers = "<mn>" in of[0][0][-20:] and of[1][0].startswith("<mn>")
         between = "<mo>·</mo>" if numbers else "<mspace width='0.17em'/>"
-        return f"<mrow>{_fenced(of[0], _PRODUCT)}{between}{_fenced(of[1], _PRODUCT, _leads(of[1]))}</mrow>", _PRODUCT
+        # A sign in front is that of the whole product.
+        signed = _leads(of[0]) and arguments[0].operation[0] in ("constant", "neg")
+        left = of[0][0] if signed else _fenced(of[0], _PRODUCT)
+        return f"<mrow>{left}{between}{_fenced(of[1], _PRODUCT, _leads(of[1]))}</mrow>", _SUM if signed else _PRODUCT
     if operation == "div":
         return f"<mfrac><mrow>{of[0][0]}</mrow><mrow>{of[1][0]}</mrow></mfrac>", _ATOM
     if operation == "recip":
@@ -74,7 +77,7 @@ def _sum(operation: str, of: list[tuple[str, int]]) -> str:
 
 def _leads(part: tuple[str, int]) -> bool:
     """Whether it begins with a sign, which must not follow another operator."""
-    return part[0].removeprefix("<mrow>").startswith("<mo>−")
+    return part[0].replace("<mrow>", "").startswith("<mo>−")
 
 
 def _fenced(part: tuple[str, int], least: int, always: bool = False) -> str:

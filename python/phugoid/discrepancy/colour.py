@@ -13,14 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 __all__ = ["Colour", "burg", "self_product", "spread"]
 
 _Array = NDArray[np.float64]
 
 _LONGEST = 12  # lags
-_MEMORY = 1 << 15  # samples after which the impulse response of the model is cut
+_MEMORY = 8  # times the lags asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +51,13 @@ class Colour:
 
     def autocorrelation(self, lags: int) -> _Array:
         """(lags,) of the model, from lag 0, where it is 1."""
-        rho = np.zeros(lags)
         if self.order == 0:
-            rho[:1] = 1.0
-            return rho
-        impulse = np.zeros(min(_MEMORY, max(4 * lags, 256)))
-        impulse[0] = 1.0
-        h = lfilter([1.0], np.concatenate([[1.0], -self.coefficients]), impulse)
-        full = self_product(h)[:lags]
-        rho[: full.size] = full / full[0]
-        return rho
+            return np.concatenate([[1.0], np.zeros(lags - 1)])
+        # The transform of its spectrum, over a time so long that what is left there of the memory does not matter.
+        size = 1 << (_MEMORY * max(lags, 128)).bit_length()
+        spectrum = np.abs(np.fft.rfft(np.concatenate([[1.0], -self.coefficients]), size)) ** -2.0
+        full = np.fft.irfft(spectrum)[:lags]
+        return np.asarray(full / full[0])
 
 
 def spread(weights: Sequence[_Array], rho: _Array) -> float:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, t
 
 from ..errors import DataError
 from .colour import Colour, burg, spread
@@ -100,10 +99,12 @@ class ChannelMisfit:
     @property
     def biased(self) -> bool:
         """Whether their mean is off zero."""
+        from scipy.special import stdtr
+
         if not self.mean_error > 0.0:
             return self.mean_error == 0.0 and self.mean != 0.0  # the same throughout
         effective = max((self.rms / self.mean_error) ** 2 - 1.0, 1.0)  # samples that coloured ones are worth
-        return bool(2.0 * t.sf(abs(self.mean / self.mean_error), effective) < _ALPHA)
+        return bool(2.0 * stdtr(effective, -abs(self.mean / self.mean_error)) < _ALPHA)
 
     @property
     def regime(self) -> Regime | None:
@@ -280,7 +281,9 @@ def _autocorrelation(series: Sequence[Series]) -> tuple[_Array, _Array, _Array]:
 
 def _ljung_box(rho: _Array, scatter: _Array, n: int) -> float:
     """P-value; with gaps the pairs that there are stand for n - k (Dunsmuir and Robinson 1981)."""
+    from scipy.special import chdtrc
+
     # With more lags than a twelfth of the samples the statistic exceeds its distribution.
     last = min(_LJUNG_BOX, max(n // 12, 2), rho.size - 1)
     statistic = (n + 2.0) / n * float(np.sum(rho[1 : last + 1] ** 2 / scatter[1 : last + 1]))
-    return float(chi2.sf(statistic, last))
+    return float(chdtrc(last, statistic))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f, t
 
 from .colour import Colour, self_product, spread
 from .series import Series
@@ -74,6 +73,8 @@ class Correlation:
 
 def regimes_of(series: Sequence[Series], colour: Colour, rho: _Array, rms: float, alpha: float) -> list[Regime]:
     """One for each variable, the least likely chance first; ``rho``: autocorrelation of the residuals."""
+    from scipy.special import stdtr
+
     names = [name for name in _shared(series) if name != "time"]  # when, say spans
     n = sum(s.r.size for s in series)
     found = []
@@ -97,7 +98,7 @@ def regimes_of(series: Sequence[Series], colour: Colour, rho: _Array, rms: float
             # A bias of the whole record is no matter of regimes.
             beside = [np.nan_to_num(s.on_grid(i / m - 1.0 / n)) for s, i in zip(series, inside, strict=True)]
             of_difference = rms * spread(beside, rho)
-            chance = 2.0 * t.sf(abs(mean - mean_r) / of_difference, freedom) if of_difference > 0.0 else 1.0
+            chance = 2.0 * stdtr(freedom, -abs(mean - mean_r) / of_difference) if of_difference > 0.0 else 1.0
             chance *= edges.size - 1
             single = min(single, chance)
             stands_out = bool(2.0 * chance * len(names) < alpha)
@@ -137,6 +138,8 @@ def _chance(series: Sequence[Series], colour: Colour, columns: Sequence[_Array])
     Both sides pass through the filter that whitens the residuals (generalised least squares, Cochrane and Orcutt 1949),
     so that the F-test holds for coloured ones.
     """
+    from scipy.special import fdtrc
+
     rows = []
     for s, c in zip(series, columns, strict=True):
         # In units of the columns, for rates and angles differ by orders of magnitude.
@@ -153,7 +156,7 @@ def _chance(series: Sequence[Series], colour: Colour, columns: Sequence[_Array])
     more, freedom = rank - 1, y.size - rank
     if more < 1 or freedom < 3 or left <= 0.0:
         return 1.0
-    return float(f.sf((base - left) / more / (left / freedom), more, freedom))
+    return float(fdtrc(more, freedom, max(base - left, 0.0) / more / (left / freedom)))
 
 
 def _left(columns: _Array, y: _Array) -> float:

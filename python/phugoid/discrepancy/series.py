@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from ..records import Record
 
@@ -81,6 +80,8 @@ def same_rate(series: Sequence[Series]) -> tuple[list[Series], list[Series]]:
 
 def _outliers(r: _Array) -> NDArray[np.bool_]:
     """(n,) Whether a sample is far off the median of its neighbours, and alone: many in a row are a misfit."""
+    from scipy.ndimage import median_filter
+
     none = np.zeros(r.size, dtype=bool)
     if r.size < 2 * _ALONE:
         return none

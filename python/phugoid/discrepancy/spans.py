@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
-from scipy.stats import chi2, f
 
 from .series import Series
 
@@ -54,6 +52,8 @@ def spans_of(series: Sequence[Series], alpha: float) -> tuple[dict[str, Running]
     w / (1 + 2 sum rho_k^2), since rho_k^2 is what squares of Gaussian values have for autocorrelation. For the test,
     what stands out from its neighbours is clipped: a few outliers are no span.
     """
+    from scipy.special import chdtri, fdtri
+
     n = sum(s.r.size for s in series)
     width = max(_SHORTEST, n // _WINDOWS)
     running: dict[str, Running] = {}
@@ -65,12 +65,12 @@ def spans_of(series: Sequence[Series], alpha: float) -> tuple[dict[str, Running]
     freedom = width / _clumping(clipped, width)
     typical = float(np.median(np.concatenate(list(squares.values()))))
     # Median and mean of a chi-squared variable differ.
-    level = typical / (chi2.median(freedom) / freedom)
+    level = typical / (float(chdtri(freedom, 0.5)) / freedom)
     windows = max(n / width, 1.0)
     if windows < 4.0 or typical == 0.0:
         return running, float(np.sqrt(level)), []
     # Windows overlap: twice as many as fit side by side. The level itself is known from the others, by a median.
-    limit = level * f.isf(alpha / (2.0 * windows), freedom, max(0.6 * freedom * (windows - 1.0), 2.0))
+    limit = level * fdtri(freedom, max(0.6 * freedom * (windows - 1.0), 2.0), 1.0 - alpha / (2.0 * windows))
     total = sum(float(s.r @ s.r) for s in series)
     found = []
     for s in series:
@@ -101,6 +101,8 @@ def _moving_mean(x: _Array, width: int) -> _Array:
 
 def _clipped(series: Sequence[Series]) -> dict[str, _Array]:
     """Residuals of which what stands out from both neighbours is clipped, and what is slow is not."""
+    from scipy.ndimage import median_filter
+
     smooth = {s.experiment: median_filter(s.r, min(_NEIGHBOURS, s.r.size), mode="nearest") for s in series}
     rest = {s.experiment: s.r - smooth[s.experiment] for s in series}
     every = np.abs(np.concatenate(list(rest.values())))

@@ -6,11 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
-from scipy.signal import welch
-from scipy.signal.windows import tukey
-from scipy.stats import chi2, f
 
 from .series import Series
 
@@ -69,20 +66,26 @@ def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
     Segments are not freed of their mean: a bias is part of the misfit. Gaps count as residuals of zero, and the density
     is scaled to the samples that are there.
     """
-    size = int(np.clip(min(s.at[-1] + 1 for s in series), 8, _SEGMENT))
+    from scipy.special import chdtri
+
+    longest = max(int(s.at[-1]) + 1 for s in series)
+    size = int(np.clip(longest, 8, _SEGMENT))
     if size > 64:  # four segments at least, so that bands differ from chance
         size = max(64, min(size, (sum(int(s.at[-1]) + 1 for s in series) * 2) // 9))
-    rate = 1.0 / series[0].dt
     density: _Array = np.zeros(size // 2 + 1)
     segments = 0
-    frequency = np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
+    window = np.hanning(size + 1)[:-1]
+    scale = 2.0 * series[0].dt / float(window @ window)
+    frequency = np.asarray(np.fft.rfftfreq(size, series[0].dt), dtype=np.float64)
     for s in series:
         grid = np.nan_to_num(s.on_grid(s.r))
-        pieces = max(1, (grid.size - size // 2) // (size - size // 2))
-        _, p = welch(grid, rate, nperseg=min(size, grid.size), nfft=size, detrend=False)
+        if grid.size < size // 2 and grid.size < longest:
+            continue  # too short to tell frequencies apart
+        grid = np.pad(grid, (0, max(size - grid.size, 0)))
+        pieces = sliding_window_view(grid, size)[:: size - size // 2]
         # Of gaps: the mean square over the grid is less than that over the samples.
-        density += p * pieces * grid.size / s.r.size
-        segments += pieces
+        density += (np.abs(np.fft.rfft(pieces * window)) ** 2).sum(axis=0) * scale * grid.size / s.r.size
+        segments += len(pieces)
     frequency, density = frequency[1:], np.asarray(density[1:] / segments, dtype=np.float64)
     step = frequency[0]
     level = float(density.mean())
@@ -90,7 +93,7 @@ def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
     below = float(np.interp(0.8, np.cumsum(density) / total, frequency))
     # Two degrees of freedom of each segment, but neighbours, half overlapped, have a correlation of 1/36 (Welch 1967).
     freedom = 2.0 * segments / (1.0 + 2.0 / 36.0)
-    over = density > level * chi2.isf(alpha / density.size, freedom) / freedom
+    over = density > level * chdtri(freedom, alpha / density.size) / freedom
     bands = []
     # From a peak that is no chance, a band reaches as far as the density is above that of white noise.
     for low, high in _groups(density > level):
@@ -117,7 +120,10 @@ def tones_of(series: Sequence[Series], alpha: float) -> list[Tone]:
             continue
         slope = float(grid[:-1] @ grid[1:]) / power
         flat = grid[1:] - slope * grid[:-1]
-        flat *= tukey(flat.size, 0.2)  # little leakage is left, and little is lost
+        # Tapered over a tenth at either end: little leakage is left, and little is lost.
+        edge = np.hanning(2 * (flat.size // 10) + 1)[: flat.size // 10]
+        flat[: edge.size] *= edge
+        flat[flat.size - edge.size :] *= edge[::-1]
         step = 1.0 / (flat.size * s.dt)
         chance = alpha / (flat.size * len(series))
         peaks = [peak for shift in (0.0, 0.5) for peak in _peaks(flat, shift, chance)]
@@ -137,15 +143,18 @@ def _peaks(x: _Array, shift: float, chance: float) -> list[tuple[float, float]]:
     ``shift``: part of a line that all lines are moved by; a tone halfway between two would lose more than half of its
     power in both.
     """
+    from scipy.ndimage import median_filter
+    from scipy.special import fdtri
+
     turned = x * np.exp(-2j * np.pi * shift * np.arange(x.size) / x.size)
     lines = np.abs(np.fft.fft(turned)[1 : x.size // 2 - 1]) ** 2  # neither 0 nor Nyquist
     width = min(_BACKGROUND, lines.size // 2 * 2 - 1)
     background = median_filter(lines, width, mode="reflect") / np.log(2.0)
     # A median of k exponential values is as sure as the mean of about 0.48 k; the window joins neighbours.
-    ratio = lines / np.maximum(background, 1e-300) / f.isf(chance, 2, 2 * 0.48 * width / 1.15)
+    ratio = lines / np.maximum(background, 1e-300) / fdtri(2, 2 * 0.48 * width / 1.15, 1.0 - chance)
     # A resonance is broad, a tone is not: the line must rise above the mean of those close by, too.
     near = np.convolve(np.pad(lines, _NEAR.size // 2, "reflect"), _NEAR / _NEAR.sum(), "valid")
-    sharp = lines / np.maximum(near, 1e-300) / f.isf(chance, 2, 2 * _NEAR.sum() / 1.15)
+    sharp = lines / np.maximum(near, 1e-300) / fdtri(2, 2 * _NEAR.sum() / 1.15, 1.0 - chance)
     over = np.minimum(ratio, sharp)
     return [(float(over[k]), k + 1 + shift) for k in np.flatnonzero(over > 1.0) if k + 1 >= _SLOWEST]
 

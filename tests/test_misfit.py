@@ -343,7 +343,7 @@ def test_bands_need_more_than_chance() -> None:
 def test_figure_shows_the_channels_asked_for() -> None:
     f = fit(record("a", az=coloured(0, 0.9), q=white(1)), record("b", 200, az=white(2, 200), q=white(3, 200)))
     found = misfit(f)
-    figure, axes = misfit_figure(found, f, ["az"])
+    figure, axes = found.plot(["az"])
     assert list(axes) == ["az time a", "az time b", "az autocorrelation", "az spectrum", "az regime"]
     line = next(x for x in axes["az time a"].get_lines() if len(x.get_ydata()) == N)
     np.testing.assert_array_equal(line.get_ydata(), f.records[0].residuals["az"])

@@ -14,6 +14,7 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 from ._core import Expr, __version__
 from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
+from .discrepancy.misfit import Misfit, misfit
 from .equation_error import EquationError, equation_error
 from .errors import (
     DataError,
@@ -87,6 +88,7 @@ __all__ = [
     "Ipopt",
     "Iteration",
     "Laplace",
+    "Misfit",
     "MissingDependency",
     "Model",
     "ModelError",
@@ -123,6 +125,7 @@ __all__ = [
     "log",
     "maximum",
     "minimum",
+    "misfit",
     "multirate",
     "multistart",
     "read",

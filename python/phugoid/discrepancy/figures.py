@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import DataError, UnknownName, listing
 from ..plot import _INPUT, _MEASURED, _MODEL, _RESIDUAL, _STATE, _STYLE, _label, _plain
+from ..records import Record
 from .extension import Extension, Gain
 from .finding import Scored
 from .misfit_figure import misfit_figure
@@ -26,11 +27,12 @@ _BARS = 12
 
 
 def findings_figure(
-    fit: Any, extension: Extension, channels: Sequence[str] | None = None, record: int = 0
+    fit: Any, extension: Extension, channels: Sequence[str] | None = None, record: int | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
     """Per channel: residuals before and after, and beneath what the extension changes in the model's output.
 
-    channels  names; None: the three of which the RMS falls most. ``record``: index of the experiment.
+    channels  names; None: the three of which the RMS falls most.
+    record    index of the experiment; None: the one where residuals fall most, in parts of what they were.
 
     The change is the output of the extended model minus that of the base model, each at its own estimates: the added
     effect with what the other parameters made of it. Returns the figure and the axes by ``"<channel>"`` and
@@ -39,6 +41,9 @@ def findings_figure(
     import matplotlib.pyplot as plt
     from matplotlib import rc_context
 
+    if record is None:
+        falls = [_fall(b, a) for b, a in zip(fit.records, extension.fit.records, strict=True)]
+        record = int(np.argmin(falls))
     before, after = fit.records[record], extension.fit.records[record]
     known = [name for name in before.residuals if name in after.residuals]
     if channels is None:
@@ -81,6 +86,13 @@ def findings_figure(
         axes[-1, 0].margins(x=0.01)
         figure.align_ylabels()
     return figure, panels
+
+
+def _fall(before: Record, after: Record) -> float:
+    """Mean over the channels of the RMS after over that before."""
+    old, now = before.rms(), after.rms()
+    ratios = [now[name] / old[name] for name in old if old[name] > 0.0 and np.isfinite(now.get(name, np.nan))]
+    return float(np.mean(ratios)) if ratios else np.inf
 
 
 def _finite(value: float) -> float:

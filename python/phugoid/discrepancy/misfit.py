@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,10 @@ from .regimes import Correlation, Regime, correlations_of, regimes_of
 from .series import Series, channel_series, same_rate
 from .spans import Running, Span, spans_of
 from .spectrum import Spectrum, Tone, spectrum_of, tones_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["ChannelMisfit", "Misfit", "misfit"]
 
@@ -133,11 +137,11 @@ class Misfit:
     """What the simulation gets wrong.
 
     channels  by name, as the model declares them.
-    units     of states, inputs and outputs, by name, for labels.
+    fit       whose residuals they are.
     """
 
     channels: Mapping[str, ChannelMisfit]
-    units: Mapping[str, str]
+    fit: Any
 
     @property
     def worst(self) -> tuple[str, ...]:
@@ -160,8 +164,17 @@ class Misfit:
         notes = list(dict.fromkeys(note for name in self.worst for note in self.channels[name].notes))
         return "\n".join([*lines, *(f"Note: {note}." for note in notes)])
 
-    def __repr__(self) -> str:
+    def plot(self, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+        """The figure of the channels given, or of the three worst; see `misfit_figure`."""
+        from .misfit_figure import misfit_figure
+
+        return misfit_figure(self, self.fit, channels)
+
+    def __str__(self) -> str:
         return self.summary()
+
+    def __repr__(self) -> str:
+        return f"<Misfit of {len(self.channels)} channels, the worst first: {', '.join(self.worst)}>"
 
 
 def misfit(fit: Any) -> Misfit:
@@ -183,7 +196,7 @@ def misfit(fit: Any) -> Misfit:
             found[name] = _of_channel(name, units, series)
     if not found:
         raise DataError("misfit: no output has two residuals or more; give a fit to measured data")
-    return Misfit(found, units)
+    return Misfit(found, fit)
 
 
 def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) -> ChannelMisfit:

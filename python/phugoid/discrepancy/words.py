@@ -86,7 +86,8 @@ def finding_lines(finding: Finding) -> list[str]:
     gain = f"Gain in log-likelihood, residuals whitened: {with_sign(finding.gain)} (threshold {finding.threshold:.1f})"
     if math.isfinite(finding.held_out_gain):
         gain += f"; on data held out: {with_sign(finding.held_out_gain)}"
-    lines.append(f"{gain}.")
+    if math.isfinite(finding.gain):
+        lines.append(f"{gain}.")
     if finding.aliases:
         rivals = [
             f"{name} ({with_sign(finding.rivals[name])})" if name in finding.rivals else name

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Colour", "burg", "self_product", "spread"]
+__all__ = ["Colour", "Memory", "burg"]
 
 _Array = NDArray[np.float64]
 
@@ -60,17 +60,44 @@ class Colour:
         return np.asarray(full / full[0])
 
 
-def spread(weights: Sequence[_Array], rho: _Array) -> float:
-    """Standard deviation of the weighted sum of residuals of size 1 with autocorrelation ``rho``, (at least G,).
+class Memory:
+    """Residuals of size 1 with an autocorrelation: how far their weighted sums scatter.
 
-    ``weights``: (G,) on the grid of each experiment, 0 where there is no sample. For weights 1/n it is the standard
-    error of a mean, corrected for blocks of samples that are alike.
+    rho  (L,) autocorrelation, from lag 0, for as many lags as the longest grid has places.
     """
-    total = 0.0
-    for w in weights:
-        pairs = self_product(w)
-        total += float(pairs[0] + 2.0 * (rho[1 : pairs.size] @ pairs[1:]))
-    return math.sqrt(max(total, 0.0))
+
+    def __init__(self, rho: _Array) -> None:
+        self.rho = rho
+        self._spectra: dict[int, _Array] = {}
+
+    def spread(self, weights: Sequence[_Array]) -> float:
+        """Standard deviation of the weighted sum of residuals; each experiment has a memory of its own.
+
+        ``weights``: (G,) on the grid of each experiment, 0 where there is no sample. For weights 1/n it is the standard
+        error of a mean, corrected for blocks of samples that are alike.
+        """
+        # sum_ts w_t w_s rho(t - s), by the convolution theorem.
+        total = 0.0
+        for w in weights:
+            size = 1 << (2 * w.size - 1).bit_length()
+            total += float((np.abs(np.fft.rfft(w, size)) ** 2) @ self._spectrum(size)) / size
+        return math.sqrt(max(total, 0.0))
+
+    def effective(self, n: int) -> float:
+        """Samples that n such ones in a row are worth for their mean."""
+        return float(np.clip(self.spread([np.full(n, 1.0 / n)]) ** -2.0, 1.0, n))
+
+    def _spectrum(self, size: int) -> _Array:
+        """Weights of the frequencies of `numpy.fft.rfft`, those between 0 and Nyquist twice."""
+        if size not in self._spectra:
+            lags = min(self.rho.size, size // 2)
+            both = np.zeros(size)
+            both[:lags] = self.rho[:lags]
+            both[size - lags + 1 :] = self.rho[lags - 1 : 0 : -1]
+            spectrum = np.fft.rfft(both).real
+            spectrum[1:-1] *= 2.0
+            self._spectra[size] = spectrum
+        return self._spectra[size]
 
 
 def burg(grids: Sequence[_Array]) -> Colour:
@@ -116,10 +143,3 @@ def _runs(grid: _Array) -> list[_Array]:
     there = np.isfinite(grid)
     edges = np.flatnonzero(np.diff(there.astype(np.int8)))
     return [run for run in np.split(grid, edges + 1) if np.isfinite(run[0])]
-
-
-def self_product(x: _Array) -> _Array:
-    """sum_t x[t] x[t+k] for k = 0, 1, ..."""
-    size = 1 << (2 * x.size - 1).bit_length()
-    spectrum = np.fft.rfft(x, size)
-    return np.asarray(np.fft.irfft(spectrum * spectrum.conj(), size)[: x.size])

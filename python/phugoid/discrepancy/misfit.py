@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
-from .colour import Colour, burg, spread
+from .colour import Colour, Memory, burg
 from .phrases import channel_phrases
 from .regimes import Correlation, Regime, correlations_of, regimes_of
 from .series import Series, channel_series, same_rate
@@ -220,15 +220,15 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
     own = np.concatenate([s.r for s in series])
     own_rms = float(np.sqrt(np.mean(own**2)))
     longest = max(int(s.at[-1]) + 1 for s in series)
-    rho = colour.autocorrelation(longest)
-    mean_error = own_rms * spread([np.nan_to_num(s.on_grid(np.full(s.r.size, 1.0 / own.size))) for s in series], rho)
+    memory = Memory(colour.autocorrelation(longest))
+    mean_error = own_rms * memory.spread([np.nan_to_num(s.on_grid(np.full(s.r.size, 1.0 / own.size))) for s in series])
     lags, correlation, scatter = _autocorrelation(series)
     running, usual, spans = spans_of(every, _ALPHA)
     regimes: list[Regime] = []
     correlations: list[Correlation] = []
     if own.size >= _ENOUGH_FOR_REGIMES:
-        regimes = regimes_of(series, colour, rho, own_rms, _ALPHA)
-        correlations = correlations_of(series, colour, rho)
+        regimes = regimes_of(series, colour, memory, own_rms, _ALPHA)
+        correlations = correlations_of(series, colour, memory)
     else:
         notes.append(f"{name} has {own.size} samples: too few for regimes ({_ENOUGH_FOR_REGIMES} are needed)")
     return ChannelMisfit(

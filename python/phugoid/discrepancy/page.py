@@ -222,7 +222,7 @@ def _open(diagnosis: Any, extension: Extension | None) -> str:
         parts += [escape(line) for f in unexplained for line in finding_lines(f)]
     surrogates = [f.cause for f in diagnosis.findings if f.status == "surrogate" and f.cause]
     if surrogates:
-        parts.append(escape(f"{', '.join(surrogates)} stands for a cause that is not among the candidates."))
+        parts.append(escape(f"{', '.join(surrogates)} may stand for a cause that is not among the candidates."))
     for f in diagnosis.findings:
         if f.aliases:
             parts.append(
@@ -254,7 +254,7 @@ def _provenance(diagnosis: Any, extension: Extension | None) -> str:
         "model": f"{fit.model.name}; {len(fit.model.parameter_names)} parameters",
         "fit": f"{fit.status}; log-likelihood {fit.log_likelihood:.1f}; {fit.iterations} iterations",
         "transcription": str(fit.transcription),
-        "noise": getattr(fit.noise, "description", "") or str(fit.noise),
+        "noise": getattr(fit.noise, "description", "") or "Gaussian, independent",
         "diagnosis": f"{len(diagnosis.ranking)} candidates, threshold {diagnosis.threshold:.1f}, "
         f"{diagnosis.seconds:.1f} s",
     }

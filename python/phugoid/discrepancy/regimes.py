@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .colour import Colour, self_product, spread
+from .colour import Colour, Memory
 from .series import Series
 
 __all__ = ["Bin", "Correlation", "Regime", "correlations_of", "regimes_of"]
@@ -71,46 +71,43 @@ class Correlation:
     p_value: float
 
 
-def regimes_of(series: Sequence[Series], colour: Colour, rho: _Array, rms: float, alpha: float) -> list[Regime]:
-    """One for each variable, the least likely chance first; ``rho``: autocorrelation of the residuals."""
+def regimes_of(series: Sequence[Series], colour: Colour, memory: Memory, rms: float, alpha: float) -> list[Regime]:
+    """One for each variable, the least likely chance first; ``memory`` is that of the residuals, ``rms`` their size."""
     from scipy.special import stdtr
 
     names = [name for name in _shared(series) if name != "time"]  # when, say spans
-    n = sum(s.r.size for s in series)
+    r = np.concatenate([s.r for s in series])
+    freedom = max(memory.effective(r.size) - 1.0, 1.0)
     found = []
-    mean_r = float(np.concatenate([s.r for s in series]).mean())
-    freedom = max(_effective(n, rho) - 1.0, 1.0)
     for name in names:
-        values = np.concatenate([s.regressors[name] for s in series])
-        edges = _edges(values)
-        if edges.size < 3:
+        edges = _edges(np.concatenate([s.regressors[name] for s in series]))
+        count = edges.size - 1
+        if count < 2:
             continue
         # The last bin holds its upper edge too.
         which = [np.searchsorted(edges[1:-1], s.regressors[name], side="right") for s in series]
-        p_value = _chance(series, colour, [np.eye(edges.size - 1)[w] for w in which])
-        bins, power, single = [], 0.0, 1.0
-        for b in range(edges.size - 1):
+        several = 2.0 * len(names)  # two tests of each variable
+        p_value = _chance(series, colour, [np.eye(count)[w] for w in which]) * several
+        bins, power = [], 0.0
+        for b in range(count):
             inside = [w == b for w in which]
-            m = sum(int(i.sum()) for i in inside)
-            mean = sum(float(s.r[i].sum()) for s, i in zip(series, inside, strict=True)) / m
-            weights = [np.nan_to_num(s.on_grid(i / m)) for s, i in zip(series, inside, strict=True)]
-            error = rms * spread(weights, rho)
+            within = r[np.concatenate(inside)]
+            m, mean = within.size, float(within.mean())
+            error = rms * memory.spread([np.nan_to_num(s.on_grid(i / m)) for s, i in zip(series, inside, strict=True)])
             # A bias of the whole record is no matter of regimes.
-            beside = [np.nan_to_num(s.on_grid(i / m - 1.0 / n)) for s, i in zip(series, inside, strict=True)]
-            of_difference = rms * spread(beside, rho)
-            chance = 2.0 * stdtr(freedom, -abs(mean - mean_r) / of_difference) if of_difference > 0.0 else 1.0
-            chance *= edges.size - 1
-            single = min(single, chance)
-            stands_out = bool(2.0 * chance * len(names) < alpha)
-            bins.append(Bin(float(edges[b]), float(edges[b + 1]), m, mean, error, stands_out))
-            power += m * (mean - mean_r) ** 2
-        # Regression sees what jumps between regimes, means what lasts in one: the better of two tests counts as two.
-        p_value = min(1.0, 2.0 * min(p_value, single) * len(names))
-        found.append(Regime(name, tuple(bins), p_value, power / (n * rms**2)))
+            beside = [s.on_grid(i / m - 1.0 / r.size) for s, i in zip(series, inside, strict=True)]
+            of_difference = rms * memory.spread([np.nan_to_num(w) for w in beside])
+            off = abs(mean - float(r.mean())) / of_difference if of_difference > 0.0 else 0.0
+            chance = 2.0 * float(stdtr(freedom, -off)) * count * several
+            # Regression sees what jumps between regimes, means what lasts in one.
+            p_value = min(p_value, chance)
+            bins.append(Bin(float(edges[b]), float(edges[b + 1]), m, mean, error, chance < alpha))
+            power += m * (mean - float(r.mean())) ** 2
+        found.append(Regime(name, tuple(bins), min(p_value, 1.0), power / (r.size * rms**2)))
     return sorted(found, key=lambda regime: (regime.p_value, -regime.share))
 
 
-def correlations_of(series: Sequence[Series], colour: Colour, rho: _Array) -> list[Correlation]:
+def correlations_of(series: Sequence[Series], colour: Colour, memory: Memory) -> list[Correlation]:
     """One for each variable, the least likely chance first."""
     names = _shared(series)
     r = np.concatenate([s.r for s in series])
@@ -122,10 +119,7 @@ def correlations_of(series: Sequence[Series], colour: Colour, rho: _Array) -> li
         if size == 0.0 or np.std(r) == 0.0:
             continue
         both = float(np.mean((x - mean) * (r - r.mean()))) / (size * float(np.std(r)))
-        total = 0.0
-        for s in series:
-            pairs = self_product(np.nan_to_num(s.on_grid((s.regressors[name] - mean) / size)))
-            total += float(pairs[0] + 2.0 * rho[1 : pairs.size] @ pairs[1:])
+        total = memory.spread([np.nan_to_num(s.on_grid((s.regressors[name] - mean) / size)) for s in series]) ** 2
         effective = float(np.clip(n * n / total, 1.0, n)) if total > 0.0 else float(n)
         p_value = _chance(series, colour, [s.regressors[name][:, None] for s in series])
         found.append(Correlation(name, both, effective, min(1.0, p_value * len(names))))
@@ -187,9 +181,3 @@ def _edges(values: _Array) -> _Array:
         if inside >= least and int((values >= edge).sum()) >= least:
             kept.append(float(edge))
     return np.array([*kept, float(edges[-1])])
-
-
-def _effective(n: int, rho: _Array) -> float:
-    """Samples that n coloured ones are worth for their mean."""
-    k = np.arange(1, min(n, rho.size))
-    return float(np.clip(n / (1.0 + 2.0 * float((1.0 - k / n) @ rho[1 : k.size + 1])), 1.0, n))

@@ -7,6 +7,7 @@ import math
 import sys
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,6 +30,7 @@ from phugoid.discrepancy.figures import misfit_figure
 from phugoid.discrepancy.misfit import ChannelMisfit, misfit
 from phugoid.discrepancy.spectrum import spectrum_of
 from phugoid.errors import DataError, UnknownName
+from phugoid.rebuilt import rebuilt
 from phugoid.records import Record
 
 N, DT = 600, 0.1
@@ -360,37 +362,42 @@ def test_figure_takes_what_could_not_be_told() -> None:
     plt.close(figure)
 
 
-def hidden(coefficient: float) -> ph.Fit:
-    """The model without a periodic disturbance of the pitching moment, 9 rad/s, that the record has."""
+def hidden(term: Callable[[ph.Model], Any]) -> ph.Fit:
+    """The fit of a model without a term of the pitching moment that the record has."""
     twin = hfb320.twin()
-    shaken = _with_disturbance(coefficient, 9.0)
+    base = hfb320.model()
+    added = term(base)
+
+    def change(key: tuple[str, str], e: ph.Expr) -> ph.Expr:
+        return e + added if key == ("quantity", "Cm") else e
+
+    core = rebuilt(base._core, base._core.inputs, lambda core, declared: core.parameter(*declared), change)
+    truth = base._around(core, base.delays)
     initial = {"V": 106.0, "alpha": 0.112, "theta": 0.104, "q": -0.003}
-    simulated = ph.simulate(shaken, hfb320.PUBLISHED, ph.Experiment(twin.t, twin.inputs), initial=initial)
+    simulated = ph.simulate(truth, hfb320.PUBLISHED, ph.Experiment(twin.t, twin.inputs), initial=initial)
     rng = np.random.default_rng(7)
     outputs = {n: simulated.outputs[n] + s * rng.standard_normal(twin.n) for n, s in hfb320.SIGMA.items()}
     return ph.estimate(hfb320.model(), ph.Experiment(twin.t, twin.inputs, outputs))
 
 
-def _with_disturbance(coefficient: float, omega: float) -> ph.Model:
-    from phugoid.rebuilt import rebuilt
-
-    base = hfb320.model()
-
-    def change(key: tuple[str, str], e: ph.Expr) -> ph.Expr:
-        return e + coefficient * ph.sin(omega * base.time) if key == ("quantity", "Cm") else e
-
-    def declare(core: Any, declared: Any) -> None:
-        core.parameter(*declared)
-
-    return base._around(rebuilt(base._core, base._core.inputs, declare, change), base.delays)
-
-
 def test_a_hidden_disturbance_shows_in_the_fit() -> None:
-    found = misfit(hidden(0.004))
+    found = misfit(hidden(lambda m: 0.004 * ph.sin(9.0 * m.time)))
     assert set(found.worst[:2]) == {"aq", "q"}
     for name in ("aq", "q"):
         assert found.channels[name].tones[0].frequency == pytest.approx(9.0 / (2 * np.pi), abs=0.005)
-    assert not misfit(hidden(0.0)).structured
+
+
+def test_a_hidden_curvature_shows_in_the_fit() -> None:
+    """Slow residuals may be noise: it is said when they are large and what they go with, and that they may be."""
+    found = misfit(hidden(lambda m: 30.0 * (ph.Expr.symbol("alpha") - 0.11) ** 2))
+    for name in ("alpha", "q", "ax"):
+        c = found.channels[name]
+        assert c.ratio > 1.2 and c.telling is not None and c.telling.variable == "alpha"
+    assert "maybe with alpha (" in found.channels["q"].summary()
+
+
+def test_of_a_model_that_misses_nothing_nothing_is_claimed() -> None:
+    assert not misfit(hidden(lambda m: 0.0)).structured
 
 
 def test_the_hfb320_record() -> None:

@@ -33,6 +33,7 @@ _ENOUGH = 30  # samples below which only the size of residuals is told
 _ENOUGH_FOR_REGIMES = 60
 _LAGS = 100
 _LJUNG_BOX = 20  # lags
+_WORTH = 0.15  # correlation
 _ROUNDING = 1e-6  # of the RMS: less is no noise
 
 
@@ -118,9 +119,18 @@ class ChannelMisfit:
 
     @property
     def follows(self) -> Correlation | None:
-        """The clearest correlation, where there is one."""
-        first = self.correlations[0] if self.correlations else None
-        return first if first is not None and first.p_value < _ALPHA else None
+        """The clearest correlation, where there is one that is worth a word."""
+        # A quick part of residuals may follow a variable beyond chance, and yet be next to nothing of the whole.
+        clear = (c for c in self.correlations if c.p_value < _ALPHA and abs(c.r) >= _WORTH)
+        return next(clear, None)
+
+    @property
+    def telling(self) -> Regime | None:
+        """The regime to look at: the clear one, else that of the variable followed, else that with the most power."""
+        if self.regime is not None:
+            return self.regime
+        followed = [r for r in self.regimes if self.follows is not None and r.variable == self.follows.variable]
+        return max(followed or self.regimes, key=lambda r: r.share, default=None)
 
     @property
     def structured(self) -> bool:

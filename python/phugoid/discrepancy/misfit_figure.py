@@ -12,7 +12,6 @@ from ..plot import _BAND, _INPUT, _MEASURED, _MODEL, _RESIDUAL, _STYLE, _label, 
 from ..records import Record
 from .misfit import ChannelMisfit, Misfit
 from .phrases import number
-from .regimes import Regime
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -185,12 +184,10 @@ def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
 
 
 def _draw_regime(axis: Axes, c: ChannelMisfit, records: Sequence[Record]) -> None:
-    if not c.regimes:
+    regime = c.telling
+    if regime is None:
         _empty(axis, "no regimes:\ntoo few samples, or nothing moves")
         return
-    # Where no bins are clear but a correlation is: over that variable.
-    followed = [r for r in c.regimes if c.regime is None and c.follows is not None and r.variable == c.follows.variable]
-    regime: Regime = (followed or [c.regimes[0]])[0]
     middle = [0.5 * (b.low + b.high) for b in regime.bins]
     half = [0.5 * (b.high - b.low) for b in regime.bins]
     mean = np.array([b.mean for b in regime.bins])
@@ -204,6 +201,6 @@ def _draw_regime(axis: Axes, c: ChannelMisfit, records: Sequence[Record]) -> Non
     unit = c.units.get(bare, "")
     unit = (f"{unit}/s" if unit else "1/s") if name.endswith("'") else unit
     axis.set_xlabel(_plain(_label(name, {name: unit})), labelpad=1.0)
-    clear = c.regime is not None or bool(followed)
+    clear = c.regime is not None or (c.follows is not None and c.follows.variable == name)
     axis.set_title(_plain(f"mean over {name}{'' if clear else ' (chance?)'}"), fontsize=7.5)
     axis.locator_params(axis="x", nbins=5)

@@ -11,6 +11,7 @@ __all__ = ["channel_phrases", "number", "percent", "regime_phrase", "time_phrase
 
 
 _SLOW = 0.3  # of the Nyquist frequency
+_MUCH = 0.3  # of the power of the residuals
 
 
 def channel_phrases(c: Any) -> str:
@@ -32,11 +33,14 @@ def what_stands_out(c: Any) -> str:
     parts = [f"mean off by {with_unit(c.mean, c.unit)}"] if c.biased else []
     if c.spans:
         parts.append(time_phrase(c))
-    if c.regime is not None:
+    followed = None if c.follows is None else c.follows.variable
+    if c.regime is not None and (c.regime.variable != followed or any(b.stands_out for b in c.regime.bins)):
         parts.append(regime_phrase(c.regime, c.unit, c.units))
     parts += _frequencies(c)
     if c.follows is not None:
         parts.append(_follows(c.follows))
+    if c.regime is None and c.follows is None:
+        parts += _perhaps(c)
     return "; ".join(parts) or "coloured, but no time, regime or frequency stands out"
 
 
@@ -56,6 +60,14 @@ def _times(c: Any) -> str:
     return f", {c.ratio:.2g} times its noise ({percent(c.predictable)} of its power predictable)"
 
 
+def _perhaps(c: Any) -> list[str]:
+    """The regime with the most of the residuals' power, where that is much, but slow noise might have it too."""
+    most = c.telling
+    if most is None or most.share < _MUCH:
+        return []
+    return [f"maybe with {most.variable} ({percent(most.share)} of its power, but slow noise could do that)"]
+
+
 def time_phrase(c: Any) -> str:
     """When the residuals are strongest."""
     several = len(c.running) > 1
@@ -68,10 +80,11 @@ def time_phrase(c: Any) -> str:
 
 
 def regime_phrase(regime: Regime, unit: str, units: Any) -> str:
-    """Where, over a variable, the mean of the residuals is farthest off."""
+    """Where, over a variable, the mean of the residuals is farthest off; the variable only, if no bin stands out."""
     chosen = [b for b in regime.bins if b.stands_out]
-    # Of none by itself: of all together, the one that is off by the most standard errors.
-    b = max(chosen or regime.bins, key=lambda b: abs(b.mean) / b.std_error if b.std_error > 0.0 else 0.0)
+    if not chosen:
+        return f"changes with {regime.variable}"
+    b = max(chosen, key=lambda b: abs(b.mean) / b.std_error)
     return f"off where {_range(regime, b, units)} (mean {with_unit(b.mean, unit)})"
 
 

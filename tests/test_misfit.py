@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 matplotlib.use("Agg")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
+import attas
 import hfb320
 from matplotlib import pyplot as plt
 from records import find
@@ -398,6 +399,17 @@ def test_a_hidden_curvature_shows_in_the_fit() -> None:
 
 def test_of_a_model_that_misses_nothing_nothing_is_claimed() -> None:
     assert not misfit(hidden(lambda m: 0.0)).structured
+
+
+def test_a_late_vane_shows_in_the_fit() -> None:
+    """ATTAS, or its twins: the vane measures alpha late, so that its residual goes against the rate."""
+    runs = attas.records()
+    without = misfit(ph.estimate(attas.model(vane=False), runs)).channels["alpha"]
+    assert without.follows is not None and without.follows.variable == "q" and without.follows.r < -0.8
+    assert without.regime is not None and without.regime.share > 0.5
+    with_it = misfit(ph.estimate(attas.model(), runs)).channels["alpha"]
+    assert with_it.rms < 0.5 * without.rms and with_it.ratio < 0.5 * without.ratio
+    assert with_it.follows is None
 
 
 def test_the_hfb320_record() -> None:

@@ -82,7 +82,7 @@ def findings_figure(
             top.set_title(_plain(title), loc="left", fontsize=8.5)
         handles = [*panels[channels[0]].get_lines()[1:], panels[f"{channels[0]} change"].get_lines()[1]]
         figure.legend(handles=handles, loc="outside upper right", ncols=3, frameon=False, fontsize=7.5)
-        axes[-1, 0].set_xlabel(_plain(f"time of {before.name}, s" if len(fit.records) > 1 else "time, s"))
+        axes[-1, 0].set_xlabel(_plain(f"time in '{before.name}', s" if len(fit.records) > 1 else "time, s"))
         axes[-1, 0].margins(x=0.01)
         figure.align_ylabels()
     return figure, panels
@@ -172,14 +172,15 @@ def gain_figure(gain: Gain, units: Mapping[str, str] | None = None) -> tuple[Fig
         figure, axis = plt.subplots(figsize=(_WIDTH, 0.3 * len(names) + 0.9), layout="constrained")
         axis.axvline(100.0, color=_INPUT, linewidth=0.6)
         rows = np.arange(len(names))
+        apart = 0.12 if np.isfinite(held_out).any() else 0.0
         fitted = np.array([100.0 * (1.0 + gain.change(name)) for name in names])
         other = np.array([100.0 * (1.0 + change) for change in held_out])
         for row, a, b in zip(rows, fitted, other, strict=True):
-            axis.plot([100.0, a], [row - 0.12] * 2, color=_MEASURED, linewidth=1.4)
-            axis.plot([100.0, b], [row + 0.12] * 2, color=_MODEL, linewidth=1.4)
-        axis.plot(fitted, rows - 0.12, "o", color=_MEASURED, ms=4.5, label="fitted")
+            axis.plot([100.0, a], [row - apart] * 2, color=_MEASURED, linewidth=1.4)
+            axis.plot([100.0, b], [row + apart] * 2, color=_MODEL, linewidth=1.4)
+        axis.plot(fitted, rows - apart, "o", color=_MEASURED, ms=4.5, label="fitted")
         if np.isfinite(other).any():
-            axis.plot(other, rows + 0.12, "D", color=_MODEL, ms=4.0, label="held out")
+            axis.plot(other, rows + apart, "D", color=_MODEL, ms=4.0, label="held out")
         labels = []
         for name in names:
             unit = (units or {}).get(name, "")

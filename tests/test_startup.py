@@ -22,7 +22,9 @@ def test_importing_stays_light() -> None:
     assert loaded_after("import phugoid") == []
 
 
-@pytest.mark.parametrize("module", ["read", "symbols", "model", "plot", "summary", "simulate", "estimate", "result"])
+@pytest.mark.parametrize(
+    "module", ["read", "symbols", "model", "plot", "summary", "simulate", "estimate", "result", "discrepancy.page"]
+)
 def test_every_module_stays_light(module: str) -> None:
     assert loaded_after(f"import phugoid.{module}") == []
 

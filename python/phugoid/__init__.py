@@ -18,6 +18,7 @@ from .discrepancy.candidate import Candidate, Place
 from .discrepancy.candidates import candidates
 from .discrepancy.collection import Candidates
 from .discrepancy.points import Points
+from .discrepancy.misfit import Misfit, misfit
 from .equation_error import EquationError, equation_error
 from .errors import (
     DataError,
@@ -96,6 +97,7 @@ __all__ = [
     "Iteration",
     "Laplace",
     "Match",
+    "Misfit",
     "MissingDependency",
     "Model",
     "ModelError",
@@ -137,6 +139,7 @@ __all__ = [
     "match",
     "maximum",
     "minimum",
+    "misfit",
     "multirate",
     "multistart",
     "read",

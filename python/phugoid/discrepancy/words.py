@@ -1,0 +1,129 @@
+"""A diagnosis in plain words."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import Any, Literal
+
+from ..parameters import Estimate
+from .finding import Finding
+from .phrases import number
+
+__all__ = ["Outcome", "alias_set", "diagnosis_summary", "finding_lines", "headline", "outcome", "value_of", "with_sign"]
+
+Outcome = Literal["named", "nothing", "unexplained"]
+
+_WIDTH = 110
+
+
+def outcome(findings: Sequence[Finding]) -> Outcome:
+    """Which of the three ends a diagnosis has come to."""
+    if any(f.cause for f in findings):
+        return "named"
+    return "unexplained" if findings else "nothing"
+
+
+def headline(diagnosis: Any) -> str:
+    """The outcome in one sentence."""
+    findings = diagnosis.findings
+    named = [f for f in findings if f.cause]
+    kind = outcome(findings)
+    if kind == "nothing":
+        text = "Nothing significant is missing from the model, as far as these data and these candidates tell."
+        if diagnosis.misfit.structured:
+            text += " The residuals are not white, but no candidate explains them better than coloured noise does."
+        return text
+    if kind == "unexplained":
+        return "The misfit is significant, but its cause is not established."
+    causes = ", ".join(alias_set(f) for f in named)
+    text = f"The model misses {causes}."
+    if all(f.status == "surrogate" for f in named):
+        text += " What fits is a surrogate, outside its physical range: the cause itself may be another."
+    elif any(f.status == "surrogate" for f in named):
+        text += " Of these, surrogates fit with a coefficient outside its physical range."
+    if any(not f.cause for f in findings):
+        text += " A part of the misfit stays without an established cause."
+    return text
+
+
+def alias_set(finding: Finding) -> str:
+    """The cause, or what it is one of."""
+    if not finding.cause:
+        return "a cause not established"
+    if not finding.aliases:
+        return finding.cause
+    return f"one of {{{', '.join([finding.cause, *finding.aliases])}}}"
+
+
+def value_of(finding: Finding) -> str:
+    """Coefficient with its standard error, unit and interval; "" where there is none."""
+    if not math.isfinite(finding.coefficient):
+        return ""
+    text = repr(Estimate("", finding.coefficient, finding.std_error, finding.unit)).removeprefix(" = ")
+    low, high = finding.interval
+    if math.isfinite(low) and math.isfinite(high):
+        text += f" (95 %: {number(low, 3)} to {number(high, 3)})"
+    return text
+
+
+def with_sign(value: float) -> str:
+    """A gain, to what can be told of it; "-" where there is none."""
+    return f"{value:+.1f}" if math.isfinite(value) else "-"
+
+
+def finding_lines(finding: Finding) -> list[str]:
+    """Sentences on one finding, without its name."""
+    lines = []
+    if finding.explanation:
+        lines.append(finding.explanation)
+    value = value_of(finding)
+    if value and finding.cause:
+        lines.append(f"Estimated: {value}.")
+    if finding.status == "surrogate":
+        lines.append("A surrogate: it fits, but its coefficient is outside of what is physical.")
+    gain = f"Gain in log-likelihood, residuals whitened: {with_sign(finding.gain)} (threshold {finding.threshold:.1f})"
+    if math.isfinite(finding.held_out_gain):
+        gain += f"; on data held out: {with_sign(finding.held_out_gain)}"
+    if math.isfinite(finding.gain):
+        lines.append(f"{gain}.")
+    if finding.aliases:
+        rivals = [
+            f"{name} ({with_sign(finding.rivals[name])})" if name in finding.rivals else name
+            for name in finding.aliases
+        ]
+        lines.append(f"The data do not tell it from: {', '.join(rivals)}.")
+    if finding.advice:
+        lines.append(finding.advice)
+    return lines
+
+
+def diagnosis_summary(diagnosis: Any) -> str:
+    """What was found, the evidence, and what is left open, for the terminal.
+
+    ``diagnosis`` has .fit, .misfit, .findings, .ranking, .threshold, .notes and .seconds, as a `Diagnosis` does.
+    """
+    parts = [f"{diagnosis.fit.model.name}: diagnosis ({diagnosis.seconds:.1f} s)", _filled(headline(diagnosis), "")]
+    for i, finding in enumerate(diagnosis.findings, start=1):
+        head = f"{i}. {alias_set(finding)}"
+        parts.append("\n".join([head, *(_filled(line, "   ") for line in finding_lines(finding))]))
+    if not diagnosis.findings and diagnosis.ranking:
+        best = max(diagnosis.ranking, key=lambda s: s.statistic)
+        parts.append(
+            _filled(
+                f"Of {len(diagnosis.ranking)} candidates the nearest is {best.name}, with {best.statistic:.1f} "
+                f"of the {diagnosis.threshold:.1f} that are needed.",
+                "",
+            )
+        )
+    residuals = [_filled(line, "  ", "    ") for line in diagnosis.misfit.summary().split("\n")]
+    parts.append("\n".join(["Residuals of the model as it was:", *residuals]))
+    if diagnosis.notes:
+        parts.append("\n".join(["Notes:", *(_filled(note, "  ", "    ") for note in diagnosis.notes)]))
+    return "\n\n".join(parts)
+
+
+def _filled(text: str, first: str, rest: str | None = None) -> str:
+    indent = first if rest is None else rest
+    return textwrap.fill(text, _WIDTH, initial_indent=first, subsequent_indent=indent, break_long_words=False)

@@ -40,7 +40,7 @@ def known_noise(c: Case) -> ph.Gaussian:
 
 
 def test_a_seed_makes_the_same_case_again_and_another_one_does_not() -> None:
-    one, same, other = (hidden.draw(seed, systems=["duffing"], doubles=0.3) for seed in (3, 3, 4))
+    one, same, other = (hidden.draw(seed, systems=["servo"], strengths=["weak"]) for seed in (3, 3, 4))
     assert one.truth == same.truth and one.coefficients == same.coefficients and one.shapes == same.shapes
     for name, y in one.data.outputs.items():
         assert np.array_equal(y, same.data.outputs[name])
@@ -48,11 +48,11 @@ def test_a_seed_makes_the_same_case_again_and_another_one_does_not() -> None:
 
 
 def test_the_call_that_a_case_names_makes_it() -> None:
-    one = hidden.draw(6, systems=["duffing"], doubles=1.0)
+    one = hidden.draw(6, systems=["servo"], strengths=["weak"], doubles=1.0)
     again = eval(one.again(), {"make": hidden.make, "nothing": hidden.nothing})
     assert len(one.truth) == 2
     assert again.coefficients == one.coefficients
-    assert np.array_equal(again.data.outputs["x"], one.data.outputs["x"])
+    assert np.array_equal(again.data.outputs["angle"], one.data.outputs["angle"])
 
 
 @pytest.mark.parametrize("which", CASES, ids=lambda w: w[1])
@@ -154,10 +154,18 @@ def test_what_cannot_be_is_refused() -> None:
 # The same effects in phugoid's own models, by hand: what scipy integrates must be what phugoid does.
 
 
-def by_hand(c: Case, name: str) -> Record:
-    """The truth of a case, simulated by phugoid."""
-    s, m = SYSTEMS[c.system], ph.Model(c.system)
-    size, trim = c.coefficients[name], c.baseline.vehicle.states | c.baseline.vehicle.inputs
+def with_part(system: str, effect: str) -> tuple[Case, Part, dict[str, np.ndarray]]:
+    """A case, an effect of middling size, and what scipy makes of both."""
+    c, e = empty(system), SYSTEMS[system].effect(effect)
+    sign, shape = e.draw(np.random.default_rng(1))
+    part = Part(e, sign * float(np.sqrt(e.span[0] * e.span[1])), shape)
+    return c, part, Flow(SYSTEMS[system], c.baseline.vehicle, c.data.inputs, [part]).truth(list(c.baseline.x0))
+
+
+def by_hand(c: Case, part: Part) -> Record:
+    """The same, simulated by phugoid."""
+    s, m, name = SYSTEMS[c.system], ph.Model(c.system), part.effect.name
+    size, trim = part.coefficient, c.baseline.vehicle.states | c.baseline.vehicle.inputs
     x, u = m.states(**s.states), list(m.inputs(**s.inputs))
     p = dict(zip(s.parameters, m.parameters(" ".join(s.parameters)), strict=True))
     by = dict(zip([*s.states, *s.inputs], [*x, *u], strict=True))
@@ -176,10 +184,10 @@ def by_hand(c: Case, name: str) -> Record:
         q["torque"] = q["torque"] + size * tanh(by["rate"] / s.steep["rate"])
     elif name == "CY:lag_beta":
         (z,) = m.states(z="rad")
-        slope, extra = {"z": (by["beta"] - z) / c.shapes[name]["tau"]}, {"z": c.baseline.x0[0]}
+        slope, extra = {"z": (by["beta"] - z) / part.shape["tau"]}, {"z": c.baseline.x0[0]}
         q["CY"] = q["CY"] + size * z
     elif name == "f:periodic":
-        wave = 2 * np.pi * c.shapes[name]["frequency"] * m.time + c.shapes[name]["phase"]
+        wave = 2 * np.pi * part.shape["frequency"] * m.time + part.shape["phase"]
         q["f"] = q["f"] + size * sin(wave)
     if q:
         q = dict(zip(q, m.quantities(**q), strict=True))
@@ -217,30 +225,34 @@ def by_hand(c: Case, name: str) -> Record:
     ],
 )
 def test_truth_is_what_phugoid_simulates(system: str, effect: str) -> None:
-    c = hidden.make(system, effect, "medium", "white", seed=2, validation=False)
-    record, sigma = by_hand(c, effect), SYSTEMS[system].sigma
-    base = SYSTEMS[system]
-    without = Flow(base, c.baseline.vehicle, c.data.inputs).truth(list(c.baseline.x0))
-    for name, y in c.clean.items():
+    c, part, truth = with_part(system, effect)
+    record, sigma = by_hand(c, part), SYSTEMS[system].sigma
+    for name, y in truth.items():
         error = np.abs(record.outputs[name] - y) / sigma[name]
         late = np.isnan(error)  # a sensor that is late has nothing before the record
-        assert late.sum() <= (c.data.t < c.coefficients[effect]).sum() * (effect == f"{name}:delay")
+        assert late.sum() <= (c.data.t < part.coefficient).sum() * (effect == f"{name}:delay")
         assert np.max(error[~late]) < 0.02, name
-    assert max(np.max(np.abs(without[n] - y)) / sigma[n] for n, y in c.clean.items()) > 0.2
+    assert max(np.max(np.abs(c.clean[n] - y)) / sigma[n] for n, y in truth.items()) > 0.2
 
 
-@each_system
-def test_lanes_agree_with_scipy(system: str) -> None:
-    """What strengths are computed by, at the true parameters and with an effect of each form."""
-    s, c = SYSTEMS[system], empty(system)
-    rng = np.random.default_rng(1)
-    forms = {e.form: e for e in s.effects if e.name != "T:lag"}
-    for effect in forms.values():
-        size = float(np.sqrt(effect.span[0] * effect.span[1])) * effect.signs[0]
-        part = Part(effect, size, effect.draw(rng)[1])
-        exact = Flow(s, c.baseline.vehicle, c.data.inputs, [part]).truth(list(c.baseline.x0))
-        several = Part(effect, np.array([0.5 * size, size]), part.shape)
-        lanes = Flow(s, c.baseline.vehicle, c.data.inputs, [several]).lanes(c.baseline.x0, 2)
-        for name, y in exact.items():
-            moved = np.abs(y - c.clean[name]).max()
-            assert np.abs(lanes[name][:, 1] - y).max() < 0.02 * moved + 0.05 * s.sigma[name], (effect.name, name)
+@pytest.mark.parametrize(
+    ("system", "effect"),
+    [
+        ("hfb320", "Cm:alpha^2"),
+        ("hfb320", "de:lag"),
+        ("duffing", "u:saturation"),
+        ("duffing", "x:scale"),
+        ("servo", "volts:deadband"),
+        ("servo", "angle:delay"),
+        ("lateral", "Cn:lag_beta"),
+        ("uav", "q':periodic"),
+    ],
+)
+def test_lanes_agree_with_scipy(system: str, effect: str) -> None:
+    """What strengths are computed by."""
+    c, part, exact = with_part(system, effect)
+    s, several = SYSTEMS[system], Part(part.effect, part.coefficient * np.array([0.5, 1.0]), part.shape)
+    lanes = Flow(s, c.baseline.vehicle, c.data.inputs, [several]).lanes(c.baseline.x0, 2)
+    for name, y in exact.items():
+        moved = np.abs(y - c.clean[name]).max()
+        assert np.abs(lanes[name][:, 1] - y).max() < 0.02 * moved + 0.05 * s.sigma[name], name

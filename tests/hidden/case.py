@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -210,7 +211,7 @@ def draw(
     empty: float = 0.0,
     validation: bool = True,
 ) -> Case:
-    """A case picked at random: kinds of effect alike often, and effects within a kind.
+    """A case picked at random: kinds of effect as often as the root of how many there are, effects of a kind alike.
 
     ``doubles`` and ``empty`` are the parts of cases with two effects and with none. Effects that a seed's vehicles and
     manoeuvres do not show strongly enough are passed over.
@@ -236,5 +237,7 @@ def draw(
 
 
 def _any(system: System, rng: np.random.Generator) -> Effect:
-    kind = rng.choice(sorted({e.kind for e in system.effects}))
+    kinds = Counter(e.kind for e in system.effects)
+    often = np.sqrt(list(kinds.values()))
+    kind = rng.choice(list(kinds), p=often / often.sum())
     return system.effects[rng.choice([i for i, e in enumerate(system.effects) if e.kind == kind])]

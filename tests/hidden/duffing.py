@@ -36,6 +36,7 @@ def _effects() -> list[Effect]:
         Effect("f:x^3", "stiffness", (0.01, 60)),
         Effect("f:x|x|", "stiffness", (0.01, 30)),
         Effect("f:v|v|", "damping", (3e-3, 5), (-1,)),
+        Effect("f:x^2*v", "damping", (0.01, 30)),
         Effect("f:x*v", "damping", (0.01, 10)),
         Effect("f:sign(v)", "friction", (1e-3, 1), (-1,)),
         Effect("f:u|u|", "control", (0.01, 1)),

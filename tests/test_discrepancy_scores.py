@@ -1,0 +1,101 @@
+"""The counts that the benchmark of diagnoses prints, of outcomes made by hand."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+import discrepancy_scores as scores
+from discrepancy_scores import Found, Outcome
+
+
+def outcome(truth: dict[str, str], *found: Found, **about: Any) -> Outcome:
+    coefficients = dict.fromkeys(truth, 2.0)
+    return Outcome(0, "make(...)", "servo", "white", "weak", truth, coefficients, found, **about)
+
+
+FRICTION = {"f:sign(v)": "friction"}
+RIGHT = Found(("f:sign(v)",), "named", 2.2, (1.9, 2.5))
+ALIAS = Found(("f:v|v|", "f:sign(v)"), "surrogate", 5.0, (4.0, 6.0))
+WRONG = Found(("u:delay",), "named", 0.1, (0.0, 0.2))
+UNSURE = Found(("",), "unexplained", 0.0, (0.0, 0.0))
+
+OUTCOMES = [
+    outcome(FRICTION, RIGHT),
+    outcome(FRICTION, ALIAS),
+    outcome(FRICTION, WRONG),
+    outcome(FRICTION, error="raised ValueError: no"),
+    outcome({**FRICTION, "f:x^3": "stiffness"}, RIGHT, WRONG),
+    outcome({}),
+    outcome({}, UNSURE),
+    outcome({}, WRONG),
+]
+
+
+def test_recall_takes_aliases_and_what_raised_is_missed() -> None:
+    rows = {name: rest for name, *rest in scores.recall(OUTCOMES, lambda o, effect: o.truth[effect])}
+    assert rows == {
+        "friction": ["0.600  (3 of 5)", "0.400  (2 of 5)"],
+        "stiffness": ["0.000  (0 of 1)", "0.000  (0 of 1)"],
+    }
+
+
+def test_claims_of_what_is_not_there() -> None:
+    rows = dict(map(tuple, scores.honesty(OUTCOMES)))
+    assert rows["false alarms, of cases with nothing hidden"] == "0.333  (1 of 3)"
+    assert rows["false discoveries, of all claims"] == "0.500  (3 of 6)"
+    assert rows["  of claims 'surrogate'"] == "0.000  (0 of 1)"
+    assert rows["  nothing said at all"] == "0.333  (1 of 3)"
+    assert rows["'unexplained' said, of cases"] == "0.125  (1 of 8)"
+
+
+def test_coefficients_count_where_the_effect_is_named_first() -> None:
+    wide = Found(("f:sign(v)",), "named", 3.0, (2.5, 3.5))
+    disturbance = outcome({"f:periodic": "disturbance"}, Found(("f:periodic",), "named", 9.0, (8.0, 10.0)))
+    rows = scores.accuracy([*OUTCOMES, outcome(FRICTION, wide), disturbance])
+    assert rows == [["weak", "10.0 %", "0.667  (2 of 3)"], ["all", "10.0 %", "0.667  (2 of 3)"]]
+
+
+def test_failures_are_listed() -> None:
+    assert [o.failed for o in OUTCOMES] == [False, False, True, True, True, False, False, True]
+    assert str(OUTCOMES[1]) == "0: make(...): f:v|v| or f:sign(v) (surrogate)"
+    assert str(OUTCOMES[3]).endswith("raised ValueError: no")
+
+
+CHOICE = {"systems": ["servo"], "strengths": ["medium"], "noises": ["white"], "validation": True}
+
+
+def test_a_diagnosis_is_read_as_it_is() -> None:
+    """The first four names count, and what is raised is kept."""
+    asked = {}
+
+    def diagnose(fit: Any, validation: Any) -> Any:
+        asked.update(status=fit.status, held=validation.name)
+        finding = SimpleNamespace(
+            cause="a:b", aliases=("c:d", "e:f", "g:h", "i:j"), status="named", coefficient=1, interval=(0, 2)
+        )
+        return SimpleNamespace(findings=[finding])
+
+    read = scores.diagnosed(1, CHOICE, diagnose)
+    assert asked == {"status": "converged", "held": "validation"}
+    assert read.found == (Found(("a:b", "c:d", "e:f", "g:h"), "named", 1.0, (0.0, 2.0)),)
+    assert read.time < 1 and read.fit_time > 0
+
+    def broken(fit: Any, validation: Any) -> Any:
+        raise ZeroDivisionError("by zero")
+
+    assert scores.diagnosed(1, CHOICE, broken).error == "raised ZeroDivisionError: by zero"
+
+
+def test_a_case_that_cannot_be_made_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(seed: int, **choice: Any) -> None:
+        raise scores.hidden.Unreachable("too weak")
+
+    monkeypatch.setattr(scores.hidden, "draw", refuse)
+    assert scores.diagnosed(1, CHOICE).error == "not made: too weak"

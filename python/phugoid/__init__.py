@@ -17,6 +17,9 @@ from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
 from .discrepancy.candidate import Candidate, Place
 from .discrepancy.candidates import candidates
 from .discrepancy.collection import Candidates
+from .discrepancy.diagnosis import Diagnosis, diagnose
+from .discrepancy.extension import Extension, Gain
+from .discrepancy.finding import Finding, Scored
 from .discrepancy.points import Points
 from .discrepancy.misfit import Misfit, misfit
 from .equation_error import EquationError, equation_error
@@ -82,14 +85,18 @@ __all__ = [
     "Collocation",
     "DataError",
     "Density",
+    "Diagnosis",
     "EquationError",
     "Estimate",
     "EvaluationError",
     "Experiment",
     "Expr",
+    "Extension",
     "FilterError",
+    "Finding",
     "Fit",
     "FourierSmoothing",
+    "Gain",
     "Gaussian",
     "Huber",
     "IntegrationError",
@@ -116,6 +123,7 @@ __all__ = [
     "Record",
     "Refinement",
     "SavitzkyGolay",
+    "Scored",
     "Sigma",
     "SingleShooting",
     "SmoothingSpline",
@@ -130,6 +138,7 @@ __all__ = [
     "candidates",
     "cos",
     "cosh",
+    "diagnose",
     "equation_error",
     "estimate",
     "exp",

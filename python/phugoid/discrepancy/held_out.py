@@ -28,17 +28,16 @@ _BLOCKS = 4
 _LOOSE, _TINY = 0.01, 1e-9
 
 
-def across_blocks(base: Refit, more: Refit, candidate: Candidate) -> tuple[float, float]:
-    """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say of a
-    candidate, and its standard deviation.
+def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> tuple[float, float]:
+    """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say of the new
+    candidates, and its standard deviation.
 
-    About the fit without the candidate, to first order: its coefficients are those that the other blocks ask for, none
-    where these say nothing of it. Parameters may follow by ten standard errors.
+    About the fit without them, to first order: their coefficients are those that the other blocks ask for, none
+    where these say nothing of them. Parameters may follow by ten standard errors.
     """
     linear = base.linear
     whitened = base.through(more.own.filter)
-    shape = {n: more.own.parameter(n)[0] for n in candidate.shape_names}
-    columns, _, _ = linear.columns([(candidate, shape)])
+    columns, _, _ = linear.columns([(c, {n: more.own.parameter(n)[0] for n in c.shape_names}) for c in new])
     c = whitened.filter(columns).T
     c /= np.maximum(np.linalg.norm(c, axis=0), 1e-300)
     e = whitened.errors

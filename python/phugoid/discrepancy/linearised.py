@@ -210,6 +210,11 @@ class Linearised:
         basis, values, _ = np.linalg.svd(self.moves[0], full_matrices=False)
         return np.asarray(basis[:, values > _NOTHING * values[:1]] * self.scale()[:, None])
 
+    @property
+    def places(self) -> set[Place]:
+        """Where candidates can act."""
+        return {*self._slopes[0], *(Place("output", name) for name in self.model.output_names)}
+
     @cached_property
     def counts(self) -> list[int]:
         """(n_y,) samples of each output that were measured."""

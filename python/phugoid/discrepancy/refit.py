@@ -82,6 +82,8 @@ def refit(
         )
     except PhugoidError:
         return None
+    if fit.status == "interrupted":
+        raise KeyboardInterrupt
     return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None
 
 

@@ -116,13 +116,25 @@ class Search:
         """Twice the gain in log-likelihood, each with its likeliest noise."""
         return 2.0 * (more.own.log_likelihood - base.own.log_likelihood)
 
-    def held_out(self, base: Refit, more: Refit, candidate: Candidate) -> tuple[float, float]:
+    def held_out(self, base: Refit, more: Refit) -> tuple[float, float]:
         """Gain on held-out data and its standard deviation; none where the model cannot be fitted there."""
-        if not self.validation or not candidate.transferable:
-            return across_blocks(base, more, candidate)
+        new = [c for c in more.candidates if c.name not in base.names]
+        if not self.validation or not all(c.transferable for c in new):
+            return across_blocks(base, more, new)
         others = self._on_other_data(base, None)
         mine = self._on_other_data(more, others)
         return (-np.inf, 0.0) if others is None or mine is None else gain_on_other_data(others, mine)
+
+    def held_out_rms(self, at: Refit) -> dict[str, float]:
+        """Output -> RMS on the validation data, first states and biases as they fit best; empty without such data."""
+        linear = self._on_other_data(at, None) if self.validation else None
+        if linear is None:
+            return {}
+        found = {}
+        for name, line in zip(linear.model.output_names, linear.rows, strict=True):
+            r = linear.residuals[line[0].start : line[-1].stop]
+            found[name] = float(np.sqrt(np.mean(r**2)))
+        return found
 
     def _on_other_data(self, at: Refit, near: Linearised | None) -> Linearised | None:
         key = frozenset(at.names)
@@ -137,16 +149,21 @@ class Search:
 
     # The search.
 
-    def run(self) -> tuple[Refit, list[Found]]:
-        """The model with all that was found."""
-        current, unexplained = self.base, None
-        while len(current.candidates) < _MOST:
-            following, unexplained = self._step(current)
-            if following is None:
-                break
-            current = following
-        found = [self._found(current, c) for c in current.candidates]
-        return current, found + ([unexplained] if unexplained else [])
+    def run(self) -> tuple[Refit, list[Found], bool]:
+        """The model with all that was found, what that is, and whether the search was interrupted."""
+        current, found, unexplained = self.base, [], None
+        try:
+            while len(current.candidates) < _MOST:
+                following, unexplained = self._step(current)
+                if following is None:
+                    break
+                current = following
+            found = [self._found(current, c) for c in current.candidates]
+        except KeyboardInterrupt:
+            nothing = (float("nan"), 0.0)
+            found = [Found(c, float("nan"), self.threshold(c) / 2, {}, nothing) for c in current.candidates]
+            return current, found, True
+        return current, found + ([unexplained] if unexplained else []), False
 
     def _step(self, current: Refit) -> tuple[Refit | None, Found | None]:
         """The model with one more term, if one is accepted; else what remains unexplained, if anything does."""
@@ -165,7 +182,7 @@ class Search:
                 continue
             if self.gain(current, settled) <= self.threshold(new[0]):
                 continue
-            held = self.held_out(current, settled, new[0])
+            held = self.held_out(current, settled)
             self.log.append(f"{'+'.join(settled.names)}: held-out gain {held[0]:.1f} +- {held[1]:.1f}")
             if held[0] > max(_HELD_OUT, _SURE * held[1]):
                 return settled, None
@@ -318,7 +335,7 @@ class Search:
             self.gain(without, at) / 2,
             self.threshold(candidate) / 2,
             rivals,
-            self.held_out(without, at, candidate),
+            self.held_out(without, at),
         )
 
 

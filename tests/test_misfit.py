@@ -329,6 +329,14 @@ def test_odd_records_raise_no_warning() -> None:
 def test_a_fit_without_residuals_is_refused() -> None:
     with pytest.raises(DataError, match="no output has two residuals"):
         misfit(fit(record(az=np.full(N, np.nan))))
+    with pytest.raises(DataError, match="give a fit, as estimate returns it, not a Record"):
+        misfit(record(az=white()))
+
+
+def test_a_fit_that_is_no_optimum_is_told_of() -> None:
+    f = fit(record(az=white()))
+    f.converged, f.status = False, "iteration limit"
+    assert "Note: the fit is no optimum (iteration limit)" in misfit(f).summary()
 
 
 def test_of_process_noise_innovations_are_looked_at() -> None:
@@ -407,7 +415,7 @@ def test_a_late_vane_shows_in_the_fit() -> None:
     without = misfit(ph.estimate(attas.model(vane=False), runs)).channels["alpha"]
     assert without.follows is not None and without.follows.variable == "q" and without.follows.r < -0.8
     assert without.regime is not None and without.regime.share > 0.5
-    with_it = misfit(ph.estimate(attas.model(), runs)).channels["alpha"]
+    with_it = misfit(attas.estimate(runs)).channels["alpha"]
     assert with_it.rms < 0.5 * without.rms and with_it.ratio < 0.5 * without.ratio
     assert with_it.follows is None
 

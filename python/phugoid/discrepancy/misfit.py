@@ -172,6 +172,8 @@ class Misfit:
         """A line for each channel, the worst first, and what could not be told."""
         lines = [self.channels[name].summary() for name in self.worst]
         notes = list(dict.fromkeys(note for name in self.worst for note in self.channels[name].notes))
+        if not getattr(self.fit, "converged", True):
+            notes.append(f"the fit is no optimum ({self.fit.status}): another one may leave other residuals")
         return "\n".join([*lines, *(f"Note: {note}." for note in notes)])
 
     def plot(self, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
@@ -193,8 +195,10 @@ def misfit(fit: Any) -> Misfit:
     ``fit`` has .records (of `Record`) and .model.output_names; .model.units if it can. Records with gaps, of several
     rates and of any number are taken; what is too short gets fewer answers, and ``notes`` says so.
 
-    Raises DataError where there are no residuals at all.
+    Raises DataError for what is no fit, or where there are no residuals at all.
     """
+    if not hasattr(fit, "records") or not hasattr(fit, "model"):
+        raise DataError(f"misfit: give a fit, as estimate returns it, not a {type(fit).__name__}")
     outputs = list(fit.model.output_names)
     units = dict(getattr(fit.model, "units", {}))
     for record in fit.records:

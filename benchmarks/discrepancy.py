@@ -68,10 +68,10 @@ def run(n=200, seed=0, processes=2, only=(), listed=False, **choice):
     done.sort(key=lambda o: o.seed)
     report(done)
     if listed:
-        console.print("Failed:")
-        for o in done:
-            if o.failed:
-                console.print(escape(str(o)), soft_wrap=True)
+        failed = [o for o in done if o.failed]
+        console.print(f"Failed: {len(failed) or 'none'}")
+        for o in failed:
+            console.print(escape(str(o)), soft_wrap=True)
 
 
 def report(done):

@@ -68,7 +68,7 @@ def trim(p: dict[str, float], rng: np.random.Generator) -> tuple[dict[str, float
         f = dynamics(x, u, quantities(x, u, p), p)
         return [f[0], f[1], f[3]]
 
-    alpha, de, thrust = root(unsteady, [0.1, -0.01, 1.1]).x
+    alpha, de, thrust = root(unsteady, [0.1, -0.01, 1.1]).x.tolist()
     return {"V": V, "alpha": alpha, "theta": alpha + path, "q": 0.0}, {"de": de, "T": 1e4 * thrust}
 
 

@@ -48,12 +48,12 @@ def _multisine(rng: np.random.Generator, t: np.ndarray, width: float) -> np.ndar
 
 
 def _steps(rng: np.random.Generator, t: np.ndarray, width: float) -> np.ndarray:
-    """Holds of random level and length."""
+    """Holds of random level and length, four of ten followed by a rest at trim."""
     u, now = np.zeros(t.size), rng.uniform(1, 3) * width
     while now < t[-1]:
         length = width * rng.uniform(1, 5)
         u[(t >= now) & (t < now + length)] = rng.uniform(-1, 1)
-        now += length
+        now += length * (1 if rng.random() < 0.6 else rng.uniform(1.5, 3))
     return u
 
 

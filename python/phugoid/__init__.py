@@ -20,8 +20,8 @@ from .discrepancy.collection import Candidates
 from .discrepancy.diagnosis import Diagnosis, diagnose
 from .discrepancy.extension import Extension, Gain
 from .discrepancy.finding import Finding, Scored
-from .discrepancy.points import Points
 from .discrepancy.misfit import Misfit, misfit
+from .discrepancy.points import Points
 from .equation_error import EquationError, equation_error
 from .errors import (
     DataError,

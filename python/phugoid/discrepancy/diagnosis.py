@@ -101,7 +101,7 @@ class Diagnosis:
         return diagnosis_summary(self)
 
     def plot(self) -> list[Figure]:
-        """Figures: the misfit, the ranking of candidates, and, where something was found, what it explains and gains."""
+        """Figures: the misfit, the ranking of candidates; where something was found, what it explains and gains."""
         figures = [misfit_figure(self.misfit, self.fit)[0]]
         if self.ranking:
             figures.append(ranking_figure(self.ranking, self.threshold)[0])
@@ -112,12 +112,13 @@ class Diagnosis:
         return figures
 
     def report(self, path: str | os.PathLike[str]) -> None:
-        """Writes one HTML page that a colleague understands: what was wrong, the evidence, the cause and its rivals, the
-        new equation, the gain."""
+        """Writes one HTML page that a colleague understands: what was wrong, the evidence, the cause and its rivals,
+        the new equation, the gain."""
         report(self, path)
 
     def __repr__(self) -> str:
-        return f"<Diagnosis of '{self.fit.model.name}': {', '.join(f.cause or f.status for f in self.findings) or 'nothing'}>"
+        what = ", ".join(f.cause or f.status for f in self.findings) or "nothing"
+        return f"<Diagnosis of '{self.fit.model.name}': {what}>"
 
     def __str__(self) -> str:
         return self.summary()
@@ -136,8 +137,8 @@ def diagnose(
     in likelihood, with noise as coloured as the residuals are, is more than chance gives among so many, and where it
     predicts data that were held out. Then again, until nothing significant is left.
 
-    ``candidates``: those of `candidates` for the model unless given; or terms of your own that are added to these, as in
-    ``{"Cm": [alpha*q**2]}``.
+    ``candidates``: those of `candidates` for the model unless given; or terms of your own that are added to these, as
+    in ``{"Cm": [alpha*q**2]}``.
     ``validation``: other records of the same vehicle; with only first states and sensor biases free they measure the
     gain. Without any, blocks of the records are left out in turn.
     ``progress``: True shows what is done; a function is called with it. Ctrl-C ends the search with what was found.
@@ -177,7 +178,8 @@ def _check(fit: Any) -> None:
         raise OptionError(f"diagnose: the first argument is a fit, as estimate gives it, not {type(fit).__name__}")
     if isinstance(fit.transcription, FilterError):
         raise OptionError(
-            "diagnose: a fit with process noise explains every misfit by it; estimate without FilterError and diagnose that"
+            "diagnose: a fit with process noise explains every misfit by it; estimate without FilterError and "
+            "diagnose that"
         )
     if fit.status not in ("converged", "acceptable"):
         raise DataError(
@@ -321,8 +323,8 @@ def _ranking(search: Search, scan: Scan) -> list[Scored]:
         remark = "hardly to be told from the parameters already there" if distinct < NEARLY else ""
         amplitude = values["clean"].amplitudes[i].tolist()
         estimate = {**dict(zip(candidate.coefficients, amplitude, strict=False)), **shape}
-        numbers = (float(values[which].values[i]) for which in ("base", "clean", "white"))
-        found.append(Scored(name, candidate.explanation, estimate, *numbers, distinct, remark))
+        base, clean, white = (float(v.values[i]) for v in values.values())
+        found.append(Scored(name, candidate.explanation, estimate, base, clean, white, distinct, remark))
     by_name = {c.name: c for c in search.candidates}
     for name in scan.lost:
         remark = "cannot be told from the parameters already there"

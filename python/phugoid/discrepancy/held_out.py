@@ -13,10 +13,9 @@ from ..estimate import estimate
 from ..experiment import Experiment
 from ..held import held_model, held_noise
 from .candidate import Candidate
-from .least_squares import Whitened, own_whitening, row_runs
+from .least_squares import Whitened, own_whitening
 from .linearised import Linearised
 from .refit import Refit, started_from
-from .whitening import Whitening
 
 __all__ = ["across_blocks", "gain_on_other_data", "on_other_data"]
 
@@ -37,7 +36,7 @@ def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> tuple[f
     """
     linear = base.linear
     whitened = base.through(more.own.filter)
-    columns, _, _ = linear.columns([(c, {n: more.own.parameter(n)[0] for n in c.shape_names}) for c in new])
+    columns, _, _ = linear.columns([(c, {n: more.fit.parameters[n].value for n in c.shape_names}) for c in new])
     c = whitened.filter(columns).T
     c /= np.maximum(np.linalg.norm(c, axis=0), 1e-300)
     e = whitened.errors
@@ -75,8 +74,8 @@ def on_other_data(refit: Refit, data: Sequence[Experiment], near: Linearised | N
     own = [n for n in fit.model.parameter_names if n not in values and n not in free]
     if own:
         raise DataError(
-            f"diagnose: {', '.join(own)} has a value for each experiment of the fit, so none for the validation record: "
-            "leave validation out"
+            f"diagnose: {', '.join(own)} has a value for each experiment of the fit, so none for the validation "
+            "record: leave validation out"
         )
     model, noise = held_model(fit.model, values, free), held_noise(fit)[0]
     start = started_from(near.fit, ()) if near else {n: values[n] for n in free if n in values}
@@ -87,9 +86,9 @@ def on_other_data(refit: Refit, data: Sequence[Experiment], near: Linearised | N
 
 
 def gain_on_other_data(base: Linearised, more: Linearised) -> tuple[float, float]:
-    """Gain in log-likelihood on other data and its standard deviation, through the likeliest filter of the richer one."""
+    """Gain in log-likelihood on other data and its standard deviation, through the likeliest filter of ``more``."""
     own = own_whitening(more)
-    other = Whitened(base, own.filter.on(row_runs(base)))
+    other = Whitened(base, own.filter.on(base.structure))
     d = own.log_densities - other.log_densities
     d = d[np.isfinite(d)]
     return float(d.sum()), float(np.sqrt(d.size) * d.std())

@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .linearised import Linearised
-from .whitening import Whitening, runs_of
+from .whitening import Whitening
 
-__all__ = ["Whitened", "own_whitening", "row_runs"]
+__all__ = ["Whitened", "own_whitening"]
 
 _Array = NDArray[np.float64]
 
 # Rounds of fitting the noise to residuals and parameters to the noise.
 _ROUNDS = 3
 _NOTHING = 1e-9
-
-
-def row_runs(linear: Linearised) -> list[list[slice]]:
-    """The runs of equally spaced rows of each output."""
-    found = []
-    for line in linear.rows:
-        runs = []
-        for rows in line:
-            runs += [slice(rows.start + r.start, rows.start + r.stop) for r in runs_of(linear.times[rows])]
-        found.append([r for r in runs if r.stop > r.start])
-    return found
 
 
 class Whitened:
@@ -90,6 +80,13 @@ class Whitened:
         """Value after the step and standard error of a parameter."""
         return self.linear.value(name, self.step, self.covariance)
 
+    def correlation(self, some: Sequence[str], others: Sequence[str]) -> float:
+        """The greatest between the estimates of two sets of parameters."""
+        places = [[self.linear.place(name) for name in names] for names in (some, others)]
+        size = np.sqrt(np.diag(self.covariance))
+        parts = self.covariance[np.ix_(*places)] / np.maximum(np.outer(size[places[0]], size[places[1]]), 1e-300)
+        return float(np.abs(parts).max())
+
     def beside(self, columns: _Array) -> _Array:
         """Columns (k, n_rows), whitened, without what tangents can imitate."""
         c = self.filter(columns)
@@ -100,10 +97,10 @@ class Whitened:
 def own_whitening(linear: Linearised, start: Whitening | None = None) -> Whitened:
     """The fit seen through the filter that is the likeliest together with it, from that of its own residuals or
     another."""
-    runs = row_runs(linear)
-    best = Whitened(linear, start or Whitening.of(linear.residuals, runs))
+    rows = linear.structure
+    best = Whitened(linear, start or Whitening.of(linear.residuals, rows))
     for _ in range(_ROUNDS):
-        following = Whitened(linear, Whitening.of(best.residuals, runs))
+        following = Whitened(linear, Whitening.of(best.residuals, rows))
         if following.log_likelihood <= best.log_likelihood:
             break
         best = following

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,12 @@ from ..result import Fit
 from ..transcription import Collocation
 from .candidate import Candidate, Place
 from .points import Points
+from .whitening import Rows, runs_of
 
 __all__ = ["Linearised", "collocated", "dataset"]
 
 _Array = NDArray[np.float64]
+_Indices = NDArray[np.intp]
 
 # Responses that are solved for at one time: bounds the memory that they take.
 _AT_ONCE = 64
@@ -120,8 +123,8 @@ class Linearised:
         self._direct: list[Mapping[Place, _Array]] = []  # place -> (n_y, samples)
         self._by_state: list[_Array] = []  # (n_y, n_x, samples)
         self._by_parameter: list[_Array] = []  # (n_y, n_theta, samples), of the problem's variables
-        self.sample_points: list[NDArray[np.intp]] = []  # places among the points
-        self._mesh_points: list[NDArray[np.intp]] = []
+        self.sample_points: list[_Indices] = []  # places among the points
+        self._mesh_points: list[_Indices] = []
         n_theta, xi = problem.n_theta, self._xi
         values = problem.values(xi[: len(problem.estimands)].tolist())
         first = problem.first_point
@@ -141,8 +144,8 @@ class Linearised:
                 raise EvaluationError(f"diagnose: the model is not finite along the path of '{experiment.name}'")
             for of, name in late.items():  # what acts on an input, acts on it late
                 by_place, inputs = found.by_place, [n for n, _ in model._core.inputs]
-                parts = zip(by_place[Place("input", of)], by_place[Place("input", name)], strict=True)
-                by_place[Place("input", of)] = tuple(a + b for a, b in parts)
+                (f, g), (more_f, more_g) = by_place[Place("input", of)], by_place[Place("input", name)]
+                by_place[Place("input", of)] = f + more_f, g + more_g
                 columns[1 + inputs.index(of)] = columns[1 + inputs.index(name)]
             at = place_of[problem.sample_points(e)]
             mesh = place_of[: record[e].mesh_t.size]
@@ -210,6 +213,31 @@ class Linearised:
         basis, values, _ = np.linalg.svd(self.moves[0], full_matrices=False)
         return np.asarray(basis[:, values > _NOTHING * values[:1]] * self.scale()[:, None])
 
+    @cached_property
+    def structure(self) -> Rows:
+        """How the rows hang together."""
+        runs: list[list[slice]] = []
+        for line in self.rows:
+            mine = [slice(r.start + run.start, r.start + run.stop) for r in line for run in runs_of(self.times[r])]
+            runs.append([run for run in mine if run.stop > run.start])
+        # What a late sensor measured together with others it measured at their time, not at its own.
+        measured = np.concatenate(
+            [e.t[np.isfinite(e.output(name))] for name in self.model.output_names for e in dataset(self.fit)]
+        )[self.measured_rows]
+        groups: dict[tuple[int, ...], list[_Indices]] = {}
+        for e in range(len(self.experiments)):
+            lines = [line[e] for line in self.rows]
+            times = np.unique(np.concatenate([measured[rows] for rows in lines]))
+            table = np.full((times.size, len(lines)), -1)
+            for i, rows in enumerate(lines):
+                table[np.searchsorted(times, measured[rows]), i] = np.arange(rows.start, rows.stop)
+            patterns, which = np.unique(table >= 0, axis=0, return_inverse=True)
+            for k, pattern in enumerate(patterns):
+                there = np.flatnonzero(pattern)
+                some = table[which.ravel() == k]
+                groups.setdefault(tuple(there.tolist()), []).append(some[:, there])
+        return Rows(runs, [(outputs, np.vstack(at)) for outputs, at in groups.items()])
+
     @property
     def places(self) -> set[Place]:
         """Where candidates can act."""
@@ -227,7 +255,7 @@ class Linearised:
         return sum(self.counts)
 
     @cached_property
-    def measured_rows(self) -> NDArray[np.intp]:
+    def measured_rows(self) -> _Indices:
         """(n_rows,) places of the rows among all samples that were measured: a late sensor loses some."""
         delays = self.fit.model.delays.outputs
         all_rows, first = [], 0
@@ -242,12 +270,17 @@ class Linearised:
                 first += t.size
         return np.concatenate(all_rows)
 
+    def place(self, name: str) -> int:
+        """Of a parameter among the variables."""
+        return [n for n, *_ in self._problem.estimands].index(name)
+
     def value(self, name: str, step: _Array, covariance: _Array) -> tuple[float, float]:
         """Of a parameter of the model after a step of the variables, and its standard error."""
-        names = [n for n, *_ in self._problem.estimands]
-        i = names.index(name)
-        value, slope = self._problem.values(self._xi[: len(names)].tolist())[i]
-        return value + slope * step[i], float(abs(slope) * np.sqrt(covariance[i, i]))
+        i = self.place(name)
+        n = len(self._problem.estimands)
+        _, slope = self._problem.values(self._xi[:n].tolist())[i]
+        value, _ = self._problem.values((self._xi + np.pad(step, (0, self._xi.size - step.size)))[:n].tolist())[i]
+        return value, float(abs(slope) * np.sqrt(covariance[i, i]))
 
     def without_states(self, columns: _Array, parameters: _Array) -> _Array:
         """What is left of answers (k, n_rows), in units of the noise, when first states alone take part in them.
@@ -309,12 +342,12 @@ class Linearised:
         """
         signals = [[c.signals(points, shape) for points in self.points] for c, shape in effects]
         ends = np.cumsum([0, *(per_run[0].shape[0] for per_run in signals)])
-        groups = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        groups = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         owner = np.repeat(np.arange(len(effects)), np.diff(ends))
         answers = np.zeros((int(ends[-1]), self.n_rows))
         parameters = np.zeros((int(ends[-1]), self._problem.n_theta))
         by_place: dict[Place, list[int]] = {}
-        for k, i in enumerate(owner):
+        for k, i in enumerate(owner.tolist()):
             by_place.setdefault(effects[i][0].place, []).append(k)
         stacked = [np.vstack([per_run[e] for per_run in signals]) for e in range(len(self.points))] if signals else []
         for place, members in by_place.items():

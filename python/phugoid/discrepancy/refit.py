@@ -14,7 +14,7 @@ from ..parameters import Estimates
 from ..result import Fit
 from ..solvers import Newton
 from .candidate import Candidate
-from .least_squares import Whitened, own_whitening, row_runs
+from .least_squares import Whitened, own_whitening
 from .linearised import Linearised, dataset
 from .whitening import Whitening
 
@@ -43,7 +43,7 @@ class Refit:
 
     def through(self, filter: Whitening) -> Whitened:
         """Through another's filter."""
-        return Whitened(self.linear, filter.on(row_runs(self.linear)))
+        return Whitened(self.linear, filter.on(self.linear.structure))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .candidate import Candidate
-from .least_squares import Whitened, row_runs
+from .least_squares import Whitened
 from .linearised import Linearised
 from .whitening import Channel, Whitening
 
@@ -67,7 +67,7 @@ class Scan:
 
     def through(self, filter: Whitening) -> Statistics:
         """Statistics through a filter."""
-        return self._statistics(Whitened(self.linear, filter.on(row_runs(self.linear))))
+        return self._statistics(Whitened(self.linear, filter.on(self.linear.structure)))
 
     def _statistics(self, whitened: Whitened) -> Statistics:
         beside, errors = whitened.beside(self.columns), whitened.errors
@@ -87,17 +87,27 @@ class Scan:
         Slow effects hide in a noise model that was made with them.
         """
         if self._clean is None:
-            self._clean = self._cleaned()
+            beside, errors = self.white.beside(self.columns), self.white.errors.copy()
+            self._greedy(beside, errors, _GREEDY)
+            own = self.white.residuals + self.linear.scale() * (errors - self.white.errors)
+            self._clean = Whitening.of(own, self.linear.structure)
         return self._clean
 
-    def _cleaned(self) -> Whitening:
-        beside, errors = self.white.beside(self.columns), self.white.errors.copy()
+    def different(self, through: Whitening, statistics: Statistics, count: int) -> list[int]:
+        """The effect that explains most, the one that explains most of what is left, and so on."""
+        errors = Whitened(self.linear, through.on(self.linear.structure)).errors.copy()
+        return self._greedy(statistics.beside, errors, count)
+
+    def _greedy(self, beside: _Array, errors: _Array, count: int) -> list[int]:
+        """Takes out of errors what explains most of them, one effect after the other, and tells which."""
         grams = _grams(beside, self.groups)
+        taken: list[int] = []
         found: list[_Array] = []
-        for _ in range(min(_GREEDY, len(self.groups))):
+        for _ in range(min(count, len(self.groups))):
             parts = beside @ errors
             gains = [float(parts[g] @ _solved(gram, parts[g])) for gram, g in zip(grams, self.groups, strict=True)]
-            best = beside[self.groups[int(np.argmax(gains))]].T.copy()
+            taken.append(int(np.argmax(gains)))
+            best = beside[self.groups[taken[-1]]].T.copy()
             for q in found:
                 best -= np.outer(q, q @ best)
             for q in np.linalg.qr(best)[0].T:
@@ -105,12 +115,11 @@ class Scan:
                 found.append(q)
                 along = beside @ q
                 grams = [gram - np.outer(along[g], along[g]) for gram, g in zip(grams, self.groups, strict=True)]
-        own = self.white.residuals + self.linear.scale() * (errors - self.white.errors)
-        return Whitening.of(own, row_runs(self.linear))
+        return taken
 
 
 def _sizes(columns: _Array) -> _Array:
-    return np.sqrt(np.einsum("ij,ij->i", columns, columns))
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", columns, columns)))
 
 
 def _grams(columns: _Array, groups: Sequence[slice]) -> list[_Array]:
@@ -121,11 +130,11 @@ def _grams(columns: _Array, groups: Sequence[slice]) -> list[_Array]:
 def _solved(gram: _Array, part: _Array) -> _Array:
     """Least squares from normal equations, of one column or two; nothing where the columns are nothing."""
     if gram.shape[0] == 1:
-        return part / gram[0] if gram[0, 0] > _ROUNDING**2 else np.zeros(1)
+        return part / gram[0] if gram[0, 0] > _ROUNDING else np.zeros(1)
     return np.asarray(np.linalg.lstsq(gram, part, rcond=1e-10)[0])
 
 
 def _white(linear: Linearised) -> Whitening:
     """The noise as the fit has it: white."""
     channels = [Channel((np.empty(0),), np.array([sigma])) for sigma in linear.sigmas]
-    return Whitening(channels, row_runs(linear))
+    return Whitening(channels, linear.structure)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from ..errors import PhugoidError
 from ..experiment import Experiment
@@ -18,7 +18,6 @@ from .linearised import Linearised
 from .refit import Refit, refit
 from .scan import Scan, Statistics
 from .terms import FORMS, Term
-from .whitening import Whitening
 
 __all__ = ["Found", "Search"]
 
@@ -26,8 +25,10 @@ _Array = NDArray[np.float64]
 
 # Probability that anything at all is found where there is nothing.
 _FALSE = 0.01
-# Refits of a round: the best by ranking, by the base filter, and with residuals taken as white.
+# Refits of a round: the best by ranking, by the base filter, and with residuals taken as white; and those that explain
+# what the best ones leave.
 _SHORT = (("clean", 6), ("base", 4), ("white", 3))
+_DIFFERENT = 4
 # What is this far below its threshold in the scan, by the base filter and by the clean one, is not refitted.
 _HOPELESS = (0.4, 0.8)
 # Rivals that are refitted when a term is looked at again, and those whose effect is nearly the same.
@@ -36,12 +37,16 @@ _AGAIN, _ALIKE = 6, 3
 _SAME = 0.995
 # Beyond this one they are aliases, whatever their refits say.
 _ALIAS = 0.95
+# Estimates with a correlation below this are taken as independent.
+_APART = 0.3
 # A rival is an alias unless Vuong's test tells them apart by this.
 _VUONG = 2.0
 # Twice the gain in log-likelihood by which a cause outside of what is physical must be ahead.
 _UNPHYSICAL = 6.0
 # The gain on held-out data must be above this, and above this part of its standard deviation.
 _HELD_OUT, _SURE = 1.0, 0.5
+# A misfit that no candidate explains is told of when twice the gain of the best is this often its threshold.
+_CLEAR = 1.5
 # Next best candidates that are tried when the best gains nothing on held-out data.
 _CHANCES = 3
 _MOST = 6
@@ -68,8 +73,8 @@ class Found:
 class Search:
     """A search at a base fit.
 
-    ``validation`` is data for held-out gains; without it blocks of the records are left out in turn. ``watch`` is called
-    with what is done.
+    ``validation`` is data for held-out gains; without it blocks of the records are left out in turn. ``watch`` is
+    called with what is done.
     """
 
     base: Refit
@@ -110,7 +115,7 @@ class Search:
     def threshold(self, candidate: Candidate) -> float:
         """Twice the gain in log-likelihood that chance reaches with none of all candidates."""
         unknowns = max(len(candidate.coefficients) + len(candidate.shape_names), 1)
-        return float(chi2.isf(_FALSE / max(self._tries_in_all, 1), unknowns))
+        return _quantile(unknowns, _FALSE / max(self._tries_in_all, 1))
 
     def gain(self, base: Refit, more: Refit) -> float:
         """Twice the gain in log-likelihood, each with its likeliest noise."""
@@ -176,20 +181,22 @@ class Search:
         for t in significant:
             if len(rejected) >= _CHANCES:
                 break
-            settled = self._settled(t)
-            new = [c for c in settled.candidates if c not in current.candidates]
-            if len(settled.candidates) <= len(current.candidates) or not new or {c.name for c in new} & rejected:
+            if t.candidates[-1].name in rejected:
                 continue
-            if self.gain(current, settled) <= self.threshold(new[0]):
+            settled = self._settled(t, rejected)
+            new = [c for c in settled.candidates if c.name not in current.names]
+            if not new or len(settled.candidates) <= len(current.candidates):
+                continue
+            gain, threshold = self.gain(current, settled), self.threshold(new[0])
+            if gain <= threshold:
                 continue
             held = self.held_out(current, settled)
             self.log.append(f"{'+'.join(settled.names)}: held-out gain {held[0]:.1f} +- {held[1]:.1f}")
             if held[0] > max(_HELD_OUT, _SURE * held[1]):
                 return settled, None
-            rejected.add(new[0].name)
-            if unexplained is None:
-                gain, threshold = self.gain(current, settled) / 2, self.threshold(new[0]) / 2
-                unexplained = Found(None, gain, threshold, {c.name: gain for c in new}, held)
+            rejected |= {c.name for c in new}
+            if unexplained is None and gain > _CLEAR * threshold:
+                unexplained = Found(None, gain / 2, threshold / 2, {c.name: gain / 2 for c in new}, held)
         return None, unexplained
 
     def _tries(self, at: Refit) -> list[Refit]:
@@ -207,6 +214,11 @@ class Search:
         for which, count in reversed(_SHORT):
             for c in self._best(scan, statistics[which], count, ~hopeless):
                 names[c.name] = c
+        for i in scan.different(at.own.filter, statistics["base"], _DIFFERENT):
+            candidate, shape = scan.effects[i]
+            if candidate.name not in names and not hopeless[i]:
+                names[candidate.name] = candidate
+                self._remember(candidate, shape, statistics["base"].amplitudes[i])
         tries = [self.refit([*at.candidates, c], at.fit) for c in names.values()]
         return [t for t in tries if t is not None]
 
@@ -236,24 +248,31 @@ class Search:
             **shape,
         }
 
-    def _settled(self, at: Refit) -> Refit:
-        """With each term replaced by a better one where there is one, until nothing changes; without those that are no
+    def _settled(self, at: Refit, rejected: Collection[str] = ()) -> Refit:
+        """With terms replaced by better ones where there are any, until nothing changes; without those that are no
         longer significant."""
         for _ in range(4):
-            changed = False
-            for candidate in reversed(at.candidates):
-                others = [c for c in at.candidates if c is not candidate]
-                without = self.refit(others, at.fit)
-                if without is not None and others and self.gain(without, at) < self.threshold(candidate):
-                    at, changed = without, True
-                    break
-                ranked = self._rivals(at, candidate)
-                if ranked[0][0] is not at:
-                    at, changed = ranked[0][0], True
-                    break
-            if not changed:
+            following = next((r for r in self._better(at, rejected) if r is not at), at)
+            if following is at:
                 break
+            at = following
         return at
+
+    def _better(self, at: Refit, rejected: Collection[str]) -> Iterator[Refit]:
+        """For each term the best with another one, or with none, in its place; the last term first."""
+        for candidate in reversed(at.candidates):
+            others = [c for c in at.candidates if c is not candidate]
+            if others and candidate is not at.candidates[-1] and self._apart(at, candidate, at.candidates[-1]):
+                continue
+            without = self.refit(others, at.fit)
+            if others and without is not None and self.gain(without, at) < self.threshold(candidate):
+                yield without
+            yield next(r for r, _ in self._rivals(at, candidate) if r is at or not any(n in rejected for n in r.names))
+
+    def _apart(self, at: Refit, one: Candidate, other: Candidate) -> bool:
+        """Whether the estimates of two candidates hardly depend on each other: neither casts doubt on the other."""
+        names = [[*c.coefficients, *c.shape_names] for c in (one, other)]
+        return at.own.correlation(*names) < _APART
 
     def _rivals(self, at: Refit, candidate: Candidate) -> list[tuple[Refit, float]]:
         """Refits with another in place of a candidate, and how much more likely they are through the same filter, less
@@ -337,6 +356,14 @@ class Search:
             rivals,
             self.held_out(without, at),
         )
+
+
+@cache
+def _quantile(freedom: int, probability: float) -> float:
+    """Of chi-square, from above."""
+    from scipy.special import chdtri  # not at import: it takes its time
+
+    return float(chdtri(freedom, probability))
 
 
 def about_zero_too(candidates: Sequence[Candidate]) -> list[Candidate]:

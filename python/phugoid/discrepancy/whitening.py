@@ -5,12 +5,17 @@ them as white see an effect in any slow motion. So each channel's residual is mo
 a_p r_{t-p} + e_t, with p by Schwarz's criterion, and everything (residuals, sensitivities) is replaced by its
 prediction error e_t / sigma_e, the first samples of a run by those of the lower orders (Levinson's recursion), which
 makes the transform that of the exact likelihood.
+
+A gust moves several channels at once. Where prediction errors of different channels at the same time are correlated,
+and Schwarz's criterion says that this is not chance, they are made independent of each other too: else one disturbance
+would count as evidence several times over.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,43 +100,91 @@ def runs_of(times: _Array) -> list[slice]:
     usual = float(np.median(steps))
     breaks = np.flatnonzero(np.abs(steps - usual) > 0.1 * usual) + 1
     edges = [0, *breaks.tolist(), times.size]
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """How rows of residuals hang together.
+
+    runs      runs[i] the runs of equally spaced rows of output i.
+    together  rows of the same time: for each set of outputs that are measured at the same times, these outputs and
+              their rows, (times, outputs).
+    """
+
+    runs: Sequence[Sequence[slice]]
+    together: Sequence[tuple[tuple[int, ...], NDArray[np.intp]]]
 
 
 class Whitening:
-    """Autoregressive models of all channels: what makes rows of residuals and sensitivities white.
+    """Autoregressive models of all channels, and how their errors go together: what makes rows of residuals and
+    sensitivities white.
 
-    channels  the models, one an output.
-    runs      runs[i] the runs of rows of output i.
+    channels     the models, one an output.
+    correlation  (n_y, n_y) of their errors at the same time; None where they are independent.
+    rows         what it is applied to.
     """
 
-    def __init__(self, channels: Sequence[Channel], runs: Sequence[Sequence[slice]]) -> None:
-        self.channels, self.runs = tuple(channels), tuple(tuple(r) for r in runs)
+    def __init__(self, channels: Sequence[Channel], rows: Rows, correlation: _Array | None = None) -> None:
+        self.channels, self.rows, self.correlation = tuple(channels), rows, correlation
+        self._roots: list[_Array] = []
+        if correlation is not None:
+            blocks = (correlation[np.ix_(which, which)] for which, _ in rows.together)
+            self._roots = [np.asarray(np.linalg.cholesky(block)) for block in blocks]
 
     @classmethod
-    def of(cls, residuals: _Array, runs: Sequence[Sequence[slice]], most: int | None = None) -> Whitening:
+    def of(cls, residuals: _Array, rows: Rows) -> Whitening:
         """The models of residuals (n_rows,)."""
-        return cls([burg([residuals[run] for run in line], most) for line in runs], runs)
+        channels = [burg([residuals[run] for run in line]) for line in rows.runs]
+        alone = cls(channels, rows)
+        return cls(channels, rows, _correlation(alone(residuals), rows, len(channels)))
 
-    def on(self, runs: Sequence[Sequence[slice]]) -> Whitening:
-        """The same models on other runs."""
-        return Whitening(self.channels, runs)
+    def on(self, rows: Rows) -> Whitening:
+        """The same models on other rows."""
+        return Whitening(self.channels, rows, self.correlation)
 
     def __call__(self, rows: _Array) -> _Array:
         """Rows (..., n_rows) as prediction errors in units of their standard deviations."""
         out = np.empty(rows.shape)
         flat, whitened = rows.reshape(-1, rows.shape[-1]), out.reshape(-1, rows.shape[-1])
-        for channel, line in zip(self.channels, self.runs, strict=True):
-            for run in line:
-                for k in range(0, flat.shape[0], _AT_ONCE):
-                    whitened[k : k + _AT_ONCE, run] = channel.errors(flat[k : k + _AT_ONCE, run])
+        for k in range(0, flat.shape[0], _AT_ONCE):
+            block, result = flat[k : k + _AT_ONCE], whitened[k : k + _AT_ONCE]
+            for channel, line in zip(self.channels, self.rows.runs, strict=True):
+                for run in line:
+                    result[:, run] = channel.errors(block[:, run])
+            for root, (_, at) in zip(self._roots, self.rows.together, strict=False):
+                inverse = np.linalg.inv(root)
+                columns = [result[:, at[:, j]] for j in range(at.shape[1])]
+                for i in range(at.shape[1]):
+                    result[:, at[:, i]] = sum(inverse[i, j] * columns[j] for j in range(i + 1))
         return out
 
     def log_densities(self, errors: _Array) -> _Array:
         """(n_rows,) log-likelihood of each row, given those before it, of errors (n_rows,) that were whitened; without
         the constant of the normal density."""
         out = -0.5 * errors**2
-        for channel, line in zip(self.channels, self.runs, strict=True):
+        for channel, line in zip(self.channels, self.rows.runs, strict=True):
             for run in line:
                 out[run] -= channel.log_scales(run.stop - run.start)
+        for root, (_, at) in zip(self._roots, self.rows.together, strict=False):
+            out[at] -= np.log(np.diag(root))
         return out
+
+
+def _correlation(errors: _Array, rows: Rows, n: int) -> _Array | None:
+    """Of the errors of n channels at the same times, or None where their independence is the better model."""
+    products, counts = np.zeros((n, n)), np.zeros((n, n))
+    for which, at in rows.together:
+        e = errors[at]
+        products[np.ix_(which, which)] += e.T @ e
+        counts[np.ix_(which, which)] += at.shape[0]
+    size = np.sqrt(np.diag(products) / np.maximum(np.diag(counts), 1.0))
+    c = products / np.maximum(counts, 1.0) / np.outer(size, size)
+    np.fill_diagonal(c, 1.0)
+    pairs = n * (n - 1) // 2
+    smallest = float(np.linalg.eigvalsh(c)[0])
+    if pairs == 0 or smallest <= 0.0:  # correlations from different times need not go together
+        return None
+    samples = counts[~np.eye(n, dtype=bool)].min()
+    gain = -samples * float(np.linalg.slogdet(c)[1])
+    return c if gain > pairs * np.log(max(samples, 2.0)) else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -28,12 +29,12 @@ _Array = NDArray[np.float64]
 _FALSE = 0.01
 # Refits of a round: the best by ranking, by the base filter, and with residuals taken as white; and those that explain
 # what the best ones leave.
-_SHORT = (("clean", 6), ("base", 4), ("white", 3))
+_SHORT = (("clean", 6), ("base", 4), ("white", 2))
 _DIFFERENT = 4
 # What is this far below its threshold in the scan, by the base filter and by the clean one, is not refitted.
 _HOPELESS = (0.4, 0.8)
 # Rivals that are refitted when a term is looked at again, and those whose effect is nearly the same.
-_AGAIN, _ALIKE = 6, 3
+_AGAIN, _ALIKE = 4, 2
 # Two effects on the outputs are the same beyond this cosine: one stands for both in a shortlist.
 _SAME = 0.995
 # Beyond this one they are aliases, whatever their refits say.
@@ -54,6 +55,8 @@ _CLEAR = 1.5
 _CHANCES = 3
 # Findings at most: what is left then is for another diagnosis, of the extended model.
 _MOST = 4
+# Refits side by side: the solver works without the interpreter's lock.
+_WORKERS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +101,33 @@ class Search:
 
     def refit(self, candidates: Sequence[Candidate], near: Fit | None = None) -> Refit | None:
         """The refit of a set."""
-        key = frozenset(c.name for c in candidates)
-        if key not in self._refits:
-            self.watch("fitting with " + ", ".join(c.name for c in candidates))
+        return self.refits([candidates], near)[0]
+
+    def refits(self, sets: Sequence[Sequence[Candidate]], near: Fit | None = None) -> list[Refit | None]:
+        """The refits of several sets, side by side."""
+        keys = [frozenset(c.name for c in candidates) for candidates in sets]
+        new = {key: candidates for key, candidates in zip(keys, sets, strict=True) if key not in self._refits}
+
+        def one(candidates: Sequence[Candidate]) -> Refit | None:
             starts: dict[str, float] = {}
             for c in candidates:
                 starts |= self._starts.get(c.name, {})
-            self._refits[key] = refit(self.base.fit, candidates, starts, near)
-        return self._refits[key]
+            found = refit(self.base.fit, candidates, starts, near)
+            if found is not None:
+                _ = found.own  # here, for it takes as long
+            return found
+
+        for candidates in new.values():
+            self.watch("fitting with " + ", ".join(c.name for c in candidates))
+        if len(new) == 1:
+            self._refits |= {key: one(candidates) for key, candidates in new.items()}
+        elif new:
+            executor = ThreadPoolExecutor(min(len(new), _WORKERS))
+            try:
+                self._refits |= dict(zip(new, executor.map(one, new.values()), strict=True))
+            finally:
+                executor.shutdown(cancel_futures=True)
+        return [self._refits[key] for key in keys]
 
     def scan(self, at: Refit) -> Scan:
         """The scan of all others at a set."""
@@ -226,7 +248,7 @@ class Search:
             if candidate.name not in names and not hopeless[i]:
                 names[candidate.name] = candidate
                 self._remember(candidate, shape, statistics["base"].amplitudes[i])
-        tries = [self.refit([*at.candidates, c], at.fit) for c in names.values()]
+        tries = self.refits([[*at.candidates, c] for c in names.values()], at.fit)
         return [t for t in tries if t is not None]
 
     def _best(
@@ -292,8 +314,7 @@ class Search:
         filter = at.own.filter
         statistics = scan.through(filter)
         wanted = [*self._best(scan, statistics, _AGAIN), *self._alike(scan, statistics, candidate)[:_ALIKE]]
-        for c in wanted:
-            self.refit([*others, c], at.fit)
+        self.refits([[*others, c] for c in wanted], at.fit)
         base = frozenset(c.name for c in others)
         refits = [r for key, r in self._refits.items() if r and len(key) == len(base) + 1 and key > base]
         reference = at.through(filter).log_likelihood - self._cost(at, others) / 2

@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Console
 
 from ..errors import DataError, OptionError
 from ..experiment import Experiment, as_experiments
@@ -150,7 +149,6 @@ def diagnose(
     _check(fit)
     others = _validation(fit, validation)
     base = Refit((), collocated(fit))
-    linear = base.linear
     _check_size(base)
     listed = _candidates(fit, candidates, base)
     with _shown(progress) as watch:
@@ -158,14 +156,13 @@ def diagnose(
         final, found, interrupted = search.run()
         findings = tuple(_finding(search, final, f) for f in found)
     scan = search.scan(base)
-    notes = _notes(scan, listed, others, interrupted)
-    del linear
+    notes = (*_notes(scan, listed, others if not search.notes else (), interrupted), *search.notes)
     return Diagnosis(
         fit=fit,
         misfit=misfit(fit),
         findings=findings,
         ranking=tuple(_ranking(search, scan)),
-        threshold=search.threshold(scan.effects[0][0]) if scan.effects else float("nan"),
+        threshold=search.threshold(),
         notes=notes,
         seconds=time.perf_counter() - started,
         _search=search,
@@ -261,6 +258,8 @@ def _shown(progress: Any) -> Any:
 
 class _Status:
     def __enter__(self) -> Callable[[str], None]:
+        from rich.console import Console  # not at import: it takes its time
+
         self._status = Console(stderr=True).status("diagnose")
         self._status.__enter__()
         return lambda text: self._status.update(text)

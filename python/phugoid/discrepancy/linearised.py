@@ -225,18 +225,22 @@ class Linearised:
             [e.t[np.isfinite(e.output(name))] for name in self.model.output_names for e in dataset(self.fit)]
         )[self.measured_rows]
         groups: dict[tuple[int, ...], list[_Indices]] = {}
+        complete: list[_Indices] = []
         for e in range(len(self.experiments)):
             lines = [line[e] for line in self.rows]
             times = np.unique(np.concatenate([measured[rows] for rows in lines]))
             table = np.full((times.size, len(lines)), -1)
             for i, rows in enumerate(lines):
                 table[np.searchsorted(times, measured[rows]), i] = np.arange(rows.start, rows.stop)
+            whole = np.flatnonzero((table >= 0).all(axis=1))
+            complete += [table[whole[run]] for run in runs_of(times[whole])]
             patterns, which = np.unique(table >= 0, axis=0, return_inverse=True)
             for k, pattern in enumerate(patterns):
                 there = np.flatnonzero(pattern)
                 some = table[which.ravel() == k]
                 groups.setdefault(tuple(there.tolist()), []).append(some[:, there])
-        return Rows(runs, [(outputs, np.vstack(at)) for outputs, at in groups.items()])
+        together = [(outputs, np.vstack(at)) for outputs, at in groups.items()]
+        return Rows(runs, together, [run for run in complete if run.size], self.n_rows)
 
     @property
     def places(self) -> set[Place]:

@@ -110,10 +110,14 @@ class Rows:
     runs      runs[i] the runs of equally spaced rows of output i.
     together  rows of the same time: for each set of outputs that are measured at the same times, these outputs and
               their rows, (times, outputs).
+    complete  runs of equally spaced times at which all outputs are measured: their rows, (times, n_y).
+    n         number of rows.
     """
 
     runs: Sequence[Sequence[slice]]
     together: Sequence[tuple[tuple[int, ...], NDArray[np.intp]]]
+    complete: Sequence[NDArray[np.intp]]
+    n: int
 
 
 class Whitening:
@@ -138,6 +142,12 @@ class Whitening:
         channels = [burg([residuals[run] for run in line]) for line in rows.runs]
         alone = cls(channels, rows)
         return cls(channels, rows, _correlation(alone(residuals), rows, len(channels)))
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients and correlations."""
+        n = len(self.channels)
+        return sum(c.order for c in self.channels) + (n * (n - 1) // 2 if self.correlation is not None else 0)
 
     def on(self, rows: Rows) -> Whitening:
         """The same models on other rows."""

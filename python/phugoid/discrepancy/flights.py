@@ -21,9 +21,9 @@ _Array = NDArray[np.float64]
 # Samples of a planned record: what tells in more tells in these, and what takes longer is for another day.
 _SAMPLES = 400
 # Sizes to try, in units of how far the input went in the record: the greatest that keeps the vehicle within the
-# envelope, and a small one.
-GREATEST, _SMALLEST = 1.5, 0.4
-_SIZES = (GREATEST, 1.2, 1.0, 0.8, 0.6, _SMALLEST)
+# envelope, and small ones.
+GREATEST, _SMALL = 1.5, (0.4, 0.15)
+_SIZES = (GREATEST, 1.2, 1.0, 0.8, 0.6, *_SMALL)
 # The envelope: where the model was identified, and this often as far from the beginning. Or so many sigmas.
 _ENVELOPE, _STILL = 2.0, 10.0
 # Parts of the step towards the cause's outputs that the rival's parameters try, and how often.
@@ -51,10 +51,11 @@ class Flights:
             return
         y, x = self.cause.fly(self._inputs(listed))
         ends = self._within(y, x)
-        kept: dict[tuple[str, str, str, bool], int] = {}
+        kept: dict[tuple[str, str, str, float], int] = {}
         for i, m in enumerate(listed):
             if ends[i] >= m.done:
-                kept.setdefault((m.input, m.kind, m.pace, self._sizes[i] == _SMALLEST), i)
+                size = self._sizes[i] if self._sizes[i] in _SMALL else GREATEST
+                kept.setdefault((m.input, m.kind, m.pace, size), i)
         which = list(kept.values())
         self.manoeuvres = [listed[i] for i in which]
         self.ends, self.y = ends[which], y[which]
@@ -88,12 +89,7 @@ class Flights:
         """(M,) samples until the vehicle leaves the envelope."""
         fit, model = self.final.fit, self.final.fit.model
         limits = [
-            np.array(
-                [
-                    max(float(np.nanmax(np.abs(v - v[0]))) for v in (getattr(r, kind)[n] for r in fit.records))
-                    for n in names
-                ]
-            )
+            np.array([max(_reach(getattr(r, kind)[n]) for r in fit.records) for n in names])
             for kind, names in (("outputs", model.output_names), ("states", model.state_names))
         ]
         limits[0] = np.maximum(_ENVELOPE * limits[0], _STILL * self.final.linear.sigmas)
@@ -112,8 +108,8 @@ class Flights:
         return Experiment(self.t[:n], inputs, name=str(self.manoeuvres[i]))
 
     def gains(self, rival: Refit, least: float) -> _Array:
-        """(M,) expected gains in log-likelihood over a rival from data of each manoeuvre; 0 where it is below ``least``
-        or the rival has no solution.
+        """(M,) expected gains in log-likelihood over a rival from data of each manoeuvre; 0 where it is below
+        ``least``, NaN where the rival has no solution.
 
         The rival takes a few steps with the derivatives at its estimates towards the outputs of the cause: what then
         counts is the difference itself, less what another step would still take, to first order.
@@ -126,12 +122,15 @@ class Flights:
         # Where the difference is small as it stands, nothing has to follow.
         channels = self.final.own.filter
         whitened = [channels.on(rows_of(p))((self.y[i] - y[i])[p]) for i, p in enumerate(present)]
-        some = np.array([i for i, e in enumerate(whitened) if 0.5 * float(e @ e) >= least], dtype=np.intp)
+        sizes = np.array([0.5 * float(e @ e) for e in whitened])
+        found[~np.isfinite(sizes)] = np.nan
+        some = np.flatnonzero(sizes >= least)
         if not some.size:
             return found
         moved = flown.tangents(self.inputs[some])
         views: dict[int, Imitation] = {}
         for i, m in zip(some.tolist(), moved, strict=True):
+            found[i] = np.nan
             if np.isfinite(m[:, present[i]]).all():
                 views[i] = Imitation(present[i], channels, m, flown.tied)
         at = {i: np.zeros(flown.units.size) for i in views}
@@ -158,6 +157,12 @@ class Flights:
             )
             present[row, begin : max(self.ends[i] - lost, begin) : every] = True
         return present
+
+
+def _reach(v: _Array) -> float:
+    """How far a series goes from where it begins; a late sensor shows nothing at first."""
+    v = v[np.isfinite(v)]
+    return float(np.abs(v - v[0]).max()) if v.size else 0.0
 
 
 def _spacing(data: Sequence[Experiment], name: str, step: float) -> int:

@@ -59,7 +59,7 @@ def rows_of(present: _Mask) -> Rows:
     runs = [[slice(a, b)] for a, b in pairwise(ends)]
     pattern = 2.0 ** np.arange(present.shape[0]) @ present
     together = []
-    for number in {*pattern.tolist()} - {0.0}:
+    for number in np.unique(pattern[pattern > 0.0]).tolist():
         there = np.flatnonzero(present[:, np.argmax(pattern == number)])
         together.append((tuple(there.tolist()), np.ascontiguousarray(table[there][:, pattern == number].T)))
     return Rows(runs, together)

@@ -9,14 +9,26 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from .phrases import number, with_unit
+
 __all__ = ["KINDS", "Manoeuvre", "planned"]
 
 _Array = NDArray[np.float64]
 
-KINDS = "doublets, 3-2-1-1s, steps, sine sweeps, slow ramps"
+KINDS = "doublets, also growing, 3-2-1-1s, steps, sine sweeps, slow ramps"
 
-# Steps in units of one, each with its sign.
-_PATTERNS = {"doublet": (1, -1), "3-2-1-1": (3, -2, 1, -1)}
+# Steps: their lengths in units, and their heights.
+_THIRD = 1.0 / 3.0
+_PATTERNS = {
+    "doublet": ((1, 1.0), (1, -1.0)),
+    "3-2-1-1": ((3, 1.0), (2, -1.0), (1, 1.0), (1, -1.0)),
+    # Small and large in one record: of nonlinear effects of which each has its own size.
+    "row of growing doublets": (
+        *((1, _THIRD), (1, -_THIRD), (1, 0.0)),
+        *((1, 2 * _THIRD), (1, -2 * _THIRD), (1, 0.0)),
+        *((1, 1.0), (1, -1.0)),
+    ),
+}
 # Of the time that there is: trim before anything moves, and the longest unit of a pattern.
 _LEAD, _LONGEST = 0.05, 0.1
 # Samples in the shortest unit of a pattern, and in the shortest period of a sweep.
@@ -31,7 +43,7 @@ _RISES, _ENDS = (0.2, 0.45), (0.6, 1.0)
 class Manoeuvre:
     """An input over time.
 
-    kind     "doublet", "3-2-1-1", "step", "sine sweep" or "slow ramp".
+    kind     "doublet", "3-2-1-1", "row of growing doublets", "step", "sine sweep" or "slow ramp".
     input    that moves.
     size     how far from its trim at most, in its unit; with a sign where it goes to one side only.
     unit     of the input.
@@ -50,8 +62,9 @@ class Manoeuvre:
 
     def __str__(self) -> str:
         one_sided = self.kind in ("step", "slow ramp")
-        size = f"{self.size:+.2g}" if one_sided else f"±{abs(self.size):.2g}"
-        return f"{self.kind} on {self.input} of {size}{' ' if self.unit else ''}{self.unit}{self.pace}"
+        sign = "" if one_sided else "±"
+        size = self.size if one_sided else abs(self.size)
+        return f"{self.kind} on {self.input} of {sign}{with_unit(size, self.unit)}{self.pace}"
 
 
 def planned(name: str, unit: str, t: _Array, size: float) -> Iterator[Manoeuvre]:
@@ -69,11 +82,11 @@ def planned(name: str, unit: str, t: _Array, size: float) -> Iterator[Manoeuvre]
     for kind, pattern in _PATTERNS.items():
         for samples in units:
             moves = shape.copy()
-            ends = lead + samples * np.cumsum([0, *np.abs(pattern)])
-            for (a, b), sign in zip(pairwise(ends.tolist()), np.sign(pattern), strict=True):
-                moves[a:b] = sign
+            ends = lead + samples * np.cumsum([0, *(length for length, _ in pattern)])
+            for (a, b), (_, height) in zip(pairwise(ends.tolist()), pattern, strict=True):
+                moves[a:b] = height
             if ends[-1] < n:
-                yield made(kind, f" with steps of {samples * step:.2g} s", moves, int(ends[-1]) + samples)
+                yield made(kind, f" with steps of {number(samples * step)} s", moves, int(ends[-1]) + samples)
     moves = shape.copy()
     moves[lead:] = 1.0
     yield made("step", "", moves, lead + longest)
@@ -85,10 +98,10 @@ def planned(name: str, unit: str, t: _Array, size: float) -> Iterator[Manoeuvre]
         highest = slowest * (fastest / slowest) ** part
         rate = np.log(highest / slowest) / length
         phase = 2.0 * np.pi * slowest * np.expm1(rate * since) / rate
-        pace = f" from {slowest:.2g} to {highest:.2g} Hz within {length:.2g} s"
+        pace = f" from {number(slowest)} to {number(highest)} Hz within {number(length)} s"
         yield made("sine sweep", pace, np.sin(phase), n)
     for part in _RISES:
         rise = max(int(part * n), 1)
         since_lead = np.arange(n) - lead
         moves = np.clip(np.minimum(since_lead, 2 * rise - since_lead) / rise, 0.0, 1.0)
-        yield made("slow ramp", f" within {rise * step:.2g} s and back", moves, lead + 2 * rise)
+        yield made("slow ramp", f" within {number(rise * step)} s and back", moves, lead + 2 * rise)

@@ -17,6 +17,7 @@ import numpy as np
 from ..experiment import Experiment
 from .flights import GREATEST, Flights
 from .manoeuvres import KINDS, Manoeuvre
+from .phrases import number
 from .refit import Refit
 
 __all__ = ["TELLS", "Advice", "Telling", "advised", "telling_manoeuvre"]
@@ -41,9 +42,11 @@ class Telling:
     here: float
 
     def __str__(self) -> str:
+        length = number(float(self.record.t[-1] - self.record.t[0]))
         return (
-            f"A {self.manoeuvre} would be expected to tell it from {_listed(tuple(self.gains), 'and')} (expected gain "
-            f"in log-likelihood {min(self.gains.values()):.2g}, this record gives {self.here:.1f})."
+            f"A {self.manoeuvre}, recorded for {length} s, would be expected to tell it from "
+            f"{_listed(tuple(self.gains), 'and')} (expected gain in log-likelihood {number(min(self.gains.values()))}, "
+            f"this record gives {self.here:.1f})."
         )
 
 
@@ -54,19 +57,22 @@ class Advice:
     telling  manoeuvres, each for the rivals that those before do not tell from the cause.
     alike    rivals that none tells from it.
     tried    inputs that were moved; none where no manoeuvre could be flown.
+    length   of a manoeuvre and what follows at most, s.
     """
 
     telling: tuple[Telling, ...]
     alike: tuple[str, ...]
     tried: tuple[str, ...]
+    length: float
 
     def __str__(self) -> str:
         """ "" where no manoeuvre could be flown."""
         sentences = [str(t) for t in self.telling]
         if self.alike and self.tried:
             sentences.append(
-                f"No manoeuvre of {_listed(self.tried, 'or')} tried here ({KINDS}, up to {GREATEST:g} times as far as "
-                f"in this record) would tell it from {_listed(self.alike, 'or')}: they act alike."
+                f"No manoeuvre of {_listed(self.tried, 'or')} tried here ({KINDS}; {number(self.length)} s, up to "
+                f"{GREATEST:g} times as far as in this record) would tell it from {_listed(self.alike, 'or')}: they "
+                "act alike."
             )
         return " ".join(sentences)
 
@@ -87,11 +93,13 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
     names = [next(n for n in r.names if n not in final.names) for r in rivals]
     flights = Flights(final)
     if not flights.manoeuvres:
-        return Advice((), tuple(names), ())
-    gains = np.array([flights.gains(r, TELLS) for r in rivals]).reshape(len(rivals), -1)  # (rivals, manoeuvres)
+        return Advice((), tuple(names), (), 0.0)
+    found = np.array([flights.gains(r, TELLS) for r in rivals]).reshape(len(rivals), -1)  # (rivals, manoeuvres)
+    gains = np.nan_to_num(found)
     here = [final.own.log_likelihood - r.own.log_likelihood for r in rivals]
     open_ = [k for k in range(len(rivals)) if gains[k].max() >= TELLS]
-    alike = tuple(n for k, n in enumerate(names) if k not in open_)
+    # Of a rival that has no solution anywhere there is nothing to say.
+    alike = tuple(n for k, n in enumerate(names) if k not in open_ and np.isfinite(found[k]).any())
     telling = []
     while open_:
         told = gains[open_] >= TELLS
@@ -101,7 +109,8 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
         over = {names[k]: float(gains[k, best]) for k in mine}
         telling.append(Telling(flights.manoeuvres[best], flights.record(best), over, min(here[k] for k in mine)))
         open_ = [k for k in open_ if k not in mine]
-    return Advice(tuple(telling), alike, tuple(dict.fromkeys(m.input for m in flights.manoeuvres)))
+    tried = tuple(dict.fromkeys(m.input for m in flights.manoeuvres))
+    return Advice(tuple(telling), alike, tried, float(flights.t[-1] - flights.t[0]))
 
 
 def _listed(names: Sequence[str], last: str) -> str:

@@ -11,7 +11,7 @@ from ..experiment import Experiment
 from .flown import Flown
 from .imitation import Imitation, rows_of
 from .linearised import dataset
-from .manoeuvres import Manoeuvre, planned
+from .manoeuvres import SLOW, Manoeuvre, planned
 from .refit import Refit
 
 __all__ = ["GREATEST", "Flights"]
@@ -21,13 +21,17 @@ _Array = NDArray[np.float64]
 # Samples of a planned record: what tells in more tells in these, and what takes longer is for another day.
 _SAMPLES = 400
 # Sizes to try, in units of how far the input went in the record: the greatest that keeps the vehicle within the
-# envelope, and small ones.
+# envelope, and for manoeuvres that dwell near the trim small ones.
 GREATEST, _SMALL = 1.5, (0.4, 0.15)
 _SIZES = (GREATEST, 1.2, 1.0, 0.8, 0.6, *_SMALL)
 # The envelope: where the model was identified, and this often as far from the beginning. Or so many sigmas.
 _ENVELOPE, _STILL = 2.0, 10.0
 # Parts of the step towards the cause's outputs that the rival's parameters try, and how often.
 _PARTS, _ROUNDS = (1.0, 0.3), 2
+# What is this far below what tells, to first order, is not looked at again.
+_HOPELESS = 0.3
+# A gain that a step changes by less is taken as it is then.
+_SETTLED = 0.1
 # Room for the delay of a sensor to move.
 _MARGIN = 1.5
 
@@ -73,6 +77,8 @@ class Flights:
                 continue
             for size in _SIZES:
                 some = list(planned(name, model.units.get(name, ""), self.t, size * farthest))
+                if size in _SMALL:
+                    some = [m for m in some if m.kind in SLOW]
                 listed += some
                 self._sizes += [size] * len(some)
         return listed
@@ -132,18 +138,25 @@ class Flights:
         for i, m in zip(some.tolist(), moved, strict=True):
             found[i] = np.nan
             if np.isfinite(m[:, present[i]]).all():
-                views[i] = Imitation(present[i], channels, m, flown.tied)
+                view = Imitation(present[i], channels, m, flown.tied)
+                found[i] = view.gain(whitened[i], np.zeros(flown.units.size))
+                if found[i] >= _HOPELESS * least:
+                    views[i] = view
         at = {i: np.zeros(flown.units.size) for i in views}
         errors = {i: whitened[i] for i in views}
-        for _ in range(_ROUNDS if views else 0):
+        for _ in range(_ROUNDS):
+            if not views:
+                break
             tries = [(i, at[i] + part * view.step(errors[i], at[i])) for i, view in views.items() for part in _PARTS]
             y, _ = flown.fly(self.inputs, np.array([to for _, to in tries]), np.array([i for i, _ in tries]))
             for (i, to), outputs in zip(tries, y, strict=True):
                 e = views[i].whitened(self.y[i] - outputs)
                 if np.isfinite(e).all() and views[i].cost(e, to) < views[i].cost(errors[i], at[i]):
                     at[i], errors[i] = to, e
-        for i, view in views.items():
-            found[i] = 0.5 * float(np.sum(view.left(errors[i], at[i]) ** 2))
+            gains = {i: view.gain(errors[i], at[i]) for i, view in views.items()}
+            views = {i: view for i, view in views.items() if abs(gains[i] - found[i]) > _SETTLED * gains[i]}
+            for i, gain in gains.items():
+                found[i] = gain
         return found
 
     def _present(self, i: int, late: _Array) -> NDArray[np.bool_]:

@@ -42,13 +42,15 @@ class Imitation:
         slope = (self._columns @ whitened - self._tied**2 * at) / self._size
         return np.asarray((self._vectors @ (self._inverse * (self._vectors.T @ slope))) / self._size)
 
-    def left(self, whitened: _Array, at: _Array) -> _Array:
-        """(n_rows,) what is left of the difference then, to first order."""
-        return np.asarray(whitened - self.step(whitened, at) @ self._columns)
+    def gain(self, whitened: _Array, at: _Array) -> float:
+        """Half the sum of squares of what is left of the difference then, to first order."""
+        left = whitened - self.step(whitened, at) @ self._columns
+        return 0.5 * float(left @ left)
 
     def cost(self, whitened: _Array, at: _Array) -> float:
         """Minus the log-likelihood, of the estimates too."""
-        return 0.5 * float(whitened @ whitened) + 0.5 * float(np.sum((self._tied * at) ** 2))
+        with np.errstate(over="ignore", invalid="ignore"):  # where the motion ran away
+            return 0.5 * float(whitened @ whitened) + 0.5 * float(np.sum((self._tied * at) ** 2))
 
 
 def rows_of(present: _Mask) -> Rows:

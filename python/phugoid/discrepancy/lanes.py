@@ -20,7 +20,7 @@ _Indices = NDArray[np.intp]
 # is 2.7 of them.
 _STEP, _REASON, _STABLE = 1.0, 3, 2.0
 # Lanes that are integrated together: they stay in the cache.
-_AT_ONCE = 512
+_AT_ONCE = 1024
 
 
 class Lanes:
@@ -143,20 +143,21 @@ class Lanes:
         found = y[:, :, :: self.steps].copy()
         for name, tau in late.items():
             i, delays = self.model.output_names.index(name), values[:, self.model.parameter_names.index(tau)]
-            for lane, delay in enumerate(delays.tolist()):
+            for delay in np.unique(delays).tolist():
                 at = (self.t - delay - self.t[0]) / (self.t[1] - self.t[0]) * self.steps
-                found[lane, i] = _between(y[lane, i], at)
+                found[delays == delay, i] = _between(y[delays == delay, i], at)
         return found
 
 
 def _between(y: _Array, at: _Array) -> _Array:
-    """Cubic through the four nearest of equally spaced values, at places among them; outside the nearest value."""
-    at = np.clip(at, 0.0, y.size - 1.0)
-    k = np.clip(np.floor(at).astype(np.intp), 1, y.size - 3)
+    """Cubic through the four nearest of equally spaced values (..., n), at places among them; outside the nearest
+    value."""
+    at = np.clip(at, 0.0, y.shape[-1] - 1.0)
+    k = np.clip(np.floor(at).astype(np.intp), 1, y.shape[-1] - 3)
     s = at - k
     return np.asarray(
-        -s * (s - 1) * (s - 2) / 6 * y[k - 1]
-        + (s + 1) * (s - 1) * (s - 2) / 2 * y[k]
-        - (s + 1) * s * (s - 2) / 2 * y[k + 1]
-        + (s + 1) * s * (s - 1) / 6 * y[k + 2]
+        -s * (s - 1) * (s - 2) / 6 * y[..., k - 1]
+        + (s + 1) * (s - 1) * (s - 2) / 2 * y[..., k]
+        - (s + 1) * s * (s - 2) / 2 * y[..., k + 1]
+        + (s + 1) * s * (s - 1) / 6 * y[..., k + 2]
     )

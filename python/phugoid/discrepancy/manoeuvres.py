@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from .phrases import number, with_unit
 
-__all__ = ["KINDS", "Manoeuvre", "planned"]
+__all__ = ["KINDS", "SLOW", "Manoeuvre", "planned"]
 
 _Array = NDArray[np.float64]
 
 KINDS = "doublets, also growing, 3-2-1-1s, steps, sine sweeps, slow ramps"
+
+SLOW = ("sine sweep", "slow ramp")
+"""Kinds that pass all distances from the trim."""
 
 # Steps: their lengths in units, and their heights.
 _THIRD = 1.0 / 3.0

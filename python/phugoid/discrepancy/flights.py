@@ -32,6 +32,8 @@ _PARTS, _ROUNDS = (1.0, 0.3), 2
 _HOPELESS = 0.3
 # A gain that a step changes by less is taken as it is then.
 _SETTLED = 0.1
+# Numbers that derivatives of outputs may be: of a large model fewer manoeuvres are looked at.
+_ROOM = 2e7
 # Room for the delay of a sensor to move.
 _MARGIN = 1.5
 
@@ -133,6 +135,8 @@ class Flights:
         some = np.flatnonzero(sizes >= least)
         if not some.size:
             return found
+        room = max(int(_ROOM / (flown.units.size * y[0].size)), 1)
+        some = some[np.argsort(-sizes[some], kind="stable")[:room]]
         moved = flown.tangents(self.inputs[some])
         views: dict[int, Imitation] = {}
         for i, m in zip(some.tolist(), moved, strict=True):
@@ -155,8 +159,7 @@ class Flights:
                     at[i], errors[i] = to, e
             gains = {i: view.gain(errors[i], at[i]) for i, view in views.items()}
             views = {i: view for i, view in views.items() if abs(gains[i] - found[i]) > _SETTLED * gains[i]}
-            for i, gain in gains.items():
-                found[i] = gain
+            found[list(gains)] = list(gains.values())
         return found
 
     def _present(self, i: int, late: _Array) -> NDArray[np.bool_]:

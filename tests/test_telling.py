@@ -181,6 +181,14 @@ def test_without_an_input_that_moves_there_is_no_advice() -> None:
     assert telling_manoeuvre(final, []) == ""
 
 
+def test_on_a_disturbance_there_is_no_advice() -> None:
+    """The next record has another one."""
+    final, rival, _ = stiff()
+    wave = refits(final.fit.experiments[0], "f:periodic")[0]
+    assert telling_manoeuvre(wave, [rival]) == ""
+    assert telling_manoeuvre(final, [rival]) != ""
+
+
 def test_lanes_integrate_as_simulate_does() -> None:
     """Inputs and sensors that are late, a lag from a steady start, other values in each lane."""
     m = ph.Model("late")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import DataError, OptionError
+from ..errors import DataError, OptionError, PhugoidError
 from ..experiment import Experiment, as_experiments
 from ..filter_error import FilterError
 from ..result import Fit
@@ -28,6 +28,7 @@ from .page import report
 from .refit import Refit
 from .scan import NEARLY, Scan
 from .search import Found, Search, is_physical
+from .telling import telling_manoeuvre
 from .words import diagnosis_summary
 
 if TYPE_CHECKING:
@@ -304,8 +305,24 @@ def _finding(search: Search, final: Refit, found: Found) -> Finding:
         held_out_gain=found.held_out[0],
         threshold=found.threshold,
         explanation=c.explanation,
+        advice=_advice(search, final, c, aliases),
         rivals=dict(found.rivals),
     )
+
+
+def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequence[str]) -> str:
+    """Which manoeuvre would tell a candidate from its aliases."""
+    others = [c for c in final.candidates if c is not candidate]
+    named = {c.name: c for c in reversed(search.candidates)}
+    refits = [search.refit([*others, named[name]], final.fit) for name in aliases]
+    rivals = [r for r in refits if r is not None]
+    if not rivals:
+        return ""
+    search.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")
+    try:
+        return telling_manoeuvre(final, rivals)
+    except (PhugoidError, np.linalg.LinAlgError, KeyboardInterrupt):
+        return ""  # advice only: what was found stays
 
 
 def _ranking(search: Search, scan: Scan) -> list[Scored]:

@@ -46,7 +46,8 @@ class Finding:
     held_out_gain  the same on data that the parameters were not fitted to.
     threshold      that the gain had to pass.
     explanation    of the cause, in plain words.
-    advice         which manoeuvre would tell the aliases apart, or "".
+    advice         which manoeuvre would tell it from its aliases, or that none of those tried would; "" without
+                   aliases, or where no manoeuvre stays within the envelope of the records.
     """
 
     cause: str

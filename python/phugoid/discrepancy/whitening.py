@@ -1,10 +1,10 @@
 """Coloured residuals made white: an autoregressive model of each channel's residual, and its prediction errors.
 
 The residuals of real records are never white: turbulence and what the model misses colour them. Statistics that take
-them as white see an effect in any slow motion. So each channel's residual is modelled as r_t = -a_1 r_{t-1} - ... -
+them as white see an effect in any slow motion. So each channel's residual is modelled as r_t = a_1 r_{t-1} + ... +
 a_p r_{t-p} + e_t, with p by Schwarz's criterion, and everything (residuals, sensitivities) is replaced by its
 prediction error e_t / sigma_e, the first samples of a run by those of the lower orders (Levinson's recursion), which
-makes the transform that of the exact likelihood.
+makes the transform that of the exact likelihood of a run. What is left of a correlation across a gap is not seen.
 
 A gust moves several channels at once. Where prediction errors of different channels at the same time are correlated,
 and Schwarz's criterion says that this is not chance, they are made independent of each other too: else one disturbance
@@ -20,14 +20,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Channel", "Whitening", "burg", "runs_of"]
+from .autoregression import burg
+
+__all__ = ["Channel", "Rows", "Whitening", "autoregressive", "runs_of"]
 
 _Array = NDArray[np.float64]
 
-# The greatest order, and samples that there are to be for each coefficient.
-_MOST, _SAMPLES_EACH = 12, 10
-# A reflection coefficient this near to 1 is as good as a unit root: the filter stays invertible.
-_EDGE = 1.0 - 1e-6
 # Series that are filtered together: they stay in the cache.
 _AT_ONCE = 32
 
@@ -36,7 +34,7 @@ _AT_ONCE = 32
 class Channel:
     """The autoregressive model of one channel.
 
-    predictors  predictors[k] (k,) is the best predictor from k samples: r_t is about -sum_i predictors[k][i] r_{t-1-i}.
+    predictors  predictors[k] (k,) is the best predictor from k samples: r_t is about sum_i predictors[k][i] r_{t-1-i}.
     sigmas      (p + 1,) standard deviations of their errors.
     """
 
@@ -53,9 +51,9 @@ class Channel:
         n, p = x.shape[-1], self.order
         out = x / self.sigmas[-1]
         for i, a in enumerate(self.predictors[p] / self.sigmas[-1], start=1):
-            out[..., i:] += a * x[..., : n - i]
+            out[..., i:] -= a * x[..., : n - i]
         for t in range(min(p, n)):  # from the few samples before it
-            out[..., t] = (x[..., t] + x[..., :t] @ self.predictors[t][::-1]) / self.sigmas[t]
+            out[..., t] = (x[..., t] - x[..., :t] @ self.predictors[t][::-1]) / self.sigmas[t]
         return np.asarray(out)
 
     def log_scales(self, n: int) -> _Array:
@@ -63,33 +61,10 @@ class Channel:
         return np.log(self.sigmas[np.minimum(np.arange(n), self.order)])
 
 
-def burg(runs: Sequence[_Array], most: int | None = None) -> Channel:
-    """The autoregressive model of residuals, runs of equally spaced samples, by Burg's method over all of them.
-
-    The order is Schwarz's, ``most`` at most (12). Its reflection coefficients are below 1, so the model is stationary.
-    """
-    n = sum(run.size for run in runs)
-    most = min(_MOST if most is None else most, n // _SAMPLES_EACH, max((run.size for run in runs), default=1) - 1)
-    power = sum(float(run @ run) for run in runs) / max(n, 1)
-    predictors = [np.empty(0)]
-    powers = [power]
-    forward, backward = [run.copy() for run in runs], [run.copy() for run in runs]
-    for _ in range(most):
-        forward, backward = [f[1:] for f in forward], [b[:-1] for b in backward]
-        cross = sum(float(f @ b) for f, b in zip(forward, backward, strict=True))
-        size = sum(float(f @ f + b @ b) for f, b in zip(forward, backward, strict=True))
-        if size <= 0.0:
-            break
-        k = float(np.clip(-2.0 * cross / size, -_EDGE, _EDGE))
-        last = predictors[-1]
-        predictors.append(np.r_[last + k * last[::-1], k])
-        powers.append(powers[-1] * (1.0 - k * k))
-        pairs = list(zip(forward, backward, strict=True))
-        forward, backward = [f + k * b for f, b in pairs], [b + k * f for f, b in pairs]
-    floor = np.finfo(float).tiny
-    criterion = [n * np.log(max(v, floor)) + p * np.log(max(n, 2)) for p, v in enumerate(powers)]
-    order = int(np.argmin(criterion))
-    return Channel(tuple(predictors[: order + 1]), np.sqrt(np.maximum(powers[: order + 1], floor)))
+def autoregressive(runs: Sequence[_Array]) -> Channel:
+    """The model of residuals, runs of equally spaced samples."""
+    model = burg(runs)
+    return Channel(model.predictors, np.sqrt(np.maximum(model.powers, np.finfo(float).tiny)))
 
 
 def runs_of(times: _Array) -> list[slice]:
@@ -135,7 +110,7 @@ class Whitening:
     @classmethod
     def of(cls, residuals: _Array, rows: Rows) -> Whitening:
         """The models of residuals (n_rows,)."""
-        channels = [burg([residuals[run] for run in line]) for line in rows.runs]
+        channels = [autoregressive([residuals[run] for run in line]) for line in rows.runs]
         alone = cls(channels, rows)
         return cls(channels, rows, _correlation(alone(residuals), rows, len(channels)))
 

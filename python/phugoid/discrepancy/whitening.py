@@ -72,7 +72,8 @@ def runs_of(times: _Array) -> list[slice]:
     if times.size < 3:
         return [slice(0, times.size)]
     steps = np.diff(times)
-    usual = float(np.median(steps))
+    usual = float(np.quantile(steps, 0.5, method="lower"))  # one that there is, where two alternate
+    usual = float(np.median(steps[np.abs(steps - usual) <= 0.2 * usual]))  # and where times are rounded
     breaks = np.flatnonzero(np.abs(steps - usual) > 0.1 * usual) + 1
     edges = [0, *breaks.tolist(), times.size]
     return [slice(a, b) for a, b in pairwise(edges)]
@@ -156,10 +157,9 @@ def _correlation(errors: _Array, rows: Rows, n: int) -> _Array | None:
     size = np.sqrt(np.diag(products) / np.maximum(np.diag(counts), 1.0))
     c = products / np.maximum(counts, 1.0) / np.outer(size, size)
     np.fill_diagonal(c, 1.0)
-    pairs = n * (n - 1) // 2
     smallest = float(np.linalg.eigvalsh(c)[0])
-    if pairs == 0 or smallest <= 0.0:  # correlations from different times need not go together
+    if smallest <= 0.0:  # correlations from different times need not go together
         return None
-    samples = counts[~np.eye(n, dtype=bool)].min()
-    gain = -samples * float(np.linalg.slogdet(c)[1])
-    return c if gain > pairs * np.log(max(samples, 2.0)) else None
+    gain = -sum(at.shape[0] * float(np.linalg.slogdet(c[np.ix_(which, which)])[1]) for which, at in rows.together)
+    seen = counts[np.triu_indices(n, 1)]
+    return c if gain > np.log(np.maximum(seen[seen > 0], 2.0)).sum() else None

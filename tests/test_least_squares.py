@@ -53,8 +53,8 @@ def fit(seed: int, pole: float, missing: float = 0.0) -> ph.Fit:
 
 
 @cache
-def coloured() -> tuple[list[ph.Fit], list[Whitened]]:
-    fits = [fit(seed, POLE) for seed in range(SEEDS)]
+def coloured(missing: float = 0.0) -> tuple[list[ph.Fit], list[Whitened]]:
+    fits = [fit(seed, POLE, missing) for seed in range(SEEDS)]
     assert all(f.converged for f in fits)
     return fits, [own_whitening(Linearised(f)) for f in fits]
 
@@ -66,9 +66,10 @@ def covered(estimates: list[tuple[float, float]], true: float) -> float:
 # ---------------------------------------------------------------- intervals
 
 
-def test_intervals_hold_in_coloured_noise_where_those_of_the_fit_do_not() -> None:
-    """95 % intervals of four parameters in 60 fits."""
-    fits, seen = coloured()
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_intervals_hold_in_coloured_noise_where_those_of_the_fit_do_not(missing: float) -> None:
+    """95 % intervals of four parameters in 60 fits; the noise goes on where samples are missing."""
+    fits, seen = coloured(missing)
     honest = {n: covered([w.parameter(n) for w in seen], true) for n, true in TRUTH.items()}
     plain = {
         n: covered([(f.parameters[n].value, f.parameters[n].std_error) for f in fits], true)

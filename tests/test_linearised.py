@@ -20,7 +20,8 @@ from phugoid import _core
 from phugoid.discrepancy.candidate import Candidate
 from phugoid.discrepancy.least_squares import Whitened
 from phugoid.discrepancy.linearised import Linearised, collocated
-from phugoid.discrepancy.whitening import Channel, Whitening
+from phugoid.discrepancy.prediction import Channel
+from phugoid.discrepancy.whitening import Whitening
 from phugoid.guess import spread
 from phugoid.held import held_model
 
@@ -259,10 +260,12 @@ def test_samples_that_are_missing_leave_the_others_as_they_are() -> None:
     linear = compare(ph.estimate(m, data, noise=NOISE), data, PLACES)
     assert linear.counts == [170 + 200, 133 + 200, 400] and linear.n_rows == linear.n_measured == sum(linear.counts)
     assert np.array_equal(linear.measured_rows, np.arange(linear.n_rows))
-    runs, together = linear.structure.runs, linear.structure.together
-    # A gap ends a run; channels with every third sample missing go on at two spacings, or one.
-    assert [(r.start, r.stop) for r in runs[0]] == [(0, 30), (30, 170), (170, 370)]
-    assert runs[2] == [slice(703, 903), slice(903, 1103)]
+    strands, together = linear.structure.strands, linear.structure.together
+    # A gap is one in the grid of a channel's times; experiments are apart.
+    assert [strand.rows for strand in strands[0]] == [slice(0, 170), slice(170, 370)]
+    assert strands[0][0].places.tolist() == [*range(30), *range(60, 200)]
+    assert strands[1][0].places.tolist() == [i for i in range(200) if i % 3 != 1]
+    assert [strand.rows for strand in strands[2]] == [slice(703, 903), slice(903, 1103)]
     counts = {which: rows.shape[0] for which, rows in together}
     assert counts[0, 1, 2] == 113 + 200 and sum(len(which) * n for which, n in counts.items()) == linear.n_rows
     for which, rows in together:
@@ -280,8 +283,8 @@ def test_channels_at_their_own_rates() -> None:
     fit = ph.estimate(m, data, noise=NOISE, transcription=ph.Collocation(order=5))
     linear = compare(fit, data, PLACES)
     assert linear.counts == [t[s].size for s in parts.values()]
-    # Each channel is one run at its own rate; only a few samples of channels fall together.
-    assert [len(line) for line in linear.structure.runs] == [1, 1, 1]
+    # Each channel is one strand at its own rate; only a few samples of channels fall together.
+    assert [[s.runs for s in line] for line in linear.structure.strands] == [[[slice(0, n)]] for n in linear.counts]
     for (first, *_), s in zip(linear.rows, parts.values(), strict=True):
         assert linear.times[first] == pytest.approx(t[s])
     assert sum(rows.size for _, rows in linear.structure.together) == linear.n_rows

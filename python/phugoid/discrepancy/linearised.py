@@ -20,7 +20,8 @@ from ..result import Fit
 from ..transcription import Collocation
 from .candidate import Candidate, Place
 from .points import Points
-from .whitening import Rows, runs_of
+from .strands import strands_of
+from .whitening import Rows
 
 __all__ = ["Linearised", "collocated", "dataset"]
 
@@ -216,10 +217,7 @@ class Linearised:
     @cached_property
     def structure(self) -> Rows:
         """How the rows hang together."""
-        runs: list[list[slice]] = []
-        for line in self.rows:
-            mine = [slice(r.start + run.start, r.start + run.stop) for r in line for run in runs_of(self.times[r])]
-            runs.append([run for run in mine if run.stop > run.start])
+        strands = [[s.from_row(r.start) for r in line for s in strands_of(self.times[r])] for line in self.rows]
         # What a late sensor measured together with others it measured at their time, not at its own.
         measured = np.concatenate(
             [e.t[np.isfinite(e.output(name))] for name in self.model.output_names for e in dataset(self.fit)]
@@ -236,7 +234,7 @@ class Linearised:
                 there = np.flatnonzero(pattern)
                 some = table[which.ravel() == k]
                 groups.setdefault(tuple(there.tolist()), []).append(some[:, there])
-        return Rows(runs, [(outputs, np.vstack(at)) for outputs, at in groups.items()])
+        return Rows(strands, [(outputs, np.vstack(at)) for outputs, at in groups.items()])
 
     @property
     def places(self) -> set[Place]:

@@ -3,8 +3,8 @@
 The residuals of real records are never white: turbulence and what the model misses colour them. Statistics that take
 them as white see an effect in any slow motion. So each channel's residual is modelled as r_t = a_1 r_{t-1} + ... +
 a_p r_{t-p} + e_t, with p by Schwarz's criterion, and everything (residuals, sensitivities) is replaced by its
-prediction error e_t / sigma_e, the first samples of a run by those of the lower orders (Levinson's recursion), which
-makes the transform that of the exact likelihood of a run. What is left of a correlation across a gap is not seen.
+prediction error e_t / sigma_e, at the beginning and past a gap by that of the best prediction from what samples there
+are, which makes the transform that of the exact likelihood.
 
 A gust moves several channels at once. Where prediction errors of different channels at the same time are correlated,
 and Schwarz's criterion says that this is not chance, they are made independent of each other too: else one disturbance
@@ -15,14 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .autoregression import burg
+from .prediction import Channel, Passage, autoregressive
+from .strands import Strand
 
-__all__ = ["Channel", "Rows", "Whitening", "autoregressive", "runs_of"]
+__all__ = ["Rows", "Whitening"]
 
 _Array = NDArray[np.float64]
 
@@ -31,64 +31,15 @@ _AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
-    """The autoregressive model of one channel.
-
-    predictors  predictors[k] (k,) is the best predictor from k samples: r_t is about sum_i predictors[k][i] r_{t-1-i}.
-    sigmas      (p + 1,) standard deviations of their errors.
-    """
-
-    predictors: tuple[_Array, ...]
-    sigmas: _Array
-
-    @property
-    def order(self) -> int:
-        """p."""
-        return len(self.predictors) - 1
-
-    def errors(self, x: _Array) -> _Array:
-        """Prediction errors of runs (..., n) along the last axis, in units of their standard deviations."""
-        n, p = x.shape[-1], self.order
-        out = x / self.sigmas[-1]
-        for i, a in enumerate(self.predictors[p] / self.sigmas[-1], start=1):
-            out[..., i:] -= a * x[..., : n - i]
-        for t in range(min(p, n)):  # from the few samples before it
-            out[..., t] = (x[..., t] - x[..., :t] @ self.predictors[t][::-1]) / self.sigmas[t]
-        return np.asarray(out)
-
-    def log_scales(self, n: int) -> _Array:
-        """(n,) logarithms of the standard deviations of the errors of a run."""
-        return np.log(self.sigmas[np.minimum(np.arange(n), self.order)])
-
-
-def autoregressive(runs: Sequence[_Array]) -> Channel:
-    """The model of residuals, runs of equally spaced samples."""
-    model = burg(runs)
-    return Channel(model.predictors, np.sqrt(np.maximum(model.powers, np.finfo(float).tiny)))
-
-
-def runs_of(times: _Array) -> list[slice]:
-    """Runs of samples that are equally spaced: a gap, or another spacing, begins a new one."""
-    if times.size < 3:
-        return [slice(0, times.size)]
-    steps = np.diff(times)
-    usual = float(np.quantile(steps, 0.5, method="lower"))  # one that there is, where two alternate
-    usual = float(np.median(steps[np.abs(steps - usual) <= 0.2 * usual]))  # and where times are rounded
-    breaks = np.flatnonzero(np.abs(steps - usual) > 0.1 * usual) + 1
-    edges = [0, *breaks.tolist(), times.size]
-    return [slice(a, b) for a, b in pairwise(edges)]
-
-
-@dataclass(frozen=True, eq=False)
 class Rows:
     """How rows of residuals hang together.
 
-    runs      runs[i] the runs of equally spaced rows of output i.
+    strands   strands[i] those of output i.
     together  rows of the same time: for each set of outputs that are measured at the same times, these outputs and
               their rows, (times, outputs).
     """
 
-    runs: Sequence[Sequence[slice]]
+    strands: Sequence[Sequence[Strand]]
     together: Sequence[tuple[tuple[int, ...], NDArray[np.intp]]]
 
 
@@ -103,6 +54,10 @@ class Whitening:
 
     def __init__(self, channels: Sequence[Channel], rows: Rows, correlation: _Array | None = None) -> None:
         self.channels, self.rows, self.correlation = tuple(channels), rows, correlation
+        self._passages = [
+            [(strand.rows, Passage(channel, strand)) for strand in line]
+            for channel, line in zip(self.channels, rows.strands, strict=True)
+        ]
         self._roots: list[_Array] = []
         if correlation is not None:
             blocks = (correlation[np.ix_(which, which)] for which, _ in rows.together)
@@ -111,7 +66,10 @@ class Whitening:
     @classmethod
     def of(cls, residuals: _Array, rows: Rows) -> Whitening:
         """The models of residuals (n_rows,)."""
-        channels = [autoregressive([residuals[run] for run in line]) for line in rows.runs]
+        channels = [
+            autoregressive([residuals[strand.rows][run] for strand in line for run in strand.runs])
+            for line in rows.strands
+        ]
         alone = cls(channels, rows)
         return cls(channels, rows, _correlation(alone(residuals), rows, len(channels)))
 
@@ -125,9 +83,9 @@ class Whitening:
         flat, whitened = rows.reshape(-1, rows.shape[-1]), out.reshape(-1, rows.shape[-1])
         for k in range(0, flat.shape[0], _AT_ONCE):
             block, result = flat[k : k + _AT_ONCE], whitened[k : k + _AT_ONCE]
-            for channel, line in zip(self.channels, self.rows.runs, strict=True):
-                for run in line:
-                    result[:, run] = channel.errors(block[:, run])
+            for line in self._passages:
+                for at, passage in line:
+                    result[:, at] = passage.errors(block[:, at])
             for root, (_, at) in zip(self._roots, self.rows.together, strict=False):
                 inverse = np.linalg.inv(root)
                 columns = [result[:, at[:, j]] for j in range(at.shape[1])]
@@ -139,9 +97,9 @@ class Whitening:
         """(n_rows,) log-likelihood of each row, given those before it, of errors (n_rows,) that were whitened; without
         the constant of the normal density."""
         out = -0.5 * errors**2
-        for channel, line in zip(self.channels, self.rows.runs, strict=True):
-            for run in line:
-                out[run] -= channel.log_scales(run.stop - run.start)
+        for line in self._passages:
+            for at, passage in line:
+                out[at] -= passage.log_scales
         for root, (_, at) in zip(self._roots, self.rows.together, strict=False):
             out[at] -= np.log(np.diag(root))
         return out

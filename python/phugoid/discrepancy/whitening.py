@@ -84,8 +84,8 @@ class Whitening:
         for k in range(0, flat.shape[0], _AT_ONCE):
             block, result = flat[k : k + _AT_ONCE], whitened[k : k + _AT_ONCE]
             for line in self._passages:
-                for at, passage in line:
-                    result[:, at] = passage.errors(block[:, at])
+                for own, passage in line:
+                    result[:, own] = passage.errors(block[:, own])
             for root, (_, at) in zip(self._roots, self.rows.together, strict=False):
                 inverse = np.linalg.inv(root)
                 columns = [result[:, at[:, j]] for j in range(at.shape[1])]
@@ -98,8 +98,8 @@ class Whitening:
         the constant of the normal density."""
         out = -0.5 * errors**2
         for line in self._passages:
-            for at, passage in line:
-                out[at] -= passage.log_scales
+            for own, passage in line:
+                out[own] -= passage.log_scales
         for root, (_, at) in zip(self._roots, self.rows.together, strict=False):
             out[at] -= np.log(np.diag(root))
         return out
@@ -113,7 +113,7 @@ def _correlation(errors: _Array, rows: Rows, n: int) -> _Array | None:
         products[np.ix_(which, which)] += e.T @ e
         counts[np.ix_(which, which)] += at.shape[0]
     size = np.sqrt(np.diag(products) / np.maximum(np.diag(counts), 1.0))
-    c = products / np.maximum(counts, 1.0) / np.outer(size, size)
+    c = products / np.maximum(counts, 1.0) / np.maximum(np.outer(size, size), np.finfo(float).tiny)
     np.fill_diagonal(c, 1.0)
     smallest = float(np.linalg.eigvalsh(c)[0])
     if smallest <= 0.0:  # correlations from different times need not go together

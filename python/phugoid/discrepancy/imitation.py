@@ -7,7 +7,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from .whitening import Rows, Whitening
+from .least_squares import Filter
+from .strands import strands_of
+from .whitening import Rows
 
 __all__ = ["Imitation", "rows_of"]
 
@@ -22,7 +24,7 @@ class Imitation:
     """``moved`` (k, n_y, N): how the rival's outputs move with what is free in it, by units; ``tied`` (k,) is how
     firmly each is held to its estimate, in units too. ``present`` (n_y, N) tells which samples there are."""
 
-    def __init__(self, present: _Mask, channels: Whitening, moved: _Array, tied: _Array) -> None:
+    def __init__(self, present: _Mask, channels: Filter, moved: _Array, tied: _Array) -> None:
         self._present, self._tied = present, tied
         self._filter = channels.on(rows_of(present))
         self._columns = self._filter(moved[:, present])
@@ -58,10 +60,15 @@ def rows_of(present: _Mask) -> Rows:
     table = np.full(present.shape, -1)
     table[present] = np.arange(int(present.sum()))
     ends = np.cumsum([0, *present.sum(axis=1)]).tolist()
-    runs = [[slice(a, b)] for a, b in pairwise(ends)]
+    strands = [
+        [s.from_row(a) for s in strands_of(np.flatnonzero(line).astype(float))]
+        for (a, _), line in zip(pairwise(ends), present, strict=True)
+    ]
     pattern = 2.0 ** np.arange(present.shape[0]) @ present
     together = []
     for number in np.unique(pattern[pattern > 0.0]).tolist():
         there = np.flatnonzero(present[:, np.argmax(pattern == number)])
         together.append((tuple(there.tolist()), np.ascontiguousarray(table[there][:, pattern == number].T)))
-    return Rows(runs, together)
+    whole = np.flatnonzero(present.all(axis=0))
+    complete = [table[:, whole[s.rows][run]].T for s in strands_of(whole.astype(float)) for run in s.runs]
+    return Rows(strands, together, complete, int(present.sum()))

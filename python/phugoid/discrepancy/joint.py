@@ -44,7 +44,7 @@ class JointWhitening:
     @classmethod
     def fitted(cls, residuals: _Array, rows: Rows) -> list[JointWhitening]:
         """Models of order 1, 2, ... of residuals (n_rows,), as many as the samples allow."""
-        n_y = len(rows.runs)
+        n_y = len(rows.strands)
         runs = [residuals[run] for run in rows.complete]
         total = sum(run.shape[0] for run in runs)
         if n_y < 2 or total * n_y < 0.9 * rows.n:
@@ -60,7 +60,7 @@ class JointWhitening:
             coefficients = np.linalg.lstsq(past, now, rcond=1e-12)[0] if p else np.empty((0, n_y))
             e = now - past @ coefficients
             covariance = e.T @ e / e.shape[0] + 1e-12 * np.eye(n_y)
-            orders.append(_Order(coefficients, np.asarray(np.linalg.cholesky(covariance))))
+            orders.append(_Order(np.asarray(coefficients), np.asarray(np.linalg.cholesky(covariance))))
         return [cls(tuple(orders[: p + 1]), scale, rows) for p in range(1, len(orders))]
 
     @property
@@ -77,9 +77,9 @@ class JointWhitening:
         """Rows (..., n_rows) as independent prediction errors of unit size."""
         flat = rows.reshape(-1, rows.shape[-1])
         out = np.empty(flat.shape)
-        for channel, line in enumerate(self.rows.runs):
-            for rows_of_run in line:
-                out[:, rows_of_run] = flat[:, rows_of_run] / self.scale[channel]
+        for channel, line in enumerate(self.rows.strands):
+            for strand in line:
+                out[:, strand.rows] = flat[:, strand.rows] / self.scale[channel]
         whitened = out.copy()
         n_y, p = len(self.scale), len(self.orders) - 1
         inverses = [np.linalg.inv(order.root) for order in self.orders]
@@ -103,9 +103,9 @@ class JointWhitening:
         """(n_rows,) log-likelihood of each row, given those before it, of errors (n_rows,) that were whitened; without
         the constant of the normal density."""
         out = -0.5 * errors**2
-        for channel, line in enumerate(self.rows.runs):
-            for rows_of_run in line:
-                out[rows_of_run] -= np.log(self.scale[channel])
+        for channel, line in enumerate(self.rows.strands):
+            for strand in line:
+                out[strand.rows] -= np.log(self.scale[channel])
         p, logs = len(self.orders) - 1, [np.log(np.diag(order.root)) for order in self.orders]
         for run in self.rows.complete:
             for t in range(run.shape[0]):

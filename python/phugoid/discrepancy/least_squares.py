@@ -107,7 +107,7 @@ class Whitened:
 def filter_of(residuals: _Array, rows: Rows) -> Filter:
     """The better model of residuals (n_rows,) by Schwarz's criterion: channel by channel, or all together."""
     alone = Whitening.of(residuals, rows)
-    samples = rows.n / len(rows.runs)
+    samples = rows.n / len(rows.strands)
 
     def merit(filter: Filter) -> float:
         total = float(filter.log_densities(filter(residuals)).sum())

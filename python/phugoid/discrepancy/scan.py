@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from .candidate import Candidate
 from .least_squares import Filter, Whitened, filter_of
 from .linearised import Linearised
-from .whitening import Channel, Whitening
+from .prediction import Channel
+from .whitening import Whitening
 
 __all__ = ["CONFOUNDED", "NEARLY", "Scan", "Statistics"]
 

@@ -53,7 +53,7 @@ class Channel:
         n, p = x.shape[-1], self.order
         out = x / self.sigmas[-1]
         for i, a in enumerate(self.predictors[p] / self.sigmas[-1], start=1):
-            out[..., i:] += a * x[..., : n - i]
+            out[..., i:] += a * x[..., : max(n - i, 0)]
         for t in range(min(p, n)):  # from the few samples before it
             out[..., t] = (x[..., t] + x[..., :t] @ self.predictors[t][::-1]) / self.sigmas[t]
         return np.asarray(out)

@@ -32,8 +32,11 @@ def symbol(name: str) -> ph.Expr:
 
 @pytest.mark.parametrize(
     ("given", "kind"),
-    [(lambda: None, "NoneType"), (lambda: servo().model, "Model"), (lambda: servo().data, "Experiment")]
-    + [(lambda: ph.equation_error(servo().model, servo().data), "EquationError")],
+    [
+        (lambda: None, "NoneType"),
+        (lambda: servo().model, "Model"),
+        (lambda: ph.equation_error(servo().model, servo().data), "EquationError"),
+    ],
 )
 def test_what_is_no_fit(given: Callable[[], Any], kind: str) -> None:
     with pytest.raises(OptionError, match=f"the first argument is a fit, as estimate gives it, not {kind}"):
@@ -149,8 +152,8 @@ def elsewhere() -> ph.Candidates:
         (lambda: {"torque": [symbol("rate") ** 5] * 2}, ModelError, r"torque:rate\^5 and torque:rate\^5 are the same"),
         (lambda: {"torque": [symbol("d") * symbol("rate")]}, ModelError, "holds the parameter 'd'"),
         (lambda: {"torq": [symbol("rate") ** 2]}, ModelError, "'torq' names no quantity.*Did you mean 'torque'"),
-        (lambda: {"torque": [symbol("Rate") ** 2]}, ModelError, "Rate"),
-        (lambda: {"torque": ["rate**2"]}, ModelError, "rate"),
+        (lambda: {"torque": [symbol("Rate") ** 2]}, ModelError, "unknown 'Rate'. Did you mean 'rate'"),
+        (lambda: {"torque": ["rate**2"]}, ModelError, "'torque' holds 'rate\\*\\*2', not an expression"),
     ],
     ids=[
         *("twice", "other places", "other states", "a name", "already there", "terms twice", "with a parameter"),

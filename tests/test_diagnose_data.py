@@ -135,7 +135,10 @@ def test_a_model_that_has_a_delay_already(where: str, tmp_path: Path) -> None:
     assert causes(d) == [FRICTION]
     assert f"{where}:delay" not in [s.name for s in d.ranking]
     ext = d.extend()
-    assert abs(ext.fit.parameters["tau"].value - c.coefficients[f"{where}:delay"]) < 4 * ext.fit.parameters["tau"].std_error
+    assert (
+        abs(ext.fit.parameters["tau"].value - c.coefficients[f"{where}:delay"])
+        < 4 * ext.fit.parameters["tau"].std_error
+    )
     d.report(tmp_path / "page.html")
 
 

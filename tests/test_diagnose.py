@@ -45,7 +45,7 @@ HIDDEN = [
     ("servo", "torque:periodic", "strong", "white", 1, False),
     ("uav", "q':periodic", "strong", "coloured", 1, True),
     # Two together.
-    ("hfb320", ("de:delay", "alpha:scale"), "strong", "white", 1, True),
+    ("servo", ("torque:sign(rate)", "volts:delay"), "strong", "coloured", 1, True),
     ("duffing", ("f:x^3", "f:sign(v)"), "strong", "coloured", 1, True),
 ]
 EMPTY = [

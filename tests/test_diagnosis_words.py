@@ -75,7 +75,7 @@ def test_surrogates_among_causes_are_named() -> None:
     surrogate = dataclasses.replace(LAG, cause="Z:periodic", aliases=(), status="surrogate")
     both = SimpleNamespace(findings=[LAG, surrogate])
     assert headline(both) == (
-        "The model misses one of {CL:lag_alpha, CL:lag_q}, Z:periodic. "
+        "The model misses one of {CL:lag_alpha, CL:lag_q} and Z:periodic. "
         "Of these Z:periodic is a surrogate, which fits outside of what is physical."
     )
     both.findings.append(dataclasses.replace(surrogate, cause="Z:drift"))

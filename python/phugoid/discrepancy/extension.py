@@ -90,4 +90,4 @@ def _number(value: float | None) -> str:
 
 
 def _percent(change: float) -> str:
-    return "" if change != change else f"{100.0 * change:+.0f} %"
+    return "" if change != change else f"{round(100.0 * change):+d} %"

@@ -298,4 +298,4 @@ def _before_after(before: Any, after: Any, name: str) -> list[str]:
 
 
 def _change(change: float) -> str:
-    return f"{100.0 * change:+.0f} %" if change == change else ""
+    return f"{round(100.0 * change):+d} %" if change == change else ""

@@ -37,8 +37,8 @@ def headline(diagnosis: Any) -> str:
         return text
     if kind == "unexplained":
         return "The misfit is significant, but its cause is not established."
-    causes = ", ".join(alias_set(f) for f in named)
-    text = f"The model misses {causes}."
+    *first, last = (alias_set(f) for f in named)
+    text = f"The model misses {', '.join(first)}{' and ' if first else ''}{last}."
     surrogates = [f.cause for f in named if f.status == "surrogate"]
     if len(surrogates) == len(named):
         text += " What fits is a surrogate, outside its physical range: the cause itself may be another."

@@ -8,14 +8,17 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 
+matplotlib.use("Agg")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
 import attas
 import unstable_aircraft
 from hidden import Case, make
+from matplotlib import pyplot as plt
 from records import find
 
 import phugoid as ph
@@ -77,7 +80,10 @@ def test_several_experiments() -> None:
     d = ph.diagnose(ph.estimate(c.model, [c.data, c.validation]))
     assert causes(d) == [FRICTION]
     assert d.findings[0].std_error < expected().findings[0].std_error
-    assert len(d.plot()) == 4
+    figures = d.plot()
+    assert len(figures) == 4
+    for figure in figures:
+        plt.close(figure)
 
 
 def gaps(e: ph.Experiment) -> ph.Experiment:

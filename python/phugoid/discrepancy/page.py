@@ -103,7 +103,7 @@ def _causes(diagnosis: Any) -> str:
         lines = "".join(f"<p>{escape(line)}</p>" for line in finding_lines(finding))
         gains = {finding.cause: finding.gain, **{n: finding.rivals.get(n, float("nan")) for n in finding.aliases}}
         rivals = ""
-        if finding.aliases:
+        if finding.cause and finding.aliases:
             rows = [[name, with_sign(gain)] for name, gain in gains.items()]
             rivals = table(["cause or rival", "gain in log-likelihood"], rows, "lr")
         status = escape(finding.status)
@@ -233,7 +233,7 @@ def _open(diagnosis: Any, extension: Extension | None) -> str:
     if surrogates:
         parts.append(escape(f"{', '.join(surrogates)} may stand for a cause that is not among the candidates."))
     for f in diagnosis.findings:
-        if f.aliases:
+        if f.cause and f.aliases:
             parts.append(
                 escape(f"Which of {', '.join([f.cause, *f.aliases])} it is, these data do not tell. {f.advice}")
             )

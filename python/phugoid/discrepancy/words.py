@@ -136,7 +136,8 @@ def finding_lines(finding: Finding) -> list[str]:
             f"{name} ({with_sign(finding.rivals[name])})" if name in finding.rivals else name
             for name in finding.aliases
         ]
-        lines.append(f"The data do not tell it from: {', '.join(rivals)}.")
+        told = "The data do not tell it from" if finding.cause else "What fits, but does not predict"
+        lines.append(f"{told}: {', '.join(rivals)}.")
     if finding.advice:
         lines.append(finding.advice)
     return lines

@@ -25,10 +25,14 @@ __all__ = ["Delays", "at_delays"]
 
 @dataclass(frozen=True)
 class Delays:
-    """inputs: name of the late input -> (the input, the parameter); outputs: name -> the parameter."""
+    """inputs: name of the late input -> (the input, the parameter); outputs: name -> the parameter.
+
+    settled: bases have settled when they move by less than this part of the standard error.
+    """
 
     inputs: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     outputs: Mapping[str, str] = field(default_factory=dict)
+    settled: float = 1e-4
 
     def __bool__(self) -> bool:
         return bool(self.inputs or self.outputs)

@@ -27,8 +27,8 @@ __all__ = ["estimate_late", "simulated_late"]
 _PASSES = 30
 # A delay moves by no more than this many sample intervals before its base follows.
 _REACH = 2.0
-# Bases have settled when they move by less than this part of the standard error, or of a sample interval.
-_SETTLED, _NOTHING = 1e-4, 1e-9
+# Bases have settled too when they move by less than this part of a sample interval.
+_NOTHING = 1e-9
 
 
 def _moved(model: Model, slim: Model, experiment: Experiment, base: Mapping[str, float]) -> Experiment:
@@ -80,7 +80,7 @@ def estimate_late(
         left = {name: fit.parameters[name].value - base[name] for name in names}
         errors = {name: fit.parameters[name].std_error for name in names}
         settled = all(
-            abs(d) <= max(_NOTHING * interval, _SETTLED * (errors[n] if np.isfinite(errors[n]) else 0.0))
+            abs(d) <= max(_NOTHING * interval, model.delays.settled * (errors[n] if np.isfinite(errors[n]) else 0.0))
             for n, d in left.items()
         )
         if settled or fit.status in ("interrupted", "failed", "diverging", "infeasible", "time limit"):

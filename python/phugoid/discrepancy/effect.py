@@ -42,6 +42,11 @@ class Effect(Candidate):
     shapes: Sequence[Mapping[str, float]] = field(init=False, default=({},))
     unit_amplitude: bool = field(init=False, default=False)
 
+    @property
+    def centred(self) -> bool:
+        """Whether it acts about the trims of its variables."""
+        return False
+
     def __post_init__(self) -> None:
         if self.shape_names:
             object.__setattr__(self, "shapes", tuple({self.shape_names[0]: float(x)} for x in self.grid()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from .least_squares import Whitened, own_whitening
 from .linearised import Linearised
 from .refit import Refit, started_from
 
-__all__ = ["across_blocks", "gain_on_other_data", "on_other_data"]
+__all__ = ["HeldOut", "across_blocks", "gain_on_other_data", "on_other_data"]
 
 _Array = NDArray[np.float64]
 
@@ -27,9 +28,23 @@ _BLOCKS = 4
 _LOOSE, _TINY = 0.01, 1e-9
 
 
-def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> tuple[float, float]:
+class HeldOut(NamedTuple):
+    """A gain on held-out data.
+
+    gain       in whitened log-likelihood.
+    deviation  its standard deviation.
+    elsewhere  the gain without the block of the records that gains most: one block alone is no confirmation, for
+               whatever is wrong there would look like a gain. On other records the gain itself.
+    """
+
+    gain: float
+    deviation: float
+    elsewhere: float
+
+
+def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut:
     """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say of the new
-    candidates, and its standard deviation.
+    candidates.
 
     About the fit without them, to first order: their coefficients are those that the other blocks ask for, none
     where these say nothing of them. Parameters may follow by ten standard errors.
@@ -48,7 +63,9 @@ def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> tuple[f
             damping = np.r_[np.full(whitened.basis.shape[1], _LOOSE), np.full(parts.shape[1], _TINY)][: parts.shape[1]]
             step = np.linalg.solve(seen.T @ seen + np.diag(damping), seen.T @ e[~inside])
             gain[inside] -= sign * 0.5 * (e[inside] - parts[inside] @ step) ** 2
-    return float(gain.sum()), float(np.sqrt(gain.size) * gain.std())
+    total = float(gain.sum())
+    best = max(float(gain[block == b].sum()) for b in range(_BLOCKS))
+    return HeldOut(total, float(np.sqrt(gain.size) * gain.std()), total - best)
 
 
 def _blocks(linear: Linearised) -> NDArray[np.intp]:
@@ -85,10 +102,10 @@ def on_other_data(refit: Refit, data: Sequence[Experiment], near: Linearised | N
     return Linearised(found)
 
 
-def gain_on_other_data(base: Linearised, more: Linearised) -> tuple[float, float]:
-    """Gain in log-likelihood on other data and its standard deviation, through the likeliest filter of ``more``."""
+def gain_on_other_data(base: Linearised, more: Linearised) -> HeldOut:
+    """Gain on other data, through the likeliest filter of ``more``."""
     own = own_whitening(more)
     other = Whitened(base, own.filter.on(base.structure))
     d = own.log_densities - other.log_densities
     d = d[np.isfinite(d)]
-    return float(d.sum()), float(np.sqrt(d.size) * d.std())
+    return HeldOut(float(d.sum()), float(np.sqrt(d.size) * d.std()), float(d.sum()))

@@ -50,9 +50,9 @@ class Periodic(Effect):
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        # Amplitudes as those of a term: its peak to peak is twice the amplitude. With less than two cycles in a record
-        # it is a trend, not an oscillation; faster than a quarter of the sampling rate no time history shows it.
+        # Amplitudes as those of a term: its peak to peak is twice the amplitude. With less than three cycles in a
+        # record it is a trend, not an oscillation; faster than a quarter of the sampling rate no time history shows it.
         largest, scales = place_range(self.place, points), Scales.of(points)
-        lowest, highest = 4.0 * np.pi / scales.duration, 0.5 * np.pi / scales.interval
+        lowest, highest = 6.0 * np.pi / scales.duration, 0.5 * np.pi / scales.interval
         a, b = self.coefficients
         return {a: (-largest, largest), b: (-largest, largest), self.shape_names[0]: (lowest, highest)}

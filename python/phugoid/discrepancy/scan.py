@@ -21,6 +21,8 @@ _Array = NDArray[np.float64]
 CONFOUNDED, NEARLY = 0.003, 0.05
 # Terms that are taken out before the noise is modelled for ranking.
 _GREEDY = 3
+# Filters whose statistics are kept.
+_KEPT = 4
 # Of an effect's own part what is less than this, in units of the noise, is rounding.
 _ROUNDING = 1e-10
 
@@ -64,10 +66,20 @@ class Scan:
         there = {c.name for c, _ in self.effects}
         self.lost = tuple(dict.fromkeys(c.name for c in candidates if c.name not in there))
         self._clean: Whitening | None = None
+        self._last: list[tuple[Whitening, Statistics]] = []
 
     def through(self, filter: Whitening) -> Statistics:
-        """Statistics through a filter."""
-        return self._statistics(Whitened(self.linear, filter.on(self.linear.structure)))
+        """Statistics through a filter; those of the last few filters are kept."""
+        for known, statistics in self._last:
+            if known is filter:
+                return statistics
+        statistics = self._statistics(Whitened(self.linear, filter.on(self.linear.structure)))
+        self._last = [(filter, statistics), *self._last[: _KEPT - 1]]
+        return statistics
+
+    def forget(self) -> None:
+        """Drops what is kept: it takes space."""
+        self._last = []
 
     def _statistics(self, whitened: Whitened) -> Statistics:
         beside, errors = whitened.beside(self.columns), whitened.errors
@@ -114,7 +126,7 @@ class Scan:
                 errors -= q * (q @ errors)
                 found.append(q)
                 along = beside @ q
-                grams = [gram - np.outer(along[g], along[g]) for gram, g in zip(grams, self.groups, strict=True)]
+                grams = [gram - along[g, None] * along[g] for gram, g in zip(grams, self.groups, strict=True)]
         return taken
 
 
@@ -128,9 +140,15 @@ def _grams(columns: _Array, groups: Sequence[slice]) -> list[_Array]:
 
 
 def _solved(gram: _Array, part: _Array) -> _Array:
-    """Least squares from normal equations, of one column or two; nothing where the columns are nothing."""
+    """Least squares from normal equations; nothing where the columns are nothing."""
     if gram.shape[0] == 1:
         return part / gram[0] if gram[0, 0] > _ROUNDING else np.zeros(1)
+    if gram.shape[0] == 2:  # by hand: there are hundreds
+        (a, b), (_, d) = gram
+        determinant = a * d - b * b
+        if determinant > 1e-10 * a * d:
+            solved: _Array = np.array([d * part[0] - b * part[1], a * part[1] - b * part[0]]) / determinant
+            return solved
     return np.asarray(np.linalg.lstsq(gram, part, rcond=1e-10)[0])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -13,11 +14,12 @@ from ..errors import PhugoidError
 from ..experiment import Experiment
 from ..result import Fit
 from .candidate import Candidate
-from .held_out import across_blocks, gain_on_other_data, on_other_data
+from .effect import Effect
+from .held_out import HeldOut, across_blocks, gain_on_other_data, on_other_data
 from .linearised import Linearised
+from .points import Points
 from .refit import Refit, refit
 from .scan import Scan, Statistics
-from .terms import FORMS, Term
 
 __all__ = ["Found", "Search"]
 
@@ -27,12 +29,12 @@ _Array = NDArray[np.float64]
 _FALSE = 0.01
 # Refits of a round: the best by ranking, by the base filter, and with residuals taken as white; and those that explain
 # what the best ones leave.
-_SHORT = (("clean", 6), ("base", 4), ("white", 3))
+_SHORT = (("clean", 6), ("base", 4), ("white", 2))
 _DIFFERENT = 4
 # What is this far below its threshold in the scan, by the base filter and by the clean one, is not refitted.
 _HOPELESS = (0.4, 0.8)
 # Rivals that are refitted when a term is looked at again, and those whose effect is nearly the same.
-_AGAIN, _ALIKE = 6, 3
+_AGAIN, _ALIKE = 4, 2
 # Two effects on the outputs are the same beyond this cosine: one stands for both in a shortlist.
 _SAME = 0.995
 # Beyond this one they are aliases, whatever their refits say.
@@ -41,6 +43,8 @@ _ALIAS = 0.95
 _APART = 0.3
 # A rival is an alias unless Vuong's test tells them apart by this.
 _VUONG = 2.0
+# Centres of powers differ when they are further apart than this part of a variable's range.
+_NEAR = 0.05
 # Twice the gain in log-likelihood by which a cause outside of what is physical must be ahead.
 _UNPHYSICAL = 6.0
 # The gain on held-out data must be above this, and above this part of its standard deviation.
@@ -49,7 +53,10 @@ _HELD_OUT, _SURE = 1.0, 0.5
 _CLEAR = 1.5
 # Next best candidates that are tried when the best gains nothing on held-out data.
 _CHANCES = 3
-_MOST = 6
+# Findings at most: what is left then is for another diagnosis, of the extended model.
+_MOST = 4
+# Refits side by side: the solver works without the interpreter's lock.
+_WORKERS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +66,13 @@ class Found:
     gain      in log-likelihood over the model with the other candidates.
     threshold that it had to pass.
     rivals    those that the data do not tell from it: name -> gain they would have instead, the likeliest first.
-    held_out  gain on held-out data, and its standard deviation.
     """
 
     candidate: Candidate | None
     gain: float
     threshold: float
     rivals: Mapping[str, float]
-    held_out: tuple[float, float]
+    held_out: HeldOut
 
 
 @dataclass
@@ -88,25 +94,47 @@ class Search:
         self._scans: dict[frozenset[str], Scan] = {}
         self._others: dict[frozenset[str], Linearised | None] = {}
         self._starts: dict[str, Mapping[str, float]] = {}
-        self.candidates = about_zero_too(self.candidates)
+        self.candidates = with_other_centres(self.candidates, self.base.linear.points)
         self._tries_in_all = sum(len(c.shapes) for c in self.candidates)
 
     # What is known of sets of candidates, each worked out once.
 
     def refit(self, candidates: Sequence[Candidate], near: Fit | None = None) -> Refit | None:
         """The refit of a set."""
-        key = frozenset(c.name for c in candidates)
-        if key not in self._refits:
-            self.watch("fitting with " + ", ".join(c.name for c in candidates))
+        return self.refits([candidates], near)[0]
+
+    def refits(self, sets: Sequence[Sequence[Candidate]], near: Fit | None = None) -> list[Refit | None]:
+        """The refits of several sets, side by side."""
+        keys = [frozenset(c.name for c in candidates) for candidates in sets]
+        new = {key: candidates for key, candidates in zip(keys, sets, strict=True) if key not in self._refits}
+
+        def one(candidates: Sequence[Candidate]) -> Refit | None:
             starts: dict[str, float] = {}
             for c in candidates:
                 starts |= self._starts.get(c.name, {})
-            self._refits[key] = refit(self.base.fit, candidates, starts, near)
-        return self._refits[key]
+            found = refit(self.base.fit, candidates, starts, near)
+            if found is not None:
+                _ = found.own  # here, for it takes as long
+            return found
+
+        for candidates in new.values():
+            self.watch("fitting with " + ", ".join(c.name for c in candidates))
+        if len(new) == 1:
+            self._refits |= {key: one(candidates) for key, candidates in new.items()}
+        elif new:
+            executor = ThreadPoolExecutor(min(len(new), _WORKERS))
+            try:
+                self._refits |= dict(zip(new, executor.map(one, new.values()), strict=True))
+            finally:
+                executor.shutdown(cancel_futures=True)
+        return [self._refits[key] for key in keys]
 
     def scan(self, at: Refit) -> Scan:
         """The scan of all others at a set."""
         key = frozenset(at.names)
+        for other, scan in self._scans.items():
+            if other != key:
+                scan.forget()
         if key not in self._scans:
             self.watch("scanning all candidates" + (" beside " + ", ".join(at.names) if at.names else ""))
             self._scans[key] = Scan(at.linear, [c for c in self.candidates if c.name not in key])
@@ -121,14 +149,14 @@ class Search:
         """Twice the gain in log-likelihood, each with its likeliest noise."""
         return 2.0 * (more.own.log_likelihood - base.own.log_likelihood)
 
-    def held_out(self, base: Refit, more: Refit) -> tuple[float, float]:
-        """Gain on held-out data and its standard deviation; none where the model cannot be fitted there."""
+    def held_out(self, base: Refit, more: Refit) -> HeldOut:
+        """Gain on held-out data; none where the model cannot be fitted there."""
         new = [c for c in more.candidates if c.name not in base.names]
         if not self.validation or not all(c.transferable for c in new):
             return across_blocks(base, more, new)
         others = self._on_other_data(base, None)
         mine = self._on_other_data(more, others)
-        return (-np.inf, 0.0) if others is None or mine is None else gain_on_other_data(others, mine)
+        return HeldOut(-np.inf, 0.0, -np.inf) if others is None or mine is None else gain_on_other_data(others, mine)
 
     def held_out_rms(self, at: Refit) -> dict[str, float]:
         """Output -> RMS on the validation data, first states and biases as they fit best; empty without such data."""
@@ -165,7 +193,7 @@ class Search:
                 current = following
             found = [self._found(current, c) for c in current.candidates]
         except KeyboardInterrupt:
-            nothing = (float("nan"), 0.0)
+            nothing = HeldOut(float("nan"), 0.0, float("nan"))
             found = [Found(c, float("nan"), self.threshold(c) / 2, {}, nothing) for c in current.candidates]
             return current, found, True
         return current, found + ([unexplained] if unexplained else []), False
@@ -191,8 +219,9 @@ class Search:
             if gain <= threshold:
                 continue
             held = self.held_out(current, settled)
-            self.log.append(f"{'+'.join(settled.names)}: held-out gain {held[0]:.1f} +- {held[1]:.1f}")
-            if held[0] > max(_HELD_OUT, _SURE * held[1]):
+            numbers = f"{held.gain:.1f} +- {held.deviation:.1f}, {held.elsewhere:.1f}"
+            self.log.append(f"{'+'.join(settled.names)}: held-out {numbers}")
+            if held.gain > max(_HELD_OUT, _SURE * held.deviation) and held.elsewhere > 0.0:
                 return settled, None
             rejected |= {c.name for c in new}
             if unexplained is None and gain > _CLEAR * threshold:
@@ -219,7 +248,7 @@ class Search:
             if candidate.name not in names and not hopeless[i]:
                 names[candidate.name] = candidate
                 self._remember(candidate, shape, statistics["base"].amplitudes[i])
-        tries = [self.refit([*at.candidates, c], at.fit) for c in names.values()]
+        tries = self.refits([[*at.candidates, c] for c in names.values()], at.fit)
         return [t for t in tries if t is not None]
 
     def _best(
@@ -285,8 +314,7 @@ class Search:
         filter = at.own.filter
         statistics = scan.through(filter)
         wanted = [*self._best(scan, statistics, _AGAIN), *self._alike(scan, statistics, candidate)[:_ALIKE]]
-        for c in wanted:
-            self.refit([*others, c], at.fit)
+        self.refits([[*others, c] for c in wanted], at.fit)
         base = frozenset(c.name for c in others)
         refits = [r for key, r in self._refits.items() if r and len(key) == len(base) + 1 and key > base]
         reference = at.through(filter).log_likelihood - self._cost(at, others) / 2
@@ -366,18 +394,29 @@ def _quantile(freedom: int, probability: float) -> float:
     return float(chdtri(freedom, probability))
 
 
-def about_zero_too(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates, and those whose powers are centred at a trim once more about zero, where that lies within the record.
+def with_other_centres(candidates: Sequence[Candidate], points: Sequence[Points]) -> list[Candidate]:
+    """Candidates; and those that are centred at a trim once more about zero, where it lies within the record, and about
+    the first values.
 
-    Of a variable that changes sign a record does not say where its trim is: the scan does.
+    A record does not say where its trim is: the scan does.
     """
     found: list[Candidate] = []
     for c in candidates:
         found.append(c)
-        if isinstance(c, Term) and c.form and FORMS[c.form].centred:
-            away = [n for n in c.variables if c.scales.centre(n) and c.scales.crosses(n)]
-            if away:
-                found.append(c.on(replace(c.scales, trim={**c.scales.trim, **dict.fromkeys(away, 0.0)})))
+        if not (isinstance(c, Effect) and c.centred):
+            continue
+        scales, tried = c.scales, [[c.scales.centre(n) for n in c.variables]]
+        zero = [0.0 if scales.crosses(n) else scales.centre(n) for n in c.variables]
+        first = [float(np.mean([p.values[n][0] for p in points])) for n in c.variables]
+        for centres in (zero, first):
+            far = [
+                any(abs(a - b) > _NEAR * scales.span(n) for a, b, n in zip(centres, t, c.variables, strict=True))
+                for t in tried
+            ]
+            if all(far):
+                tried.append(centres)
+                trim = {**scales.trim, **dict(zip(c.variables, centres, strict=True))}
+                found.append(c.on(replace(scales, trim=trim)))
     return found
 
 

@@ -108,9 +108,13 @@ class Term(Effect):
             ]
             object.__setattr__(self, "explanation", f"{where(self.place)} {FORMS[self.form].words.format(*names)}")
 
-    def _centre(self, name: str) -> float:
+    @property
+    def centred(self) -> bool:
         # Lever arms at sensors multiply rates as they are: outputs are not centred.
-        return self.scales.centre(name) if FORMS[self.form].centred and self.place.kind != "output" else 0.0
+        return bool(self.form) and FORMS[self.form].centred and self.place.kind != "output"
+
+    def _centre(self, name: str) -> float:
+        return self.scales.centre(name) if self.centred else 0.0
 
     @property
     def expression(self) -> Expr:

@@ -69,6 +69,12 @@ class InputBias(Effect):
 class _Limited(Effect):
     """An input of which the part within a limit about its trim matters."""
 
+    @property
+    def centred(self) -> bool:
+        return True
+
+    least = 0.0  # physical limit, of the greatest deflection
+
     def _within(self, limit: Any) -> Any:
         """The distance from the trim, cut off at the limit on either side; corners rounded."""
         x = self._distance()
@@ -95,10 +101,11 @@ class _Limited(Effect):
         return extension.model()
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        # Beyond the greatest deflection a saturation does nothing, and a dead-band leaves nothing.
+        # Beyond the greatest deflection a saturation does nothing, and a dead-band leaves nothing. A saturation at next
+        # to nothing would be an input that does not act.
         centre = self.scales.centre(self.place.name)
         peak = max(float(np.abs(p.values[self.place.name] - centre).max()) for p in points)
-        return {self.shape_names[0]: (0.0, peak)}
+        return {self.shape_names[0]: (self.least * peak, peak)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -122,6 +129,7 @@ class Saturation(_Limited):
     """Deflections beyond the limit about the trim do no more than the limit."""
 
     stage: int = 2
+    least = 0.2
 
     def grid(self) -> Iterable[float]:
         return self.scales.peak(self.place.name) * np.array([0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3])

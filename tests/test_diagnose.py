@@ -1,4 +1,4 @@
-"""What is hidden in data is found, and nothing where nothing is hidden: one case of each kind and system.
+"""What is hidden in data is found, and nothing where nothing is hidden: cases of each kind of effect and each system.
 
 The cases were chosen by what there is to hide, before they were tried. `benchmarks/discrepancy.py` runs hundreds.
 """
@@ -13,9 +13,6 @@ import phugoid as ph
 NAMES = 4
 """A cause counts as found among so many names: the cause and its aliases."""
 
-_NO_DEADBAND = pytest.mark.xfail(
-    strict=True, reason="torque:sign(volts), which is the same beyond the dead-band, is named without it as an alias"
-)
 _UNEXPLAINED = pytest.mark.xfail(
     strict=True, reason="the delay alone fits best and does not predict; friction, which would, is not tried after it"
 )
@@ -28,7 +25,7 @@ HIDDEN = [
     # Control.
     ("hfb320", "de:delay", "strong", "coloured", 1, True),
     ("duffing", "u:saturation", "medium", "coloured", 1, True),
-    pytest.param("servo", "volts:deadband", "strong", "coloured", 1, True, marks=_NO_DEADBAND),
+    ("servo", "volts:deadband", "strong", "coloured", 1, True),
     # A state that the model has not.
     ("duffing", "f:lag_x", "medium", "coloured", 1, True),
     ("servo", "torque:lag_rate", "strong", "white", 1, False),

@@ -123,6 +123,7 @@ def diagnosis(whole: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def written(whole: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Page]:
+    plt.close("all")  # those of other tests
     return page(whole, tmp_path_factory.mktemp("page"))
 
 

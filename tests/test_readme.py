@@ -106,6 +106,36 @@ def test_flights_with_biases_and_a_late_actuator(capsys: pytest.CaptureFixture[s
     assert "within ±0.035 rad/s" in capsys.readouterr().out
 
 
+def test_a_diagnosis_names_what_the_model_misses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The flights have a damping that grows with the rate, which their model has not."""
+    monkeypatch.chdir(tmp_path)
+    (block,) = (b for b in blocks() if "m.delay" in b)
+    t = np.arange(0, 10, 0.05)
+    de = 0.3 * np.sign(np.sin(1.5 * t)) * np.sin(0.4 * t)
+    names: dict[str, object] = {"ph": ph}
+    exec(block[: block.index("fit =")], names)
+    m = names["m"]
+    assert isinstance(m, ph.Model)
+    true = ph.candidates(m)["q':q|q|"].extended(m)
+    (damping,) = {*true.parameter_names} - {*m.parameter_names}
+    random = np.random.default_rng(0)
+    for name, bias in (("run1", 0.02), ("run2", -0.01), ("run3", 0.03)):
+        e = ph.Experiment(t, {"de": (1 if name == "run1" else 0.8) * de}, name=name)
+        path = ph.simulate(true, {"Mq": -2.0, "Mde": -6.0, "tau": 0.12, "b": bias, damping: -2.0}, e)
+        names[name] = e.with_outputs({n: y + 0.002 * random.standard_normal(t.size) for n, y in path.outputs.items()})
+    exec(block[block.index("fit =") :], names)
+    exec(next(b for b in blocks() if "ph.diagnose" in b), names)
+    extended = names["extended"]
+    assert isinstance(extended, ph.Extension) and extended.added == ("q':q|q|",)
+    assert extended.gain.held_out > 10
+    assert abs(extended.fit.parameters[damping].value + 2.0) < 4 * extended.fit.parameters[damping].std_error
+    printed = capsys.readouterr().out
+    assert "The model misses" in printed and "q':q|q|" in printed and damping in printed
+    assert (tmp_path / "missing.html").exists()
+
+
 def test_noise_models_are_noise_of_three_outputs() -> None:
     lines = [line for line in next(b for b in blocks() if "StudentT" in b).splitlines() if line.startswith("ph.")]
     assert len(lines) == 8

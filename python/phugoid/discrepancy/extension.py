@@ -17,8 +17,8 @@ class Gain:
     """Extended model minus base model.
 
     log_likelihood           of the measurements, as fitted.
-    log_likelihood_whitened  the same with both residuals passed through one filter, so that their colour does not count
-                             for evidence; the figure to go by.
+    log_likelihood_whitened  the same where each has the coloured noise (autoregressive) that is likeliest for it, so
+                             that slow residuals do not count for more evidence than they are; the figure to go by.
     bic                      Schwarz's criterion, -2 log L + k log n: below zero is better.
     held_out                 in log-likelihood, whitened, on data that no parameter was fitted to; NaN without any.
     rms_before, rms_after    channel -> RMS of the residuals, in its unit.
@@ -90,4 +90,4 @@ def _number(value: float | None) -> str:
 
 
 def _percent(change: float) -> str:
-    return "" if change != change else f"{100.0 * change:+.0f} %"
+    return "" if change != change else f"{round(100.0 * change):+d} %"

@@ -102,9 +102,9 @@ def _finite(value: float) -> float:
 def ranking_figure(ranking: Sequence[Scored], threshold: float, best: int = _BARS) -> tuple[Figure, dict[str, Axes]]:
     """Bars of the best candidates: twice the expected gain in log-likelihood, against the threshold.
 
-    Filled bars use residuals whitened, circles residuals taken as white, which would have one believe too much. Hatched
-    are candidates with a remark: hard to tell from the parameters there. Returns the figure and the axes by
-    ``"ranking"``. Raises DataError where there is none.
+    Filled bars use residuals whitened, ticks noise without the best few terms, which candidates are ranked by, circles
+    residuals taken as white, which mislead. Hatched are candidates with a remark: hard to tell from the parameters
+    there. Returns the figure and the axes by ``"ranking"``. Raises DataError where there is none.
     """
     import matplotlib.pyplot as plt
     from matplotlib import rc_context
@@ -112,7 +112,7 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float, best: int = _BAR
 
     if not ranking:
         raise DataError("ranking_figure: there are no candidates")
-    shown = sorted(ranking, key=lambda s: s.statistic, reverse=True)[:best]
+    shown = sorted(ranking, key=lambda s: s.ranking, reverse=True)[:best]
     with rc_context({**_STYLE, "hatch.linewidth": 0.4}):
         figure, axis = plt.subplots(figsize=(_WIDTH, 0.24 * len(shown) + 0.9), layout="constrained")
         low = max(1.0, 0.3 * min(threshold, *(s.statistic for s in shown)))
@@ -128,7 +128,8 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float, best: int = _BAR
                 linewidth=0.0,
                 label=None,
             )
-            axis.plot(scored.white, row, "o", ms=3.2, mfc="none", mec=_RESIDUAL, mew=0.8)
+            axis.plot(scored.ranking, row, "|", ms=9.0, mec=_RESIDUAL, mew=1.6)
+            axis.plot(scored.white, row, "o", ms=3.6, mfc="white", mec=_RESIDUAL, mew=0.9)
         axis.axvline(threshold, color=_MODEL, linewidth=1.1)
         axis.set_xscale("log")
         axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -148,7 +149,8 @@ def _ranking_key(threshold: float, remarks: bool) -> list[Any]:
 
     key: list[Any] = [
         Patch(color=_MEASURED, label="residuals whitened"),
-        Line2D([], [], linestyle="", marker="o", ms=3.2, mfc="none", mec=_RESIDUAL, label="taken as white"),
+        Line2D([], [], linestyle="", marker="|", ms=7.0, mec=_RESIDUAL, mew=1.6, label="without the best"),
+        Line2D([], [], linestyle="", marker="o", ms=3.6, mfc="white", mec=_RESIDUAL, mew=0.9, label="taken as white"),
         Line2D([], [], color=_MODEL, linewidth=1.1, label=f"threshold {threshold:.0f}"),
     ]
     if remarks:

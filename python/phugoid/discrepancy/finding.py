@@ -11,15 +11,20 @@ __all__ = ["Finding", "Scored"]
 
 @dataclass(frozen=True)
 class Scored:
-    """A candidate in a scan: what one linearisation about the fit says of it.
+    """A candidate in the first scan: what one linearisation about the fit says of it, before anything is refitted.
 
-    name            of the candidate.
+    name            canonical, ``where:what``.
     explanation     in plain words.
-    estimate        one-step estimates of its coefficients and shape by name.
-    statistic       twice the gain in log-likelihood expected of it, residuals whitened by the filter of the base fit.
-    ranking         the same, by the filter of the residuals without the best few terms.
-    white           the same, residuals taken as white.
-    distinct        part of its effect on the outputs that the parameters there cannot imitate, 0 to 1.
+    estimate        one-step estimates of its coefficients and shape by name, in the model's units; empty where the
+                    parameters already there can do all that it does.
+    statistic       expected gain in TWICE the log-likelihood, noise as coloured as the residuals of the fit are. Below
+                    `Diagnosis.threshold` it may well be chance.
+    ranking         the same, noise as coloured as the residuals are without the best few terms: what
+                    `Diagnosis.ranking` is sorted by. (A strong effect colours the residuals, and so hides in the
+                    first noise.)
+    white           the same, noise taken as white: too much, wherever residuals are coloured.
+    distinct        part of its effect on the outputs that the parameters there cannot imitate, 0 to 1. Where it is
+                    small, they would change much with this candidate added.
     remark          what to beware of, in words, or "".
     """
 
@@ -37,17 +42,24 @@ class Scored:
 class Finding:
     """One thing that the model misses.
 
-    cause          canonical name; "" where the cause is not established.
-    aliases        other causes that the data do not tell from it, the likeliest first (three at most).
-    status         "named"; "surrogate": it fits, but its coefficient is outside what is physical; or "unexplained".
-    coefficient, std_error, interval   of its first parameter, with unit ``unit``; the interval is of 95 %.
-    parameters     all its parameters: name -> (value, standard error).
-    gain           in log-likelihood, residuals whitened.
-    held_out_gain  the same on data that the parameters were not fitted to.
-    threshold      that the gain had to pass.
+    cause          canonical name, ``where:what`` (`candidates`); "" where the cause is not established.
+    aliases        other causes that the data do not tell from it, the likeliest first, three at most: read the finding
+                   as "one of cause and aliases".
+    status         "named"; "surrogate": it fits, but a parameter is outside of what is physical, so it stands in for
+                   something else; "unexplained": the residuals hold more than noise, and no candidate predicts it.
+    coefficient, std_error, interval   of its first parameter, in ``unit``; the interval is of 95 %. NaN where
+                   unexplained. Standard errors are those for noise as coloured as the residuals.
+    parameters     all its parameters: name in the extended model -> (value, standard error).
+    gain           in log-likelihood (once, not twice), noise as coloured as the residuals, over the model with all
+                   other findings but this.
+    held_out_gain  the same on data held out: the validation records, else blocks of the fit's own, predicted from the
+                   others. Below zero the finding is not to be relied on. NaN where the search was interrupted.
+    threshold      that ``gain`` had to pass: with none there, chance reaches it once in a hundred diagnoses.
     explanation    of the cause, in plain words.
     advice         which manoeuvre would tell it from its aliases, or that none of those tried would; "" without
                    aliases, or where no manoeuvre stays within the envelope of the records.
+    rivals         alias -> gain in log-likelihood that it would have in place of the cause.
+    units          parameter -> unit, for words.
     """
 
     cause: str
@@ -63,4 +75,5 @@ class Finding:
     threshold: float
     explanation: str
     advice: str = ""
-    rivals: Mapping[str, float] = field(default_factory=dict)  # alias -> gain it would have instead
+    rivals: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)

@@ -178,7 +178,8 @@ def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
     for part in (axis.xaxis, axis.yaxis):
         part.set_minor_formatter(NullFormatter())
     axis.set_xlabel("frequency, Hz", labelpad=1.0)
-    square = f"({c.unit})²/Hz" if c.unit not in ("", "1", "-") else "1/Hz"
+    unit = c.unit if c.unit.isalpha() else f"({c.unit})"
+    square = f"{unit}²/Hz" if c.unit not in ("", "1", "-") else "1/Hz"
     tones = ", tones dotted" if c.tones else ""
     axis.set_title(_plain(f"power, {square}{tones}"), fontsize=7.5)
 

@@ -26,6 +26,7 @@ from .words import alias_set, finding_lines, headline, outcome, with_sign
 __all__ = ["report"]
 
 _RANKED = 20  # candidates in the table
+_GROWN = 0.05  # of the RMS, by which residuals on held-out data may grow without being told of
 
 
 def report(diagnosis: Any, path: str | os.PathLike[str]) -> None:
@@ -102,7 +103,7 @@ def _causes(diagnosis: Any) -> str:
         lines = "".join(f"<p>{escape(line)}</p>" for line in finding_lines(finding))
         gains = {finding.cause: finding.gain, **{n: finding.rivals.get(n, float("nan")) for n in finding.aliases}}
         rivals = ""
-        if finding.aliases:
+        if finding.cause and finding.aliases:
             rows = [[name, with_sign(gain)] for name, gain in gains.items()]
             rivals = table(["cause or rival", "gain in log-likelihood"], rows, "lr")
         status = escape(finding.status)
@@ -114,18 +115,20 @@ def _causes(diagnosis: Any) -> str:
 
 
 def _candidates(diagnosis: Any) -> str:
-    ranking = sorted(diagnosis.ranking, key=lambda s: s.statistic, reverse=True)
+    ranking = sorted(diagnosis.ranking, key=lambda s: s.ranking, reverse=True)
     if not ranking:
         return section("The evidence", "<p>No candidates were tried.</p>")
     text = (
         f"<p>{len(ranking)} candidates were tried. Bars show by how much each would raise twice the log-likelihood, to "
-        f"first order; what is below the threshold of {diagnosis.threshold:.1f} may well be chance among so many.</p>"
+        f"first order; what is below the threshold of {diagnosis.threshold:.1f} (that is {diagnosis.threshold / 2:.1f} "
+        "in log-likelihood, as gains are given elsewhere on this page) may well be chance among so many.</p>"
     )
     shown = image(
         ranking_figure(ranking, diagnosis.threshold)[0],
         "The best candidates",
-        "The best candidates of the first scan. Bars: residuals whitened, so that slow noise is no evidence; circles: "
-        "taken as white, which overstates. Candidates that explain the same residual all rise together.",
+        "The best candidates of the first scan. Bars: residuals whitened, so that slow noise is no evidence; ticks: "
+        "noise without the best few terms, which is what they are ranked by; circles: residuals taken as white, which "
+        "misleads. Candidates that explain the same residual all rise together.",
     )
     rows = [
         [
@@ -201,6 +204,12 @@ def _gain(diagnosis: Any, extension: Extension) -> str:
     told = f"<p>By adding {escape(', '.join(extension.added))} and fitting all parameters again.</p>"
     if gain.held_out != gain.held_out:
         told += "<p>No data were held out, so nothing shows that the extended model predicts better.</p>"
+    grown = [name for name in gain.channels if gain.change(name, held_out=True) > _GROWN]
+    if grown:
+        told += (
+            f"<p>On the data held out the residuals of {escape(', '.join(grown))} grow: the likelihood may gain all "
+            "the same, where their colour counts, but a simulation does not.</p>"
+        )
     images = image(
         gain_figure(gain, diagnosis.fit.model.units)[0],
         "RMS of residuals after, over before",
@@ -224,7 +233,7 @@ def _open(diagnosis: Any, extension: Extension | None) -> str:
     if surrogates:
         parts.append(escape(f"{', '.join(surrogates)} may stand for a cause that is not among the candidates."))
     for f in diagnosis.findings:
-        if f.aliases:
+        if f.cause and f.aliases:
             parts.append(
                 escape(f"Which of {', '.join([f.cause, *f.aliases])} it is, these data do not tell. {f.advice}")
             )
@@ -255,8 +264,7 @@ def _provenance(diagnosis: Any, extension: Extension | None) -> str:
         "fit": f"{fit.status}; log-likelihood {fit.log_likelihood:.1f}; {fit.iterations} iterations",
         "transcription": str(fit.transcription),
         "noise": getattr(fit.noise, "description", "") or "Gaussian, independent",
-        "diagnosis": f"{len(diagnosis.ranking)} candidates, threshold {diagnosis.threshold:.1f}, "
-        f"{diagnosis.seconds:.1f} s",
+        "diagnosis": f"{_tried(diagnosis)}, {diagnosis.seconds:.1f} s",
     }
     if extension is not None:
         facts["extended fit"] = f"{extension.fit.status}; log-likelihood {extension.fit.log_likelihood:.1f}"
@@ -265,6 +273,11 @@ def _provenance(diagnosis: Any, extension: Extension | None) -> str:
     facts |= {"versions": versions, "written": datetime.date.today().isoformat()}
     listed = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts.items())
     return section("Data and versions", f"{data}<dl>{listed}</dl>")
+
+
+def _tried(diagnosis: Any) -> str:
+    n = len(diagnosis.ranking)
+    return f"{n} candidates, threshold {diagnosis.threshold:.1f} in twice the log-likelihood" if n else "no candidates"
 
 
 def _has(model: Model, name: str) -> bool:
@@ -285,4 +298,4 @@ def _before_after(before: Any, after: Any, name: str) -> list[str]:
 
 
 def _change(change: float) -> str:
-    return f"{100.0 * change:+.0f} %" if change == change else ""
+    return f"{round(100.0 * change):+d} %" if change == change else ""

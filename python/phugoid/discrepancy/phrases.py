@@ -93,7 +93,7 @@ def _range(regime: Regime, b: Bin, units: Any) -> str:
     bare = name.removesuffix("'")
     unit = units.get(bare, "")
     if name.endswith("'"):
-        unit = f"{unit}/s" if unit else "1/s"
+        unit = f"{unit}²" if unit.endswith("/s") else f"{unit}/s" if unit else "1/s"
     unit = f" {unit}" if unit else ""
     if b is regime.bins[0]:
         return f"{name} < {number(b.high)}{unit}"

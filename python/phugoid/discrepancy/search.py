@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import PhugoidError
 from ..experiment import Experiment
 from ..result import Fit
+from .along import of
 from .candidate import Candidate
 from .effect import Effect
 from .held_out import HeldOut, across_blocks, gain_on_other_data, on_other_data
@@ -415,7 +416,9 @@ def with_other_centres(candidates: Sequence[Candidate], points: Sequence[Points]
             continue
         scales, tried = c.scales, [[c.scales.centre(n) for n in c.variables]]
         zero = [0.0 if scales.crosses(n) else scales.centre(n) for n in c.variables]
-        first = [float(np.mean([p.values[n][0] for p in points])) for n in c.variables]
+        first = [
+            float(np.mean([of(p.values, n, p, "state, input or quantity")[0] for p in points])) for n in c.variables
+        ]
         for centres in (zero, first):
             far = [
                 any(abs(a - b) > _NEAR * scales.span(n) for a, b, n in zip(centres, t, c.variables, strict=True))

@@ -37,12 +37,14 @@ def headline(diagnosis: Any) -> str:
         return text
     if kind == "unexplained":
         return "The misfit is significant, but its cause is not established."
-    causes = ", ".join(alias_set(f) for f in named)
-    text = f"The model misses {causes}."
-    if all(f.status == "surrogate" for f in named):
+    *first, last = (alias_set(f) for f in named)
+    text = f"The model misses {', '.join(first)}{' and ' if first else ''}{last}."
+    surrogates = [f.cause for f in named if f.status == "surrogate"]
+    if len(surrogates) == len(named):
         text += " What fits is a surrogate, outside its physical range: the cause itself may be another."
-    elif any(f.status == "surrogate" for f in named):
-        text += " Of these, surrogates fit with a coefficient outside its physical range."
+    elif surrogates:
+        what = "are surrogates, which fit" if len(surrogates) > 1 else "is a surrogate, which fits"
+        text += f" Of these {', '.join(surrogates)} {what} outside of what is physical."
     if any(not f.cause for f in findings):
         text += " A part of the misfit stays without an established cause."
     return text
@@ -61,11 +63,45 @@ def value_of(finding: Finding) -> str:
     """Coefficient with its standard error, unit and interval; "" where there is none."""
     if not math.isfinite(finding.coefficient):
         return ""
-    text = repr(Estimate("", finding.coefficient, finding.std_error, finding.unit)).removeprefix(" = ")
+    error = finding.std_error if finding.std_error > 0.0 else math.nan  # there is none at the edge of a range
+    text = repr(Estimate("", finding.coefficient, error, finding.unit)).removeprefix(" = ")
     low, high = finding.interval
+    if not math.isfinite(error):
+        return f"{text}, at the edge of its range, and so without a standard error"
     if math.isfinite(low) and math.isfinite(high):
-        text += f" (95 %: {number(low, 3)} to {number(high, 3)})"
+        text += f" (95 %: {' to '.join(_ends(low, high))})"
     return text
+
+
+def _ends(low: float, high: float) -> tuple[str, str]:
+    """Both ends with as many digits as tell them apart."""
+    largest = max(abs(low), abs(high))
+    digits = 3
+    if high > low:
+        digits = max(digits, 2 + math.floor(math.log10(largest)) - math.floor(math.log10(high - low)))
+    return number(low, digits), number(high, digits)
+
+
+def _wave(finding: Finding) -> str:
+    """Amplitude and frequency of a periodic disturbance, whose coefficients depend on the choice of its phase."""
+    values = [value for value, _ in finding.parameters.values()]
+    if not finding.cause.endswith(":periodic") or len(values) != 3:
+        return ""
+    sine, cosine, rate = values
+    return f"Amplitude {number(math.hypot(sine, cosine), 3)}, at {number(rate / (2.0 * math.pi), 3)} Hz."
+
+
+def _estimated(finding: Finding) -> list[str]:
+    """What its parameters were estimated to be."""
+    wave, value = _wave(finding), value_of(finding)
+    if wave:
+        return [wave]
+    lines = [f"Estimated: {value}."] if value else []
+    others = [
+        repr(Estimate(name, value, error if error > 0.0 else math.nan, finding.units.get(name, "")))
+        for name, (value, error) in list(finding.parameters.items())[1:]
+    ]
+    return [*lines, f"With {', '.join(others)}."] if others else lines
 
 
 def with_sign(value: float) -> str:
@@ -77,10 +113,15 @@ def finding_lines(finding: Finding) -> list[str]:
     """Sentences on one finding, without its name."""
     lines = []
     if finding.explanation:
-        lines.append(finding.explanation)
-    value = value_of(finding)
-    if value and finding.cause:
-        lines.append(f"Estimated: {value}.")
+        # Names begin with small letters as they please: no capital is put on one.
+        said = (
+            f"That is, {finding.explanation}"
+            if finding.cause
+            else finding.explanation[:1].upper() + finding.explanation[1:]
+        )
+        lines.append(f"{said.rstrip('.')}.")
+    if finding.cause:
+        lines += _estimated(finding)
     if finding.status == "surrogate":
         lines.append("A surrogate: it fits, but its coefficient is outside of what is physical.")
     gain = f"Gain in log-likelihood, residuals whitened: {with_sign(finding.gain)} (threshold {finding.threshold:.1f})"
@@ -88,12 +129,15 @@ def finding_lines(finding: Finding) -> list[str]:
         gain += f"; on data held out: {with_sign(finding.held_out_gain)}"
     if math.isfinite(finding.gain):
         lines.append(f"{gain}.")
+    if finding.cause and finding.held_out_gain <= 0.0:
+        lines.append("Beside the other causes it does not help to predict the data held out: doubt it.")
     if finding.aliases:
         rivals = [
             f"{name} ({with_sign(finding.rivals[name])})" if name in finding.rivals else name
             for name in finding.aliases
         ]
-        lines.append(f"The data do not tell it from: {', '.join(rivals)}.")
+        told = "The data do not tell it from" if finding.cause else "What fits, but does not predict"
+        lines.append(f"{told}: {', '.join(rivals)}.")
     if finding.advice:
         lines.append(finding.advice)
     return lines
@@ -108,20 +152,27 @@ def diagnosis_summary(diagnosis: Any) -> str:
     for i, finding in enumerate(diagnosis.findings, start=1):
         head = f"{i}. {alias_set(finding)}"
         parts.append("\n".join([head, *(_filled(line, "   ") for line in finding_lines(finding))]))
-    if not diagnosis.findings and diagnosis.ranking:
-        best = max(diagnosis.ranking, key=lambda s: s.statistic)
-        parts.append(
-            _filled(
-                f"Of {len(diagnosis.ranking)} candidates the nearest is {best.name}, with {best.statistic:.1f} "
-                f"of the {diagnosis.threshold:.1f} that are needed.",
-                "",
-            )
-        )
+    if not diagnosis.ranking:
+        parts.append("No candidates were tried.")
+    elif not diagnosis.findings:
+        parts.append(_filled(_nearest(diagnosis), ""))
     residuals = [_filled(line, "  ", "    ") for line in diagnosis.misfit.summary().split("\n")]
     parts.append("\n".join(["Residuals of the model as it was:", *residuals]))
     if diagnosis.notes:
         parts.append("\n".join(["Notes:", *(_filled(note, "  ", "    ") for note in diagnosis.notes)]))
     return "\n\n".join(parts)
+
+
+def _nearest(diagnosis: Any) -> str:
+    """How near the best candidate came."""
+    best = max(diagnosis.ranking, key=lambda s: s.statistic)
+    text = (
+        f"Of {len(diagnosis.ranking)} candidates the nearest is {best.name}, with {best.statistic:.1f} of the "
+        f"{diagnosis.threshold:.1f} that are needed in twice the log-likelihood"
+    )
+    if best.statistic <= diagnosis.threshold:
+        return f"{text}."
+    return f"{text}, to first order; fitted in full, or on data held out, it did not prove itself."
 
 
 def _filled(text: str, first: str, rest: str | None = None) -> str:

@@ -1,0 +1,101 @@
+"""What a finding's numbers are made to say."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from phugoid.discrepancy.finding import Finding, Scored
+from phugoid.discrepancy.words import _nearest, finding_lines, headline, value_of
+
+LAG = Finding(
+    cause="CL:lag_alpha",
+    aliases=("CL:lag_q",),
+    status="named",
+    coefficient=-0.46,
+    std_error=0.03,
+    interval=(-0.52, -0.4),
+    unit="",
+    parameters={"CL_lag_alpha": (-0.46, 0.03), "tau": (0.31, 0.05)},
+    gain=120.0,
+    held_out_gain=31.5,
+    threshold=9.9,
+    explanation="CL follows alpha with a lag",
+    rivals={"CL:lag_q": 96.0},
+    units={"tau": "s"},
+)
+
+
+def test_all_parameters_of_a_finding_are_told() -> None:
+    lines = finding_lines(LAG)
+    assert lines[0] == "That is, CL follows alpha with a lag."
+    assert "Estimated: -0.46 ± 0.03 (95 %: -0.52 to -0.4)." in lines
+    assert "With tau = 0.31 ± 0.05 s." in lines
+
+
+def test_a_disturbance_has_an_amplitude_and_a_frequency() -> None:
+    parameters = {"Cm_sin": (3e-4, 1e-5), "Cm_cos": (-4e-4, 1e-5), "Cm_frequency": (math.pi, 0.01)}
+    lines = finding_lines(dataclasses.replace(LAG, cause="Cm:periodic", aliases=(), parameters=parameters))
+    assert "Amplitude 0.0005, at 0.5 Hz." in lines
+    assert not any("Estimated" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "interval"),
+    [
+        (0.0478623, 8e-7, "0.0478607 to 0.0478639"),
+        (-93.0, 7.0, "-107 to -79.3"),
+        (1.2e-4, 1e-4, "-7.6e-05 to 0.000316"),
+        (11683.2, 0.4, "11682.4 to 11684"),
+    ],
+)
+def test_the_ends_of_an_interval_can_be_told_apart(value: float, error: float, interval: str) -> None:
+    ends = value - 1.96 * error, value + 1.96 * error
+    said = value_of(dataclasses.replace(LAG, coefficient=value, std_error=error, interval=ends))
+    assert f"(95 %: {interval})" in said
+
+
+def test_an_estimate_at_the_edge_of_its_range_has_no_error() -> None:
+    edge = dataclasses.replace(LAG, coefficient=0.0, std_error=0.0, interval=(0.0, 0.0), unit="N")
+    assert value_of(edge) == "0 N, at the edge of its range, and so without a standard error"
+
+
+def test_a_finding_that_does_not_predict_is_doubted() -> None:
+    doubted = "Beside the other causes it does not help to predict the data held out: doubt it."
+    assert doubted in finding_lines(dataclasses.replace(LAG, held_out_gain=-14.2))
+    assert doubted not in finding_lines(LAG)
+    assert doubted not in finding_lines(dataclasses.replace(LAG, held_out_gain=math.nan))
+
+
+def test_what_fits_without_predicting_is_no_rival() -> None:
+    unexplained = dataclasses.replace(LAG, cause="", status="unexplained", explanation="the residuals hold more")
+    assert finding_lines(unexplained)[0] == "The residuals hold more."
+    assert "What fits, but does not predict: CL:lag_q (+96.0)." in finding_lines(unexplained)
+
+
+def test_surrogates_among_causes_are_named() -> None:
+    surrogate = dataclasses.replace(LAG, cause="Z:periodic", aliases=(), status="surrogate")
+    both = SimpleNamespace(findings=[LAG, surrogate])
+    assert headline(both) == (
+        "The model misses one of {CL:lag_alpha, CL:lag_q} and Z:periodic. "
+        "Of these Z:periodic is a surrogate, which fits outside of what is physical."
+    )
+    both.findings.append(dataclasses.replace(surrogate, cause="Z:drift"))
+    assert "Of these Z:periodic, Z:drift are surrogates, which fit outside" in headline(both)
+
+
+def near(statistic: float) -> Any:
+    ranking = [Scored("q:bias", "", {}, statistic, 0.0, 0.0, 0.5), Scored("q:scale", "", {}, 3.0, 50.0, 0.0, 0.5)]
+    return SimpleNamespace(ranking=ranking, threshold=19.8)
+
+
+def test_how_near_the_best_candidate_came() -> None:
+    text = "Of 2 candidates the nearest is q:bias, with {} of the 19.8 that are needed in twice the log-likelihood"
+    assert _nearest(near(15.6)) == text.format(15.6) + "."
+    assert _nearest(near(25.0)) == text.format("25.0") + (
+        ", to first order; fitted in full, or on data held out, it did not prove itself."
+    )

@@ -54,7 +54,7 @@ class Channel:
             reflection = self.predictors[k][-1]
             gamma.append(float(self.predictors[k - 1] @ known + reflection * self.sigmas[k - 1] ** 2))
         at = np.arange(self.order)
-        return np.array(gamma)[np.abs(at[:, None] - at)]
+        return np.asarray(np.array(gamma)[np.abs(at[:, None] - at)])
 
 
 def autoregressive(runs: Sequence[_Array]) -> Channel:

@@ -26,7 +26,7 @@ from matplotlib import pyplot as plt
 from records import find
 
 import phugoid as ph
-from phugoid.discrepancy.colour import burg
+from phugoid.discrepancy.colour import colour_of
 from phugoid.discrepancy.figures import misfit_figure
 from phugoid.discrepancy.misfit import ChannelMisfit, misfit
 from phugoid.discrepancy.spectrum import spectrum_of
@@ -217,7 +217,7 @@ def test_a_bias_is_told_once() -> None:
 @pytest.mark.parametrize("coefficients", [[0.9], [1.6, -0.8], [0.5, 0.0, 0.3]])
 def test_noise_is_what_cannot_be_predicted(coefficients: list[float]) -> None:
     r = lfilter([0.3], [1, *(-a for a in coefficients)], white(5, 5000))
-    model = burg([r])
+    model = colour_of([r])
     assert model.noise == pytest.approx(0.3, rel=0.04)
     assert model.coefficients[: len(coefficients)] == pytest.approx(coefficients, abs=0.06)
 
@@ -229,7 +229,7 @@ def test_noise_beneath_a_slow_misfit() -> None:
 
 
 def test_model_autocorrelation_is_that_of_its_process() -> None:
-    model = burg([coloured(0, 0.9, 20_000)])
+    model = colour_of([coloured(0, 0.9, 20_000)])
     assert model.autocorrelation(20) == pytest.approx(model.coefficients[0] ** np.arange(20), abs=0.05)
 
 

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Colour", "Memory", "burg"]
+from .autoregression import burg
+
+__all__ = ["Colour", "Memory", "colour_of"]
 
 _Array = NDArray[np.float64]
 
-_LONGEST = 12  # lags
 _MEMORY = 8  # times the lags asked for
 
 
@@ -100,43 +101,13 @@ class Memory:
         return self._spectra[size]
 
 
-def burg(grids: Sequence[_Array]) -> Colour:
-    """The AR model of residuals on grids, NaN where missing: Burg's recursion over all runs of samples without a gap.
-
-    Its models are stable whatever the data, and each order follows from the one before. The order has the least BIC
-    (Schwarz 1978), of those up to 12 and a tenth of the samples whose lags are there for a quarter of the samples: of
-    a record in tatters, little can be said. The mean is not removed, for that of residuals should be zero.
-    """
-    runs = [run for grid in grids for run in _runs(grid)]
-    n = sum(run.size for run in runs)
-    power = sum(float(run @ run) for run in runs) / n
-    if power == 0.0:
-        return Colour(np.empty(0), 0.0)
-    forward, backward = runs, runs
-    a = np.empty(0)
-    best, bic, best_bic, error = a, 0.0, 0.0, power
-    for p in range(1, min(_LONGEST, n // 10) + 1):
-        # Runs that are shorter than the lags say nothing more.
-        pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True) if f.size > 1]
-        below = sum(float(f @ f + b @ b) for f, b in pairs)
-        count = sum(f.size for f, _ in pairs)
-        if below <= 0.0 or count < max(n // 4, 5 * p):
-            break
-        k = 2.0 * sum(float(f @ b) for f, b in pairs) / below
-        a = np.concatenate([a - k * a[::-1], [k]])
-        forward, backward = [f - k * b for f, b in pairs], [b - k * f for f, b in pairs]
-        error *= 1.0 - k * k
-        if error <= 1e-14 * power:  # predicted exactly, as a pure sine is
-            best = a
-            break
-        bic += count * math.log1p(-k * k) + math.log(n)
-        if bic < best_bic:
-            best, best_bic = a, bic
-    plain = Colour(best, math.nan)
-    innovations = np.concatenate([plain.whitened(grid) for grid in grids])
+def colour_of(grids: Sequence[_Array]) -> Colour:
+    """The AR model of residuals on grids, NaN where missing, none of them all zero."""
+    a = burg([run for grid in grids for run in _runs(grid)]).predictors[-1]
+    innovations = np.concatenate([Colour(a, math.nan).whitened(grid) for grid in grids])
     innovations = innovations[np.isfinite(innovations)]
-    freedom = max(innovations.size - best.size, 1)
-    return Colour(best, math.sqrt(float(innovations @ innovations) / freedom))
+    freedom = max(innovations.size - a.size, 1)
+    return Colour(a, math.sqrt(float(innovations @ innovations) / freedom))
 
 
 def _runs(grid: _Array) -> list[_Array]:

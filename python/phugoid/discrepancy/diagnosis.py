@@ -11,9 +11,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Console
 
-from ..errors import DataError, OptionError
+from ..errors import DataError, OptionError, PhugoidError
 from ..experiment import Experiment, as_experiments
 from ..filter_error import FilterError
 from ..result import Fit
@@ -29,6 +28,7 @@ from .page import report
 from .refit import Refit
 from .scan import NEARLY, Scan
 from .search import Found, Search, is_physical
+from .telling import telling_manoeuvre
 from .words import diagnosis_summary
 
 if TYPE_CHECKING:
@@ -150,7 +150,6 @@ def diagnose(
     _check(fit)
     others = _validation(fit, validation)
     base = Refit((), collocated(fit))
-    linear = base.linear
     _check_size(base)
     listed = _candidates(fit, candidates, base)
     with _shown(progress) as watch:
@@ -158,14 +157,13 @@ def diagnose(
         final, found, interrupted = search.run()
         findings = tuple(_finding(search, final, f) for f in found)
     scan = search.scan(base)
-    notes = _notes(scan, listed, others, interrupted)
-    del linear
+    notes = (*_notes(scan, listed, others if not search.notes else (), interrupted), *search.notes)
     return Diagnosis(
         fit=fit,
         misfit=misfit(fit),
         findings=findings,
         ranking=tuple(_ranking(search, scan)),
-        threshold=search.threshold(scan.effects[0][0]) if scan.effects else float("nan"),
+        threshold=search.threshold(),
         notes=notes,
         seconds=time.perf_counter() - started,
         _search=search,
@@ -261,6 +259,8 @@ def _shown(progress: Any) -> Any:
 
 class _Status:
     def __enter__(self) -> Callable[[str], None]:
+        from rich.console import Console  # not at import: it takes its time
+
         self._status = Console(stderr=True).status("diagnose")
         self._status.__enter__()
         return lambda text: self._status.update(text)
@@ -305,8 +305,24 @@ def _finding(search: Search, final: Refit, found: Found) -> Finding:
         held_out_gain=found.held_out[0],
         threshold=found.threshold,
         explanation=c.explanation,
+        advice=_advice(search, final, c, aliases),
         rivals=dict(found.rivals),
     )
+
+
+def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequence[str]) -> str:
+    """Which manoeuvre would tell a candidate from its aliases."""
+    others = [c for c in final.candidates if c is not candidate]
+    named = {c.name: c for c in reversed(search.candidates)}
+    refits = [search.refit([*others, named[name]], final.fit) for name in aliases]
+    rivals = [r for r in refits if r is not None]
+    if not rivals:
+        return ""
+    search.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")
+    try:
+        return telling_manoeuvre(final, rivals)
+    except (PhugoidError, np.linalg.LinAlgError, KeyboardInterrupt):
+        return ""  # advice only: what was found stays
 
 
 def _ranking(search: Search, scan: Scan) -> list[Scored]:

@@ -56,7 +56,8 @@ class Finding:
                    others. Below zero the finding is not to be relied on. NaN where the search was interrupted.
     threshold      that ``gain`` had to pass: with none there, chance reaches it once in a hundred diagnoses.
     explanation    of the cause, in plain words.
-    advice         which manoeuvre would tell the aliases apart, or "".
+    advice         which manoeuvre would tell it from its aliases, or that none of those tried would; "" without
+                   aliases, or where no manoeuvre stays within the envelope of the records.
     rivals         alias -> gain in log-likelihood that it would have in place of the cause.
     units          parameter -> unit, for words.
     """

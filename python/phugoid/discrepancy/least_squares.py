@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .joint import JointWhitening
 from .linearised import Linearised
-from .whitening import Whitening
+from .whitening import Rows, Whitening
 
-__all__ = ["Whitened", "own_whitening"]
+__all__ = ["Filter", "Whitened", "filter_of", "own_whitening"]
+
+Filter: TypeAlias = Whitening | JointWhitening
 
 _Array = NDArray[np.float64]
 
@@ -28,7 +32,7 @@ class Whitened:
     errors are honest where those of white noise are not.
     """
 
-    def __init__(self, linear: Linearised, filter: Whitening) -> None:
+    def __init__(self, linear: Linearised, filter: Filter) -> None:
         self.linear, self.filter = linear, filter
         scale = linear.scale()[:, None]
         outputs, self._moves = linear.moves
@@ -65,6 +69,12 @@ class Whitened:
             total += float(rows.sum()) * measured / max(rows.size, 1)
         return total
 
+    @property
+    def merit(self) -> float:
+        """The log-likelihood less what the noise model's parameters are worth by Schwarz's criterion."""
+        samples = self.linear.n_measured / len(self.linear.rows)
+        return self.log_likelihood - 0.5 * self.filter.parameters * float(np.log(samples))
+
     @cached_property
     def step(self) -> _Array:
         """(n_theta,) of the variables."""
@@ -94,14 +104,27 @@ class Whitened:
         return c
 
 
-def own_whitening(linear: Linearised, start: Whitening | None = None) -> Whitened:
+def filter_of(residuals: _Array, rows: Rows) -> Filter:
+    """The better model of residuals (n_rows,) by Schwarz's criterion: channel by channel, or all together."""
+    alone = Whitening.of(residuals, rows)
+    samples = rows.n / len(rows.strands)
+
+    def merit(filter: Filter) -> float:
+        total = float(filter.log_densities(filter(residuals)).sum())
+        return total - 0.5 * filter.parameters * float(np.log(samples))
+
+    every: list[Filter] = [alone, *JointWhitening.fitted(residuals, rows)]
+    return max(every, key=merit)
+
+
+def own_whitening(linear: Linearised, start: Filter | None = None) -> Whitened:
     """The fit seen through the filter that is the likeliest together with it, from that of its own residuals or
     another."""
     rows = linear.structure
-    best = Whitened(linear, start or Whitening.of(linear.residuals, rows))
+    best = Whitened(linear, start or filter_of(linear.residuals, rows))
     for _ in range(_ROUNDS):
-        following = Whitened(linear, Whitening.of(best.residuals, rows))
-        if following.log_likelihood <= best.log_likelihood:
+        following = Whitened(linear, filter_of(best.residuals, rows))
+        if following.merit <= best.merit:
             break
         best = following
     return best

@@ -20,7 +20,8 @@ from ..result import Fit
 from ..transcription import Collocation
 from .candidate import Candidate, Place
 from .points import Points
-from .whitening import Rows, runs_of
+from .strands import strands_of
+from .whitening import Rows
 
 __all__ = ["Linearised", "collocated", "dataset"]
 
@@ -117,7 +118,7 @@ class Linearised:
     def _evaluate(self) -> None:
         """Derivatives of f and g along the path, at all points, by symbols."""
         model, problem, record = self.model, self._problem, self.inner.records
-        derivatives = _Derivatives(model)
+        derivatives = _Derivatives(model, self.fit.model)
         self.points: list[Points] = []
         self._slopes: list[Mapping[Place, _Array]] = []  # place -> (n_x, mesh points)
         self._direct: list[Mapping[Place, _Array]] = []  # place -> (n_y, samples)
@@ -216,27 +217,29 @@ class Linearised:
     @cached_property
     def structure(self) -> Rows:
         """How the rows hang together."""
-        runs: list[list[slice]] = []
-        for line in self.rows:
-            mine = [slice(r.start + run.start, r.start + run.stop) for r in line for run in runs_of(self.times[r])]
-            runs.append([run for run in mine if run.stop > run.start])
+        strands = [[s.from_row(r.start) for r in line for s in strands_of(self.times[r])] for line in self.rows]
         # What a late sensor measured together with others it measured at their time, not at its own.
         measured = np.concatenate(
             [e.t[np.isfinite(e.output(name))] for name in self.model.output_names for e in dataset(self.fit)]
         )[self.measured_rows]
         groups: dict[tuple[int, ...], list[_Indices]] = {}
+        complete: list[_Indices] = []
         for e in range(len(self.experiments)):
             lines = [line[e] for line in self.rows]
             times = np.unique(np.concatenate([measured[rows] for rows in lines]))
             table = np.full((times.size, len(lines)), -1)
             for i, rows in enumerate(lines):
                 table[np.searchsorted(times, measured[rows]), i] = np.arange(rows.start, rows.stop)
+            whole = np.flatnonzero((table >= 0).all(axis=1))
+            for strand in strands_of(times[whole]):
+                complete += [table[whole[strand.rows][run]] for run in strand.runs]
             patterns, which = np.unique(table >= 0, axis=0, return_inverse=True)
             for k, pattern in enumerate(patterns):
                 there = np.flatnonzero(pattern)
                 some = table[which.ravel() == k]
                 groups.setdefault(tuple(there.tolist()), []).append(some[:, there])
-        return Rows(runs, [(outputs, np.vstack(at)) for outputs, at in groups.items()])
+        together = [(outputs, np.vstack(at)) for outputs, at in groups.items()]
+        return Rows(strands, together, complete, self.n_rows)
 
     @property
     def places(self) -> set[Place]:
@@ -383,9 +386,12 @@ class Linearised:
 
 
 class _Derivatives:
-    """f, g, quantities, and derivatives of f and g with respect to states, parameters and places, compiled."""
+    """f, g, quantities, and derivatives of f and g with respect to states, parameters and places, compiled.
 
-    def __init__(self, model: Any) -> None:
+    ``whole`` is the model as the user has it, of which ``model`` may be the one with delays taken out.
+    """
+
+    def __init__(self, model: Any, whole: Any) -> None:
         core = model._core
         self.states, self.outputs = list(model.state_names), list(model.output_names)
         self.parameters = list(model.parameter_names)
@@ -399,24 +405,21 @@ class _Derivatives:
         none: dict[str, float] = dict.fromkeys(extra.values(), 0.0)
         f = [Expr(e.substitute(known)) for _, e, *_ in core.dynamics]
         g = [Expr(e.substitute(known)) for _, e, *_ in core.outputs]
+        # In a late output, written out for an earlier time, quantities have no name: where its delay is as fitted, it
+        # is the output of the whole model at its own time.
+        by_name = {name: Expr(e.substitute(known)) for name, e, *_ in whole._core.outputs}
+        g_of_quantities = [by_name[name] for name in self.outputs]
         order = [name for name, *_ in core.dynamics]
         f = [f[order.index(name)] for name in self.states]
-        aux = _core.Model("derivatives")
-        for name in self.parameters:
-            aux.parameter(name, "", 0.0, -np.inf, np.inf, None, False, False, False, None)
-        for name in inputs:
-            aux.input(name, "")
-        for name in self.states:
-            aux.state(name, "")
-            aux.equation(name, 0.0, None)
-        self._entries: list[tuple[str, Any, int, int]] = []  # what, which, row, output of aux; -1 where zero
+        self._entries: list[tuple[str, Any, int, int]] = []  # what, which, row, output of the evaluator
+        asked: list[Expr] = []
 
         def ask(what: str, which: Any, row: int, e: Expr) -> None:
             e = Expr(e.substitute(none))
             if e.constant == 0.0:
                 return
-            aux.output(f"e{len(self._entries)} of phugoid", e, "", None)
-            self._entries.append((what, which, row, len(self._entries)))
+            self._entries.append((what, which, row, len(asked)))
+            asked.append(e)
 
         for k, e in enumerate(f):
             ask("f", 0, k, e)
@@ -434,15 +437,28 @@ class _Derivatives:
             for k, e in enumerate(f):
                 if symbol in e.symbols:
                     ask("place f", place, k, e.diff(symbol))
-            for k, e in enumerate(g):
+            for k, e in enumerate(g_of_quantities if place.kind == "quantity" else g):
                 if symbol in e.symbols:
                     ask("place g", place, k, e.diff(symbol))
         self.n_quantities = len(quantities)
+        used = {symbol for e in asked for symbol in e.symbols}
+        # Those of conditions on the ends of records stand in no equation.
+        self._used = [i for i, name in enumerate(self.parameters) if name in used]
+        aux = _core.Model("derivatives")
+        for i in self._used:
+            aux.parameter(self.parameters[i], "", 0.0, -np.inf, np.inf, None, False, False, False, None)
+        for name in inputs:
+            aux.input(name, "")
+        for name in self.states:
+            aux.state(name, "")
+            aux.equation(name, 0.0, None)
+        for k, e in enumerate(asked):
+            aux.output(f"e{k} of phugoid", e, "", None)
         self._evaluator = _core.Evaluator(aux)
 
     def __call__(self, theta: _Array, columns: _Array) -> _Values:
         n = columns.shape[1]
-        rows = self._evaluator.outputs(theta, columns) if self._entries else np.empty((0, n))
+        rows = self._evaluator.outputs(theta[self._used], columns) if self._entries else np.empty((0, n))
         n_x, n_y = len(self.states), len(self.outputs)
         v = _Values(
             np.zeros((n_x, n)),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
-from .colour import Colour, Memory, burg
+from .colour import Colour, Memory, colour_of
 from .phrases import channel_phrases
 from .regimes import Correlation, Regime, correlations_of, regimes_of
 from .series import Series, channel_series, same_rate
@@ -230,7 +230,7 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
         f"{name} is sampled at another rate in '{s.experiment}', which only its spans of large residuals look at"
         for s in others
     ]
-    colour = burg([s.on_grid(s.r) for s in series])
+    colour = colour_of([s.on_grid(s.r) for s in series])
     own = np.concatenate([s.r for s in series])
     own_rms = float(np.sqrt(np.mean(own**2)))
     longest = max(int(s.at[-1]) + 1 for s in series)

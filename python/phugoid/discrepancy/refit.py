@@ -14,9 +14,8 @@ from ..parameters import Estimates
 from ..result import Fit
 from ..solvers import Newton
 from .candidate import Candidate
-from .least_squares import Whitened, own_whitening
+from .least_squares import Filter, Whitened, own_whitening
 from .linearised import Linearised, dataset
-from .whitening import Whitening
 
 __all__ = ["Refit", "refit", "started_from"]
 
@@ -43,7 +42,7 @@ class Refit:
         """Through the filter that is the likeliest with it."""
         return own_whitening(self.linear)
 
-    def through(self, filter: Whitening) -> Whitened:
+    def through(self, filter: Filter) -> Whitened:
         """Through another's filter."""
         return Whitened(self.linear, filter.on(self.linear.structure))
 

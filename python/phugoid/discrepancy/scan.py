@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .candidate import Candidate
-from .least_squares import Whitened
+from .least_squares import Filter, Whitened, filter_of
 from .linearised import Linearised
-from .whitening import Channel, Whitening
+from .prediction import Channel
+from .whitening import Whitening
 
 __all__ = ["CONFOUNDED", "NEARLY", "Scan", "Statistics"]
 
@@ -21,6 +22,8 @@ _Array = NDArray[np.float64]
 CONFOUNDED, NEARLY = 0.003, 0.05
 # Terms that are taken out before the noise is modelled for ranking.
 _GREEDY = 3
+# Candidates that an inflation is the mean of, at least; and what must be left of each.
+_ENOUGH, _LEFT = 20, 0.1
 # Filters whose statistics are kept.
 _KEPT = 4
 # Of an effect's own part what is less than this, in units of the noise, is rounding.
@@ -65,10 +68,10 @@ class Scan:
         self.distinct = distinct[kept]
         there = {c.name for c, _ in self.effects}
         self.lost = tuple(dict.fromkeys(c.name for c in candidates if c.name not in there))
-        self._clean: Whitening | None = None
-        self._last: list[tuple[Whitening, Statistics]] = []
+        self._clean: Filter | None = None
+        self._last: list[tuple[Filter, Statistics]] = []
 
-    def through(self, filter: Whitening) -> Statistics:
+    def through(self, filter: Filter) -> Statistics:
         """Statistics through a filter; those of the last few filters are kept."""
         for known, statistics in self._last:
             if known is filter:
@@ -93,7 +96,7 @@ class Scan:
             amplitudes.append(c)
         return Statistics(np.array(values), amplitudes, beside)
 
-    def clean(self) -> Whitening:
+    def clean(self) -> Filter:
         """The filter of the residuals without the few terms that explain most of them, taken as white.
 
         Slow effects hide in a noise model that was made with them.
@@ -102,17 +105,40 @@ class Scan:
             beside, errors = self.white.beside(self.columns), self.white.errors.copy()
             self._greedy(beside, errors, _GREEDY)
             own = self.white.residuals + self.linear.scale() * (errors - self.white.errors)
-            self._clean = Whitening.of(own, self.linear.structure)
+            self._clean = filter_of(own, self.linear.structure)
         return self._clean
 
-    def different(self, through: Whitening, statistics: Statistics, count: int) -> list[int]:
+    def different(self, through: Filter, statistics: Statistics, count: int) -> list[int]:
         """The effect that explains most, the one that explains most of what is left, and so on."""
         errors = Whitened(self.linear, through.on(self.linear.structure)).errors.copy()
         return self._greedy(statistics.beside, errors, count)
 
-    def _greedy(self, beside: _Array, errors: _Array, count: int) -> list[int]:
-        """Takes out of errors what explains most of them, one effect after the other, and tells which."""
-        grams = _grams(beside, self.groups)
+    def inflation(self, through: Filter, statistics: Statistics) -> float:
+        """How much greater the statistics of candidates are than chance would have them, at least 1.
+
+        Those of most candidates have nothing to do with what is missing: once the best few terms are taken out, they
+        should be as those of noise, and where they are not, the noise is not what its model says. (Epidemiologists call
+        this genomic control: Devlin & Roeder 1999.)
+        """
+        errors = Whitened(self.linear, through.on(self.linear.structure)).errors.copy()
+        grams = _grams(statistics.beside, self.groups)
+        taken = self._greedy(statistics.beside, errors, _GREEDY, grams)
+        parts = statistics.beside @ errors
+        values: dict[str, float] = {}
+        for i, (candidate, _) in enumerate(self.effects):
+            own, rest = float(statistics.beside[self.groups[i]][0] @ statistics.beside[self.groups[i]][0]), grams[i]
+            # One unknown, and something left of it beside the terms taken out.
+            if rest.shape == (1, 1) and not candidate.shape_names and i not in taken and rest[0, 0] > _LEFT * own:
+                values.setdefault(candidate.name, float(parts[self.groups[i]][0]) ** 2 / rest[0, 0])
+        variance = min(float(errors @ errors) / errors.size, 1.0)
+        if len(values) < _ENOUGH:
+            return 1.0
+        return max(1.0, float(np.mean(list(values.values()))) / variance)
+
+    def _greedy(self, beside: _Array, errors: _Array, count: int, grams: list[_Array] | None = None) -> list[int]:
+        """Takes out of errors what explains most of them, one effect after the other, and tells which; out of the
+        groups' products too."""
+        grams = _grams(beside, self.groups) if grams is None else grams
         taken: list[int] = []
         found: list[_Array] = []
         for _ in range(min(count, len(self.groups))):
@@ -126,7 +152,8 @@ class Scan:
                 errors -= q * (q @ errors)
                 found.append(q)
                 along = beside @ q
-                grams = [gram - along[g, None] * along[g] for gram, g in zip(grams, self.groups, strict=True)]
+                for gram, g in zip(grams, self.groups, strict=True):
+                    gram -= along[g, None] * along[g]
         return taken
 
 

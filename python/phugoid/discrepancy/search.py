@@ -35,7 +35,7 @@ _DIFFERENT = 4
 # What is this far below its threshold in the scan, by the base filter and by the clean one, is not refitted.
 _HOPELESS = (0.4, 0.8)
 # Rivals that are refitted when a term is looked at again, and those whose effect is nearly the same.
-_AGAIN, _ALIKE = 4, 2
+_AGAIN, _ALIKE = 4, 3
 # Two effects on the outputs are the same beyond this cosine: one stands for both in a shortlist.
 _SAME = 0.995
 # Beyond this one they are aliases, whatever their refits say.
@@ -89,6 +89,7 @@ class Search:
     validation: Sequence[Experiment] = ()
     watch: Callable[[str], None] = lambda _: None
     log: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._refits: dict[frozenset[str], Refit | None] = {frozenset(): self.base}
@@ -141,23 +142,24 @@ class Search:
             self._scans[key] = Scan(at.linear, [c for c in self.candidates if c.name not in key])
         return self._scans[key]
 
-    def threshold(self, candidate: Candidate) -> float:
-        """Twice the gain in log-likelihood that chance reaches with none of all candidates."""
-        unknowns = max(len(candidate.coefficients) + len(candidate.shape_names), 1)
-        return _quantile(unknowns, _FALSE / max(self._tries_in_all, 1))
+    def threshold(self, candidate: Candidate | None = None) -> float:
+        """Twice the gain in log-likelihood that chance reaches with none of all candidates; without a candidate that
+        for those with one unknown."""
+        unknowns = len(candidate.coefficients) + len(candidate.shape_names) if candidate else 1
+        return _quantile(max(unknowns, 1), _FALSE / max(self._tries_in_all, 1))
 
     def gain(self, base: Refit, more: Refit) -> float:
-        """Twice the gain in log-likelihood, each with its likeliest noise."""
-        return 2.0 * (more.own.log_likelihood - base.own.log_likelihood)
+        """Twice the gain in log-likelihood, each with its likeliest noise and less what that costs."""
+        return 2.0 * (more.own.merit - base.own.merit)
 
     def held_out(self, base: Refit, more: Refit) -> HeldOut:
         """Gain on held-out data; none where the model cannot be fitted there."""
         new = [c for c in more.candidates if c.name not in base.names]
-        if not self.validation or not all(c.transferable for c in new):
+        others = self._on_other_data(base, None) if self.validation else None
+        if others is None or not all(c.transferable for c in new):
             return across_blocks(base, more, new)
-        others = self._on_other_data(base, None)
         mine = self._on_other_data(more, others)
-        return HeldOut(-np.inf, 0.0, -np.inf) if others is None or mine is None else gain_on_other_data(others, mine)
+        return HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
 
     def held_out_rms(self, at: Refit) -> dict[str, float]:
         """Output -> RMS on the validation data, first states and biases as they fit best; empty without such data."""
@@ -175,10 +177,10 @@ class Search:
         if key not in self._others:
             try:
                 self._others[key] = on_other_data(at, self.validation, near)
-            except PhugoidError:
-                if not key:
-                    raise  # the base model's own trouble with the validation record is the user's to know
+            except PhugoidError as error:
                 self._others[key] = None
+                if not key:  # then blocks of the records serve
+                    self.notes.append(str(error))
         return self._others[key]
 
     # The search.
@@ -202,7 +204,8 @@ class Search:
     def _step(self, current: Refit) -> tuple[Refit | None, Found | None]:
         """The model with one more term, if one is accepted; else what remains unexplained, if anything does."""
         tries = self._tries(current)
-        margins = {t.names: self.gain(current, t) - self.threshold(t.candidates[-1]) for t in tries}
+        inflation = self._inflation(current) if tries else 1.0
+        margins = {t.names: self.gain(current, t) - inflation * self.threshold(t.candidates[-1]) for t in tries}
         self.log += [f"{'+'.join(names)}: {m:.1f} over its threshold" for names, m in margins.items()]
         significant = sorted((t for t in tries if margins[t.names] > 0), key=lambda t: -margins[t.names])
         unexplained = None
@@ -216,7 +219,7 @@ class Search:
             new = [c for c in settled.candidates if c.name not in current.names]
             if not new or len(settled.candidates) <= len(current.candidates):
                 continue
-            gain, threshold = self.gain(current, settled), self.threshold(new[0])
+            gain, threshold = self.gain(current, settled), inflation * self.threshold(new[0])
             if gain <= threshold:
                 continue
             held = self.held_out(current, settled)
@@ -228,6 +231,11 @@ class Search:
             if unexplained is None and gain > _CLEAR * threshold:
                 unexplained = Found(None, gain / 2, threshold / 2, {c.name: gain / 2 for c in new}, held)
         return None, unexplained
+
+    def _inflation(self, at: Refit) -> float:
+        """By how much statistics at a set are greater than the noise model has them: it stands in every threshold."""
+        scan = self.scan(at)
+        return scan.inflation(at.own.filter, scan.through(at.own.filter))
 
     def _tries(self, at: Refit) -> list[Refit]:
         """Refits with one more candidate."""
@@ -330,7 +338,7 @@ class Search:
 
     def _cost(self, at: Refit, others: Sequence[Candidate]) -> float:
         """What counts against a refit's new term: the chances that it had, and to be out of what is physical."""
-        (new,) = [c for c in at.candidates if c not in others]
+        new = _new(at, others)
         return self.threshold(new) + (0.0 if is_physical(at, new) else _UNPHYSICAL)
 
     def _alike(self, scan: Scan, statistics: Statistics, candidate: Candidate) -> list[Candidate]:
@@ -371,7 +379,7 @@ class Search:
         for r, _ in self._rivals(at, candidate):
             if r.names == at.names:
                 continue
-            (other,) = [c for c in r.candidates if c not in others]
+            other = _new(r, others)
             d = mine - r.through(filter).log_densities
             d = d[np.isfinite(d)]
             gain = self.gain(without, r) / 2
@@ -421,6 +429,12 @@ def with_other_centres(candidates: Sequence[Candidate], points: Sequence[Points]
                 trim = {**scales.trim, **dict(zip(c.variables, centres, strict=True))}
                 found.append(c.on(replace(scales, trim=trim)))
     return found
+
+
+def _new(at: Refit, others: Sequence[Candidate]) -> Candidate:
+    """What a refit has beside others; by name, for one candidate may be centred in several ways."""
+    names = {c.name for c in others}
+    return next(c for c in at.candidates if c.name not in names)
 
 
 def is_physical(at: Refit, candidate: Candidate) -> bool:

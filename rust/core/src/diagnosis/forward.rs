@@ -145,7 +145,7 @@ impl<'a> Forward<'a> {
     /// States at the samples, `out[k][sample · n_x + state]` of all experiments after each other, that answer to
     /// slopes added to f, (k, points · n_x): first states and parameters stay.
     pub fn solve(&self, slopes: &[&[f64]]) -> Vec<Vec<f64>> {
-        let (n, threads) = (self.problem.layout.n_x, AT_ONCE);
+        let n = self.problem.layout.n_x;
         let some = |slopes: &[&[f64]]| {
             let force = |e: usize, begin: usize, step: usize, y: &mut DMatrix<f64>| {
                 let mesh = &self.problem.meshes[e];
@@ -173,7 +173,7 @@ impl<'a> Forward<'a> {
             };
             self.march(slopes.len(), |_, _, _| 0.0, force, tied)
         };
-        slopes.par_chunks(threads).flat_map_iter(some).collect()
+        slopes.par_chunks(AT_ONCE).flat_map_iter(some).collect()
     }
 
     /// The same for variables that move by 1: parameters, or states at a first point (all others give nothing).

@@ -15,6 +15,7 @@ from .directions import Directions
 from .effect import Effect
 from .lags import LaggedVariable
 from .periodic import Periodic
+from .phrases import per_second
 from .places import Anatomy, Variable
 from .points import Points
 from .scales import Scales, trim_of
@@ -172,7 +173,7 @@ def _term(
     symbols = tuple(v.symbol for v in factors)
     unit = anatomy.model.units.get(place.name, "") if place.kind == "output" else ""
     if form == "drift" and unit:
-        unit = f"{unit}/s"
+        unit = per_second(unit)
     return Term(
         name,
         place,

@@ -149,7 +149,7 @@ def _ranking_key(threshold: float, remarks: bool) -> list[Any]:
 
     key: list[Any] = [
         Patch(color=_MEASURED, label="residuals whitened"),
-        Line2D([], [], linestyle="", marker="|", ms=7.0, mec=_RESIDUAL, mew=1.6, label="without the best"),
+        Line2D([], [], linestyle="", marker="|", ms=7.0, mec=_RESIDUAL, mew=1.6, label="as ranked"),
         Line2D([], [], linestyle="", marker="o", ms=3.6, mfc="white", mec=_RESIDUAL, mew=0.9, label="taken as white"),
         Line2D([], [], color=_MODEL, linewidth=1.1, label=f"threshold {threshold:.0f}"),
     ]

@@ -11,7 +11,7 @@ from ..errors import DataError, UnknownName, listing
 from ..plot import _BAND, _INPUT, _MEASURED, _MODEL, _RESIDUAL, _STYLE, _label, _plain
 from ..records import Record
 from .misfit import ChannelMisfit, Misfit
-from .phrases import number
+from .phrases import number, per_second
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -200,7 +200,7 @@ def _draw_regime(axis: Axes, c: ChannelMisfit, records: Sequence[Record]) -> Non
         axis.plot([x - h, x + h], [value, value], color=_MODEL if out else _MEASURED, linewidth=2.0 if out else 1.4)
     name, bare = regime.variable, regime.variable.removesuffix("'")
     unit = c.units.get(bare, "")
-    unit = (f"{unit}/s" if unit else "1/s") if name.endswith("'") else unit
+    unit = per_second(unit) if name.endswith("'") else unit
     axis.set_xlabel(_plain(_label(name, {name: unit})), labelpad=1.0)
     clear = c.regime is not None or (c.follows is not None and c.follows.variable == name)
     axis.set_title(_plain(f"mean over {name}{'' if clear else ' (chance?)'}"), fontsize=7.5)

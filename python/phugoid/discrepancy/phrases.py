@@ -7,7 +7,16 @@ from typing import Any
 
 from .regimes import Bin, Correlation, Regime
 
-__all__ = ["channel_phrases", "number", "percent", "regime_phrase", "time_phrase", "what_stands_out", "with_unit"]
+__all__ = [
+    "channel_phrases",
+    "number",
+    "per_second",
+    "percent",
+    "regime_phrase",
+    "time_phrase",
+    "what_stands_out",
+    "with_unit",
+]
 
 
 _SLOW = 0.3  # of the Nyquist frequency
@@ -93,7 +102,7 @@ def _range(regime: Regime, b: Bin, units: Any) -> str:
     bare = name.removesuffix("'")
     unit = units.get(bare, "")
     if name.endswith("'"):
-        unit = f"{unit}²" if unit.endswith("/s") else f"{unit}/s" if unit else "1/s"
+        unit = per_second(unit)
     unit = f" {unit}" if unit else ""
     if b is regime.bins[0]:
         return f"{name} < {number(b.high)}{unit}"
@@ -139,6 +148,15 @@ def _interval(begin: float, end: float) -> tuple[str, str]:
     """Both ends with as many decimals as tell them apart."""
     digits = max(0, 1 - math.floor(math.log10(max(end - begin, 1e-9))))
     return f"{begin:.{digits}f}", f"{end:.{digits}f}"
+
+
+def per_second(unit: str) -> str:
+    """The unit of a derivative.
+
+    >>> per_second("rad"), per_second("rad/s"), per_second("")
+    ('rad/s', 'rad/s²', '1/s')
+    """
+    return f"{unit}²" if unit.endswith("/s") else f"{unit}/s" if unit else "1/s"
 
 
 def with_unit(value: float, unit: str) -> str:

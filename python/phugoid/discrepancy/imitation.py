@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from .least_squares import Filter
+from .joint import Filter
 from .strands import strands_of
 from .whitening import Rows
 

@@ -9,13 +9,14 @@ one follows from the other.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .whitening import Rows
+from .whitening import Rows, Whitening
 
-__all__ = ["JointWhitening"]
+__all__ = ["Filter", "JointWhitening"]
 
 _Array = NDArray[np.float64]
 
@@ -111,6 +112,9 @@ class JointWhitening:
             for t in range(run.shape[0]):
                 out[run[t]] -= logs[min(t, p)]
         return out
+
+
+Filter: TypeAlias = Whitening | JointWhitening
 
 
 def _regression(runs: list[_Array], p: int) -> tuple[_Array, _Array]:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .joint import JointWhitening
+from .joint import Filter, JointWhitening
 from .linearised import Linearised
-from .whitening import Rows, Whitening
+from .whitening import Whitening
 
-__all__ = ["Filter", "Whitened", "filter_of", "own_whitening"]
+__all__ = ["Whitened", "joint_whitening", "own_whitening"]
 
-Filter: TypeAlias = Whitening | JointWhitening
 
 _Array = NDArray[np.float64]
 
@@ -90,6 +88,23 @@ class Whitened:
         """Value after the step and standard error of a parameter."""
         return self.linear.value(name, self.step, self.covariance)
 
+    def inflation(self, name: str) -> float:
+        """How much greater the variance of a parameter's estimate is than the filter has it, at least 1.
+
+        The filter takes channels one by one, but one gust moves all of them, one after the other. The estimate is a sum
+        over time; the variance of that sum follows from the covariances of its terms over some lags (Newey & West
+        1987), whatever it is that makes them go together.
+        """
+        weights = self.basis @ (self._moves[self.linear.place(name)] @ self._back)
+        size = float(weights @ weights)
+        total, lags = 0.0, 0
+        for terms in self.linear.over_time(weights * self.errors):
+            lags = int(np.sqrt(terms.size))
+            total += float(terms @ terms)
+            for lag in range(1, min(lags + 1, terms.size)):
+                total += 2.0 * (1.0 - lag / (lags + 1)) * float(terms[lag:] @ terms[:-lag])
+        return max(1.0, total / size) if size > 0.0 else 1.0
+
     def correlation(self, some: Sequence[str], others: Sequence[str]) -> float:
         """The greatest between the estimates of two sets of parameters."""
         places = [[self.linear.place(name) for name in names] for names in (some, others)]
@@ -104,27 +119,27 @@ class Whitened:
         return c
 
 
-def filter_of(residuals: _Array, rows: Rows) -> Filter:
-    """The better model of residuals (n_rows,) by Schwarz's criterion: channel by channel, or all together."""
-    alone = Whitening.of(residuals, rows)
-    samples = rows.n / len(rows.strands)
-
-    def merit(filter: Filter) -> float:
-        total = float(filter.log_densities(filter(residuals)).sum())
-        return total - 0.5 * filter.parameters * float(np.log(samples))
-
-    every: list[Filter] = [alone, *JointWhitening.fitted(residuals, rows)]
-    return max(every, key=merit)
-
-
-def own_whitening(linear: Linearised, start: Filter | None = None) -> Whitened:
+def own_whitening(linear: Linearised, start: Whitening | None = None) -> Whitened:
     """The fit seen through the filter that is the likeliest together with it, from that of its own residuals or
     another."""
     rows = linear.structure
-    best = Whitened(linear, start or filter_of(linear.residuals, rows))
+    best = Whitened(linear, start or Whitening.of(linear.residuals, rows))
     for _ in range(_ROUNDS):
-        following = Whitened(linear, filter_of(best.residuals, rows))
+        following = Whitened(linear, Whitening.of(best.residuals, rows))
         if following.merit <= best.merit:
             break
         best = following
     return best
+
+
+def joint_whitening(own: Whitened) -> Whitened | None:
+    """The fit seen through the likeliest filter of all channels together; None where one by one is better, by Schwarz's
+    criterion."""
+    best = own
+    for _ in range(_ROUNDS):
+        filters = JointWhitening.fitted(best.residuals, own.linear.structure)
+        following = max((Whitened(own.linear, f) for f in filters), key=lambda w: w.merit, default=best)
+        if following.merit <= best.merit:
+            break
+        best = following
+    return best if best is not own else None

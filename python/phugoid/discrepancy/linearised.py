@@ -241,6 +241,15 @@ class Linearised:
         together = [(outputs, np.vstack(at)) for outputs, at in groups.items()]
         return Rows(strands, together, complete, self.n_rows)
 
+    def over_time(self, rows: _Array) -> list[_Array]:
+        """Sums of rows (n_rows,) of the same time, in the order of time, for each experiment."""
+        found = []
+        for e in range(len(self.experiments)):
+            mine = np.concatenate([np.arange(line[e].start, line[e].stop) for line in self.rows])
+            _, which = np.unique(self.times[mine], return_inverse=True)
+            found.append(np.bincount(which.ravel(), weights=rows[mine]).astype(np.float64))
+        return found
+
     @property
     def places(self) -> set[Place]:
         """Where candidates can act."""

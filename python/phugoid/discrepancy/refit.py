@@ -14,7 +14,8 @@ from ..parameters import Estimates
 from ..result import Fit
 from ..solvers import Newton
 from .candidate import Candidate
-from .least_squares import Filter, Whitened, own_whitening
+from .joint import Filter
+from .least_squares import Whitened, joint_whitening, own_whitening
 from .linearised import Linearised, dataset
 
 __all__ = ["Refit", "refit", "started_from"]
@@ -42,6 +43,16 @@ class Refit:
         """Through the filter that is the likeliest with it."""
         return own_whitening(self.linear)
 
+    @cached_property
+    def together(self) -> Whitened | None:
+        """Through the likeliest filter of all channels together, where that is the better model of the noise."""
+        return joint_whitening(self.own)
+
+    @property
+    def merit(self) -> float:
+        """Log-likelihood with the best noise model, less what that costs."""
+        return (self.together or self.own).merit
+
     def through(self, filter: Filter) -> Whitened:
         """Through another's filter."""
         return Whitened(self.linear, filter.on(self.linear.structure))
@@ -51,12 +62,20 @@ class Refit:
         """Of the candidates."""
         return tuple(c.name for c in self.candidates)
 
+    def inflation(self, candidate: Candidate) -> float:
+        """By how much the evidence for a candidate is less than the filter has it, where channels go together."""
+        if self.together is None:
+            return 1.0
+        return max(self.own.inflation(name) for name in (*candidate.coefficients, *candidate.shape_names))
+
     def parameters(self, candidate: Candidate) -> dict[str, tuple[float, float]]:
         """Value and standard error, for coloured noise, of a candidate's parameters."""
         inflation = float(np.sqrt(self.linear.n_rows / max(self.linear.n_rows - self.own.basis.shape[1], 1)))
         found = {}
         for name in (*candidate.coefficients, *candidate.shape_names):
             value, error = self.own.parameter(name)
+            if self.together is not None:
+                error *= float(np.sqrt(self.own.inflation(name)))
             found[name] = float(value), float(error * inflation)
         return found
 

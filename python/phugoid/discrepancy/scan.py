@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .candidate import Candidate
-from .least_squares import Filter, Whitened, filter_of
+from .joint import Filter
+from .least_squares import Whitened
 from .linearised import Linearised
 from .prediction import Channel
 from .whitening import Whitening
@@ -24,7 +25,7 @@ CONFOUNDED, NEARLY = 0.003, 0.05
 _GREEDY = 3
 # Candidates that an inflation is the mean of, at least; and what must be left of each.
 _ENOUGH, _LEFT = 20, 0.1
-# Filters whose statistics are kept.
+# Whitenings whose statistics are kept.
 _KEPT = 4
 # Of an effect's own part what is less than this, in units of the noise, is rounding.
 _ROUNDING = 1e-10
@@ -68,7 +69,7 @@ class Scan:
         self.distinct = distinct[kept]
         there = {c.name for c, _ in self.effects}
         self.lost = tuple(dict.fromkeys(c.name for c in candidates if c.name not in there))
-        self._clean: Filter | None = None
+        self._clean: Whitening | None = None
         self._last: list[tuple[Filter, Statistics]] = []
 
     def through(self, filter: Filter) -> Statistics:
@@ -96,7 +97,7 @@ class Scan:
             amplitudes.append(c)
         return Statistics(np.array(values), amplitudes, beside)
 
-    def clean(self) -> Filter:
+    def clean(self) -> Whitening:
         """The filter of the residuals without the few terms that explain most of them, taken as white.
 
         Slow effects hide in a noise model that was made with them.
@@ -105,7 +106,7 @@ class Scan:
             beside, errors = self.white.beside(self.columns), self.white.errors.copy()
             self._greedy(beside, errors, _GREEDY)
             own = self.white.residuals + self.linear.scale() * (errors - self.white.errors)
-            self._clean = filter_of(own, self.linear.structure)
+            self._clean = Whitening.of(own, self.linear.structure)
         return self._clean
 
     def different(self, through: Filter, statistics: Statistics, count: int) -> list[int]:

@@ -116,7 +116,7 @@ class Search:
                 starts |= self._starts.get(c.name, {})
             found = refit(self.base.fit, candidates, starts, near)
             if found is not None:
-                _ = found.own  # here, for it takes as long
+                _ = found.merit  # here, for it takes as long
             return found
 
         for candidates in new.values():
@@ -149,8 +149,14 @@ class Search:
         return _quantile(max(unknowns, 1), _FALSE / max(self._tries_in_all, 1))
 
     def gain(self, base: Refit, more: Refit) -> float:
-        """Twice the gain in log-likelihood, each with its likeliest noise and less what that costs."""
-        return 2.0 * (more.own.merit - base.own.merit)
+        """Twice the gain in log-likelihood, each with its likeliest noise and less what that costs.
+
+        Where channels go together (turbulence), the less of two: with noise channel by channel, as much less as the
+        estimates of the new terms are less certain than that noise has them; and with noise of all channels together.
+        """
+        new = [c for c in more.candidates if c.name not in base.names]
+        inflation = max((more.inflation(c) for c in new), default=1.0)
+        return 2.0 * min((more.own.merit - base.own.merit) / inflation, more.merit - base.merit)
 
     def held_out(self, base: Refit, more: Refit) -> HeldOut:
         """Gain on held-out data; none where the model cannot be fitted there."""

@@ -73,6 +73,11 @@ class Whitened:
         samples = self.linear.n_measured / len(self.linear.rows)
         return self.log_likelihood - 0.5 * self.filter.parameters * float(np.log(samples))
 
+    @property
+    def lenient_merit(self) -> float:
+        """The same by Akaike's criterion, which takes a richer noise model sooner."""
+        return self.log_likelihood - self.filter.parameters
+
     @cached_property
     def step(self) -> _Array:
         """(n_theta,) of the variables."""
@@ -133,13 +138,15 @@ def own_whitening(linear: Linearised, start: Whitening | None = None) -> Whitene
 
 
 def joint_whitening(own: Whitened) -> Whitened | None:
-    """The fit seen through the likeliest filter of all channels together; None where one by one is better, by Schwarz's
-    criterion."""
+    """The fit seen through the likeliest filter of all channels together; None where one by one is better.
+
+    By Akaike's criterion: it is to doubt what noise channel by channel makes of the evidence, so it is taken early.
+    """
     best = own
     for _ in range(_ROUNDS):
         filters = JointWhitening.fitted(best.residuals, own.linear.structure)
-        following = max((Whitened(own.linear, f) for f in filters), key=lambda w: w.merit, default=best)
-        if following.merit <= best.merit:
+        following = max((Whitened(own.linear, f) for f in filters), key=lambda w: w.lenient_merit, default=best)
+        if following.lenient_merit <= best.lenient_merit:
             break
         best = following
     return best if best is not own else None

@@ -50,8 +50,8 @@ class Refit:
 
     @property
     def merit(self) -> float:
-        """Log-likelihood with the best noise model, less what that costs."""
-        return (self.together or self.own).merit
+        """Log-likelihood with the best noise model, less what that costs by Akaike's criterion."""
+        return (self.together or self.own).lenient_merit
 
     def through(self, filter: Filter) -> Whitened:
         """Through another's filter."""
@@ -63,9 +63,7 @@ class Refit:
         return tuple(c.name for c in self.candidates)
 
     def inflation(self, candidate: Candidate) -> float:
-        """By how much the evidence for a candidate is less than the filter has it, where channels go together."""
-        if self.together is None:
-            return 1.0
+        """By how much the evidence for a candidate is less than the filter has it."""
         return max(self.own.inflation(name) for name in (*candidate.coefficients, *candidate.shape_names))
 
     def parameters(self, candidate: Candidate) -> dict[str, tuple[float, float]]:

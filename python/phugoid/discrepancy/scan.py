@@ -23,8 +23,6 @@ _Array = NDArray[np.float64]
 CONFOUNDED, NEARLY = 0.003, 0.05
 # Terms that are taken out before the noise is modelled for ranking.
 _GREEDY = 3
-# Candidates that an inflation is the mean of, at least; and what must be left of each.
-_ENOUGH, _LEFT = 20, 0.1
 # Whitenings whose statistics are kept.
 _KEPT = 4
 # Of an effect's own part what is less than this, in units of the noise, is rounding.
@@ -113,28 +111,6 @@ class Scan:
         """The effect that explains most, the one that explains most of what is left, and so on."""
         errors = Whitened(self.linear, through.on(self.linear.structure)).errors.copy()
         return self._greedy(statistics.beside, errors, count)
-
-    def inflation(self, through: Filter, statistics: Statistics) -> float:
-        """How much greater the statistics of candidates are than chance would have them, at least 1.
-
-        Those of most candidates have nothing to do with what is missing: once the best few terms are taken out, they
-        should be as those of noise, and where they are not, the noise is not what its model says. (Epidemiologists call
-        this genomic control: Devlin & Roeder 1999.)
-        """
-        errors = Whitened(self.linear, through.on(self.linear.structure)).errors.copy()
-        grams = _grams(statistics.beside, self.groups)
-        taken = self._greedy(statistics.beside, errors, _GREEDY, grams)
-        parts = statistics.beside @ errors
-        values: dict[str, float] = {}
-        for i, (candidate, _) in enumerate(self.effects):
-            own, rest = float(statistics.beside[self.groups[i]][0] @ statistics.beside[self.groups[i]][0]), grams[i]
-            # One unknown, and something left of it beside the terms taken out.
-            if rest.shape == (1, 1) and not candidate.shape_names and i not in taken and rest[0, 0] > _LEFT * own:
-                values.setdefault(candidate.name, float(parts[self.groups[i]][0]) ** 2 / rest[0, 0])
-        variance = min(float(errors @ errors) / errors.size, 1.0)
-        if len(values) < _ENOUGH:
-            return 1.0
-        return max(1.0, float(np.mean(list(values.values()))) / variance)
 
     def _greedy(self, beside: _Array, errors: _Array, count: int, grams: list[_Array] | None = None) -> list[int]:
         """Takes out of errors what explains most of them, one effect after the other, and tells which; out of the

@@ -151,8 +151,9 @@ class Search:
     def gain(self, base: Refit, more: Refit) -> float:
         """Twice the gain in log-likelihood, each with its likeliest noise and less what that costs.
 
-        Where channels go together (turbulence), the less of two: with noise channel by channel, as much less as the
-        estimates of the new terms are less certain than that noise has them; and with noise of all channels together.
+        The less of two: with noise channel by channel, as much less as the estimates of the new terms are less certain
+        than that noise has them; and with noise of all channels together, where that is the better model. One gust
+        moves all channels, and is no evidence for each of them.
         """
         new = [c for c in more.candidates if c.name not in base.names]
         inflation = max((more.inflation(c) for c in new), default=1.0)
@@ -210,8 +211,7 @@ class Search:
     def _step(self, current: Refit) -> tuple[Refit | None, Found | None]:
         """The model with one more term, if one is accepted; else what remains unexplained, if anything does."""
         tries = self._tries(current)
-        inflation = self._inflation(current) if tries else 1.0
-        margins = {t.names: self.gain(current, t) - inflation * self.threshold(t.candidates[-1]) for t in tries}
+        margins = {t.names: self.gain(current, t) - self.threshold(t.candidates[-1]) for t in tries}
         self.log += [f"{'+'.join(names)}: {m:.1f} over its threshold" for names, m in margins.items()]
         significant = sorted((t for t in tries if margins[t.names] > 0), key=lambda t: -margins[t.names])
         unexplained = None
@@ -225,7 +225,7 @@ class Search:
             new = [c for c in settled.candidates if c.name not in current.names]
             if not new or len(settled.candidates) <= len(current.candidates):
                 continue
-            gain, threshold = self.gain(current, settled), inflation * self.threshold(new[0])
+            gain, threshold = self.gain(current, settled), self.threshold(new[0])
             if gain <= threshold:
                 continue
             held = self.held_out(current, settled)
@@ -237,11 +237,6 @@ class Search:
             if unexplained is None and gain > _CLEAR * threshold:
                 unexplained = Found(None, gain / 2, threshold / 2, {c.name: gain / 2 for c in new}, held)
         return None, unexplained
-
-    def _inflation(self, at: Refit) -> float:
-        """By how much statistics at a set are greater than the noise model has them: it stands in every threshold."""
-        scan = self.scan(at)
-        return scan.inflation(at.own.filter, scan.through(at.own.filter))
 
     def _tries(self, at: Refit) -> list[Refit]:
         """Refits with one more candidate."""

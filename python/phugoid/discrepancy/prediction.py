@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import toeplitz
 
 from .autoregression import burg
 from .strands import Strand
@@ -54,7 +53,8 @@ class Channel:
             known = np.array(gamma[::-1][: k - 1])
             reflection = self.predictors[k][-1]
             gamma.append(float(self.predictors[k - 1] @ known + reflection * self.sigmas[k - 1] ** 2))
-        return np.asarray(toeplitz(gamma[: self.order])) if self.order else np.zeros((0, 0))
+        at = np.arange(self.order)
+        return np.asarray(np.array(gamma)[np.abs(at[:, None] - at)])
 
 
 def autoregressive(runs: Sequence[_Array]) -> Channel:

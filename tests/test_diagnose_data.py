@@ -174,7 +174,6 @@ def test_attas_without_the_vane_the_vane_is_named() -> None:
 
 
 @needs_attas
-@pytest.mark.xfail(strict=True, reason="alpha:q is named alone: delay and lag are not among its aliases")
 def test_attas_without_the_vane_in_both_records_together() -> None:
     f = ph.diagnose(ph.estimate(attas.model(vane=False), attas.records())).findings[0]
     assert f.cause.startswith("alpha:")

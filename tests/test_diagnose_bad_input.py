@@ -116,7 +116,6 @@ def test_validation_records(validation: Callable[[], Any], words: str) -> None:
         ph.diagnose(fit(), validation=validation())
 
 
-@pytest.mark.xfail(strict=True, reason="its own record is known by identity only")
 @pytest.mark.parametrize("which", ["read again", "of a loaded fit"])
 def test_its_own_record_in_another_guise(which: str, tmp_path: Path) -> None:
     e, given = servo().data, fit()

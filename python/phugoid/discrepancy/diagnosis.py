@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
@@ -52,8 +52,9 @@ class Diagnosis:
     fit         that was diagnosed.
     misfit      what it gets wrong: per channel, when, in which regime, at which frequencies.
     findings    what is missing, in the order in which it was found.
-    ranking     all candidates of the first scan with their statistics, the best first.
-    threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass.
+    ranking     all candidates of the first scan with their statistics, in the order of `Scored.ranking`.
+    threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass; findings have
+                theirs, in log-likelihood itself.
     notes       what was done, in words.
     seconds     that it took.
     """
@@ -217,11 +218,18 @@ def _validation(fit: Fit, given: Any) -> Sequence[Experiment]:
     others = as_experiments(given, "diagnose: validation")
     for e in others:
         e.check_for(fit.model.input_names, fit.model.output_names, fit.model.output_names)
-        if any(e is mine for mine in dataset(fit)):
+        if any(_same(e, mine, fit.model.output_names) for mine in dataset(fit)):
             raise DataError(
                 f"diagnose: the validation record '{e.name}' is one that the fit was made on: give another, or none"
             )
     return others
+
+
+def _same(one: Experiment, other: Experiment, outputs: Sequence[str]) -> bool:
+    """Whether two records are the same measurements, whatever they are called."""
+    return np.array_equal(one.t, other.t) and all(
+        np.array_equal(one.output(name), other.output(name), equal_nan=True) for name in outputs
+    )
 
 
 def _candidates(fit: Fit, given: Any, base: Refit) -> list[Candidate]:
@@ -230,6 +238,8 @@ def _candidates(fit: Fit, given: Any, base: Refit) -> list[Candidate]:
         return list(library(fit.model, points=points, terms=given))
     if isinstance(given, Candidates):
         given = given.on(points)
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise OptionError(f"diagnose: candidates holds Candidates, or terms by place, not {given!r}")
     listed = list(given)
     places = base.linear.places
     for c in listed:
@@ -305,6 +315,7 @@ def _finding(search: Search, final: Refit, found: Found) -> Finding:
         held_out_gain=found.held_out[0],
         threshold=found.threshold,
         explanation=c.explanation,
+        units={n: final.fit.parameters[n].unit for n in parameters},
         advice=_advice(search, final, c, aliases),
         rivals=dict(found.rivals),
     )

@@ -71,4 +71,4 @@ def rows_of(present: _Mask) -> Rows:
         together.append((tuple(there.tolist()), np.ascontiguousarray(table[there][:, pattern == number].T)))
     whole = np.flatnonzero(present.all(axis=0))
     complete = [table[:, whole[s.rows][run]].T for s in strands_of(whole.astype(float)) for run in s.runs]
-    return Rows(strands, together, complete, int(present.sum()))
+    return Rows(strands, together, complete)

@@ -239,7 +239,7 @@ class Linearised:
                 some = table[which.ravel() == k]
                 groups.setdefault(tuple(there.tolist()), []).append(some[:, there])
         together = [(outputs, np.vstack(at)) for outputs, at in groups.items()]
-        return Rows(strands, together, complete, self.n_rows)
+        return Rows(strands, together, complete)
 
     def over_time(self, rows: _Array) -> list[_Array]:
         """Sums of rows (n_rows,) of the same time, in the order of time, for each experiment."""

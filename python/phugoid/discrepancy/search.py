@@ -28,6 +28,8 @@ _Array = NDArray[np.float64]
 
 # Probability that anything at all is found where there is nothing.
 _FALSE = 0.01
+# Factor of a threshold where channels go together: simulated turbulence passes less than one in twenty times.
+_DOUBTFUL = 1.5
 # Refits of a round: the best by ranking, by the base filter, and with residuals taken as white; and those that explain
 # what the best ones leave.
 _SHORT = (("clean", 6), ("base", 4), ("white", 2))
@@ -148,6 +150,11 @@ class Search:
         unknowns = len(candidate.coefficients) + len(candidate.shape_names) if candidate else 1
         return _quantile(max(unknowns, 1), _FALSE / max(self._tries_in_all, 1))
 
+    def needed(self, more: Refit, candidate: Candidate) -> float:
+        """Twice the gain that a candidate must have: its threshold, and more where the noise goes through the vehicle
+        itself, for then its model is no more than an approximation."""
+        return self.threshold(candidate) * (1.0 if more.together is None else _DOUBTFUL)
+
     def gain(self, base: Refit, more: Refit) -> float:
         """Twice the gain in log-likelihood, each with its likeliest noise and less what that costs.
 
@@ -211,13 +218,13 @@ class Search:
     def _step(self, current: Refit) -> tuple[Refit | None, Found | None]:
         """The model with one more term, if one is accepted; else what remains unexplained, if anything does."""
         tries = self._tries(current)
-        margins = {t.names: self.gain(current, t) - self.threshold(t.candidates[-1]) for t in tries}
+        margins = {t.names: self.gain(current, t) - self.needed(t, t.candidates[-1]) for t in tries}
         self.log += [f"{'+'.join(names)}: {m:.1f} over its threshold" for names, m in margins.items()]
         significant = sorted((t for t in tries if margins[t.names] > 0), key=lambda t: -margins[t.names])
-        unexplained = None
+        unexplained, chances = None, _CHANCES
         rejected: set[str] = set()
         for t in significant:
-            if len(rejected) >= _CHANCES:
+            if not chances:
                 break
             if t.candidates[-1].name in rejected:
                 continue
@@ -225,7 +232,7 @@ class Search:
             new = [c for c in settled.candidates if c.name not in current.names]
             if not new or len(settled.candidates) <= len(current.candidates):
                 continue
-            gain, threshold = self.gain(current, settled), self.threshold(new[0])
+            gain, threshold = self.gain(current, settled), self.needed(settled, new[0])
             if gain <= threshold:
                 continue
             held = self.held_out(current, settled)
@@ -233,7 +240,11 @@ class Search:
             self.log.append(f"{'+'.join(settled.names)}: held-out {numbers}")
             if held.gain > max(_HELD_OUT, _SURE * held.deviation) and held.elsewhere > 0.0:
                 return settled, None
+            chances -= 1
             rejected |= {c.name for c in new}
+            for c in new:  # and what acts as it does
+                scan = self.scan(current)
+                rejected |= {other.name for other in self._alike(scan, scan.through(settled.own.filter), c)}
             if unexplained is None and gain > _CLEAR * threshold:
                 unexplained = Found(None, gain / 2, threshold / 2, {c.name: gain / 2 for c in new}, held)
         return None, unexplained
@@ -392,7 +403,7 @@ class Search:
         return Found(
             candidate,
             self.gain(without, at) / 2,
-            self.threshold(candidate) / 2,
+            self.needed(at, candidate) / 2,
             rivals,
             self.held_out(without, at),
         )

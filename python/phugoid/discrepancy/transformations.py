@@ -129,10 +129,10 @@ class Saturation(_Limited):
     """Deflections beyond the limit about the trim do no more than the limit."""
 
     stage: int = 2
-    least = 0.2
+    least = 0.1
 
     def grid(self) -> Iterable[float]:
-        return self.scales.peak(self.place.name) * np.array([0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3])
+        return self.scales.peak(self.place.name) * np.array([0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2])
 
     def change(self, limit: Any) -> Any:
         return self._within(limit) - self._distance()

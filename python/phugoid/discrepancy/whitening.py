@@ -38,13 +38,16 @@ class Rows:
     together  rows of the same time: for each set of outputs that are measured at the same times, these outputs and
               their rows, (times, outputs).
     complete  runs of equally spaced times at which all outputs are measured: their rows, (times, n_y).
-    n         number of rows.
     """
 
     strands: Sequence[Sequence[Strand]]
     together: Sequence[tuple[tuple[int, ...], NDArray[np.intp]]]
-    complete: Sequence[NDArray[np.intp]]
-    n: int
+    complete: Sequence[NDArray[np.intp]] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of rows."""
+        return sum(strand.places.size for line in self.strands for strand in line)
 
 
 class Whitening:

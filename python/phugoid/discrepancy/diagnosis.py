@@ -27,7 +27,7 @@ from .misfit import Misfit, misfit
 from .page import report
 from .refit import Refit
 from .scan import NEARLY, Scan
-from .search import Found, Search, is_physical
+from .search import MOST, Found, Search, is_physical
 from .telling import telling_manoeuvre
 from .words import diagnosis_summary
 
@@ -158,7 +158,7 @@ def diagnose(
         final, found, interrupted = search.run()
         findings = tuple(_finding(search, final, f) for f in found)
     scan = search.scan(base)
-    notes = (*_notes(scan, listed, others if not search.notes else (), interrupted), *search.notes)
+    notes = (*_notes(scan, final, listed, others if not search.notes else (), interrupted), *search.notes)
     return Diagnosis(
         fit=fit,
         misfit=misfit(fit),
@@ -359,7 +359,9 @@ def _ranking(search: Search, scan: Scan) -> list[Scored]:
     return found
 
 
-def _notes(scan: Scan, listed: Sequence[Candidate], others: Sequence[Experiment], interrupted: bool) -> tuple[str, ...]:
+def _notes(
+    scan: Scan, final: Refit, listed: Sequence[Candidate], others: Sequence[Experiment], interrupted: bool
+) -> tuple[str, ...]:
     notes = [f"{len(listed)} candidates, {len(scan.effects)} with their shapes, were scanned."]
     if scan.lost:
         notes.append(f"Cannot be told from the parameters already there: {', '.join(scan.lost)}.")
@@ -369,6 +371,8 @@ def _notes(scan: Scan, listed: Sequence[Candidate], others: Sequence[Experiment]
         )
     else:
         notes.append("Gains were measured on a quarter of the record at a time, predicted from the others.")
+    if len(final.candidates) >= MOST:
+        notes.append(f"The search ends after {MOST} findings: diagnose the extended fit for what is left.")
     if interrupted:
         notes.append("The search was interrupted: what it had found until then is here.")
     return tuple(notes)

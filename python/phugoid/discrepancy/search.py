@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -13,16 +13,14 @@ from numpy.typing import NDArray
 from ..errors import PhugoidError
 from ..experiment import Experiment
 from ..result import Fit
-from .along import of
 from .candidate import Candidate
-from .effect import Effect
+from .centres import with_other_centres
 from .held_out import HeldOut, across_blocks, gain_on_other_data, on_other_data
 from .linearised import Linearised
-from .points import Points
 from .refit import Refit, refit
 from .scan import Scan, Statistics
 
-__all__ = ["Found", "Search"]
+__all__ = ["MOST", "Found", "Search", "is_physical"]
 
 _Array = NDArray[np.float64]
 
@@ -46,8 +44,6 @@ _ALIAS = 0.95
 _APART = 0.3
 # A rival is an alias unless Vuong's test tells them apart by this.
 _VUONG = 2.0
-# Centres of powers differ when they are further apart than this part of a variable's range.
-_NEAR = 0.05
 # Twice the gain in log-likelihood by which a cause outside of what is physical must be ahead.
 _UNPHYSICAL = 6.0
 # The gain on held-out data must be above this, and above this part of its standard deviation.
@@ -57,7 +53,7 @@ _CLEAR = 1.5
 # Next best candidates that are tried when the best gains nothing on held-out data.
 _CHANCES = 3
 # Findings at most: what is left then is for another diagnosis, of the extended model.
-_MOST = 4
+MOST = 4
 # Refits side by side: the solver works without the interpreter's lock.
 _WORKERS = 4
 
@@ -203,7 +199,7 @@ class Search:
         """The model with all that was found, what that is, and whether the search was interrupted."""
         current, found, unexplained = self.base, [], None
         try:
-            while len(current.candidates) < _MOST:
+            while len(current.candidates) < MOST:
                 following, unexplained = self._step(current)
                 if following is None:
                     break
@@ -415,34 +411,6 @@ def _quantile(freedom: int, probability: float) -> float:
     from scipy.special import chdtri  # not at import: it takes its time
 
     return float(chdtri(freedom, probability))
-
-
-def with_other_centres(candidates: Sequence[Candidate], points: Sequence[Points]) -> list[Candidate]:
-    """Candidates; and those that are centred at a trim once more about zero, where it lies within the record, and about
-    the first values.
-
-    A record does not say where its trim is: the scan does.
-    """
-    found: list[Candidate] = []
-    for c in candidates:
-        found.append(c)
-        if not (isinstance(c, Effect) and c.centred):
-            continue
-        scales, tried = c.scales, [[c.scales.centre(n) for n in c.variables]]
-        zero = [0.0 if scales.crosses(n) else scales.centre(n) for n in c.variables]
-        first = [
-            float(np.mean([of(p.values, n, p, "state, input or quantity")[0] for p in points])) for n in c.variables
-        ]
-        for centres in (zero, first):
-            far = [
-                any(abs(a - b) > _NEAR * scales.span(n) for a, b, n in zip(centres, t, c.variables, strict=True))
-                for t in tried
-            ]
-            if all(far):
-                tried.append(centres)
-                trim = {**scales.trim, **dict(zip(c.variables, centres, strict=True))}
-                found.append(c.on(replace(scales, trim=trim)))
-    return found
 
 
 def _whole(scan: Scan, statistics: Statistics, candidate: Candidate) -> int:

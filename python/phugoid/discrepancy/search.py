@@ -216,9 +216,16 @@ class Search:
         tries = self._tries(current)
         margins = {t.names: self.gain(current, t) - self.needed(t, t.candidates[-1]) for t in tries}
         self.log += [f"{'+'.join(names)}: {m:.1f} over its threshold" for names, m in margins.items()]
-        significant = sorted((t for t in tries if margins[t.names] > 0), key=lambda t: -margins[t.names])
+
+        def urgency(t: Refit) -> float:
+            # What is outside of what is physical stands in for something else: that is tried first.
+            last = t.candidates[-1]
+            return margins[t.names] - (0.0 if is_physical(t, last) else self.needed(t, last))
+
+        significant = sorted((t for t in tries if margins[t.names] > 0), key=lambda t: -urgency(t))
         unexplained, chances = None, _CHANCES
         rejected: set[str] = set()
+        known: set[str] = set()
         for t in significant:
             if not chances:
                 break
@@ -226,21 +233,26 @@ class Search:
                 continue
             settled = self._settled(t, rejected)
             new = [c for c in settled.candidates if c.name not in current.names]
-            if not new or len(settled.candidates) <= len(current.candidates):
+            kept = [c for c in settled.candidates if c.name in current.names]
+            below = self.refit(kept, settled.fit)
+            # With the new term an earlier one may have become needless: then the two sets compete.
+            fewer = len(kept) < len(current.candidates) and settled.own.merit <= current.own.merit
+            if not new or below is None or fewer:
                 continue
-            gain, threshold = self.gain(current, settled), self.needed(settled, new[0])
+            gain, threshold = self.gain(below, settled), self.needed(settled, new[0])
             if gain <= threshold:
                 continue
-            held = self.held_out(current, settled)
+            held = self.held_out(below, settled)
             numbers = f"{held.gain:.1f} +- {held.deviation:.1f}, {held.elsewhere:.1f}"
             self.log.append(f"{'+'.join(settled.names)}: held-out {numbers}")
             if held.gain > max(_HELD_OUT, _SURE * held.deviation) and held.elsewhere > 0.0:
                 return settled, None
-            chances -= 1
             rejected |= {c.name for c in new}
-            for c in new:  # and what acts as it does
-                scan = self.scan(current)
-                rejected |= {other.name for other in self._alike(scan, scan.through(settled.own.filter), c)}
+            # What acts as another did is no further chance: of two that are alike one may still predict.
+            chances -= not known.issuperset(c.name for c in new)
+            scan = self.scan(current)
+            statistics = scan.through(settled.own.filter)
+            known |= {other.name for c in new for other in self._alike(scan, statistics, c)}
             if unexplained is None and gain > _CLEAR * threshold:
                 unexplained = Found(None, gain / 2, threshold / 2, {c.name: gain / 2 for c in new}, held)
         return None, unexplained
@@ -274,7 +286,9 @@ class Search:
         """The best candidates, one of each group that has the same effect on the outputs."""
         beside = statistics.beside
         chosen: list[tuple[Candidate, _Array]] = []
-        for i in np.argsort(-statistics.values):
+        # Of two that act alike that with fewer unknowns comes first.
+        margins = statistics.values - np.array([self.threshold(c) for c, _ in scan.effects])
+        for i in np.argsort(-margins):
             candidate, shape = scan.effects[i]
             if any(candidate.name == c.name for c, _ in chosen) or not (among is None or among[i]):
                 continue
@@ -315,7 +329,15 @@ class Search:
             without = self.refit(others, at.fit)
             if others and without is not None and self.gain(without, at) < self.threshold(candidate):
                 yield without
-            yield next(r for r, _ in self._rivals(at, candidate) if r is at or not any(n in rejected for n in r.names))
+            for r, _ in self._rivals(at, candidate):
+                if r is at:
+                    break
+                # Another must be significant itself, whatever the filter of the first makes of it.
+                new = _new(r, others)
+                sure = without is None or self.gain(without, r) > self.needed(r, new)
+                if sure and not any(n in rejected for n in r.names):
+                    yield r
+                    break
 
     def _apart(self, at: Refit, one: Candidate, other: Candidate) -> bool:
         """Whether the estimates of two candidates hardly depend on each other: neither casts doubt on the other."""

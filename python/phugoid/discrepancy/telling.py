@@ -98,7 +98,8 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
     flights = Flights(final)
     if not flights.manoeuvres:
         return nothing
-    found = np.array([flights.gains(r, TELLS) for r in rivals]).reshape(len(rivals), -1)  # (rivals, manoeuvres)
+    with np.errstate(over="ignore", invalid="ignore"):  # flights that ran away
+        found = np.array([flights.gains(r, TELLS) for r in rivals]).reshape(len(rivals), -1)  # (rivals, manoeuvres)
     gains = np.nan_to_num(found)
     here = [final.own.log_likelihood - r.own.log_likelihood for r in rivals]
     open_ = [k for k in range(len(rivals)) if gains[k].max() >= TELLS]

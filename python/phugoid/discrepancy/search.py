@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -122,6 +121,8 @@ class Search:
         if len(new) == 1:
             self._refits |= {key: one(candidates) for key, candidates in new.items()}
         elif new:
+            from concurrent.futures import ThreadPoolExecutor  # not at import
+
             executor = ThreadPoolExecutor(min(len(new), _WORKERS))
             try:
                 self._refits |= dict(zip(new, executor.map(one, new.values()), strict=True))

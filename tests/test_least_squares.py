@@ -116,8 +116,8 @@ def test_a_refit_says_them_for_the_data_that_there_are() -> None:
     value, error = extended.parameters(candidate)[candidate.coefficients[0]]
     plain = extended.own.parameter(candidate.coefficients[0])
     freedom = extended.linear.n_rows - extended.own.basis.shape[1]
-    # And where channels go together, by what the filter does not know of that.
-    doubt = extended.own.inflation(candidate.coefficients[0]) if extended.together else 1.0
+    # And by what the filter does not know of how its errors go together.
+    doubt = extended.own.inflation(candidate.coefficients[0])
     assert value == plain[0] and error == pytest.approx(plain[1] * np.sqrt(doubt * extended.linear.n_rows / freedom))
     assert abs(value) < 4 * error  # it is not there
     assert base.own.log_likelihood <= extended.through(base.own.filter).log_likelihood + 3.0

@@ -72,9 +72,7 @@ class Refit:
         found = {}
         for name in (*candidate.coefficients, *candidate.shape_names):
             value, error = self.own.parameter(name)
-            if self.together is not None:
-                error *= float(np.sqrt(self.own.inflation(name)))
-            found[name] = float(value), float(error * inflation)
+            found[name] = float(value), float(error * inflation * np.sqrt(self.own.inflation(name)))
         return found
 
 

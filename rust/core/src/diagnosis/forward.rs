@@ -13,6 +13,9 @@ const GROWTH: f64 = 1e6;
 /// Right-hand sides that are solved for together: their path stays in the cache.
 const AT_ONCE: usize = 16;
 
+/// Of samples between mesh points: their points, and derivatives by the states at all points of the segment.
+type Between = Vec<(usize, DMatrix<f64>)>;
+
 /// One segment: the constraints of its points, and of the samples between them.
 struct Step {
     /// Factors of the derivatives by the states at all its points but the first.
@@ -51,7 +54,7 @@ impl<'a> Forward<'a> {
         let layout = &problem.layout;
         let n = layout.n_x;
         let mut blocks: Vec<Vec<[DMatrix<f64>; 2]>> = Vec::new();
-        let mut between: Vec<Vec<Vec<(usize, DMatrix<f64>)>>> = Vec::new();
+        let mut between: Vec<Vec<Between>> = Vec::new();
         let mut parameters: Vec<Vec<Vec<(usize, usize, f64)>>> = Vec::new();
         let mut of_ties: Vec<Vec<(usize, usize, f64)>> = vec![Vec::new(); problem.meshes.len()];
         for mesh in &problem.meshes {

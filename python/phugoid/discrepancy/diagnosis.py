@@ -155,15 +155,25 @@ def diagnose(
     listed = _candidates(fit, candidates, base)
     with _shown(progress) as watch:
         search = Search(base, listed, others, watch)
-        final, found, interrupted = search.run()
+        final, interrupted = base, False
+        found: list[Found] = []
+        try:
+            # Now, while what the search needs next is at hand.
+            ranking = tuple(_ranking(search, search.scan(base)))
+        except KeyboardInterrupt:
+            interrupted = True
+        else:
+            final, found, interrupted = search.run()
         findings = tuple(_finding(search, final, f) for f in found)
     scan = search.scan(base)
+    if interrupted and not final.candidates:
+        ranking = tuple(_ranking(search, scan))
     notes = (*_notes(scan, final, listed, others if not search.notes else (), interrupted), *search.notes)
     return Diagnosis(
         fit=fit,
         misfit=misfit(fit),
         findings=findings,
-        ranking=tuple(_ranking(search, scan)),
+        ranking=ranking,
         threshold=search.threshold(),
         notes=notes,
         seconds=time.perf_counter() - started,

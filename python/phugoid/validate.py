@@ -24,7 +24,7 @@ from .result import Fit
 from .solvers import Newton
 from .validation import Validation
 
-__all__ = ["validate"]
+__all__ = ["shared", "validate"]
 
 # Records share samples where as many as this agree to the bit.
 _SHARED = 3
@@ -187,9 +187,9 @@ def _check(fit: Fit, e: Experiment, free: Sequence[str]) -> tuple[str, ...]:
             f"{len(model.state_names)} initial states and {len(free)} biases are to be found from them"
         )
     for record in fit.records:
-        shared = _shared(model, record, e)
-        if shared:
-            what = f"shares {shared} samples with" if shared < e.n else "is" if e.n == record.n else "is part of"
+        same = shared(model, record, e)
+        if same:
+            what = f"shares {same} samples with" if same < e.n else "is" if e.n == record.n else "is part of"
             return (
                 f"experiment '{e.name}' {what} the record '{record.name}' that the fit was made on: "
                 "how well it matches says nothing of other manoeuvres",
@@ -197,7 +197,7 @@ def _check(fit: Fit, e: Experiment, free: Sequence[str]) -> tuple[str, ...]:
     return ()
 
 
-def _shared(model: Model, record: Record, e: Experiment) -> int:
+def shared(model: Model, record: Record, e: Experiment) -> int:
     """The number of samples that are the same in both, at the same times; 0 where any that both have differs."""
     _, i, j = np.intersect1d(record.t, e.t, return_indices=True)
     if i.size < _SHARED:

@@ -58,6 +58,11 @@ class Candidate(ABC):
     transferable: bool = True
     stage: int = 0
 
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all parameters that `extended` adds."""
+        return (*self.coefficients, *self.shape_names)
+
     @abstractmethod
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         """(k, n) signals at the points; k is the number of coefficients, or 1 with unit amplitude."""

@@ -12,7 +12,7 @@ from ..model import Model
 from .candidate import Place
 from .collection import Candidates
 from .directions import Directions
-from .effect import Effect
+from .effect import Effect, unused
 from .lags import LaggedVariable
 from .periodic import Periodic
 from .phrases import per_second
@@ -131,13 +131,7 @@ class _Names:
         self._taken |= {name for name, *_ in core.quantities} | {name for name, _ in core.inputs}
 
     def __call__(self, wanted: str) -> str:
-        stem = re.sub(r"\W+", "_", wanted).strip("_")
-        name, number = stem, 1
-        while name in self._taken:
-            number += 1
-            name = f"{stem}_{number}"
-        self._taken.add(name)
-        return name
+        return unused(re.sub(r"\W+", "_", wanted).strip("_"), self._taken)
 
 
 def _own(model: Model, anatomy: Anatomy, scales: Scales, terms: Mapping[str, Any], names: _Names) -> Iterator[Effect]:

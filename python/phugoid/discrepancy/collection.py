@@ -42,7 +42,7 @@ class Candidates(Sequence[Candidate]):
             if c.name in self._by_name:
                 raise ModelError(f"candidates: '{c.name}' is there twice")
             self._by_name[c.name] = c
-            for name in (*c.coefficients, *c.shape_names):
+            for name in c.parameters:
                 if name in parameters:
                     raise ModelError(f"candidates: '{parameters[name]}' and '{c.name}' both name a parameter '{name}'")
                 parameters[name] = c.name
@@ -124,7 +124,5 @@ class Candidates(Sequence[Candidate]):
         return f"<{len(self)} candidates: {counts}>" if counts else "<no candidates>"
 
     def __str__(self) -> str:
-        rows = [
-            [c.name, c.explanation, ", ".join((*c.coefficients, *c.shape_names)), str(len(c.shapes))] for c in self._all
-        ]
+        rows = [[c.name, c.explanation, ", ".join(c.parameters), str(len(c.shapes))] for c in self._all]
         return text_table(["candidate", "explanation", "parameters", "shapes"], rows, "lllr")

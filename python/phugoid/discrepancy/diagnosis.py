@@ -16,13 +16,14 @@ from ..errors import DataError, OptionError, PhugoidError
 from ..experiment import Experiment, as_experiments
 from ..filter_error import FilterError
 from ..result import Fit
+from ..validate import shared
 from .candidate import Candidate
 from .candidates import candidates as library
 from .collection import Candidates
 from .extension import Extension, Gain
 from .figures import findings_figure, gain_figure, misfit_figure, ranking_figure
 from .finding import Finding, Scored
-from .linearised import collocated, dataset
+from .linearised import collocated
 from .misfit import Misfit, misfit
 from .page import report
 from .refit import Refit
@@ -228,18 +229,11 @@ def _validation(fit: Fit, given: Any) -> Sequence[Experiment]:
     others = as_experiments(given, "diagnose: validation")
     for e in others:
         e.check_for(fit.model.input_names, fit.model.output_names, fit.model.output_names)
-        if any(_same(e, mine, fit.model.output_names) for mine in dataset(fit)):
+        if any(shared(fit.model, record, e) == e.n == record.n for record in fit.records):
             raise DataError(
                 f"diagnose: the validation record '{e.name}' is one that the fit was made on: give another, or none"
             )
     return others
-
-
-def _same(one: Experiment, other: Experiment, outputs: Sequence[str]) -> bool:
-    """Whether two records are the same measurements, whatever they are called."""
-    return np.array_equal(one.t, other.t) and all(
-        np.array_equal(one.output(name), other.output(name), equal_nan=True) for name in outputs
-    )
 
 
 def _candidates(fit: Fit, given: Any, base: Refit) -> list[Candidate]:

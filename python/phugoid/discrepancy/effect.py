@@ -18,7 +18,7 @@ from .candidate import Candidate, Place
 from .points import Points
 from .scales import Scales
 
-__all__ = ["Effect", "Extension", "largest_coefficient", "place_range"]
+__all__ = ["Effect", "Extension", "largest_coefficient", "place_range", "unused"]
 
 _Self = TypeVar("_Self", bound="Effect")
 
@@ -79,7 +79,7 @@ class Extension:
         self.delays = model.delays
         self._taken = {*model.state_names, *(n for n, _ in model._core.inputs), *model.parameter_names}
         self._taken |= {name for name, *_ in model._core.quantities}
-        own = [*effect.coefficients, *effect.shape_names]
+        own = effect.parameters
         for name in self.start:
             if name not in own:
                 raise ModelError(f"{effect.name}: start names '{name}', but its parameters are {', '.join(own)}")
@@ -167,12 +167,17 @@ class Extension:
         return self.old._around(core, self.delays)
 
     def _unused(self, wanted: str) -> str:
-        name, number = wanted, 1
-        while name in self._taken:
-            number += 1
-            name = f"{wanted}_{number}"
-        self._taken.add(name)
-        return name
+        return unused(wanted, self._taken)
+
+
+def unused(wanted: str, taken: set[str]) -> str:
+    """The name, or with a number that makes it none of those taken; it is taken then."""
+    name, number = wanted, 1
+    while name in taken:
+        number += 1
+        name = f"{wanted}_{number}"
+    taken.add(name)
+    return name
 
 
 def place_range(place: Place, points: Sequence[Points]) -> float:

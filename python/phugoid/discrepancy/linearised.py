@@ -93,7 +93,7 @@ class Linearised:
         label = f"sigma_{output}"
         if label in self.inner.parameters:
             return self.inner.parameters[label].value
-        known: Mapping[str, float] = getattr(self.inner.noise, "known", {})
+        known = self.inner.noise.known_sigmas(self.model.output_names)
         if output in known:
             return float(known[output])
         i = self.model.output_names.index(output)

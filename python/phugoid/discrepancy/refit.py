@@ -62,15 +62,20 @@ class Refit:
         """Of the candidates."""
         return tuple(c.name for c in self.candidates)
 
+    def beside(self, others: Collection[Candidate]) -> list[Candidate]:
+        """Its candidates beside others; by name, for one candidate may be centred in several ways."""
+        names = {c.name for c in others}
+        return [c for c in self.candidates if c.name not in names]
+
     def inflation(self, candidate: Candidate) -> float:
         """By how much the evidence for a candidate is less than the filter has it."""
-        return max(self.own.inflation(name) for name in (*candidate.coefficients, *candidate.shape_names))
+        return max(self.own.inflation(name) for name in candidate.parameters)
 
     def parameters(self, candidate: Candidate) -> dict[str, tuple[float, float]]:
         """Value and standard error, for coloured noise, of a candidate's parameters."""
         inflation = float(np.sqrt(self.linear.n_rows / max(self.linear.n_rows - self.own.basis.shape[1], 1)))
         found = {}
-        for name in (*candidate.coefficients, *candidate.shape_names):
+        for name in candidate.parameters:
             value, error = self.own.parameter(name)
             found[name] = float(value), float(error * inflation * np.sqrt(self.own.inflation(name)))
         return found
@@ -86,7 +91,7 @@ def refit(
     model = base.model
     try:
         for candidate in sorted(candidates, key=lambda c: c.stage):
-            own = {n: starts[n] for n in (*candidate.coefficients, *candidate.shape_names) if n in starts}
+            own = {n: starts[n] for n in candidate.parameters if n in starts}
             model = candidate.extended(model, own)
         if model.delays:
             model = model._around(model._core, replace(model.delays, settled=_SETTLED))

@@ -36,11 +36,13 @@ class Statistics:
     values      twice the gain in log-likelihood, to first order.
     amplitudes  one-step estimates of its coefficients.
     beside      its columns, whitened, without what tangents can imitate, (all columns, n_rows).
+    errors      (n_rows,) what is left of the residuals, whitened.
     """
 
     values: _Array
     amplitudes: Sequence[_Array]
     beside: _Array
+    errors: _Array
 
 
 class Scan:
@@ -57,7 +59,8 @@ class Scan:
         effects = [(c, shape) for c in candidates for shape in c.shapes]
         self.columns, parameters, groups = linear.columns(effects)
         self.white = Whitened(linear, _white(linear))
-        own = _sizes(self.white.beside(self.columns))
+        beside = self.white.beside(self.columns)
+        own = _sizes(beside)
         whole = _sizes(linear.without_states(self.columns / linear.scale(), parameters))
         own, whole = (np.array([np.sqrt(np.sum(v[g] ** 2)) for g in groups]) for v in (own, whole))
         distinct = own / np.maximum(whole, 1e-300)
@@ -68,14 +71,15 @@ class Scan:
         there = {c.name for c, _ in self.effects}
         self.lost = tuple(dict.fromkeys(c.name for c in candidates if c.name not in there))
         self._clean: Whitening | None = None
-        self._last: list[tuple[Filter, Statistics]] = []
+        self._last: list[tuple[Filter, Statistics]] = [(self.white.filter, self._statistics(self.white, beside))]
 
     def through(self, filter: Filter) -> Statistics:
         """Statistics through a filter; those of the last few filters are kept."""
         for known, statistics in self._last:
             if known is filter:
                 return statistics
-        statistics = self._statistics(Whitened(self.linear, filter.on(self.linear.structure)))
+        whitened = Whitened(self.linear, filter.on(self.linear.structure))
+        statistics = self._statistics(whitened, whitened.beside(self.columns))
         self._last = [(filter, statistics), *self._last[: _KEPT - 1]]
         return statistics
 
@@ -83,8 +87,8 @@ class Scan:
         """Drops what is kept: it takes space."""
         self._last = []
 
-    def _statistics(self, whitened: Whitened) -> Statistics:
-        beside, errors = whitened.beside(self.columns), whitened.errors
+    def _statistics(self, whitened: Whitened, beside: _Array) -> Statistics:
+        errors = whitened.errors
         # The filter may be that of other residuals: what is left here is not less certain than its variance.
         variance = min(float(errors @ errors) / max(errors.size - whitened.basis.shape[1], 1), 1.0)
         grams, parts = _grams(beside, self.groups), beside @ errors
@@ -93,7 +97,7 @@ class Scan:
             c = _solved(gram, parts[group])
             values.append(float(parts[group] @ c) / variance)
             amplitudes.append(c)
-        return Statistics(np.array(values), amplitudes, beside)
+        return Statistics(np.array(values), amplitudes, beside, errors)
 
     def clean(self) -> Whitening:
         """The filter of the residuals without the few terms that explain most of them, taken as white.
@@ -101,21 +105,19 @@ class Scan:
         Slow effects hide in a noise model that was made with them.
         """
         if self._clean is None:
-            beside, errors = self.white.beside(self.columns), self.white.errors.copy()
-            self._greedy(beside, errors, _GREEDY)
+            errors = self.white.errors.copy()
+            self._greedy(self.through(self.white.filter).beside, errors, _GREEDY)
             own = self.white.residuals + self.linear.scale() * (errors - self.white.errors)
             self._clean = Whitening.of(own, self.linear.structure)
         return self._clean
 
-    def different(self, through: Filter, statistics: Statistics, count: int) -> list[int]:
+    def different(self, statistics: Statistics, count: int) -> list[int]:
         """The effect that explains most, the one that explains most of what is left, and so on."""
-        errors = Whitened(self.linear, through.on(self.linear.structure)).errors.copy()
-        return self._greedy(statistics.beside, errors, count)
+        return self._greedy(statistics.beside, statistics.errors.copy(), count)
 
-    def _greedy(self, beside: _Array, errors: _Array, count: int, grams: list[_Array] | None = None) -> list[int]:
-        """Takes out of errors what explains most of them, one effect after the other, and tells which; out of the
-        groups' products too."""
-        grams = _grams(beside, self.groups) if grams is None else grams
+    def _greedy(self, beside: _Array, errors: _Array, count: int) -> list[int]:
+        """Takes out of errors what explains most of them, one effect after the other, and tells which."""
+        grams = _grams(beside, self.groups)
         taken: list[int] = []
         found: list[_Array] = []
         for _ in range(min(count, len(self.groups))):

@@ -144,7 +144,7 @@ class Search:
     def threshold(self, candidate: Candidate | None = None) -> float:
         """Twice the gain in log-likelihood that chance reaches with none of all candidates; without a candidate that
         for those with one unknown."""
-        unknowns = len(candidate.coefficients) + len(candidate.shape_names) if candidate else 1
+        unknowns = len(candidate.parameters) if candidate else 1
         return _quantile(max(unknowns, 1), _FALSE / max(self._tries_in_all, 1))
 
     def needed(self, more: Refit, candidate: Candidate) -> float:
@@ -159,13 +159,12 @@ class Search:
         than that noise has them; and with noise of all channels together, where that is the better model. One gust
         moves all channels, and is no evidence for each of them.
         """
-        new = [c for c in more.candidates if c.name not in base.names]
-        inflation = max((more.inflation(c) for c in new), default=1.0)
+        inflation = max((more.inflation(c) for c in more.beside(base.candidates)), default=1.0)
         return 2.0 * min((more.own.merit - base.own.merit) / inflation, more.merit - base.merit)
 
     def held_out(self, base: Refit, more: Refit) -> HeldOut:
         """Gain on held-out data; none where the model cannot be fitted there."""
-        new = [c for c in more.candidates if c.name not in base.names]
+        new = more.beside(base.candidates)
         others = self._on_other_data(base, None) if self.validation else None
         if others is None or not all(c.transferable for c in new):
             return across_blocks(base, more, new)
@@ -233,7 +232,7 @@ class Search:
             if t.candidates[-1].name in rejected:
                 continue
             settled = self._settled(t, rejected)
-            new = [c for c in settled.candidates if c.name not in current.names]
+            new = settled.beside(current.candidates)
             kept = [c for c in settled.candidates if c.name in current.names]
             below = self.refit(kept, settled.fit)
             # With the new term an earlier one may have become needless: then the two sets compete.
@@ -273,7 +272,7 @@ class Search:
         for which, count in reversed(_SHORT):
             for c in self._best(scan, statistics[which], count, ~hopeless):
                 names[c.name] = c
-        for i in scan.different(at.own.filter, statistics["base"], _DIFFERENT):
+        for i in scan.different(statistics["base"], _DIFFERENT):
             candidate, shape = scan.effects[i]
             if candidate.name not in names and not hopeless[i]:
                 names[candidate.name] = candidate
@@ -334,7 +333,7 @@ class Search:
                 if r is at:
                     break
                 # Another must be significant itself, whatever the filter of the first makes of it.
-                new = _new(r, others)
+                (new,) = r.beside(others)
                 sure = without is None or self.gain(without, r) > self.needed(r, new)
                 if sure and not any(n in rejected for n in r.names):
                     yield r
@@ -342,8 +341,7 @@ class Search:
 
     def _apart(self, at: Refit, one: Candidate, other: Candidate) -> bool:
         """Whether the estimates of two candidates hardly depend on each other: neither casts doubt on the other."""
-        names = [[*c.coefficients, *c.shape_names] for c in (one, other)]
-        return at.own.correlation(*names) < _APART
+        return at.own.correlation(one.parameters, other.parameters) < _APART
 
     def _rivals(self, at: Refit, candidate: Candidate) -> list[tuple[Refit, float]]:
         """Refits with another in place of a candidate, and how much more likely they are through the same filter, less
@@ -371,7 +369,7 @@ class Search:
 
     def _cost(self, at: Refit, others: Sequence[Candidate]) -> float:
         """What counts against a refit's new term: the chances that it had, and to be out of what is physical."""
-        new = _new(at, others)
+        (new,) = at.beside(others)
         return self.threshold(new) + (0.0 if is_physical(at, new) else _UNPHYSICAL)
 
     def _alike(self, scan: Scan, statistics: Statistics, candidate: Candidate) -> list[Candidate]:
@@ -412,7 +410,7 @@ class Search:
         for r, _ in self._rivals(at, candidate):
             if r.names == at.names:
                 continue
-            other = _new(r, others)
+            (other,) = r.beside(others)
             d = mine - r.through(filter).log_densities
             d = d[np.isfinite(d)]
             gain = self.gain(without, r) / 2
@@ -447,12 +445,6 @@ def _whole(scan: Scan, statistics: Statistics, candidate: Candidate) -> int:
         return float(statistics.values[i]) * (2.0 * c - 1.0) / c**2 if c else 0.0
 
     return max((i for i, (c, _) in enumerate(scan.effects) if c is candidate), key=gain)
-
-
-def _new(at: Refit, others: Sequence[Candidate]) -> Candidate:
-    """What a refit has beside others; by name, for one candidate may be centred in several ways."""
-    names = {c.name for c in others}
-    return next(c for c in at.candidates if c.name not in names)
 
 
 def is_physical(at: Refit, candidate: Candidate) -> bool:

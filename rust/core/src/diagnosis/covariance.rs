@@ -1,5 +1,6 @@
 //! Covariance of the estimates, and their distance from the optimum, from one factorisation.
 
+use super::SLIGHT;
 use crate::linalg::kkt_for;
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::state_units;
@@ -21,9 +22,6 @@ pub struct Information {
 
 /// Parts of a weak direction below this, relative to the greatest, do not count.
 const PART: f64 = 0.1;
-
-/// Curvature, relative to that of other directions, given to directions without any.
-const SLIGHT: f64 = 1e-8;
 
 /// The inverse of the KKT matrix [H Aᵀ; A 0], H the Hessian of the Lagrangian, has Z (ZᵀHZ)⁻¹ Zᵀ for its
 /// first block, Z a basis of the null space of A: the inverse of the observed information, the states

@@ -1,12 +1,10 @@
 //! How the fitted path answers to a force on its equations: the sensitivities behind every candidate term.
 
+use super::SLIGHT;
 use crate::linalg::{KktSolver, Singular, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::state_units;
 use crate::transcription::Collocation;
-
-/// Curvature, relative to that of other directions, given to directions without any.
-const SLIGHT: f64 = 1e-8;
 
 /// The linearisation of a collocation problem about a point, factorised once, in the metric of its Gauss-Newton
 /// Hessian.

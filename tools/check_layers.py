@@ -21,7 +21,7 @@ RUST = [
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
     "experiment", "multirate", "read", "transcription", "shooting", "filter_error", "guess", "solvers", "progress",
-    "records", "io", "plot", "summary", "match", "validation",
+    "records", "io", "plot", "response", "summary", "match", "validation",
     "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "biases", "held", "validate", "discrepancy",

@@ -46,6 +46,7 @@ from .parameters import Estimate, Parameter
 from .read import read
 from .records import Record
 from .refinement import Refinement
+from .response import FrequencyResponse
 from .result import Fit, load
 from .shooting import MultipleShooting, SingleShooting
 from .simulate import simulate
@@ -96,6 +97,7 @@ __all__ = [
     "Finding",
     "Fit",
     "FourierSmoothing",
+    "FrequencyResponse",
     "Gain",
     "Gaussian",
     "Huber",

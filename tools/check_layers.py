@@ -20,8 +20,9 @@ RUST = [
 
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
-    "experiment", "multirate", "read", "transcription", "shooting", "filter_error", "guess", "solvers", "progress",
-    "records", "io", "plot", "response", "summary", "match", "validation",
+    "filtering", "preprocess", "experiment", "multirate", "read", "transcription", "shooting", "filter_error",
+    "guess", "solvers", "progress", "records", "io", "plot", "frequency_plot", "response", "empirical", "summary",
+    "match", "validation",
     "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "biases", "held", "validate", "discrepancy",

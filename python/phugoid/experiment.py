@@ -13,17 +13,17 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from . import _core
 from .errors import DataError, listing
+from .preprocess import Columns, Preprocessing, Signal
 
-__all__ = ["Experiment", "FloatArray", "Interpolation", "as_experiments"]
+__all__ = ["Experiment", "FloatArray", "Interpolation", "Signal", "as_experiments"]
 
 FloatArray = NDArray[np.float64]
 Interpolation = Literal["linear", "cubic"]
-Signal = tuple[FloatArray, FloatArray, float, int]
-"""An input sampled at times of its own: times (s), samples, delay (s), order of the derivative taken."""
 
 
-class Experiment:
+class Experiment(Preprocessing):
     """One record of measured inputs and outputs over N samples; immutable.
 
     t              (N,) time in s, strictly increasing, at least 2 samples; the spacing may vary.
@@ -35,6 +35,9 @@ class Experiment:
     channels       name -> (N,): columns not yet told apart. A model finds here what it does not find in
                    ``inputs`` and ``outputs``; extra channels do no harm.
     units          name -> unit, for labels; nothing is converted.
+
+    Filters, detrending and changes of the sampling rate are methods, each of which gives a new record whose ``history``
+    says what was done.
 
     Lists, numpy arrays and pandas Series are taken (and copied). Bad input raises DataError, which names the
     channel, the sample's index and its time.
@@ -70,6 +73,7 @@ class Experiment:
         self._units = dict(units or {})
         self._signals: dict[str, Signal] = {}
         self._mesh_times: FloatArray | None = None
+        self._history: tuple[str, ...] = ()
         for channel, values in self._inputs.items():
             self._check_input(channel, values)
         for channel, values in self._outputs.items():
@@ -124,6 +128,11 @@ class Experiment:
         return self._interpolation
 
     @property
+    def history(self) -> tuple[str, ...]:
+        """What was done to the record since it was read or made: a sentence a step, in order."""
+        return self._history
+
+    @property
     def n(self) -> int:
         """Number of samples, N."""
         return int(self._t.size)
@@ -156,6 +165,8 @@ class Experiment:
         """
         for name in model_inputs:
             self._check_input(name, self.input(name))
+            if name in self._signals:
+                self._check_input(name, self._signals[name][1], self._signals[name][0])
         for name in model_outputs:
             values = self.output(name)
             self._check_output(name, values)
@@ -191,7 +202,9 @@ class Experiment:
             channels=cut(self._channels),
             units=self._units,
         )
-        return cut_out._sampled(self._signals, times)
+        left_out = self.n - cut_out.n
+        step = [f"window {cut_out.t[0]:g} to {cut_out.t[-1]:g} s"] if left_out else []
+        return cut_out._sampled(self._signals, times)._after(self, *step)
 
     def rename(self, names: Mapping[str, str]) -> Experiment:
         """The same record with channels renamed, ``{"old": "new"}``; DataError for unknown or taken names."""
@@ -217,7 +230,9 @@ class Experiment:
             channels=renamed(self._channels),
             units=units,
         )
-        return other._sampled({names.get(key, key): s for key, s in self._signals.items()}, self._mesh_times)
+        other._sampled({names.get(key, key): s for key, s in self._signals.items()}, self._mesh_times)
+        changed = [f"{old} to {new}" for old, new in names.items() if old != new]
+        return other._after(self, *([f"renamed {', '.join(changed)}"] if changed else []))
 
     def with_outputs(self, outputs: Mapping[str, ArrayLike], name: str | None = None) -> Experiment:
         """The same inputs with ``outputs`` (name -> (N,)) in place of the measured ones: simulated data."""
@@ -230,7 +245,41 @@ class Experiment:
             channels=self._channels,
             units=self._units,
         )
-        return other._sampled(self._signals, self._mesh_times)
+        return other._sampled(self._signals, self._mesh_times)._after(self, f"outputs replaced: {', '.join(outputs)}")
+
+    def _after(self, before: Experiment, *steps: str) -> Experiment:
+        """This record with the history of the one that it was made of, and what was done since."""
+        self._history = (*before._history, *steps)
+        return self
+
+    def _times(self) -> tuple[str, FloatArray]:
+        return self._name, self._t
+
+    def _columns_of(self) -> Columns:
+        return {"input": self._inputs, "output": self._outputs, "channel": self._channels}
+
+    def _signals_of(self) -> Mapping[str, Signal]:
+        return self._signals
+
+    def _between(self, signal: Signal) -> FloatArray:
+        own, values = (part.tolist() for part in signal[:2])
+        return np.array(_core.interpolate(self._interpolation, own, values, self._t.tolist()))
+
+    def _stepped(
+        self,
+        step: str,
+        columns: Columns,
+        signals: Mapping[str, Signal],
+        t: FloatArray | None = None,
+        cubic: bool = False,
+    ) -> Experiment:
+        groups = (columns["input"], columns["output"])
+        kind: Interpolation = "cubic" if cubic else self._interpolation
+        other = Experiment(
+            self._t if t is None else t, *groups, self._name, kind, channels=columns["channel"], units=self._units
+        )
+        # At new times a mesh follows these.
+        return other._sampled(signals, self._mesh_times if t is None else None)._after(self, step)
 
     def _sampled(self, signals: Mapping[str, Signal], mesh_times: FloatArray | None) -> Experiment:
         """The same record with inputs that have samples of their own, and a mesh that follows other times."""
@@ -244,6 +293,7 @@ class Experiment:
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Pickling (multistart in other processes) forgets that the arrays are read-only.
         self.__dict__.update(state)
+        self.__dict__.setdefault("_history", ())  # pickled by an older version
         for values in (self._t, *self._inputs.values(), *self._outputs.values(), *self._channels.values()):
             values.setflags(write=False)
 
@@ -308,11 +358,12 @@ class Experiment:
             columns[str(channel)] = column
         return columns
 
-    def _check_input(self, channel: str, values: FloatArray) -> None:
+    def _check_input(self, channel: str, values: FloatArray, times: FloatArray | None = None) -> None:
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
+            sample = _sample(bad[0], self._t if times is None else times)
             raise DataError(
-                f"{self._where('input', channel)}: {_sample(bad[0], self._t)} is {values[bad[0]]}"
+                f"{self._where('input', channel)}: {sample} is {values[bad[0]]}"
                 f"{f' (and {bad.size - 1} more)' if bad.size > 1 else ''}; "
                 "inputs may not have missing values: fill or cut"
             )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ def read(
     name: str | None = None,
     interpolation: Interpolation = "linear",
     window: tuple[float, float] | None = None,
+    rate: float | None = None,
 ) -> Experiment:
     """Reads a record from a text table: CSV, TSV or columns apart by blanks, also gzipped.
 
@@ -42,6 +44,7 @@ def read(
     delimiter  None: found out from the file.
     name       name of the experiment; None: the file's name without its ending.
     window     ``(t0, t1)`` in s keeps a part.
+    rate       samples a second, for a file without a time column: time runs from 0, and ``time`` is not looked for.
 
     Lines that begin with ``#`` or ``%`` are comments. Empty cells, ``NaN`` and ``NA`` are missing samples.
     Raises DataError with the line and the column for a cell that is no number, with the line for a row that
@@ -49,9 +52,14 @@ def read(
     """
     table = _parse(Path(path), columns, delimiter)
     names = _renamed(table, rename or {})
-    if time not in names:
-        raise DataError(f"{table.file}: has no time column '{time}'.{listing(time, names)} Give time='...'.")
-    available = [n for n in names if n != time]
+    if rate is not None and not (isinstance(rate, Real) and 0 < rate < float("inf")):
+        raise DataError(f"{table.file}: rate is a positive number of samples a second, not {rate!r}")
+    if rate is None and time not in names:
+        raise DataError(
+            f"{table.file}: has no time column '{time}'.{listing(time, names)} Give time='...', or for even sampling "
+            "rate=... in Hz."
+        )
+    available = [n for n in names if n != time or rate is not None]
     for kind, wanted in (("input", inputs), ("output", outputs), ("unit", units)):
         if isinstance(wanted, str):
             raise DataError(f"{kind}s='{wanted}' is text: give a list of names, such as {kind}s=['{wanted}']")
@@ -59,9 +67,10 @@ def read(
             if n not in available and not (kind == "unit" and n == time):
                 raise DataError(f"{table.file}: has no column '{n}' ({kind}s=...).{listing(n, available)}")
     used = available if inputs is None or outputs is None else list(dict.fromkeys([*inputs, *outputs]))
-    data = {n: _numbers(table, names.index(n), n) for n in (time, *used)}
+    columns_read = used if rate is not None else (time, *used)
+    data = {n: _numbers(table, names.index(n), n) for n in columns_read}
     experiment = Experiment(
-        data.pop(time),
+        data.pop(time) if rate is None else np.arange(len(table.rows)) / float(rate),
         {n: data[n] for n in inputs or ()},
         {n: data[n] for n in outputs or ()},
         name=_stem(Path(path)) if name is None else name,

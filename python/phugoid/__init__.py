@@ -22,6 +22,7 @@ from .discrepancy.extension import Extension, Gain
 from .discrepancy.finding import Finding, Scored
 from .discrepancy.misfit import Misfit, misfit
 from .discrepancy.points import Points
+from .empirical import frequency_response
 from .equation_error import EquationError, equation_error
 from .errors import (
     DataError,
@@ -144,6 +145,7 @@ __all__ = [
     "equation_error",
     "estimate",
     "exp",
+    "frequency_response",
     "from_sympy",
     "load",
     "log",

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import DataError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["FrequencyResponse"]
 
@@ -91,6 +95,15 @@ class FrequencyResponse:
             coherence=None if self.coherence is None else self.coherence[kept],
             std_error=None if self.std_error is None else self.std_error[kept],
         )
+
+    def plot(self, *models: FrequencyResponse, **options: Any) -> tuple[Figure, dict[str, Axes]]:
+        """Magnitude over frequency, this response as points and those of models as lines.
+
+        ``options``: phase, coherence, logarithmic, band, axes, as for `frequency_plot.plot_frequency_response`.
+        """
+        from .frequency_plot import plot_frequency_response
+
+        return plot_frequency_response(self, *models, **options)
 
     @property
     def _name(self) -> str:

@@ -55,6 +55,15 @@ def test_named_inputs_and_outputs_are_all_that_is_kept(table: Any) -> None:
     assert (list(e.inputs), list(e.outputs), list(e.channels)) == (["de"], ["q"], [])
 
 
+def test_a_table_without_times_has_a_rate(table: Any) -> None:
+    path = table("u,y\n1,2\n3,4\n5,6\n")
+    e = read(path, rate=4.0, inputs=["u"], outputs=["y"])
+    np.testing.assert_array_equal(e.t, [0.0, 0.25, 0.5])
+    np.testing.assert_array_equal(e.output("y"), [2.0, 4.0, 6.0])
+    assert has(refusal(path), "no time column 't'", "rate=")
+    assert has(refusal(path, rate=-4.0), "rate is a positive number of samples a second, not -4.0")
+
+
 def test_named_inputs_alone_leave_the_rest_open(table: Any) -> None:
     e = read(table("t,de,q\n0,1,2\n1,3,4\n"), inputs=["de"])
     assert list(e.inputs) == ["de"]

@@ -23,7 +23,21 @@ def test_importing_stays_light() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["read", "symbols", "model", "plot", "summary", "simulate", "estimate", "result", "discrepancy.page"]
+    "module",
+    [
+        "read",
+        "preprocess",
+        "symbols",
+        "model",
+        "plot",
+        "empirical",
+        "frequency_plot",
+        "summary",
+        "simulate",
+        "estimate",
+        "result",
+        "discrepancy.page",
+    ],
 )
 def test_every_module_stays_light(module: str) -> None:
     assert loaded_after(f"import phugoid.{module}") == []

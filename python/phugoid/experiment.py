@@ -117,6 +117,15 @@ class Experiment(Preprocessing):
         """
         return self._signals.get(name)
 
+    def samples(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Times (s) and values that an input is interpolated between: its own, or those of the record."""
+        own = self._signals.get(name)
+        return (self._t, self.input(name)) if own is None else (own[0], own[1])
+
+    def own_samples(self, names: Sequence[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """`samples` of those inputs that have some of their own, taken as they are: neither late nor differentiated."""
+        return {n: self.samples(n) for n in names if n in self._signals and self._signals[n][2:] == (0.0, 0)}
+
     @property
     def mesh_times(self) -> FloatArray | None:
         """Times that a mesh follows where these are not the sample times; None where they are."""

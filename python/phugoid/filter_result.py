@@ -175,6 +175,7 @@ def _records(
                 mesh_t=e.t,
                 mesh_states=by_state,
                 units=model.units,
+                input_samples=e.own_samples(model.input_names),
                 state_std=dict(zip(model.state_names, deviations, strict=True)),
                 innovations=dict(zip(model.output_names, innovations, strict=True)),
                 innovation_std=dict(zip(model.output_names, spreads, strict=True)),

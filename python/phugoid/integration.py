@@ -94,7 +94,8 @@ def integration_error(
     """
     rough = np.array(_core.lgl(order)[0])
     edges = record.mesh_t[:: order - 1]
-    inside = np.searchsorted(record.t, edges[1:] - 1e-9) - np.searchsorted(record.t, edges[:-1] + 1e-9)
+    bends = record.input_times
+    inside = np.searchsorted(bends, edges[1:] - 1e-9) - np.searchsorted(bends, edges[:-1] + 1e-9)
     fine = np.array(_core.lgl(min(order + _MORE + 2 * max(int(inside.max()), 0), max(_MOST, order + _MORE)))[0])
     s, m, n = edges.size - 1, fine.size, len(model.state_names)
     h = np.diff(edges)
@@ -161,9 +162,10 @@ class _Flow:
 
     def _columns(self, t: _Array, x: _Array) -> _Array:
         r = self.record
+        samples = (r.input_samples.get(name, (r.t, values)) for name, values in r.inputs.items())
         u = [
-            np.array(_core.interpolate(r.interpolation, r.t.tolist(), values.tolist(), t.tolist()))
-            for values in r.inputs.values()
+            np.array(_core.interpolate(r.interpolation, own.tolist(), values.tolist(), t.tolist()))
+            for own, values in samples
         ]
         return np.vstack([t, *u, x])
 

@@ -175,7 +175,8 @@ def _data_hash(problem: Problem, experiment: Any) -> str:
     channel += [(name, experiment.input) for name in problem.model.input_names]
     channel += [(name, experiment.output) for name in problem.model.output_names]
     whole = sha256(f"{experiment.interpolation} {[name for name, _ in channel]}".encode())
-    for values in (experiment.t, *(get(name) for name, get in channel)):
+    own = [part for pair in experiment.own_samples(problem.model.input_names).values() for part in pair]
+    for values in (experiment.t, *(get(name) for name, get in channel), *own):
         # Any NaN is as good as another.
         whole.update(np.where(np.isnan(values), np.nan, values).astype("<f8").tobytes())
     return whole.hexdigest()[:16]

@@ -126,6 +126,7 @@ def _restored(model: Model, record: Record, experiment: Experiment, base: Mappin
         record,
         t=t,
         inputs={name: experiment.input(name) for name in model.input_names},
+        input_samples=experiment.own_samples(model.input_names),
         outputs=outputs,
         states={name: np.interp(t, record.mesh_t, path) for name, path in record.mesh_states.items()},
         measured=measured,
@@ -140,7 +141,8 @@ def simulated_late(
     delays = {name: values[name] for name in model.delays.parameters}
     slim = at_delays(model, delays)
     t = data.t
-    later = [t + delays[tau] for _, tau in model.delays.inputs.values()]
+    later = [data.samples(name)[0] for name in model.input_names]
+    later += [data.samples(of)[0] + delays[tau] for of, tau in model.delays.inputs.values()]
     earlier = {name: t - delays[tau] for name, tau in model.delays.outputs.items()}
     everything = np.concatenate([t, *later, *earlier.values()])
     times = distinct(everything, 1e-9 * float(np.median(np.diff(t))))
@@ -154,7 +156,8 @@ def simulated_late(
         of, tau = model.delays.inputs.get(name, (name, ""))
         if of in model.input_names:
             at = (times - delays.get(tau, 0.0)).tolist()
-            inputs[name] = np.array(_core.interpolate(data.interpolation, t.tolist(), data.input(of).tolist(), at))
+            own, u = (part.tolist() for part in data.samples(of))
+            inputs[name] = np.array(_core.interpolate(data.interpolation, own, u, at))
         else:  # a rate, which counts for nothing at the delay itself
             inputs[name] = np.zeros(times.size)
     fine = Experiment(times, inputs, name=data.name, interpolation=data.interpolation, units=data.units)
@@ -176,6 +179,7 @@ def simulated_late(
         measured=measured,
         residuals={n: z - outputs[n] for n, z in measured.items()},
         units=model.units,
+        input_samples=data.own_samples(model.input_names),
     )
 
 

@@ -332,7 +332,7 @@ def _filter(
 
     def sections(rate: float) -> _Array:
         highest = max(corner for _, corner in kinds)
-        if highest >= 0.5 * rate:
+        if highest >= 0.5 * rate * (1.0 - 1e-9):
             raise OptionError(
                 f"{method}: {highest:g} Hz is not below the Nyquist frequency {0.5 * rate:g} Hz of a record sampled "
                 f"at {rate:g} Hz"

@@ -32,6 +32,7 @@ class Record:
     mesh_states  name -> (M,): the states there.
     units        name -> unit, for every kind of channel.
     interpolation  of the inputs between samples, "linear" or "cubic".
+    input_samples  name -> times (s) and values of the inputs that have samples of their own, such as finer ones.
 
     With process noise (`FilterError`) ``states`` and ``outputs`` are those of the most probable path, and there are:
 
@@ -52,6 +53,7 @@ class Record:
     mesh_states: Mapping[str, _Array] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     interpolation: str = "linear"
+    input_samples: Mapping[str, tuple[_Array, _Array]] = field(default_factory=dict)
     state_std: Mapping[str, _Array] = field(default_factory=dict)
     innovations: Mapping[str, _Array] = field(default_factory=dict)
     innovation_std: Mapping[str, _Array] = field(default_factory=dict)
@@ -60,6 +62,12 @@ class Record:
     def n(self) -> int:
         """Number of samples, N."""
         return int(self.t.size)
+
+    @property
+    def input_times(self) -> _Array:
+        """Times of the samples and of the inputs' own within the record, in order, s: where inputs bend."""
+        own = [t[(t > self.t[0]) & (t < self.t[-1])] for t, _ in self.input_samples.values()]
+        return np.unique(np.concatenate([self.t, *own])) if own else self.t
 
     def rms(self) -> dict[str, float]:
         """Root mean square of each output's residuals, in its unit; NaN where no sample is present.

@@ -70,7 +70,7 @@ def _split(fit: Fit, found: Sequence[IntegrationError], order: int, tolerance: f
         for a, b, error in zip(each.edges[:-1], each.edges[1:], each.worst, strict=True):
             if error > tolerance:
                 pieces = math.ceil((error / (_AIM * tolerance)) ** (1.0 / (order + 1)))
-                ends += _between(float(a), float(b), min(max(pieces, 2), _PIECES), record.t)
+                ends += _between(float(a), float(b), min(max(pieces, 2), _PIECES), record.input_times)
             ends.append(float(b))
         divided.append(np.array(ends))
     return divided
@@ -79,10 +79,11 @@ def _split(fit: Fit, found: Sequence[IntegrationError], order: int, tolerance: f
 def _bent(fit: Fit, found: Sequence[IntegrationError]) -> bool:
     """Whether inputs bend inside a segment, so that a higher order would be lost there."""
     for record, each in zip(fit.records, found, strict=True):
-        ends = np.searchsorted(each.edges, record.t)
+        bends = record.input_times
+        ends = np.searchsorted(each.edges, bends)
         near = np.minimum(
-            np.abs(record.t - each.edges[np.minimum(ends, each.edges.size - 1)]),
-            np.abs(record.t - each.edges[np.maximum(ends - 1, 0)]),
+            np.abs(bends - each.edges[np.minimum(ends, each.edges.size - 1)]),
+            np.abs(bends - each.edges[np.maximum(ends - 1, 0)]),
         )
         if record.inputs and record.interpolation == "linear" and near.max() > 1e-6 * np.diff(each.edges).min():
             return True

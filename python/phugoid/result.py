@@ -426,6 +426,7 @@ def _record(model: Model, experiment: Experiment, problem: _core.Problem, xi: _A
         mesh_states=dict(zip(model.state_names, path, strict=True)),
         units=model.units,
         interpolation=experiment.interpolation,
+        input_samples=experiment.own_samples(model.input_names),
     )
 
 
@@ -498,8 +499,17 @@ def load(path: str | os.PathLike[str]) -> Fit:
         each = {**{k: saved[k] for k in groups}, **{k: saved.get(k, {}) for k in added}}
         arrays = {k: {n: io.to_array(v) for n, v in group.items()} for k, group in each.items()}
         t, mesh_t = io.to_array(saved["t"]), io.to_array(saved["mesh_t"])
+        own = {n: (io.to_array(at), io.to_array(v)) for n, (at, v) in saved.get("input_samples", {}).items()}
         kind = saved.get("interpolation", "linear")
-        return Record(name=saved["name"], units=saved["units"], t=t, mesh_t=mesh_t, interpolation=kind, **arrays)
+        return Record(
+            name=saved["name"],
+            units=saved["units"],
+            t=t,
+            mesh_t=mesh_t,
+            interpolation=kind,
+            input_samples=own,
+            **arrays,
+        )
 
     def transcription(saved: dict[str, Any]) -> Transcription | FilterError:
         return FilterError(**saved) if "states" in saved else from_dict(saved)

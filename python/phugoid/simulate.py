@@ -16,6 +16,7 @@ from .experiment import Experiment
 from .guess import measured_states
 from .late import simulated_late
 from .model import Model
+from .multirate import distinct
 from .records import Record
 from .result import Fit
 
@@ -76,6 +77,7 @@ def simulate(
         residuals={n: z - outputs[n] for n, z in measured.items()},
         units=model.units,
         interpolation=data.interpolation,
+        input_samples=data.own_samples(model.input_names),
     )
 
 
@@ -88,22 +90,33 @@ class _Flow:
         self.evaluator = _core.Evaluator(model._core)
         self.t = data.t
         self.inputs = np.array([data.input(name) for name in model.input_names]).reshape(-1, data.n)
+        self.splines: list[tuple[Any, _Array]] | None = None  # of each input, and the ends of its samples
+        self.knots, self.at_knots = self.t, self.inputs
+        samples = [data.samples(name) for name in model.input_names]
         if data.interpolation == "cubic":
             from scipy.interpolate import CubicSpline
 
-            self.between: Any = CubicSpline(self.t, self.inputs, axis=1)  # as the core's
-        else:
-            self.between = None
+            self.splines = [(CubicSpline(t, u), t[[0, -1]]) for t, u in samples]  # as the core's
+        elif any(t is not self.t for t, _ in samples):
+            # Where inputs with samples of their own bend.
+            same = 1e-9 * float(np.diff(self.t).min())
+            inner = distinct(np.concatenate([t for t, _ in samples]), same)
+            inner = inner[(inner > self.t[0] + same) & (inner < self.t[-1] - same)]
+            after = np.searchsorted(self.t, inner)
+            apart = np.minimum(inner - self.t[after - 1], self.t[after] - inner) > same
+            self.knots = np.union1d(self.t, inner[apart])
+            self.at_knots = np.array([np.interp(self.knots, *sampled) for sampled in samples])
         self.bad: tuple[float, _Array, _Array] | None = None  # the last point where an equation was not finite
 
     def at(self, k: int, time: float) -> _Array:
-        """Inputs at a time in the interval after sample ``k``."""
-        if time == self.t[k + 1]:
-            return np.asarray(self.inputs[:, k + 1])  # to the bit: a hair below zero may have no square root
-        if self.between is not None:
-            return np.asarray(self.between(time))
-        share = (time - self.t[k]) / (self.t[k + 1] - self.t[k])
-        return np.asarray(self.inputs[:, k] + share * (self.inputs[:, k + 1] - self.inputs[:, k]))
+        """Inputs at a time in the interval after knot ``k``."""
+        if time == self.knots[k + 1]:
+            return np.asarray(self.at_knots[:, k + 1])  # to the bit: a hair below zero may have no square root
+        if self.splines is not None:
+            # Beyond its own samples an input stays as it was, as in the core.
+            return np.array([spline(min(max(time, ends[0]), ends[1])) for spline, ends in self.splines])
+        share = (time - self.knots[k]) / (self.knots[k + 1] - self.knots[k])
+        return np.asarray(self.at_knots[:, k] + share * (self.at_knots[:, k + 1] - self.at_knots[:, k]))
 
     def rhs(self, k: int, time: float, x: _Array) -> _Array:
         """x' in that interval."""
@@ -120,7 +133,7 @@ class _Flow:
         """
         from scipy.integrate import solve_ivp
 
-        states = np.empty((x0.size, self.t.size))
+        states = np.empty((x0.size, self.knots.size))
         states[:, 0] = x0
         self.rhs(0, self.t[0], x0)
         if self.bad is not None:  # the integrator would never return
@@ -128,7 +141,7 @@ class _Flow:
         atol = rtol * np.maximum(np.abs(x0), 1e-3)
         step = None
         with np.errstate(all="ignore"):
-            for k, (begin, end) in enumerate(zip(self.t[:-1], self.t[1:], strict=True)):
+            for k, (begin, end) in enumerate(zip(self.knots[:-1], self.knots[1:], strict=True)):
                 step = None if step is None else min(step, end - begin)
                 options = {"rtol": rtol, "atol": atol, "first_step": step}
                 solution = solve_ivp(partial(self.rhs, k), (begin, end), states[:, k], method, **options)
@@ -136,7 +149,7 @@ class _Flow:
                     raise self.failure(solution.t[-1])
                 states[:, k + 1] = solution.y[:, -1]
                 step = float(np.diff(solution.t).max())
-        return states
+        return states[:, np.searchsorted(self.knots, self.t)]
 
     def failure(self, reached: float) -> EvaluationError:
         """Why there is no solution from a time on."""

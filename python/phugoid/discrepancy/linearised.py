@@ -39,7 +39,9 @@ def dataset(fit: Fit) -> Sequence[Experiment]:
     if fit.experiments:
         return fit.experiments
     return [
-        Experiment(r.t, dict(r.inputs), dict(r.measured), r.name, "cubic" if r.interpolation == "cubic" else "linear")
+        Experiment(
+            r.t, dict(r.inputs), dict(r.measured), r.name, "cubic" if r.interpolation == "cubic" else "linear"
+        )._sampled({name: (*own, 0.0, 0) for name, own in r.input_samples.items()}, None)
         for r in fit.records
     ]
 

@@ -32,7 +32,7 @@ use crate::linalg::{Curvature, KktSolver, kkt_for};
 use crate::nlp::{Nlp, NotFinite, Reach};
 use bounds::Active;
 use point::Point;
-use search::{Merit, Watchdog};
+use search::{FIRST_DAMPING, Merit, Watchdog};
 use units::Units;
 
 /// Most by which a standard deviation changes in a step.
@@ -184,6 +184,8 @@ struct Run<'a> {
     /// Whether the exact Hessian is in use.
     near: bool,
     shift: f64,
+    /// The last that a step needed.
+    damping: f64,
     count: Evaluations,
     history: Vec<Iteration>,
     detail: String,
@@ -238,6 +240,7 @@ impl<'a> Run<'a> {
             profile: vec![0.0; nlp.profiled().len()],
             near: !settings.gauss_newton || multipliers.is_some(),
             shift: 0.0,
+            damping: FIRST_DAMPING,
             count: Evaluations::default(),
             history: Vec::with_capacity(settings.max_iterations.min(1000) + 1),
             detail: String::new(),

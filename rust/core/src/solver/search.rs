@@ -12,10 +12,11 @@ const SHORTEST: f64 = 1e-7;
 /// Most second-order corrections of a step.
 const CORRECTIONS: usize = 3;
 
-/// Damping of the parameters, in units of the curvature, that is tried first, and last.
-const FIRST_DAMPING: f64 = 1e-2;
-const LAST_DAMPING: f64 = 1e6;
-/// Most full steps in a row without a lower merit function.
+/// Damping of the parameters, in units of the curvature: what is tried first, and the limits.
+pub(super) const FIRST_DAMPING: f64 = 1e-2;
+const LEAST_DAMPING: f64 = 1e-9;
+const MOST_DAMPING: f64 = 1e6;
+/// Most full steps in a row without a lower merit function, until such steps have led nowhere.
 const PATIENCE: usize = 8;
 
 /// Trust ends where a defect is so many times what it was, or what its state does.
@@ -47,13 +48,21 @@ pub(super) struct Watchdog {
     lambda: Vec<f64>,
     /// Steps since the merit function was lowest; 0 where it is so now.
     age: usize,
+    /// Most such steps: half as many each time that they led nowhere.
+    patience: usize,
     /// The next step must lower it.
     strict: bool,
 }
 
 impl Watchdog {
     pub fn new(here: &Point) -> Watchdog {
-        Watchdog { back: here.clone(), lambda: vec![0.0; here.c.len()], age: 0, strict: false }
+        Watchdog {
+            back: here.clone(),
+            lambda: vec![0.0; here.c.len()],
+            age: 0,
+            patience: PATIENCE,
+            strict: false,
+        }
     }
 }
 
@@ -81,6 +90,9 @@ impl Run<'_> {
         let fine = self.try_step(1.0);
         if fine && goal.met(&self.trial, 1.0) {
             self.relax();
+            if self.watchdog.age > 0 {
+                self.watchdog.patience = PATIENCE;
+            }
             return Some(self.accept(1.0, trials));
         }
         if fine && !self.watchdog.strict {
@@ -89,7 +101,7 @@ impl Run<'_> {
                 self.watchdog.lambda.copy_from_slice(&self.lambda);
             }
             let sane = self.trial.worst <= ASTRAY * self.watchdog.back.worst.max(1.0);
-            if sane && self.watchdog.age < PATIENCE {
+            if sane && self.watchdog.age < self.watchdog.patience {
                 let age = self.watchdog.age + 1;
                 let taken = self.accept(1.0, trials);
                 self.watchdog.age = age;
@@ -151,24 +163,25 @@ impl Run<'_> {
     }
 
     /// Full steps with more and more damping of the parameters (Levenberg, 1944): in the limit these stay,
-    /// and the states go to where the equations want them. The damping stays for the next steps.
+    /// and the states go to where the equations want them.
     fn damped(&mut self, trials: &mut usize) -> Option<(f64, usize)> {
         let undamped = self.shift;
         self.correction.0.copy_from_slice(&self.d);
         self.correction.1.copy_from_slice(&self.next_lambda);
-        let mut shift = self.shift.max(0.1 * FIRST_DAMPING);
-        while shift < LAST_DAMPING {
-            shift *= 10.0;
+        let mut shift = (0.1 * self.damping).max(self.shift).max(LEAST_DAMPING);
+        while shift < MOST_DAMPING {
             if !self.kkt.finish(self.active.held(), shift).is_positive() {
+                shift *= 10.0;
                 continue;
             }
             self.resolve();
             let goal = self.goal(&self.promise());
             *trials += 1;
             if self.try_step(1.0) && goal.met(&self.trial, 1.0) {
-                self.shift = shift;
+                (self.shift, self.damping) = (shift, shift);
                 return Some(self.accept(1.0, *trials));
             }
+            shift *= 10.0;
         }
         std::mem::swap(&mut self.d, &mut self.correction.0);
         std::mem::swap(&mut self.next_lambda, &mut self.correction.1);
@@ -193,6 +206,7 @@ impl Run<'_> {
         self.here.copy(&self.watchdog.back);
         self.lambda.copy_from_slice(&self.watchdog.lambda);
         (self.watchdog.age, self.watchdog.strict) = (0, true);
+        self.watchdog.patience /= 2;
         true
     }
 

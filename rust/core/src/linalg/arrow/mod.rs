@@ -15,6 +15,9 @@
 //! Hessian comes out explicitly ([root]): its inertia decides whether a step minimises, its inverse is
 //! the covariance of the parameters.
 //!
+//! Where no equation joins some states with others, as between modes, each such [part] is eliminated by
+//! itself: the work falls with the square of their number.
+//!
 //! Groups are independent and run in parallel, and so are merges of one level. Their division depends on
 //! the problem alone, and sums have a fixed order: results do not depend on the number of threads.
 
@@ -23,6 +26,7 @@
 mod dense;
 mod group;
 mod merge;
+mod part;
 mod plan;
 mod products;
 mod root;
@@ -32,7 +36,7 @@ use rayon::prelude::*;
 
 use group::{Context, Form, Group, Side};
 use merge::Merge;
-use plan::{Plan, Shape};
+use plan::{Part, Plan, Run, Shape};
 use root::{Border, Top};
 
 use super::{Curvature, KktSolver, Singular, covariance_by_solving};
@@ -61,7 +65,6 @@ struct Tree {
     levels: Vec<Vec<(Node, Node, Merge)>>,
     root: Node,
     top: Top,
-    record: Vec<f64>,
     /// Right-hand side, what is left of it, and solution.
     right: Own,
     rest: Own,
@@ -109,7 +112,6 @@ pub struct ArrowKkt {
     /// 1/unit of each state, and its unit.
     units: Vec<f64>,
     inverse: Vec<f64>,
-    columns: Vec<Vec<f64>>,
     trees: Vec<Tree>,
     sizes: (usize, usize),
     /// Entries of the last factorisation, for refinement.
@@ -132,6 +134,8 @@ pub struct ArrowKkt {
     /// Whether the entries of the last factorisation are kept for that: always where groups are split.
     refining: bool,
     least_groups: usize,
+    /// Factorisations until groups that were split are tried whole again, and how many these were last time.
+    wait: (u32, u32),
     pool: Option<rayon::ThreadPool>,
     parallel: bool,
 }
@@ -146,23 +150,11 @@ impl ArrowKkt {
         sizes: (usize, usize),
         units: &[f64],
     ) -> Option<ArrowKkt> {
-        let plan = Plan::new(chains, hessian, jacobian, sizes.0, sizes.1)?;
-        let shape = &plan.shape;
-        let border = shape.border;
-        // Chains may differ in the rows of their segments: each has its own factors of columns.
-        let columns = plan.chains.iter().map(|chain| {
-            let first = chain.d.next_multiple_of(8);
-            let mut columns = vec![0.0; shape.panel(chain.d)];
-            columns[..chain.d].iter_mut().zip(units.iter().cycle()).for_each(|(c, u)| *c = *u);
-            columns[first..first + shape.n].iter_mut().zip(units).for_each(|(c, u)| *c = -u);
-            columns[first + shape.n..first + shape.used()].fill(-1.0);
-            columns
-        });
-        let columns = columns.collect();
+        let plan = Plan::new(chains, hessian, jacobian, sizes, units)?;
+        let border = plan.shape.border;
         let mut arrow = ArrowKkt {
             units: units.iter().map(|u| 1.0 / u).collect(),
             inverse: units.to_vec(),
-            columns,
             trees: Vec::new(),
             sizes,
             jacobian: vec![0.0; jacobian.len()],
@@ -180,17 +172,12 @@ impl ArrowKkt {
             refine: true,
             refining: true,
             least_groups: 0,
+            wait: (0, 0),
             pool: None,
             parallel: sizes.0 >= PARALLEL_POINTS * plan.shape.n,
             plan,
         };
-        for c in 0..arrow.plan.chains.len() {
-            let segments = arrow.plan.chains[c].chain.segments;
-            let count = segments.div_ceil(GROUP);
-            let ends: Vec<usize> = (0..=count).map(|g| g * segments / count).collect();
-            let tree = arrow.tree(c, &ends);
-            arrow.trees.push(tree);
-        }
+        arrow.trees = arrow.whole();
         arrow.least_groups = arrow.groups();
         Some(arrow)
     }
@@ -205,18 +192,22 @@ impl ArrowKkt {
         self
     }
 
+    /// Trees with no group ended early.
+    fn whole(&self) -> Vec<Tree> {
+        let tree = |(c, plan): (usize, &plan::ChainPlan)| {
+            let segments = plan.chain.segments;
+            let count = segments.div_ceil(GROUP);
+            let ends: Vec<usize> = (0..=count).map(|g| g * segments / count).collect();
+            self.tree(c, &ends)
+        };
+        self.plan.chains.iter().enumerate().map(tree).collect()
+    }
+
     /// A tree over groups between the given segments.
     fn tree(&self, c: usize, ends: &[usize]) -> Tree {
         let (shape, plan) = (&self.plan.shape, &self.plan.chains[c]);
         let n = shape.n;
-        let mut record = vec![0.0; shape.record()];
-        for i in 0..n {
-            for j in 0..n {
-                record[i * n + j] = 1.0 / (self.units[i] * self.units[j]);
-            }
-            record[shape.couplings() + i * shape.coupling..][..shape.coupling].fill(1.0 / self.units[i]);
-        }
-        let context = Context { shape, plan, units: &self.units, columns: &self.columns[c], record: &record };
+        let context = Context { shape, plan };
         let groups: Vec<Group> = ends.windows(2).map(|w| Group::new(&context, w[0]..w[1])).collect();
         let mut nodes: Vec<Node> = (0..groups.len()).map(Node::Group).collect();
         let mut levels = Vec::new();
@@ -243,11 +234,23 @@ impl ArrowKkt {
             groups,
             levels,
             top: Top::new(shape, k),
-            record,
             sizes: vec![0.0; n * (plan.chain.points + plan.most_ties())],
             right: Own::new(n, rows, k),
             rest: Own::new(n, rows, k),
             solution: Own::new(n, rows, k),
+        }
+    }
+
+    /// Tries groups whole again after a while: it may have been but a bad iterate at which small changes
+    /// grew. Each time in vain the next is put off longer.
+    fn rejoin(&mut self) {
+        if self.groups() == self.least_groups {
+            self.wait = (0, 0);
+        } else if self.wait.0 == 0 {
+            self.trees = self.whole();
+            self.wait = (2 * self.wait.1 + 1, 2 * self.wait.1 + 1);
+        } else {
+            self.wait.0 -= 1;
         }
     }
 
@@ -277,8 +280,8 @@ impl ArrowKkt {
 
     fn eliminate(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
         let (shape, parallel) = (&self.plan.shape, self.parallel);
-        for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
-            let context = Context { shape, plan, units: &self.units, columns, record: &tree.record };
+        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
+            let context = Context { shape, plan };
             let done = if parallel {
                 let work = |g: &mut Group| g.factorize(&context, hessian, jacobian);
                 tree.groups.par_iter_mut().map(work).reduce(|| Ok(()), Result::and)
@@ -320,7 +323,7 @@ impl ArrowKkt {
             }
             let columns = shape.n + shape.used();
             tree.top.boundary.fill(0.0);
-            for (entry, place) in plan.jacobian.of(plan.chain.segments) {
+            for (entry, place) in plan.boundary.of(0) {
                 let (row, column) = (place / columns, place % columns);
                 tree.top.boundary[place] += jacobian[entry] * boundary_factor(&self.units, plan, row, column);
             }
@@ -378,9 +381,9 @@ impl ArrowKkt {
         let shape = &self.plan.shape;
         let n = shape.n;
         let parallel = self.parallel;
-        for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
-            let Tree { groups, levels, root, top, record, rest, .. } = tree;
-            let context = Context { shape, plan, units: &self.units, columns, record };
+        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
+            let Tree { groups, levels, root, top, rest, .. } = tree;
+            let context = Context { shape, plan };
             let reduce = |g: &mut Group| g.reduce(&context, &rest.x, &rest.lambda, &rest.first);
             if parallel {
                 groups.par_iter_mut().for_each(reduce)
@@ -408,8 +411,8 @@ impl ArrowKkt {
         });
         self.border.solve(&mut self.theta);
         add(&mut self.solution, &self.theta);
-        for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
-            tree.expand(shape, plan, &self.theta, (&self.units, columns), parallel);
+        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
+            tree.expand(shape, plan, &self.theta, parallel);
             add(&mut tree.solution.first, &tree.ends[..n]);
             add(&mut tree.solution.boundary, &tree.top.multipliers);
             let mut own = 0;
@@ -444,10 +447,10 @@ impl ArrowKkt {
             *rest = right - row.iter().zip(&self.solution).map(|(h, x)| h * x).sum::<f64>();
         }
         let mut worst: f64 = 0.0;
-        for ((tree, plan), columns) in self.trees.iter_mut().zip(&self.plan.chains).zip(&self.columns) {
+        for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
             tree.rest.copy(&tree.right);
             let border = (&*self.solution, &mut *self.theta);
-            worst = worst.max(tree.residual(shape, plan, (&self.units, columns), &self.jacobian, border));
+            worst = worst.max(tree.residual(shape, plan, &self.units, &self.jacobian, border));
         }
         for (rest, held) in self.theta.iter_mut().zip(&self.held) {
             if *held {
@@ -460,16 +463,9 @@ impl ArrowKkt {
 
 impl Tree {
     /// From the border's solution down to every point.
-    fn expand(
-        &mut self,
-        shape: &Shape,
-        plan: &plan::ChainPlan,
-        theta: &[f64],
-        units: (&[f64], &[f64]),
-        parallel: bool,
-    ) {
+    fn expand(&mut self, shape: &Shape, plan: &plan::ChainPlan, theta: &[f64], parallel: bool) {
         let n = shape.n;
-        let Tree { groups, levels, root, top, record, rest, ends, .. } = self;
+        let Tree { groups, levels, root, top, rest, ends, .. } = self;
         match *root {
             Node::Group(g) => {
                 let Group { form, side, .. } = &mut groups[g];
@@ -485,7 +481,7 @@ impl Tree {
         ends[..n].copy_from_slice(&top.v[..n]);
         ends[last * n..].copy_from_slice(&top.v[n..2 * n]);
         descend(shape, groups, levels, *root, 0..last, ends, theta);
-        let context = Context { shape, plan, units: units.0, columns: units.1, record };
+        let context = Context { shape, plan };
         let work = |(g, group): (usize, &mut Group)| {
             group.expand(&context, &ends[g * n..(g + 1) * n], theta, &rest.x);
         };
@@ -501,12 +497,11 @@ impl Tree {
         &mut self,
         shape: &Shape,
         plan: &plan::ChainPlan,
-        (units, columns): (&[f64], &[f64]),
+        units: &[f64],
         jacobian: &[f64],
         (border, theta): (&[f64], &mut [f64]),
     ) -> f64 {
-        let (n, d, length) = (shape.n, plan.d, shape.panel(plan.d));
-        let first = d.next_multiple_of(8);
+        let (n, d) = (shape.n, plan.d);
         let Tree { groups, solution, rest, sizes, .. } = self;
         let mut worst: f64 = 0.0;
         for s in 0..plan.chain.segments {
@@ -521,24 +516,31 @@ impl Tree {
                     rest.x[row + i] -= solution.lambda[row + i];
                 }
             }
-            for (entry, place) in plan.jacobian.of(s) {
-                let (i, column) = (place / length, place % length);
-                // Columns after the first d stand on the right-hand side.
-                let a = jacobian[entry] * units[i % n] * columns[column].abs();
-                let (x, p) = if column < d {
-                    (solution.x[row + column], &mut rest.x[row + column])
-                } else if column >= first + n {
-                    let b = shape.dynamic[column - first - n];
-                    (border[b], &mut theta[b])
-                } else if s == 0 {
-                    (solution.first[column - first], &mut rest.first[column - first])
-                } else {
-                    let before = plan.row(s - 1, n) + d - n + column - first;
-                    (solution.x[before], &mut rest.x[before])
-                };
-                *p -= a * solution.lambda[row + i];
-                rest.lambda[row + i] -= a * x;
-                size[i] += (a * x).abs();
+            for (part, own) in shape.parts.iter().zip(&plan.parts) {
+                let (right, length) = (Part::right(part.rows(plan.chain.points)), own.columns.len());
+                for (entry, place) in own.jacobian.of(s) {
+                    let (i, column) = (place / length, place % length);
+                    // Columns after the first d stand on the right-hand side.
+                    let (at, i) = own.place[i];
+                    let a = jacobian[entry] * own.rows[at as usize] * own.columns[column].abs();
+                    let i = i as usize;
+                    let (x, p) = if column < right {
+                        let core = row + own.place[column].1 as usize;
+                        (solution.x[core], &mut rest.x[core])
+                    } else if column >= right + part.states.len() {
+                        let b = shape.dynamic[part.dynamic[column - right - part.states.len()]];
+                        (border[b], &mut theta[b])
+                    } else if s == 0 {
+                        let state = part.states[column - right];
+                        (solution.first[state], &mut rest.first[state])
+                    } else {
+                        let before = plan.row(s - 1, n) + d - n + part.states[column - right];
+                        (solution.x[before], &mut rest.x[before])
+                    };
+                    *p -= a * solution.lambda[row + i];
+                    rest.lambda[row + i] -= a * x;
+                    size[i] += (a * x).abs();
+                }
             }
             for (rest, size) in rest.lambda[row..end].iter().zip(size) {
                 if *size > 0.0 {
@@ -548,7 +550,7 @@ impl Tree {
         }
         let (columns, last) = (n + shape.used(), plan.row(plan.chain.segments - 1, n) + d - n);
         sizes.iter_mut().zip(&rest.boundary).for_each(|(s, r)| *s = r.abs());
-        for (entry, place) in plan.jacobian.of(plan.chain.segments) {
+        for (entry, place) in plan.boundary.of(0) {
             let (i, column) = (place / columns, place % columns);
             let a = jacobian[entry] * boundary_factor(units, plan, i, column);
             let (x, p) = if column < n {
@@ -568,20 +570,26 @@ impl Tree {
                 worst = worst.max(rest.abs() / size);
             }
         }
-        let mut coupled = |x: &mut [f64], y: &[f64], record: &[f64]| {
-            for (i, h) in record[..n * n].chunks_exact(n).enumerate() {
-                x[i] -= h.iter().zip(y).map(|(h, y)| h * y).sum::<f64>();
-                let k = &record[shape.couplings() + i * shape.coupling..];
-                for (&b, k) in shape.coupled.iter().zip(k) {
-                    x[i] -= k * border[b];
-                    theta[b] -= k * y[i];
+        let context = Context { shape, plan };
+        let mut bend = |x: &mut [f64], y: &[f64], run: &Run, values: &[f64]| {
+            let i = run.state as usize;
+            for (j, value) in run.others().zip(values) {
+                if run.coupled {
+                    let b = shape.coupled[j];
+                    x[i] -= value * border[b];
+                    theta[b] -= value * y[i];
+                } else {
+                    x[i] -= value * y[j];
+                    if i != j {
+                        x[j] -= value * y[i];
+                    }
                 }
             }
         };
         for group in groups {
-            group.curvature(n, shape.record(), |point, record| match point {
-                None => coupled(&mut rest.first, &solution.first, record),
-                Some(own) => coupled(&mut rest.x[own..own + n], &solution.x[own..own + n], record),
+            group.curvature(&context, |point, run, values| match point {
+                None => bend(&mut rest.first, &solution.first, run, values),
+                Some(own) => bend(&mut rest.x[own..own + n], &solution.x[own..own + n], run, values),
             });
         }
         worst
@@ -729,6 +737,7 @@ fn global_row(plan: &plan::ChainPlan, n: usize, row: usize) -> usize {
 impl KktSolver for ArrowKkt {
     fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
         let done = self.on_threads(|arrow| {
+            arrow.rejoin();
             arrow.eliminate(hessian, jacobian)?;
             if arrow.split() {
                 arrow.eliminate(hessian, jacobian)?;
@@ -847,15 +856,20 @@ impl KktSolver for ArrowKkt {
 
     fn flops(&self) -> u64 {
         let shape = &self.plan.shape;
-        let (n, w, k, f) =
-            (shape.n as u64, shape.used() as u64, shape.coupled.len() as u64, shape.form() as u64);
-        let segment = |plan: &plan::ChainPlan, s: usize| {
-            let (d, points) = (plan.d as u64, plan.points(s) as u64);
-            let rows = points * n;
-            let eliminate = 2 * d * d * d / 3 + 2 * (rows - d) * d * d + 2 * rows * d * w;
-            let follow = 2 * rows * n * w;
-            let form = points * (2 * n * n * w + 2 * n * w * w + 2 * n * w * k);
-            eliminate + follow + form
+        let (n, w, f) = (shape.n as u64, shape.used() as u64, shape.form() as u64);
+        let mut bent = (std::ptr::null(), 0); // that of most panels is that of the one before
+        let mut segment = |plan: &plan::ChainPlan, s: usize| {
+            let runs = plan.runs(s + 1);
+            if runs.as_ptr() != bent.0 {
+                bent = (runs.as_ptr(), self.plan.bent(runs));
+            }
+            let points = plan.points(s) as u64;
+            let eliminate = shape.parts.iter().map(|part| {
+                let (n, w) = (part.states.len() as u64, part.used() as u64);
+                let (d, rows) = (part.rows(plan.chain.points) as u64, points * n);
+                2 * d * d * d / 3 + 2 * (rows - d) * d * d + 2 * rows * d * w + 2 * rows * n * w
+            });
+            eliminate.sum::<u64>() + bent.1
         };
         let merge = 8 * n * n * (3 * n + w) + 2 * n * n * (2 * n + w) + 4 * n * (2 * n + w) * f;
         let top = 2 * f * 2 * n * f + 2 * f * f * n + f * f * f / 3;

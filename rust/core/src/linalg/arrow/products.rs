@@ -1,119 +1,186 @@
 //! ZᵀHZ and ZᵀK of a group, summed over its points: half of the work of a factorisation.
 //!
-//! Sensitivities Z of a point and what stands right of them, [H Z, K], are collected until they fill
-//! the nearest cache; then one product of two slim matrices adds them all, its blocks in registers.
+//! Z is a point's sensitivities, H its Hessian, K its couplings with the border. Z falls into parts, and
+//! H and K are lists of what is not zero. Z and H Z are collected until they fill the nearest caches;
+//! then products of slim matrices add them all, their blocks in registers.
 
-use super::dense::{for_vectors, sum_rows};
-use super::plan::Shape;
+use super::dense::{axpy, for_vectors};
+use super::part::Piece;
+use super::plan::{Part, Run, Shape};
 
-/// Rows that are collected: two matrices of as many rows of some 30 columns stay in the first cache.
+/// Rows of a part that are collected: two matrices of as many rows of some 30 columns stay in the first cache.
 const ROWS: usize = 64;
+/// Numbers of H Z that are collected at most, so that they stay in the second.
+const MOST: usize = 1 << 16;
 /// Rows of a block of the product. With two vectors across, sums fit the registers of any level.
 const BLOCK: usize = 4;
 
 /// The sums, and what is collected for them.
 #[derive(Clone, Debug)]
 pub(super) struct Products {
-    n: usize,
-    used: usize,
-    width: usize,
-    /// Of a record: where the couplings start.
-    couplings: usize,
-    /// Length of a row of the sums: width and couplings.
+    /// Points that are collected, and how many are.
+    capacity: usize,
+    points: usize,
+    /// For each part of a point's sensitivities, and rows of [H Z, K].
+    collected: Vec<(Vec<f64>, Vec<f64>)>,
+    /// Length of such a row: columns of all parts, then the coupled border, padded.
     length: usize,
-    z: Vec<f64>,
-    right: Vec<f64>,
-    rows: usize,
-    zeros: Vec<f64>,
+    /// Part of each state, and place in it.
+    place: Vec<(u32, u32)>,
+    /// ΣZᵀ[H Z, K], and (ΣZᵀK)ᵀ of points without H.
     sums: Vec<f64>,
+    crosses: Vec<f64>,
 }
 
 impl Products {
     pub fn new(shape: &Shape) -> Products {
-        let (rows, length) = (ROWS.max(shape.n), shape.width + shape.coupling);
+        let length = shape.width + shape.coupled.len().next_multiple_of(8);
+        let most = shape.parts.iter().map(|p| p.states.len()).max().unwrap_or(1);
+        let capacity = (ROWS / most).min(MOST / (shape.n * length).max(1)).max(1);
+        let mut place = vec![(0, 0); shape.n];
+        for (p, part) in shape.parts.iter().enumerate() {
+            part.states.iter().enumerate().for_each(|(i, &s)| place[s] = (p as u32, i as u32));
+        }
+        let collected = |part: &Part| {
+            let rows = capacity * part.states.len();
+            (vec![0.0; rows * part.width], vec![0.0; rows * length])
+        };
         Products {
-            n: shape.n,
-            used: shape.used(),
-            width: shape.width,
-            couplings: shape.couplings(),
+            capacity,
+            points: 0,
+            collected: shape.parts.iter().map(collected).collect(),
             length,
-            z: vec![0.0; rows * shape.width],
-            right: vec![0.0; rows * length],
-            rows: 0,
-            zeros: vec![0.0; shape.width],
+            place,
             sums: vec![0.0; shape.width * length],
+            crosses: vec![0.0; shape.coupled.len() * shape.width],
         }
     }
 
     pub fn clear(&mut self) {
-        self.rows = 0;
+        self.points = 0;
         self.sums.fill(0.0);
+        self.crosses.fill(0.0);
     }
 
-    /// Entry of ΣZᵀHZ: of a symmetric matrix one half is summed.
+    /// Entry of ΣZᵀHZ between columns of all parts: of a symmetric matrix one half is summed.
     pub fn square(&self, i: usize, j: usize) -> f64 {
         self.sums[i.min(j) * self.length + i.max(j)]
     }
 
-    /// Entry of ΣZᵀK.
-    pub fn cross(&self, i: usize, c: usize) -> f64 {
-        self.sums[i * self.length + self.width + c]
+    /// Entry of ΣZᵀK: a column of all parts, a coupled border variable.
+    pub fn cross(&self, shape: &Shape, i: usize, c: usize) -> f64 {
+        self.sums[i * self.length + shape.width + c] + self.crosses[c * shape.width + i]
     }
 
-    /// Takes a point: its record [H, K] and sensitivities.
+    /// Takes the points of a panel: what bends there, and sensitivities, as they stand in each piece.
     #[inline(always)]
-    pub fn add_point(&mut self, record: &[f64], z: &[f64]) {
-        let (n, width, length) = (self.n, self.width, self.length);
-        if (self.rows + n) * width > self.z.len() {
-            self.flush();
+    pub fn add<'a>(
+        &mut self,
+        shape: &Shape,
+        runs: &[Run],
+        values: &[f64],
+        pieces: &'a [Piece],
+        z: impl Fn(&'a Piece) -> &'a [f64],
+    ) {
+        let length = self.length;
+        let (mut point, mut bent) = (u32::MAX, false);
+        for (run, values) in Run::with(runs, values) {
+            if run.point != point {
+                self.points += usize::from(bent);
+                (point, bent) = (run.point, false);
+            }
+            let (p, i) = self.place[run.state as usize];
+            let (p, i) = (p as usize, i as usize);
+            let part = &shape.parts[p];
+            let at = (point as usize * part.states.len() + i) * part.width;
+            let own = &z(&pieces[p])[at..at + part.width];
+            let to = (self.points * part.states.len() + i) * length;
+            if run.coupled && bent {
+                let to = &mut self.collected[p].1[to + shape.width..][run.others()];
+                to.iter_mut().zip(values).for_each(|(t, v)| *t += v);
+            } else if run.coupled {
+                let to = &mut self.crosses[run.other as usize * shape.width + part.first..];
+                for_vectors!(part.width / 8, spread(values, own, to, shape.width));
+            } else {
+                if !bent {
+                    bent = true;
+                    self.open(shape, point as usize, pieces, &z);
+                }
+                let to = (self.points * part.states.len() + i) * length;
+                for (other, &value) in run.others().zip(values) {
+                    let (o, j) = self.place[other];
+                    let (o, j) = (o as usize, j as usize);
+                    let with = &shape.parts[o];
+                    let across = &z(&pieces[o])[(point as usize * with.states.len() + j) * with.width..];
+                    let to = &mut self.collected[p].1[to + with.first..];
+                    for_vectors!(with.width / 8, add_row(to, value, across, with.width));
+                    if other != run.state as usize {
+                        let to = (self.points * with.states.len() + j) * length + part.first;
+                        let to = &mut self.collected[o].1[to..];
+                        for_vectors!(part.width / 8, add_row(to, value, own, part.width));
+                    }
+                }
+            }
         }
-        self.z[self.rows * width..][..n * width].copy_from_slice(&z[..n * width]);
-        let right = &mut self.right[self.rows * length..][..n * length];
-        for_vectors!(width / 8, bend(n, width, length, &record[..n * n], z, &self.zeros, right));
-        let coupling = length - width;
-        for i in 0..n {
-            let k = &record[self.couplings + i * coupling..][..coupling];
-            right[i * length + width..(i + 1) * length].copy_from_slice(k);
+        self.points += usize::from(bent);
+    }
+
+    /// Makes room for a point, and takes its sensitivities.
+    #[inline(always)]
+    fn open<'a>(
+        &mut self,
+        shape: &Shape,
+        point: usize,
+        pieces: &'a [Piece],
+        z: &impl Fn(&'a Piece) -> &'a [f64],
+    ) {
+        if self.points == self.capacity {
+            self.flush(shape);
         }
-        self.rows += n;
+        let length = self.length;
+        for ((part, piece), (to, right)) in shape.parts.iter().zip(pieces).zip(&mut self.collected) {
+            let n = part.states.len();
+            let from = &z(piece)[point * n * part.width..][..n * part.width];
+            to[self.points * n * part.width..][..n * part.width].copy_from_slice(from);
+            right[self.points * n * length..][..n * length].fill(0.0);
+        }
     }
 
     /// Adds what is collected to the sums.
     #[inline(always)]
-    pub fn flush(&mut self) {
-        let (width, length, rows) = (self.width, self.length, self.rows);
-        for i in (0..self.used).step_by(BLOCK) {
-            let mut j = i & !7;
-            while j < length {
-                let sums = &mut self.sums[i * length + j..];
-                if j + 16 <= length {
-                    add_block::<2>(rows, &self.z[i..], width, &self.right[j..], length, sums);
-                    j += 16;
-                } else {
-                    add_block::<1>(rows, &self.z[i..], width, &self.right[j..], length, sums);
-                    j += 8;
+    pub fn flush(&mut self, shape: &Shape) {
+        let length = self.length;
+        for (part, (z, right)) in shape.parts.iter().zip(&self.collected) {
+            let rows = self.points * part.states.len();
+            for i in (0..part.used()).step_by(BLOCK) {
+                let mut j = part.first + (i & !7);
+                while j < length {
+                    let sums = &mut self.sums[(part.first + i) * length + j..];
+                    if j + 16 <= length {
+                        add_block::<2>(rows, &z[i..], part.width, &right[j..], length, sums);
+                        j += 16;
+                    } else {
+                        add_block::<1>(rows, &z[i..], part.width, &right[j..], length, sums);
+                        j += 8;
+                    }
                 }
             }
         }
-        self.rows = 0;
+        self.points = 0;
     }
 }
 
-/// H Z of a point.
+/// Adds a row times each value to one row after the other.
 #[inline(always)]
-fn bend<const V: usize>(
-    n: usize,
-    width: usize,
-    length: usize,
-    h: &[f64],
-    z: &[f64],
-    zeros: &[f64],
-    to: &mut [f64],
-) {
-    for i in 0..n {
-        let h = &h[i * n..(i + 1) * n];
-        sum_rows::<V>(&mut to[i * length..][..width], (zeros, zeros), h, z, width);
+fn spread<const V: usize>(values: &[f64], row: &[f64], to: &mut [f64], stride: usize) {
+    for (k, &value) in values.iter().enumerate() {
+        add_row::<V>(&mut to[k * stride..], value, row, row.len());
     }
+}
+
+#[inline(always)]
+fn add_row<const V: usize>(to: &mut [f64], a: f64, from: &[f64], width: usize) {
+    axpy::<V>(&mut to[..width], a, &from[..width]);
 }
 
 /// A block of `BLOCK` rows and V vectors of aᵀ b, added to `to`.

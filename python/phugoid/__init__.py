@@ -11,6 +11,7 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
     print(fit.summary())
 """
 
+from . import models
 from ._core import Expr, __version__
 from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
@@ -36,6 +37,7 @@ from .experiment import Experiment
 from .filter_error import FilterError
 from .integration import IntegrationError
 from .match import Match, match
+from .mode_table import Mode, Modes
 from .model import Model
 from .multirate import multirate
 from .multistart import Multistart, multistart
@@ -51,6 +53,8 @@ from .result import Fit, load
 from .shooting import MultipleShooting, SingleShooting
 from .simulate import simulate
 from .solvers import Ipopt, Iteration, Newton
+from .state_space import StateSpace
+from .subspace import subspace
 from .symbols import (
     Table,
     acos,
@@ -108,8 +112,10 @@ __all__ = [
     "Match",
     "Misfit",
     "MissingDependency",
+    "Mode",
     "Model",
     "ModelError",
+    "Modes",
     "MultipleShooting",
     "Multistart",
     "Newton",
@@ -129,6 +135,7 @@ __all__ = [
     "Sigma",
     "SingleShooting",
     "SmoothingSpline",
+    "StateSpace",
     "StudentT",
     "Table",
     "Validation",
@@ -151,6 +158,7 @@ __all__ = [
     "maximum",
     "minimum",
     "misfit",
+    "models",
     "multirate",
     "multistart",
     "read",
@@ -164,6 +172,7 @@ __all__ = [
     "smooth_sign",
     "smooth_step",
     "sqrt",
+    "subspace",
     "tan",
     "tanh",
     "where",

@@ -25,6 +25,7 @@ PYTHON = [
     "sampled", "hankel", "modal_regression", "subspace", "summary", "match", "validation",
     "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
+    "jacobians", "gauge", "linear", "modes",
     "biases", "held", "validate", "discrepancy",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]

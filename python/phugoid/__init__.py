@@ -39,6 +39,7 @@ from .integration import IntegrationError
 from .match import Match, match
 from .mode_table import Mode, Modes
 from .model import Model
+from .modes import modes
 from .multirate import multirate
 from .multistart import Multistart, multistart
 from .noise import Gaussian, Sigma
@@ -159,6 +160,7 @@ __all__ = [
     "minimum",
     "misfit",
     "models",
+    "modes",
     "multirate",
     "multistart",
     "read",

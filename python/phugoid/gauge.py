@@ -59,7 +59,7 @@ class Uncertainty:
         return np.where(np.outer(same, same), wide, np.nan)
 
     def _settle(self) -> list[_Array]:
-        """Covariances (n, n) with narrower and wider priors on the parameters that have none; [] where none can be made."""
+        """Covariances (n, n) with narrower and wider priors where there are none; [] where that cannot be done."""
         fit = self.fit
         if isinstance(fit.transcription, FilterError) or fit.solution is None or not fit.experiments or fit._moved:
             return []
@@ -86,7 +86,7 @@ class Uncertainty:
         return found
 
     def _with_priors(self, width: float) -> Model:
-        """The model with priors on the parameters that the data leave open, so many times as wide as these are large."""
+        """The model with priors on parameters that the data leave open, so many times as wide as these are large."""
         fit = self.fit
         variance = np.diag(fit.covariance)[self._places]
         without = [n for n, v, h in zip(self.names, variance, self._held, strict=True) if not h and not v > 0.0]

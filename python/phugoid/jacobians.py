@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._core import Expr
-from .errors import EvaluationError, ModelError, did_you_mean
+from .errors import EvaluationError, ModelError, listing
 from .model import Model
 
 __all__ = ["Jacobians"]
@@ -48,8 +48,7 @@ class Jacobians:
         there = (*self.states, *self.inputs, "time")
         for name in at:
             if name not in there:
-                hint = did_you_mean(str(name), there)
-                raise ModelError(f"{self.caller}: at: '{name}' is no state or input, nor time.{hint}")
+                raise ModelError(f"{self.caller}: at: '{name}' is no state or input.{listing(str(name), there)}")
         missing = [name for name in self.varying if name not in at]
         if missing:
             raise ModelError(

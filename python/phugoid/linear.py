@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import ModelError, did_you_mean
+from .errors import ModelError, listing
 from .gauge import Uncertainty
 from .jacobians import Jacobians
 from .model import Model
@@ -171,7 +171,7 @@ def numbers_of(
         if label not in model.parameter_names:
             if label.startswith("sigma_"):  # of the noise, as Estimates.to_dict() has it
                 continue
-            raise ModelError(f"{caller}: '{name}' is no parameter.{did_you_mean(label, model.parameter_names)}")
+            raise ModelError(f"{caller}: '{name}' is no parameter.{listing(label, model.parameter_names)}")
         try:
             values[label] = float(value)
         except (TypeError, ValueError):
@@ -188,10 +188,7 @@ def labels_of(caller: str, fit: Fit, experiment: str | None) -> dict[str, str]:
     """Of each parameter of the model its name among the estimates."""
     there = [record.name for record in fit.records]
     if experiment is not None and experiment not in there:
-        raise ModelError(
-            f"{caller}: '{experiment}' is no experiment of the fit.{did_you_mean(experiment, there)} "
-            f"There are: {', '.join(there)}."
-        )
+        raise ModelError(f"{caller}: '{experiment}' is no experiment of the fit.{listing(experiment, there)}")
     found = {}
     for name in fit.model.parameter_names:
         label = f"{name}[{experiment or there[0]}]"

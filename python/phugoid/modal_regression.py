@@ -116,7 +116,7 @@ def regression(
         begin = _complex(mine[:width], paired)
         growing = values.real > 0.0
         if growing.any():
-            begin = begin * np.where(growing, np.exp(-values * (run.t[-1] - run.t[0])), 1.0)
+            begin = begin * np.exp(np.where(growing, -values * (run.t[-1] - run.t[0]), 0.0))
             forced = np.array([f[:, 0] for f in _responses(run, values, inputs)]).reshape(m, r)
             begin = begin + np.where(growing, np.sum(forced * B.T, axis=0), 0.0)
         x0[run.name] = begin

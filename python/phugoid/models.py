@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ._core import Expr
 from .canonical import chains, observer_form
-from .errors import ModelError, OptionError, did_you_mean
+from .errors import ModelError, OptionError, did_you_mean, listing
 from .model import Model
 from .parameters import Parameter
 from .state_space import ModalParts, StateSpace, as_state_space, modal_parts
@@ -100,17 +100,19 @@ def modal(
     elif frequencies_hz is not None:
         raise OptionError("modal: give start or frequencies_hz, not both")
 
+    labels = [f"{k + 1}" if k < modes else f"r{k - modes + 1}" for k in range(modes + reals)]
+    for output in {*y}.intersection(labels):
+        raise OptionError(f"modal: an output cannot be called '{output}': sigma_{output} is the damping of a mode")
     m = Model(name)
-    for k in range(modes + reals):
-        label = f"{k + 1}" if k < modes else f"r{k - modes + 1}"
+    for k, label in enumerate(labels):
         m.states(*([f"x_{label}a", f"x_{label}b"] if k < modes else [f"x_{label}"]))
     force = m.inputs(*u)
     parts: list[list[Expr | float]] = [[] for _ in y]
-    for k in range(modes + reals):
+    for k, label in enumerate(labels):
         if k < modes:
-            _oscillator(m, f"{k + 1}", counted, k, force, y, scale, parts)
+            _oscillator(m, label, counted, k, force, y, scale, parts)
         else:
-            _lag(m, f"r{k - modes + 1}", counted, k, force, y, scale, parts)
+            _lag(m, label, counted, k, force, y, scale, parts)
     _direct(m, "modal", feedthrough, system, force, y, parts)
     _outputs(m, y, parts, bias)
     return m
@@ -393,7 +395,7 @@ def _direct(
         chosen = [feedthrough] if isinstance(feedthrough, str) else list(feedthrough)
     for name in chosen:
         if name not in outputs:
-            raise OptionError(f"{caller}: feedthrough: '{name}' is no output.{did_you_mean(str(name), outputs)}")
+            raise OptionError(f"{caller}: feedthrough: '{name}' is no output.{listing(str(name), outputs)}")
     for j, y in enumerate(outputs):
         for i, u in enumerate(force if y in chosen else ()):
             label = ["d"] + ([y] if always or len(outputs) > 1 else []) + ([str(u)] if always or len(force) > 1 else [])

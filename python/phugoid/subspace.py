@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import DataError, OptionError, did_you_mean
+from .errors import DataError, OptionError, listing
 from .experiment import Experiment
 from .hankel import Observability, observability
 from .modal_regression import Regression, regression
@@ -252,7 +252,7 @@ def _direct(feedthrough: bool | Collection[str], outputs: Sequence[str]) -> list
     chosen = [feedthrough] if isinstance(feedthrough, str) else list(feedthrough)
     for name in chosen:
         if name not in outputs:
-            raise OptionError(f"subspace: feedthrough: '{name}' is no output.{did_you_mean(str(name), outputs)}")
+            raise OptionError(f"subspace: feedthrough: '{name}' is no output.{listing(str(name), outputs)}")
     return [name in chosen for name in outputs]
 
 

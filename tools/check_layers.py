@@ -21,7 +21,7 @@ RUST = [
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
     "experiment", "multirate", "read", "transcription", "shooting", "filter_error", "guess", "solvers", "progress",
-    "records", "io", "plot", "response", "mode_table", "state_space", "canonical", "models",
+    "records", "io", "plot", "response", "mode_table", "state_space", "models",
     "sampled", "hankel", "modal_regression", "subspace", "summary", "match", "validation",
     "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",

@@ -23,6 +23,8 @@ _Complex: TypeAlias = NDArray[np.complex128]
 _NODES = 8
 # Outputs are weighted by their residuals: so many times anew.
 _PASSES = 3
+# Directions of the unknowns that matter less than this part of the greatest are left at zero.
+_RANK = 1e-12
 
 
 @dataclass(frozen=True)
@@ -56,72 +58,114 @@ def regression(
     of each mode to each input is exact. An eigenvalue with a positive real part is integrated from the end of the
     record backwards, its state there being free, so that unstable systems are as well conditioned as stable ones.
     """
+    layout = _Layout(values.imag != 0.0, len(inputs), tuple(feedthrough), offset, len(data))
+    triangles = [_triangles(run, values, C, inputs, outputs, layout) for run in data]
+    solution, rms = _solved(triangles, layout, sum(run.n for run in data))
+    x0, offsets = {}, {}
+    B = np.array([_complex(row, layout.paired) for row in solution[layout.common].reshape(layout.m, -1)])
+    B = B.reshape(layout.m, values.size).T
+    for e, run in enumerate(data):
+        own = solution[layout.own(e)]
+        x0[run.name] = _first(run, values, inputs, B, _complex(own[: layout.width], layout.paired))
+        offsets[run.name] = own[layout.width :] if offset else np.zeros(len(outputs))
+    D = np.zeros((len(outputs), layout.m))
+    for j in range(len(outputs)):
+        if feedthrough[j]:
+            D[j] = solution[layout.direct(j)]
+    return Regression(B=B, D=D, x0=x0, offsets=offsets, rms=rms)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Places of the unknowns: of each experiment first states and offsets; then B; D of the outputs that have it."""
+
+    paired: NDArray[np.bool_]
+    m: int
+    feedthrough: tuple[bool, ...]
+    offset: bool
+    runs: int
+
+    @property
+    def width(self) -> int:
+        """Real unknowns of a modal state: two for a pair."""
+        return int(np.where(self.paired, 2, 1).sum())
+
+    def own(self, e: int) -> slice:
+        """Of an experiment: first states, then offsets of all outputs."""
+        size = self.width + len(self.feedthrough) * int(self.offset)
+        return slice(e * size, (e + 1) * size)
+
+    @property
+    def common(self) -> slice:
+        """B, input by input."""
+        start = self.own(self.runs).start
+        return slice(start, start + self.width * self.m)
+
+    def direct(self, j: int) -> slice:
+        """D of output j; empty where it has none."""
+        start = self.common.stop + self.m * sum(self.feedthrough[:j])
+        return slice(start, start + self.m * int(self.feedthrough[j]))
+
+    @property
+    def total(self) -> int:
+        """Number of unknowns."""
+        return int(self.direct(len(self.feedthrough) - 1).stop)
+
+    def columns(self, e: int, j: int) -> list[int]:
+        """The unknowns that output j of experiment e depends on, in the order of `_rows`."""
+        first = self.own(e).start
+        offset = [first + self.width + j] if self.offset else []
+        places = [self.common, self.direct(j)]
+        return [*range(first, first + self.width), *offset, *(k for s in places for k in range(s.start, s.stop))]
+
+
+def _triangles(
+    run: Experiment, values: _Complex, C: _Complex, inputs: Sequence[str], outputs: Sequence[str], layout: _Layout
+) -> list[_Array]:
+    """The least squares of each output of an experiment, reduced to a triangle; the last column is the output."""
+    forced, free = _responses(run, values, inputs), _transients(run, values)
+    u = np.array([run.input(name) for name in inputs]).reshape(len(inputs), -1)
+    found = []
+    for j, name in enumerate(outputs):
+        seen = u if layout.feedthrough[j] else u[:0]
+        found.append(triangle(_rows(C[j], layout.paired, free, forced, seen, run.output(name), layout.offset)))
+    return found
+
+
+def _solved(triangles: Sequence[Sequence[_Array]], layout: _Layout, samples: int) -> tuple[_Array, _Array]:
+    """All unknowns, and the root mean square (p,) of the residuals, by which outputs are weighted."""
     from scipy.linalg import lstsq
 
-    r, m, p = values.size, len(inputs), len(outputs)
-    paired = values.imag != 0.0
-    # Real unknowns of a modal coordinate: two for a pair.
-    width = int(np.where(paired, 2, 1).sum())
-    n_common = width * m
-
-    # Each output of each experiment as a triangle of [x0, offset | B, D_j | z_j].
-    triangles: list[list[_Array]] = []
-    counts = np.zeros(p)
-    for run in data:
-        modes = _responses(run, values, inputs)
-        free = _transients(run, values)
-        u = np.array([run.input(name) for name in inputs]).reshape(m, -1)
-        z = np.array([run.output(name) for name in outputs])
-        counts += run.n
-        triangles.append(
-            [triangle(_rows(C[j], paired, free, modes, u if feedthrough[j] else u[:0], z[j], offset)) for j in range(p)]
-        )
-
-    starts = np.cumsum([0, *(m if f else 0 for f in feedthrough)])
-    n_total = len(data) * (width + p * int(offset)) + n_common + int(starts[-1])
-    base = len(data) * (width + p * int(offset))
-    rms = np.array([np.sqrt(sum(np.sum(t[j][:, -1] ** 2) for t in triangles) / counts[j]) for j in range(p)])
-    solution: _Array = np.zeros(n_total)
+    p = len(layout.feedthrough)
+    rms = np.sqrt([sum(float(np.sum(each[j][:, -1] ** 2)) for each in triangles) / samples for j in range(p)])
+    solution: _Array = np.zeros(layout.total)
     for _ in range(1 if p == 1 else _PASSES):
-        blocks, places = [], []
+        blocks = []
         for e, each in enumerate(triangles):
             for j, R in enumerate(each):
-                first = e * (width + p * int(offset))
-                place = [*range(first, first + width)]
-                place += [first + width + j] if offset else []
-                place += range(base, base + n_common)
-                place += range(base + n_common + int(starts[j]), base + n_common + int(starts[j + 1]))
-                wide = np.zeros((R.shape[0], n_total + 1))
-                wide[:, [*place, n_total]] = R / (rms[j] or 1.0)
+                wide = np.zeros((R.shape[0], layout.total + 1))
+                wide[:, [*layout.columns(e, j), layout.total]] = R / (rms[j] or 1.0)
                 blocks.append(wide)
-                places.append(place)
         whole = triangle(blocks)
         size = np.linalg.norm(whole[:, :-1], axis=0)
         size[size == 0.0] = 1.0
-        solution = lstsq(whole[:, :-1] / size, whole[:, -1], cond=1e-12)[0] / size
+        solution = lstsq(whole[:, :-1] / size, whole[:, -1], cond=_RANK)[0] / size
         squares = np.zeros(p)
-        for k, R in enumerate(R for each in triangles for R in each):
-            squares[k % p] += np.sum((R[:, -1] - R[:, :-1] @ solution[places[k]]) ** 2)
-        rms = np.sqrt(squares / counts)
+        for e, each in enumerate(triangles):
+            for j, R in enumerate(each):
+                squares[j] += np.sum((R[:, -1] - R[:, :-1] @ solution[layout.columns(e, j)]) ** 2)
+        rms = np.sqrt(squares / samples)
+    return solution, rms
 
-    common = solution[base : base + n_common].reshape(m, width)
-    B = np.array([_complex(row, paired) for row in common]).reshape(m, r).T
-    D = np.zeros((p, m))
-    for j in range(p):
-        if feedthrough[j]:
-            D[j] = solution[base + n_common + starts[j] : base + n_common + starts[j + 1]]
-    x0, offsets = {}, {}
-    for e, run in enumerate(data):
-        mine = solution[e * (width + p * int(offset)) :][: width + p * int(offset)]
-        begin = _complex(mine[:width], paired)
-        growing = values.real > 0.0
-        if growing.any():
-            begin = begin * np.exp(np.where(growing, -values * (run.t[-1] - run.t[0]), 0.0))
-            forced = np.array([f[:, 0] for f in _responses(run, values, inputs)]).reshape(m, r)
-            begin = begin + np.where(growing, np.sum(forced * B.T, axis=0), 0.0)
-        x0[run.name] = begin
-        offsets[run.name] = mine[width:] if offset else np.zeros(p)
-    return Regression(B=B, D=D, x0=x0, offsets=offsets, rms=rms)
+
+def _first(run: Experiment, values: _Complex, inputs: Sequence[str], B: _Complex, free: _Complex) -> _Complex:
+    """Modal states at the first sample: of growing modes those found are at the last."""
+    growing = values.real > 0.0
+    if not growing.any():
+        return free
+    forced = np.array([xi[:, 0] for xi in _responses(run, values, inputs)]).reshape(len(inputs), values.size)
+    back = np.exp(np.where(growing, -values * (run.t[-1] - run.t[0]), 0.0))
+    return np.asarray(free * back + np.where(growing, np.sum(forced * B.T, axis=0), 0.0))
 
 
 def _complex(numbers: _Array, paired: NDArray[np.bool_]) -> _Complex:

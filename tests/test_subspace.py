@@ -126,11 +126,13 @@ def test_feedthrough_is_found_where_it_may_be() -> None:
     np.testing.assert_allclose(D[1], truth.D[1], atol=0.05)
 
 
-def test_an_order_too_high_says_so_and_still_fits() -> None:
+def test_an_order_too_high_still_fits_and_can_be_pruned() -> None:
     data = run(system(), 1000, 0.3)
     found = ph.subspace(data, 15)
     assert distance(found, system()) < 0.4
     assert found.order >= 15
+    pruned = ph.subspace(data, 15, prune=True)
+    assert pruned.order == 6 and distance(pruned, system()) < 0.2
 
 
 def test_it_starts_an_estimation_that_ends_at_the_truth() -> None:

@@ -32,7 +32,8 @@ class Regression:
     """What the least squares found.
 
     B (r, m), complex, of the modal coordinates; D (p, m); x0: experiment -> (r,), complex; offsets: experiment -> (p,);
-    rms (p,) of the residuals.
+    rms (p,) of the residuals; gains (r,), if asked for: by how much the sum of squares, in units of the noise, would be
+    greater without each mode.
     """
 
     B: _Complex
@@ -40,6 +41,7 @@ class Regression:
     x0: Mapping[str, _Complex]
     offsets: Mapping[str, _Array]
     rms: _Array
+    gains: _Array
 
 
 def regression(
@@ -50,6 +52,7 @@ def regression(
     outputs: Sequence[str],
     feedthrough: Sequence[bool],
     offset: bool,
+    gains: bool = False,
 ) -> Regression:
     """B, D, x0 and offsets such that y_j = Re(C_j xi) + D_j u + offset_j, xi' = lambda xi + B u, fits best.
 
@@ -60,7 +63,7 @@ def regression(
     """
     layout = _Layout(values.imag != 0.0, len(inputs), tuple(feedthrough), offset, len(data))
     triangles = [_triangles(run, values, C, inputs, outputs, layout) for run in data]
-    solution, rms = _solved(triangles, layout, sum(run.n for run in data))
+    solution, rms, gained = _solved(triangles, layout, sum(run.n for run in data), gains)
     x0, offsets = {}, {}
     B = np.array([_complex(row, layout.paired) for row in solution[layout.common].reshape(layout.m, -1)])
     B = B.reshape(layout.m, values.size).T
@@ -72,7 +75,7 @@ def regression(
     for j in range(len(outputs)):
         if feedthrough[j]:
             D[j] = solution[layout.direct(j)]
-    return Regression(B=B, D=D, x0=x0, offsets=offsets, rms=rms)
+    return Regression(B=B, D=D, x0=x0, offsets=offsets, rms=rms, gains=gained)
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,14 @@ class _Layout:
         """Number of unknowns."""
         return int(self.direct(len(self.feedthrough) - 1).stop)
 
+    def of_mode(self, i: int) -> list[int]:
+        """Its first states in all experiments, and its row of B."""
+        first = int(np.where(self.paired[:i], 2, 1).sum())
+        parts = range(first, first + (2 if self.paired[i] else 1))
+        starts = [self.own(e).start for e in range(self.runs)]
+        starts += [self.common.start + k * self.width for k in range(self.m)]
+        return [start + k for start in starts for k in parts]
+
     def columns(self, e: int, j: int) -> list[int]:
         """The unknowns that output j of experiment e depends on, in the order of `_rows`."""
         first = self.own(e).start
@@ -132,8 +143,10 @@ def _triangles(
     return found
 
 
-def _solved(triangles: Sequence[Sequence[_Array]], layout: _Layout, samples: int) -> tuple[_Array, _Array]:
-    """All unknowns, and the root mean square (p,) of the residuals, by which outputs are weighted."""
+def _solved(
+    triangles: Sequence[Sequence[_Array]], layout: _Layout, samples: int, gains: bool
+) -> tuple[_Array, _Array, _Array]:
+    """All unknowns; the root mean square (p,) of the residuals, by which outputs are weighted; gains of modes."""
     from scipy.linalg import lstsq
 
     p = len(layout.feedthrough)
@@ -155,7 +168,21 @@ def _solved(triangles: Sequence[Sequence[_Array]], layout: _Layout, samples: int
             for j, R in enumerate(each):
                 squares[j] += np.sum((R[:, -1] - R[:, :-1] @ solution[layout.columns(e, j)]) ** 2)
         rms = np.sqrt(squares / samples)
-    return solution, rms
+    return solution, rms, _gains(whole, size, layout, p * samples) if gains else np.empty(0)
+
+
+def _gains(whole: _Array, size: _Array, layout: _Layout, samples: int) -> _Array:
+    """By how much the sum of squares grows without each mode, the others found anew, in units of the noise."""
+    from scipy.linalg import lstsq
+
+    def squares(kept: NDArray[np.intp]) -> float:
+        some = lstsq(whole[:, kept] / size[kept], whole[:, -1], cond=_RANK)[0] / size[kept]
+        return float(np.sum((whole[:, kept] @ some - whole[:, -1]) ** 2))
+
+    every = np.arange(layout.total)
+    least = squares(every)
+    without = [squares(np.setdiff1d(every, layout.of_mode(i))) for i in range(layout.paired.size)]
+    return (np.array(without) - least) / max(least / samples, np.finfo(np.float64).tiny)
 
 
 def _first(run: Experiment, values: _Complex, inputs: Sequence[str], B: _Complex, free: _Complex) -> _Complex:

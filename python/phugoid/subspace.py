@@ -41,6 +41,7 @@ def subspace(
     offset: bool = True,
     weighting: Weighting = "cva",
     stable: bool = False,
+    prune: bool = False,
 ) -> StateSpace:
     """A linear system in continuous time from evenly sampled records, without start values or iterations.
 
@@ -68,6 +69,9 @@ def subspace(
                     sizes of outputs do not matter; or ``"moesp"``, which asks how much of the outputs it makes.
     ``stable``      reflects growing modes into decaying ones, exp(lambda T) -> 1 / conj exp(lambda T), before B is
                     found.
+    ``prune``       leaves out, one after another, modes without which the sum of squares grows by less than what BIC
+                    allows for their parameters: noise that was taken for a mode. The order is then lower. For the start
+                    of an estimation, in which such modes, having no effect, would wander.
 
     In closed loop the estimate is biased, as noise then reaches the inputs.
 
@@ -86,7 +90,7 @@ def subspace(
         order = _suggested(_observability(records, rows[-1], weighting), records)
     best: _Tried | None = None
     for i in [block_rows] if block_rows else _block_rows(order, records):
-        tried = _tried(records, i, order, direct, offset, weighting, stable)
+        tried = _tried(records, i, order, direct, offset, weighting, stable, prune)
         if best is None or tried.misfit < best.misfit:
             best = tried
     assert best is not None
@@ -125,7 +129,7 @@ class _Tried:
 
 
 def _tried(
-    records: Sampled, i: int, n: int, direct: Sequence[bool], offset: bool, weighting: str, stable: bool
+    records: Sampled, i: int, n: int, direct: Sequence[bool], offset: bool, weighting: str, stable: bool, prune: bool
 ) -> _Tried:
     p = len(records.outputs)
     if n > p * (i - 1):
@@ -136,7 +140,16 @@ def _tried(
     shared = _observability(records, i, weighting)
     A, C = shared.system(n, p)
     values, seen, warnings = _continuous(A, C * records.y_size[:, None], records.rate, stable)
-    found = regression(records.runs, values, seen, records.inputs, records.outputs, direct, offset)
+    while True:
+        found = regression(records.runs, values, seen, records.inputs, records.outputs, direct, offset, gains=prune)
+        if not prune or values.size == 1:
+            break
+        worst = int(np.argmin(found.gains))
+        # Of the mode: eigenvalue, first states, row of B; what the outputs see of it comes with their number.
+        numbers = (2 if values[worst].imag else 1) * (len(records.runs) + len(records.inputs) + p)
+        if found.gains[worst] > numbers * np.log(sum(records.lengths)):
+            break
+        values, seen = np.delete(values, worst), np.delete(seen, worst, axis=1)
     return _Tried(shared, values, seen, warnings, found)
 
 

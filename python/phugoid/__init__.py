@@ -11,6 +11,7 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
     print(fit.summary())
 """
 
+from . import models
 from ._core import Expr, __version__
 from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
@@ -37,7 +38,9 @@ from .experiment import Experiment
 from .filter_error import FilterError
 from .integration import IntegrationError
 from .match import Match, match
+from .mode_table import Mode, Modes
 from .model import Model
+from .modes import modes
 from .multirate import multirate
 from .multistart import Multistart, multistart
 from .noise import Gaussian, Sigma
@@ -52,6 +55,8 @@ from .result import Fit, load
 from .shooting import MultipleShooting, SingleShooting
 from .simulate import simulate
 from .solvers import Ipopt, Iteration, Newton
+from .state_space import StateSpace
+from .subspace import subspace
 from .symbols import (
     Table,
     acos,
@@ -109,8 +114,10 @@ __all__ = [
     "Match",
     "Misfit",
     "MissingDependency",
+    "Mode",
     "Model",
     "ModelError",
+    "Modes",
     "MultipleShooting",
     "Multistart",
     "Newton",
@@ -130,6 +137,7 @@ __all__ = [
     "Sigma",
     "SingleShooting",
     "SmoothingSpline",
+    "StateSpace",
     "StudentT",
     "Table",
     "Validation",
@@ -153,6 +161,8 @@ __all__ = [
     "maximum",
     "minimum",
     "misfit",
+    "models",
+    "modes",
     "multirate",
     "multistart",
     "read",
@@ -166,6 +176,7 @@ __all__ = [
     "smooth_sign",
     "smooth_step",
     "sqrt",
+    "subspace",
     "tan",
     "tanh",
     "where",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .errors import ModelError, UnknownName, did_you_mean
 
-__all__ = ["Estimate", "Estimates", "Parameter", "estimates_table", "text_table"]
+__all__ = ["Estimate", "Estimates", "Parameter", "estimates_table", "plus_minus", "text_table"]
 
 _INF = math.inf
 
@@ -135,7 +135,7 @@ class Estimate:
         return float(self.value)
 
     def __repr__(self) -> str:
-        text = f"{self.name} = {_plus_minus(self.value, self.std_error)} {self.unit}".rstrip()
+        text = f"{self.name} = {plus_minus(self.value, self.std_error)} {self.unit}".rstrip()
         return f"{text} ({self.remark})" if self.remark else text
 
 
@@ -238,7 +238,7 @@ def _rounded(value: float, std_error: float) -> tuple[str, str]:
     return f"{value:.{places}e}", f"{std_error:.1e}"
 
 
-def _plus_minus(value: float, std_error: float) -> str:
+def plus_minus(value: float, std_error: float) -> str:
     """``0.2166 ± 0.0003``; the value alone where there is no error."""
     return " ± ".join(filter(None, _rounded(value, std_error)))
 

@@ -1,0 +1,15 @@
+"""Ready models of linear systems: the modal form, for structural dynamics, and general state spaces.
+
+What a record of inputs and outputs tells of a linear system is its transfer function; states may be transformed at will
+(x -> T x), so of the n^2 + n (m + p) numbers in A, B and C (n states, m inputs, p outputs) n^2 are arbitrary. Each form
+here fixes as many of them, or says that it does not. Start values come from numbers, say of `phugoid.subspace`:
+
+    fit = ph.estimate(ph.models.modal(start=ph.subspace(run, order=8)), run)
+
+A parameter that is fixed by a form can be told in the fit by ``fixed``; all others are estimated.
+"""
+
+from .general import state_space
+from .modal import modal
+
+__all__ = ["modal", "state_space"]

@@ -1,0 +1,133 @@
+"""General state spaces: canonical forms, and all elements free."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from typing import Any, Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._core import Expr
+from ..errors import OptionError, did_you_mean
+from ..model import Model
+from ..state_space import StateSpace, as_state_space
+from .canonical import chains, observer_form
+from .common import add_feedthrough, add_outputs, channels_of, counted, summed
+
+__all__ = ["state_space"]
+
+_Array: TypeAlias = NDArray[np.float64]
+Structure: TypeAlias = Literal["observer", "companion", "full"]
+
+
+def state_space(
+    n: int | None = None,
+    inputs: str | Sequence[str] | None = None,
+    outputs: str | Sequence[str] | None = None,
+    *,
+    structure: Structure = "observer",
+    start: StateSpace | Sequence[Any] | None = None,
+    rate: float | None = None,
+    feedthrough: bool | Collection[str] | None = None,
+    bias: bool = False,
+    name: str = "state space",
+) -> Model:
+    """A general linear system, x' = A x + B u, y = C x + D u, with ``n`` states x_1 ... x_n.
+
+    Free elements are the parameters ``a_<row>_<column>``, ``b_<row>_<input>``, ``c_<output>_<column>`` and
+    ``d_<output>_<input>``. ``structure`` says which elements are free:
+
+    ``"observer"``   observer canonical form: C holds zeros and ones; the states are outputs and their derivatives, over
+                     powers of ``rate``. Each output has a chain of n/p states (the first ones one more): the last row
+                     of A of each chain is free, and B. n p + n m parameters, and nothing is redundant. Fits any system
+                     but those that cannot be observed in just these chains.
+    ``"companion"``  its dual: B holds zeros and ones, one column of A of each input's chain is free, and C. For one
+                     input, with the numerator's coefficients in C.
+    ``"full"``       A, B and C are all free: n^2 directions are redundant. The fit says so; modes and responses are
+                     determined, standard errors of the elements are not. For starts that a canonical form cannot hold.
+
+    ``rate`` (rad/s) makes the coefficients of a canonical form be of the same size: about the frequency of the modes.
+    Where it is not given it is the geometric mean of those of ``start``, or 1.
+    High orders suffer all the same, as polynomials do: above 8 or so take `modal`.
+    Without ``start`` the free elements start at 0, but for A of "full", which is -1, -2, ... on the diagonal, and C
+    there, 1. ``start``, ``feedthrough`` and ``bias`` are those of `modal`; eigenvalues of ``start`` may coincide.
+
+    >>> print(state_space(2, "force", "y", rate=10))
+    state space
+      x_1' = 10*x_2 + b_1_force*force
+      x_2' = a_2_1*x_1 + a_2_2*x_2 + b_2_force*force
+      y (measured) = x_1
+    """
+    if structure not in get_args(Structure):
+        hint = did_you_mean(str(structure), get_args(Structure))
+        raise OptionError(
+            f"state_space: structure is one of {', '.join(get_args(Structure))}, not {structure!r}.{hint}"
+        )
+    system = None if start is None else as_state_space("state_space", start)
+    u, y = channels_of("state_space", inputs, outputs, system)
+    n = counted("n", n, None if system is None else system.order, caller="state_space")
+    if not n:
+        raise OptionError("state_space: n says how many states there are: at least 1")
+    if rate is None:
+        rate = 1.0 if system is None else _typical(system)
+    if not 0.0 < rate < np.inf:
+        raise OptionError(f"state_space: rate is a positive number in rad/s, not {rate!r}")
+    fixed, values = _elements(structure, n, len(u), len(y), system, float(rate))
+
+    m = Model(name)
+    states = m.states(*(f"x_{i + 1}" for i in range(n)))
+    force = m.inputs(*u)
+
+    def element(kind: str, i: int, j: int, label: str) -> Expr | float:
+        known = fixed[kind][i, j]
+        return float(known) if np.isfinite(known) else m.parameters(**{label: float(values[kind][i, j])})[0]
+
+    for i in range(n):
+        row = [(element("A", i, j, f"a_{i + 1}_{j + 1}"), x) for j, x in enumerate(states)]
+        row += [(element("B", i, j, f"b_{i + 1}_{each}"), f) for j, (each, f) in enumerate(zip(u, force, strict=True))]
+        m.dynamics(**{f"x_{i + 1}": summed(_products(row))})
+    parts: list[list[Expr | float]] = [
+        _products((element("C", i, j, f"c_{each}_{j + 1}"), x) for j, x in enumerate(states))
+        for i, each in enumerate(y)
+    ]
+    add_feedthrough(m, "state_space", feedthrough, system, force, y, parts, always=True)
+    add_outputs(m, y, parts, bias)
+    return m
+
+
+def _products(pairs: Iterable[tuple[Expr | float, Expr]]) -> list[Expr | float]:
+    """Factor times symbol, but for factors 0 and 1."""
+    return [
+        x if isinstance(a, float) and a == 1.0 else a * x for a, x in pairs if not (isinstance(a, float) and a == 0.0)
+    ]
+
+
+def _elements(
+    structure: Structure, n: int, m: int, p: int, system: StateSpace | None, rate: float
+) -> tuple[dict[str, _Array], dict[str, _Array]]:
+    """What is fixed of A, B and C, NaN where free, and where the free elements start."""
+    if structure == "full":
+        fixed = {"A": np.full((n, n), np.nan), "B": np.full((n, m), np.nan), "C": np.full((p, n), np.nan)}
+        if system is not None:
+            return fixed, {"A": system.A, "B": system.B, "C": system.C}
+        return fixed, {"A": -np.diag(np.arange(1.0, n + 1)), "B": np.zeros((n, m)), "C": np.ones((p, n))}
+    dual = structure == "companion"
+    A, C = chains(n, m if dual else p, rate)
+    if dual:
+        fixed = {"A": A.T, "B": C.T, "C": np.full((p, n), np.nan)}
+    else:
+        fixed = {"A": A, "B": np.full((n, m), np.nan), "C": C}
+    if system is None:
+        return fixed, {"A": np.zeros((n, n)), "B": np.zeros((n, m)), "C": np.zeros((p, n))}
+    if dual:
+        a, b, c = observer_form(system.A.T, system.C.T, system.B.T, rate, system.inputs, "input")
+        return fixed, {"A": a.T, "B": c.T, "C": b.T}
+    a, b, c = observer_form(system.A, system.B, system.C, rate, system.outputs, "output")
+    return fixed, {"A": a, "B": b, "C": c}
+
+
+def _typical(system: StateSpace) -> float:
+    sizes = np.abs(np.linalg.eigvals(system.A))
+    sizes = sizes[sizes > 1e-6 * sizes.max(initial=0.0)]
+    return float(np.exp(np.log(sizes).mean())) if sizes.size else 1.0

@@ -45,6 +45,8 @@ const SETTLED: f64 = 0.1;
 const ENDLESS: f64 = 1e15;
 /// An end that meets this instead of the tolerance is acceptable, again a distance in standard errors.
 const CLOSE: f64 = 1e-3;
+/// Steps that need damping and together gain less than this in log-likelihood: a valley without an end in sight.
+const VALLEY: (usize, f64) = (10, 0.1);
 /// A shift above this is damping; below, it only makes a singular system regular.
 const DAMPED: f64 = 1e-6;
 /// Greatest shift of the reduced Hessian, in units of its diagonal, that is tried.
@@ -183,6 +185,8 @@ struct Run<'a> {
     profile: Vec<f64>,
     /// Whether the exact Hessian is in use.
     near: bool,
+    /// Whether it is that of the system at hand.
+    bent: bool,
     shift: f64,
     /// The last that a step needed.
     damping: f64,
@@ -239,6 +243,7 @@ impl<'a> Run<'a> {
             merit: Merit::default(),
             profile: vec![0.0; nlp.profiled().len()],
             near: !settings.gauss_newton || multipliers.is_some(),
+            bent: false,
             shift: 0.0,
             damping: FIRST_DAMPING,
             count: Evaluations::default(),
@@ -281,7 +286,7 @@ impl<'a> Run<'a> {
             if self.shift > DAMPED && promise.is_ok_and(|p| p.gain < NEAR) {
                 // Small for the damping alone?
                 self.shift = 0.0;
-                promise = self.newton_step();
+                promise = self.undamped();
             }
             line.promise = promise.map_or(f64::INFINITY, |p| p.gain);
             if promise.is_err() && self.history.is_empty() && self.detail.is_empty() {
@@ -310,6 +315,10 @@ impl<'a> Run<'a> {
             }
             if self.settings.time_limit.is_some_and(|limit| self.began.elapsed() >= limit) {
                 return Ok(Status::TimeLimit);
+            }
+            if promise.gain < NEAR && self.crawls() {
+                self.detail = self.farthest_names();
+                return Ok(Status::Acceptable);
             }
             let searched = self.search(&promise);
             if searched.is_none()
@@ -353,6 +362,7 @@ impl<'a> Run<'a> {
             return Err(self.not_finite());
         }
         let exact = self.near;
+        self.bent = exact;
         self.kkt.set_refinement(exact);
         if exact {
             self.count.hessian += 1;
@@ -368,13 +378,29 @@ impl<'a> Run<'a> {
         Ok(self.promise())
     }
 
+    /// The step of the system at hand with no more shift than it needs to be positive.
+    fn undamped(&mut self) -> Result<Promise, Status> {
+        let found = self.kkt.finish(self.active.held(), 0.0);
+        if self.bent && !found.is_positive() {
+            return self.newton_step();
+        }
+        self.regular(found)?;
+        self.solve_with_bounds();
+        Ok(self.promise())
+    }
+
     /// The Gauss-Newton system, shifted until it is positive.
     fn gauss_newton(&mut self) -> Result<(), Status> {
         self.count.gauss_newton += 1;
+        self.bent = false;
         if self.nlp.gauss_newton(&self.here.xi, 1.0, &mut self.hessian).is_err() {
             return Err(self.not_finite());
         }
-        let mut found = self.factorize()?;
+        let found = self.factorize()?;
+        self.regular(found)
+    }
+
+    fn regular(&mut self, mut found: Curvature) -> Result<(), Status> {
         while !found.is_positive() {
             self.shift = (self.shift * 100.0).max(1e-10);
             if self.shift > GREATEST_SHIFT {
@@ -471,6 +497,26 @@ impl<'a> Run<'a> {
         Status::Converged
     }
 
+    /// Whether steps have become short because the likelihood hardly tells where to go.
+    fn crawls(&self) -> bool {
+        let (count, least) = VALLEY;
+        let Some(last) = self.history.len().checked_sub(count + 1).map(|k| &self.history[k..]) else {
+            return false;
+        };
+        let damped = last[1..].iter().all(|line| line.shift > DAMPED && line.step > 0.0);
+        damped && last[0].objective - self.here.objective < least
+    }
+
+    /// Names of the parameters that the step changes most.
+    fn farthest_names(&self) -> String {
+        let border = self.nlp.chains().map_or(0, |c| c.border);
+        let part = |i: &usize| self.d[*i].abs() / self.here.xi[*i].abs().max(1e-3);
+        let mut order: Vec<usize> = (0..border).collect();
+        order.sort_by(|a, b| part(b).total_cmp(&part(a)));
+        let names: Vec<String> = order.iter().take(6).map(|&i| self.nlp.variable_name(i)).collect();
+        format!("the data hardly determine {}", names.join(", "))
+    }
+
     /// Names of the variables in directions without curvature.
     fn weak_names(&self) -> String {
         let name = |direction: &Vec<(usize, f64)>| {
@@ -501,6 +547,10 @@ impl<'a> Run<'a> {
     }
 
     fn finish(mut self, status: Status) -> Solution {
+        if matches!(status, Status::IterationLimit | Status::TimeLimit | Status::Interrupted) {
+            // The best point so far, not the last that was tried on trust.
+            self.go_back();
+        }
         let mut message = status.hint().to_owned();
         if matches!(status, Status::Infeasible | Status::Failed) && self.detail.is_empty() {
             self.detail = self.worst_defect();

@@ -16,6 +16,7 @@ __all__ = [
     "Problem",
     "Shooting",
     "Table",
+    "Whitening",
     "__version__",
     "apply",
     "information",
@@ -318,6 +319,18 @@ def newton(
     regression: bool,
     watch: Callable[..., object] | None,
 ) -> NewtonSolution: ...
+
+@final
+class Whitening:
+    def __new__(
+        cls,
+        channels: Sequence[tuple[Sequence[_Array], _Array, Sequence[tuple[int, NDArray[np.intp]]]]],
+        mixings: Sequence[tuple[_Array, NDArray[np.intp]]],
+    ) -> Whitening: ...
+    def errors(self, columns: _Array) -> _Array: ...
+    def log_scales(self) -> _Array: ...
+    def products(self, columns: _Array, vectors: _Array, sizes: Sequence[int]) -> tuple[_Array, _Array]: ...
+
 def information(
     problem: Problem, xi: _Array, multipliers: _Array, wanted: Sequence[int], held: Sequence[int]
 ) -> tuple[_Array, _Array, list[list[int]], bool] | None: ...

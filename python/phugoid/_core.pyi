@@ -18,6 +18,7 @@ __all__ = [
     "Table",
     "Whitening",
     "__version__",
+    "answers",
     "apply",
     "information",
     "interpolate",
@@ -25,7 +26,7 @@ __all__ = [
     "load_expression",
     "newton",
     "operations",
-    "responses",
+    "tangents",
 ]
 
 __version__: str
@@ -334,9 +335,20 @@ class Whitening:
 def information(
     problem: Problem, xi: _Array, multipliers: _Array, wanted: Sequence[int], held: Sequence[int]
 ) -> tuple[_Array, _Array, list[list[int]], bool] | None: ...
-def responses(
-    problem: Problem, xi: _Array, held: Sequence[int], slopes: _Array, tangents: Sequence[int]
+def tangents(
+    problem: Problem, xi: _Array, held: Sequence[int], variables: Sequence[int]
 ) -> tuple[_Array, bool] | None: ...
+def answers(
+    problem: Problem,
+    xi: _Array,
+    held: Sequence[int],
+    by_state: _Array,
+    by_parameter: _Array,
+    rows: NDArray[np.intp],
+    slopes: _Array,
+    direct: _Array,
+    signals: _Array,
+) -> tuple[_Array, _Array] | None: ...
 def apply(name: str, *args: _Operand) -> Expr: ...
 def operations() -> list[tuple[str, int, list[tuple[float, float]]]]: ...
 def load_expression(text: str) -> Expr: ...

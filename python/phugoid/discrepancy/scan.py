@@ -133,7 +133,7 @@ class Scan:
 
     def _along(self, seen: Whitened, vectors: _Array) -> tuple[_Array, _Array]:
         assert isinstance(seen.filter, Whitening)  # channel by channel
-        return seen.filter.products(self.columns, np.ascontiguousarray(vectors), self.groups.sizes)
+        return seen.filter.products(self.columns, vectors, self.groups.sizes)
 
     def _statistics(self, seen: Whitened) -> Statistics:
         errors, groups = seen.errors, self.groups

@@ -91,13 +91,13 @@ class Whitening:
 
     def __call__(self, rows: _Array) -> _Array:
         """Rows (..., n_rows) as prediction errors in units of their standard deviations."""
-        return self._core.errors(rows.reshape(-1, rows.shape[-1])).reshape(rows.shape)
+        return self._core.errors(np.ascontiguousarray(rows.reshape(-1, rows.shape[-1]))).reshape(rows.shape)
 
     def products(self, columns: _Array, vectors: _Array, sizes: Sequence[int]) -> tuple[_Array, _Array]:
         """What there is to know of columns (k, n_rows) once they are white, without storing them so: products with
         vectors (m, n_rows), (k, m); and with each other in groups of so many columns, their squares one after the
         other."""
-        return self._core.products(columns, vectors, sizes)
+        return self._core.products(columns, np.ascontiguousarray(vectors), sizes)
 
     def log_densities(self, errors: _Array) -> _Array:
         """(n_rows,) log-likelihood of each row, given those before it, of errors (n_rows,) that were whitened; without

@@ -21,7 +21,9 @@ impl PyWhitening {
         channels: Vec<Channel<'_>>,
         mixings: Vec<(PyReadonlyArray2<'_, f64>, PyReadonlyArray2<'_, isize>)>,
     ) -> PyResult<Self> {
-        let wrong = || PyValueError::new_err("predictor k has k coefficients and a standard deviation; places increase");
+        let wrong = || {
+            PyValueError::new_err("predictor k has k coefficients and a standard deviation; places increase")
+        };
         let mut models = Vec::with_capacity(channels.len());
         for (predictors, sigmas, strands) in &channels {
             let predictors: Vec<Vec<f64>> = predictors.iter().map(|p| p.as_array().to_vec()).collect();
@@ -32,7 +34,9 @@ impl PyWhitening {
             {
                 return Err(wrong());
             }
-            let places = |p: &PyReadonlyArray1<'_, isize>| p.as_array().iter().map(|&i| i as usize).collect::<Vec<_>>();
+            let places = |p: &PyReadonlyArray1<'_, isize>| {
+                p.as_array().iter().map(|&i| i as usize).collect::<Vec<_>>()
+            };
             let strands: Vec<_> = strands.iter().map(|(first, p)| (*first, places(p))).collect();
             if strands.iter().any(|(_, places)| places.windows(2).any(|w| w[1] <= w[0])) {
                 return Err(wrong());
@@ -42,11 +46,16 @@ impl PyWhitening {
         let mixings: Vec<_> = mixings
             .iter()
             .map(|(inverse, at)| {
-                (inverse.as_array().iter().copied().collect(), at.as_array().iter().map(|&i| i as usize).collect())
+                (
+                    inverse.as_array().iter().copied().collect(),
+                    at.as_array().iter().map(|&i| i as usize).collect(),
+                )
             })
             .collect();
-        let rows: usize = models.iter().flat_map(|(_, strands)| strands).map(|(_, places)| places.len()).sum();
-        let inside = |(inverse, at): &(Vec<f64>, Vec<usize>)| !inverse.is_empty() && at.iter().all(|&i| i < rows);
+        let rows: usize =
+            models.iter().flat_map(|(_, strands)| strands).map(|(_, places)| places.len()).sum();
+        let inside =
+            |(inverse, at): &(Vec<f64>, Vec<usize>)| !inverse.is_empty() && at.iter().all(|&i| i < rows);
         let found = Whitening::new(&models, mixings.iter().filter(|m| inside(m)).cloned().collect());
         if found.rows() != rows || !mixings.iter().all(inside) {
             return Err(PyValueError::new_err("strands leave no row out"));
@@ -61,7 +70,7 @@ impl PyWhitening {
         columns: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let shape = self.checked(&columns)?;
-        let columns = columns.as_slice()?;
+        let columns = row_by_row(&columns)?;
         PyArray1::from_vec(py, py.detach(|| self.0.errors(columns))).reshape(shape)
     }
 
@@ -84,7 +93,7 @@ impl PyWhitening {
         if sizes.iter().sum::<usize>() != k {
             return Err(PyValueError::new_err(format!("groups hold {k} columns")));
         }
-        let (columns, vectors) = (columns.as_slice()?, vectors.as_slice()?);
+        let (columns, vectors) = (row_by_row(&columns)?, row_by_row(&vectors)?);
         let (along, grams) = py.detach(|| self.0.products(columns, vectors, &sizes));
         Ok((PyArray1::from_vec(py, along).reshape([k, m])?, PyArray1::from_vec(py, grams)))
     }
@@ -98,4 +107,9 @@ impl PyWhitening {
         }
         Ok([shape[0], shape[1]])
     }
+}
+
+/// Entries row by row; `as_slice` would give those of a transposed array too, column by column.
+fn row_by_row<'a>(matrix: &'a PyReadonlyArray2<'_, f64>) -> PyResult<&'a [f64]> {
+    matrix.as_array().to_slice().ok_or_else(|| PyValueError::new_err("columns stand row by row"))
 }

@@ -1,11 +1,13 @@
 //! What a solution tells about itself.
 
+mod answers;
 mod covariance;
 mod forward;
 mod passage;
 mod response;
 mod whitening;
 
+pub use answers::{Outputs, Place, answers};
 pub use covariance::{Information, information};
 pub use forward::Forward;
 pub use passage::Predictors;

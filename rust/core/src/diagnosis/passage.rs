@@ -22,7 +22,9 @@ pub struct Predictors {
 impl Predictors {
     /// Predictor k has k coefficients; there are as many standard deviations as predictors, one at least.
     pub fn new(coefficients: Vec<Vec<f64>>, sigmas: Vec<f64>) -> Self {
-        assert!(coefficients.len() == sigmas.len() && coefficients.iter().enumerate().all(|(k, c)| c.len() == k));
+        assert!(
+            coefficients.len() == sigmas.len() && coefficients.iter().enumerate().all(|(k, c)| c.len() == k)
+        );
         Predictors { coefficients, sigmas }
     }
 
@@ -42,7 +44,8 @@ impl Predictors {
         let p = self.order();
         let mut gamma = vec![self.sigmas[0] * self.sigmas[0]];
         for k in 1..p {
-            let known: f64 = self.coefficients[k - 1].iter().zip(gamma.iter().rev()).map(|(a, g)| a * g).sum();
+            let known: f64 =
+                self.coefficients[k - 1].iter().zip(gamma.iter().rev()).map(|(a, g)| a * g).sum();
             gamma.push(known + self.coefficients[k][k - 1] * self.sigmas[k - 1].powi(2));
         }
         DMatrix::from_fn(p, p, |i, j| gamma[i.abs_diff(j)])

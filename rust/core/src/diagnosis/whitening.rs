@@ -31,14 +31,18 @@ pub struct Whitening {
 impl Whitening {
     /// For each channel its model and its strands: first row, and places of the samples on their grid of time. Each
     /// mixing is L⁻¹ and rows, as many for each time.
-    pub fn new(channels: &[(Predictors, Vec<(usize, Vec<usize>)>)], mixings: Vec<(Vec<f64>, Vec<usize>)>) -> Self {
+    pub fn new(
+        channels: &[(Predictors, Vec<(usize, Vec<usize>)>)],
+        mixings: Vec<(Vec<f64>, Vec<usize>)>,
+    ) -> Self {
         let strands = channels.iter().flat_map(|(model, strands)| {
             let covariance = model.covariance();
             strands.iter().map(move |(first, places)| (*first, Passage::new(model, &covariance, places)))
         });
         let passages: Vec<_> = strands.collect();
         let rows = passages.iter().map(|(first, p)| first + p.len()).max().unwrap_or(0);
-        let mixings = mixings.into_iter().map(|(inverse, at)| Mixing { n: inverse.len().isqrt(), inverse, at });
+        let mixings =
+            mixings.into_iter().map(|(inverse, at)| Mixing { n: inverse.len().isqrt(), inverse, at });
         Whitening { passages, mixings: mixings.collect(), rows }
     }
 

@@ -1,9 +1,9 @@
 """All candidates at one fit: what each would gain, from one linearisation.
 
-What tangents can imitate is taken out of the effects' columns once, in the metric of white noise; that leaves no less
-beside the tangents in any other. Through a filter F, with W = F C the whitened columns, Q an orthonormal basis of the
-whitened tangents and e what they leave of the residuals, W'W - (Q'W)'(Q'W) and W'e are all that the statistics need:
-whitened columns come and go, block by block.
+What tangents can imitate counts for nothing through any filter, so it is taken out of the effects' columns C once, in
+the metric of white noise: what is left is small where the motion is unstable and C is not. Through a filter F, with
+W = F C, Q an orthonormal basis of the whitened tangents and e what they leave of the residuals, W'W - (Q'W)'(Q'W) and
+W'e are all that the statistics need: whitened columns come and go, block by block.
 """
 
 from __future__ import annotations

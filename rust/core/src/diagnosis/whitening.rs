@@ -19,6 +19,9 @@ struct Mixing {
     n: usize,
 }
 
+/// The strands of a channel: first row, and places of the samples on their grid of time.
+pub type Strands = Vec<(usize, Vec<usize>)>;
+
 /// The transform of rows of residuals, or of sensitivities, to prediction errors in units of their standard deviations,
 /// those of the exact likelihood.
 pub struct Whitening {
@@ -29,12 +32,8 @@ pub struct Whitening {
 }
 
 impl Whitening {
-    /// For each channel its model and its strands: first row, and places of the samples on their grid of time. Each
-    /// mixing is L⁻¹ and rows, as many for each time.
-    pub fn new(
-        channels: &[(Predictors, Vec<(usize, Vec<usize>)>)],
-        mixings: Vec<(Vec<f64>, Vec<usize>)>,
-    ) -> Self {
+    /// For each channel its model and its strands. Each mixing is L⁻¹ and rows, as many for each time.
+    pub fn new(channels: &[(Predictors, Strands)], mixings: Vec<(Vec<f64>, Vec<usize>)>) -> Self {
         let strands = channels.iter().flat_map(|(model, strands)| {
             let covariance = model.covariance();
             strands.iter().map(move |(first, places)| (*first, Passage::new(model, &covariance, places)))

@@ -16,7 +16,9 @@ __all__ = [
     "Problem",
     "Shooting",
     "Table",
+    "Whitening",
     "__version__",
+    "answers",
     "apply",
     "information",
     "interpolate",
@@ -24,7 +26,7 @@ __all__ = [
     "load_expression",
     "newton",
     "operations",
-    "responses",
+    "tangents",
 ]
 
 __version__: str
@@ -318,12 +320,35 @@ def newton(
     regression: bool,
     watch: Callable[..., object] | None,
 ) -> NewtonSolution: ...
+
+@final
+class Whitening:
+    def __new__(
+        cls,
+        channels: Sequence[tuple[Sequence[_Array], _Array, Sequence[tuple[int, NDArray[np.intp]]]]],
+        mixings: Sequence[tuple[_Array, NDArray[np.intp]]],
+    ) -> Whitening: ...
+    def errors(self, columns: _Array) -> _Array: ...
+    def log_scales(self) -> _Array: ...
+    def products(self, columns: _Array, vectors: _Array, sizes: Sequence[int]) -> tuple[_Array, _Array]: ...
+
 def information(
     problem: Problem, xi: _Array, multipliers: _Array, wanted: Sequence[int], held: Sequence[int]
 ) -> tuple[_Array, _Array, list[list[int]], bool] | None: ...
-def responses(
-    problem: Problem, xi: _Array, held: Sequence[int], slopes: _Array, tangents: Sequence[int]
+def tangents(
+    problem: Problem, xi: _Array, held: Sequence[int], variables: Sequence[int]
 ) -> tuple[_Array, bool] | None: ...
+def answers(
+    problem: Problem,
+    xi: _Array,
+    held: Sequence[int],
+    by_state: _Array,
+    by_parameter: _Array,
+    rows: NDArray[np.intp],
+    slopes: _Array,
+    direct: _Array,
+    signals: _Array,
+) -> tuple[_Array, _Array] | None: ...
 def apply(name: str, *args: _Operand) -> Expr: ...
 def operations() -> list[tuple[str, int, list[tuple[float, float]]]]: ...
 def load_expression(text: str) -> Expr: ...

@@ -27,12 +27,14 @@ __all__ = ["Delays", "at_delays"]
 class Delays:
     """inputs: name of the late input -> (the input, the parameter); outputs: name -> the parameter.
 
-    settled: bases have settled when they move by less than this part of the standard error.
+    settled: bases have settled when they move by less than this part of the standard error; passes: how often they may
+    move until then.
     """
 
     inputs: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     outputs: Mapping[str, str] = field(default_factory=dict)
     settled: float = 1e-4
+    passes: int = 30
 
     def __bool__(self) -> bool:
         return bool(self.inputs or self.outputs)

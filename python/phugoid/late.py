@@ -24,7 +24,6 @@ from .result import Fit
 
 __all__ = ["estimate_late", "simulated_late"]
 
-_PASSES = 30
 # A delay moves by no more than this many sample intervals before its base follows.
 _REACH = 2.0
 # Bases have settled too when they move by less than this part of a sample interval.
@@ -73,7 +72,7 @@ def estimate_late(
     # A warm start has the delays at which it was found.
     begin: Any = start if isinstance(start, Fit) else {n: v for n, v in given.items() if n not in names} or None
     iterations, time, warnings = 0, 0.0, []
-    for number in range(_PASSES):
+    for number in range(model.delays.passes):
         slim = at_delays(model, base, _REACH * interval)
         fit = estimate(slim, [_moved(model, slim, e, base) for e in experiments], start=begin, **options)
         iterations, time, begin = iterations + fit.iterations, time + fit.time, fit
@@ -85,7 +84,7 @@ def estimate_late(
         )
         if settled or fit.status in ("interrupted", "failed", "diverging", "infeasible", "time limit"):
             break
-        if number == _PASSES - 1:  # the base stays that of the fit
+        if number == model.delays.passes - 1:  # the base stays that of the fit
             warnings.append(
                 f"the delays still move by up to {max(map(abs, left.values())):.1e} s: where inputs bend sharply "
                 "between samples, the likelihood is not smooth in a delay"

@@ -20,8 +20,6 @@ _Array = NDArray[np.float64]
 # Rounds of fitting the noise to residuals and parameters to the noise.
 _ROUNDS = 3
 _NOTHING = 1e-9
-# Columns that are worked on together: they stay in the cache.
-_AT_ONCE = 32
 
 
 class Whitened:
@@ -121,11 +119,8 @@ class Whitened:
 
     def beside(self, columns: _Array) -> _Array:
         """Columns (k, n_rows), whitened, without what tangents can imitate."""
-        out = np.empty(columns.shape)
-        for k in range(0, columns.shape[0], _AT_ONCE):
-            c = self.filter(columns[k : k + _AT_ONCE])
-            out[k : k + _AT_ONCE] = c - (c @ self.basis) @ self.basis.T
-        return out
+        c = self.filter(columns)
+        return np.asarray(c - (c @ self.basis) @ self.basis.T)
 
 
 def own_whitening(linear: Linearised, start: Whitening | None = None) -> Whitened:

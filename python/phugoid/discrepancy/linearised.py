@@ -28,10 +28,11 @@ __all__ = ["Linearised", "collocated", "dataset"]
 _Array = NDArray[np.float64]
 _Indices = NDArray[np.intp]
 
-# Responses that are solved for at one time: bounds the memory that they take.
-_AT_ONCE = 64
+# Signals are worked on together as long as they have no more numbers: that bounds the memory.
+_NUMBERS = 1_000_000
 # Tangents whose singular value, in units of the noise, is below this part of the greatest are rounding.
 _NOTHING = 1e-9
+_DEPENDENT = "diagnose: the fit cannot be linearised: its equations depend on each other"
 
 
 def dataset(fit: Fit) -> Sequence[Experiment]:
@@ -125,9 +126,9 @@ class Linearised:
         self._slopes: list[Mapping[Place, _Array]] = []  # place -> (n_x, mesh points)
         self._direct: list[Mapping[Place, _Array]] = []  # place -> (n_y, samples)
         self._by_state: list[_Array] = []  # (n_y, n_x, samples)
-        self._by_parameter: list[_Array] = []  # (n_y, n_theta, samples), of the problem's variables
+        self._by_variable: list[_Array] = []  # (n_y, n_theta, samples)
         self.sample_points: list[_Indices] = []  # places among the points
-        self._mesh_points: list[_Indices] = []
+        self._places: list[_Indices] = []  # of the problem's points among them
         n_theta, xi = problem.n_theta, self._xi
         values = problem.values(xi[: len(problem.estimands)].tolist())
         first = problem.first_point
@@ -153,13 +154,13 @@ class Linearised:
             at = place_of[problem.sample_points(e)]
             mesh = place_of[: record[e].mesh_t.size]
             self.sample_points.append(at)
-            self._mesh_points.append(mesh)
+            self._places.append(place_of)
             self._by_state.append(found.by_state[:, :, at])
             by_variable = np.zeros((len(model.output_names), n_theta, at.size))
             for i, ((_, p, own), (_, slope)) in enumerate(zip(problem.estimands, values, strict=True)):
                 if own is None or own == e:
                     by_variable[:, i] = slope * found.by_parameter[:, p, at]
-            self._by_parameter.append(by_variable)
+            self._by_variable.append(by_variable)
             self._slopes.append({place: f[:, mesh] for place, (f, _) in found.by_place.items()})
             self._direct.append({place: g[:, at] for place, (_, g) in found.by_place.items()})
             self.points.append(self._points(experiment.name, columns, found))
@@ -188,7 +189,10 @@ class Linearised:
             # The last states too: in an unstable motion all first states but those on one line are out of reach.
             for point in (first, first + record.mesh_t.size - 1):
                 wanted += range(n_theta + n_x * point, n_theta + n_x * (point + 1))
-        answers, forward = self._solve(np.empty((0, self._n_slopes())), wanted)
+        found = _core.tangents(problem, self._xi, held, wanted)
+        if found is None:
+            raise EvaluationError(_DEPENDENT)
+        answers, forward = found
         if forward and problem.boundary_states:
             answers = self._conditions(wanted) @ answers
         columns = self._outputs(answers).T / self.scale()[:, None]
@@ -321,31 +325,28 @@ class Linearised:
         held = [i for i, name in enumerate(names) if lower[i] == upper[i] or self.inner.parameters[name].bounds_active]
         return held + list(range(len(names), problem.n_theta))
 
-    def _n_slopes(self) -> int:
-        return self._problem.n_states * sum(r.mesh_t.size for r in self.inner.records)
-
-    def _solve(self, slopes: _Array, tangents: list[int]) -> tuple[_Array, bool]:
-        found = _core.responses(self._problem, self._xi, self._held(), slopes, tangents)
-        if found is None:
-            raise EvaluationError("diagnose: the fit cannot be linearised: its equations depend on each other")
-        return found
+    @cached_property
+    def _derivatives(self) -> tuple[_Array, _Array, _Indices]:
+        """Of the outputs at all samples, by states (samples, n_y, n_x) and by variables (samples, n_y, n_theta); and
+        which row each is (samples, n_y), -1 where nothing was measured."""
+        rows = [np.full((p.size, len(self.rows)), -1) for p in self.sample_points]
+        for i, line in enumerate(self.rows):
+            for e, own in enumerate(line):
+                rows[e][self._present[i][e], i] = np.arange(own.start, own.stop)
+        by_state, by_variable = (
+            np.ascontiguousarray(np.concatenate(parts, axis=2).transpose(2, 0, 1))
+            for parts in (self._by_state, self._by_variable)
+        )
+        return by_state, by_variable, np.vstack(rows)
 
     def _outputs(self, answers: _Array) -> _Array:
-        """(k, n_rows) changes of the outputs by those of parameters and states."""
-        n_theta, n_x = self._problem.n_theta, self._problem.n_states
-        theta, states = answers[:, :n_theta], answers[:, n_theta:]
-        out = np.empty((answers.shape[0], self.n_rows))
-        first = 0
-        for e, (by_state, by_parameter) in enumerate(zip(self._by_state, self._by_parameter, strict=True)):
-            n = by_state.shape[2]
-            x = states[:, first * n_x : (first + n) * n_x].reshape(-1, n, n_x)
-            for i, line in enumerate(self.rows):
-                y = theta @ by_parameter[i] if theta.any() else np.zeros((answers.shape[0], n))
-                for k in range(n_x):
-                    if by_state[i, k].any():
-                        y += x[:, :, k] * by_state[i, k]
-                out[:, line[e]] = y[:, self._present[i][e]]
-            first += n
+        """(k, n_rows) changes of the outputs by those of variables and states."""
+        by_state, by_variable, rows = self._derivatives
+        k, n_theta = answers.shape[0], self._problem.n_theta
+        states = answers[:, n_theta:].reshape(k, len(rows), -1).transpose(1, 2, 0)
+        changes = by_state @ states + by_variable @ answers[:, :n_theta].T
+        out = np.empty((k, self.n_rows))
+        out[:, rows[rows >= 0]] = changes[rows >= 0].T
         return out
 
     def columns(self, effects: Sequence[tuple[Candidate, Mapping[str, float]]]) -> tuple[_Array, _Array, list[slice]]:
@@ -354,43 +355,34 @@ class Linearised:
         (k, n_rows) answers, (k, n_theta) how parameters took part in them, and which of the k are each effect's. What
         differs by tangents is the same answer: parameters and first states take part in the least way, or none.
         """
-        signals = [[c.signals(points, shape) for points in self.points] for c, shape in effects]
-        ends = np.cumsum([0, *(per_run[0].shape[0] for per_run in signals)])
-        groups = [slice(int(a), int(b)) for a, b in pairwise(ends)]
-        owner = np.repeat(np.arange(len(effects)), np.diff(ends))
-        answers = np.zeros((int(ends[-1]), self.n_rows))
-        parameters = np.zeros((int(ends[-1]), self._problem.n_theta))
+        ends = np.cumsum([0, *(1 if c.unit_amplitude else len(c.coefficients) for c, _ in effects)]).tolist()
+        groups = [slice(a, b) for a, b in pairwise(ends)]
+        answers = np.zeros((ends[-1], self.n_rows))
+        parameters = np.zeros((ends[-1], self._problem.n_theta))
         by_place: dict[Place, list[int]] = {}
-        for k, i in enumerate(owner.tolist()):
-            by_place.setdefault(effects[i][0].place, []).append(k)
-        stacked = [np.vstack([per_run[e] for per_run in signals]) for e in range(len(self.points))] if signals else []
+        for i, (c, _) in enumerate(effects):
+            by_place.setdefault(c.place, []).append(i)
+        most = max(1, _NUMBERS // sum(p.t.size for p in self.points))
         for place, members in by_place.items():
-            for begin in range(0, len(members), _AT_ONCE):
-                some = members[begin : begin + _AT_ONCE]
-                answers[some], parameters[some] = self._answers(place, [s[some] for s in stacked])
+            for begin in range(0, len(members), most):
+                some = members[begin : begin + most]
+                signals = [np.vstack([effects[i][0].signals(p, effects[i][1]) for i in some]) for p in self.points]
+                at = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in some])
+                answers[at], parameters[at] = self._answers(place, signals)
         return answers, parameters, groups
 
     def _answers(self, place: Place, signals: Sequence[_Array]) -> tuple[_Array, _Array]:
         """Answers to signals at a place, (k, points) for each experiment."""
-        k, n_x, first = signals[0].shape[0], self._problem.n_states, 0
-        direct, parameters = np.zeros((k, self.n_rows)), np.zeros((k, self._problem.n_theta))
-        slopes = np.zeros((k, self._n_slopes()))
-        for e, signal in enumerate(signals):
-            at_samples = signal[:, self.sample_points[e]]
-            if place.kind == "output":
-                y = self.model.output_names.index(place.name)
-                direct[:, self.rows[y][e]] = at_samples[:, self._present[y][e]]
-                continue
-            for y, line in enumerate(self.rows):
-                by = self._direct[e][place][y]
-                if by.any():
-                    direct[:, line[e]] = (by * at_samples)[:, self._present[y][e]]
-            mesh = self._mesh_points[e]
-            forced = self._slopes[e][place].T * signal[:, mesh, None]
-            slopes[:, first * n_x : (first + mesh.size) * n_x] = forced.reshape(k, -1)
-            first += mesh.size
-        if slopes.any():
-            answers, _ = self._solve(slopes, [])
-            direct += self._outputs(answers)
-            parameters = answers[:, : self._problem.n_theta]
-        return direct, parameters
+        if place.kind == "output":
+            slopes = np.zeros((sum(r.mesh_t.size for r in self.inner.records), self._problem.n_states))
+            direct = np.zeros(self._derivatives[2].shape)
+            direct[:, self.model.output_names.index(place.name)] = 1.0
+        else:
+            slopes = np.vstack([by[place].T for by in self._slopes])
+            direct = np.vstack([by[place].T for by in self._direct])
+        of_points = np.hstack([np.take(s, at, axis=1) for s, at in zip(signals, self._places, strict=True)])
+        mine = (self._problem, self._xi, self._held(), *self._derivatives)
+        found = _core.answers(*mine, *map(np.ascontiguousarray, (slopes, direct, of_points)))
+        if found is None:
+            raise EvaluationError(_DEPENDENT)
+        return found

@@ -24,6 +24,8 @@ __all__ = ["Refit", "refit", "started_from"]
 _ITERATIONS = 40
 # Delays are found to this part of their standard errors: to first order in what is left the rest is allowed for.
 _SETTLED = 0.03
+# Within so many passes, for the scan knows them well: what goes on then wanders off, or back and forth over a kink.
+_PASSES = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +96,7 @@ def refit(
             own = {n: starts[n] for n in candidate.parameters if n in starts}
             model = candidate.extended(model, own)
         if model.delays:
-            model = model._around(model._core, replace(model.delays, settled=_SETTLED))
+            model = model._around(model._core, replace(model.delays, settled=_SETTLED, passes=_PASSES))
         fit = estimate(
             model,
             dataset(base),

@@ -284,7 +284,6 @@ class Search:
         self, scan: Scan, statistics: Statistics, count: int, among: NDArray[np.bool_] | None = None
     ) -> list[Candidate]:
         """The best candidates, one of each group that has the same effect on the outputs."""
-        beside = statistics.beside
         chosen: list[tuple[Candidate, _Array]] = []
         # Of two that act alike that with fewer unknowns comes first.
         margins = statistics.values - np.array([self.threshold(c) for c, _ in scan.effects])
@@ -292,7 +291,7 @@ class Search:
             candidate, shape = scan.effects[i]
             if any(candidate.name == c.name for c, _ in chosen) or not (among is None or among[i]):
                 continue
-            q = _unit(beside[scan.groups[i]].T)
+            q = scan.basis(statistics, int(i))
             if any(_cosine(q, other) > _SAME for _, other in chosen):
                 continue
             chosen.append((candidate, q))
@@ -378,19 +377,11 @@ class Search:
         if not mine:
             return []
         best = max(mine, key=lambda i: statistics.values[i])
-        q = _unit(statistics.beside[scan.groups[best]].T)
-        # All with one column at once: of the others there are few that could be.
         found: dict[str, tuple[float, int]] = {}
-        along = q.T @ statistics.beside.T
-        size = np.einsum("ij,ij->j", along, along)
-        for i, (c, _) in enumerate(scan.effects):
-            group = scan.groups[i]
-            whole = sum(float(b @ b) for b in statistics.beside[group])
-            if c.name == candidate.name or float(size[group].sum()) < _ALIAS**2 * whole * 0.5:
-                continue
-            cosine = _cosine(q, _unit(statistics.beside[group].T))
-            if cosine > _ALIAS and cosine > found.get(c.name, (0.0, 0))[0]:
-                found[c.name] = cosine, i
+        for i, cosine in enumerate(scan.cosines(statistics, scan.basis(statistics, best)).tolist()):
+            name = scan.effects[i][0].name
+            if name != candidate.name and cosine > max(_ALIAS, found.get(name, (0.0, 0))[0]):
+                found[name] = cosine, i
         order = sorted(found, key=lambda n: -found[n][0])
         for name in order:
             if name not in self._starts:
@@ -451,13 +442,6 @@ def is_physical(at: Refit, candidate: Candidate) -> bool:
     """Whether all parameters of a candidate lie within what is physical."""
     limits = candidate.physical(at.linear.points)
     return all(low <= at.own.parameter(n)[0] <= high for n, (low, high) in limits.items())
-
-
-def _unit(columns: _Array) -> _Array:
-    """An orthonormal basis of columns."""
-    if columns.shape[1] == 1:
-        return np.asarray(columns / max(float(np.linalg.norm(columns)), 1e-300))
-    return np.asarray(np.linalg.qr(columns)[0])
 
 
 def _cosine(a: _Array, b: _Array) -> float:

@@ -19,15 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .prediction import Channel, Passage, autoregressive
+from .. import _core
+from .prediction import Channel, autoregressive
 from .strands import Strand
 
 __all__ = ["Rows", "Whitening"]
 
 _Array = NDArray[np.float64]
-
-# Series that are filtered together: they stay in the cache.
-_AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,14 +59,15 @@ class Whitening:
 
     def __init__(self, channels: Sequence[Channel], rows: Rows, correlation: _Array | None = None) -> None:
         self.channels, self.rows, self.correlation = tuple(channels), rows, correlation
-        self._passages = [
-            [(strand.rows, Passage(channel, strand)) for strand in line]
-            for channel, line in zip(self.channels, rows.strands, strict=True)
+        models = [
+            (c.predictors, c.sigmas, [(strand.rows.start, strand.places) for strand in line])
+            for c, line in zip(self.channels, rows.strands, strict=True)
         ]
-        self._roots: list[_Array] = []
+        mixings = []
         if correlation is not None:
-            blocks = (correlation[np.ix_(which, which)] for which, _ in rows.together)
-            self._roots = [np.asarray(np.linalg.cholesky(block)) for block in blocks]
+            for which, at in rows.together:
+                mixings.append((np.linalg.inv(np.linalg.cholesky(correlation[np.ix_(which, which)])), at))
+        self._core = _core.Whitening(models, mixings)
 
     @classmethod
     def of(cls, residuals: _Array, rows: Rows) -> Whitening:
@@ -92,30 +91,18 @@ class Whitening:
 
     def __call__(self, rows: _Array) -> _Array:
         """Rows (..., n_rows) as prediction errors in units of their standard deviations."""
-        out = np.empty(rows.shape)
-        flat, whitened = rows.reshape(-1, rows.shape[-1]), out.reshape(-1, rows.shape[-1])
-        for k in range(0, flat.shape[0], _AT_ONCE):
-            block, result = flat[k : k + _AT_ONCE], whitened[k : k + _AT_ONCE]
-            for line in self._passages:
-                for own, passage in line:
-                    result[:, own] = passage.errors(block[:, own])
-            for root, (_, at) in zip(self._roots, self.rows.together, strict=False):
-                inverse = np.linalg.inv(root)
-                columns = [result[:, at[:, j]] for j in range(at.shape[1])]
-                for i in range(at.shape[1]):
-                    result[:, at[:, i]] = sum(inverse[i, j] * columns[j] for j in range(i + 1))
-        return out
+        return self._core.errors(np.ascontiguousarray(rows.reshape(-1, rows.shape[-1]))).reshape(rows.shape)
+
+    def products(self, columns: _Array, vectors: _Array, sizes: Sequence[int]) -> tuple[_Array, _Array]:
+        """What there is to know of columns (k, n_rows) once they are white, without storing them so: products with
+        vectors (m, n_rows), (k, m); and with each other in groups of so many columns, their squares one after the
+        other."""
+        return self._core.products(columns, np.ascontiguousarray(vectors), sizes)
 
     def log_densities(self, errors: _Array) -> _Array:
         """(n_rows,) log-likelihood of each row, given those before it, of errors (n_rows,) that were whitened; without
         the constant of the normal density."""
-        out = -0.5 * errors**2
-        for line in self._passages:
-            for own, passage in line:
-                out[own] -= passage.log_scales
-        for root, (_, at) in zip(self._roots, self.rows.together, strict=False):
-            out[at] -= np.log(np.diag(root))
-        return out
+        return np.asarray(-0.5 * errors**2 - self._core.log_scales())
 
 
 def _correlation(errors: _Array, rows: Rows, n: int) -> _Array | None:

@@ -6,7 +6,7 @@ use common::models::{known_noise, linear, record};
 use common::newton::solve_defects;
 use nalgebra::{DMatrix, DVector};
 use phugoid::condition::End;
-use phugoid::diagnosis::{Forward, Response};
+use phugoid::diagnosis::{Forward, Outputs, Place, Response, answers};
 use phugoid::experiment::Experiment;
 use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
@@ -219,6 +219,53 @@ fn by_the_kkt_system_it_differs_by_tangents_alone() {
             assert!(rest < 1e-12, "order {order}, {grid:?}: A d = {rest:e} of a tangent along {i}");
             let apart = beside(&space, &DVector::from(at_samples(&problem, &d)));
             assert!(apart < 1e-10, "order {order}, {grid:?}: the tangent along {i} is apart by {apart:e}");
+        }
+    }
+}
+
+/// Signals that act at a place: the slopes of each, solved for, and what the outputs make of it, in both ways.
+#[test]
+fn answers_are_outputs_of_the_states() {
+    let model = pendulum();
+    for (order, grid) in cases() {
+        let (problem, xi, _) = at_rest(&model, order, &grid);
+        let (layout, k) = (&problem.layout, 21); // more than are solved for together
+        let points: usize = problem.meshes.iter().map(|m| m.times.len()).sum();
+        let mesh_points: usize = problem.meshes.iter().map(|m| m.n_mesh).sum();
+        let samples: usize = problem.meshes.iter().map(|m| m.sample_points.len()).sum();
+        let made = |n: usize, f: f64| (0..n).map(|i| (f * (i * i % 97) as f64).sin()).collect::<Vec<_>>();
+        let signals = made(k * points, 0.3);
+        let (slopes, direct) = (made(mesh_points * 2, 0.7), made(samples, 1.1));
+        let (by_state, by_parameter) = (made(samples * 2, 0.9), made(samples * layout.n_theta, 0.2));
+        // One output, the first sample of which is missing; rows the other way round.
+        let rows: Vec<isize> = (0..samples as isize)
+            .map(|s| samples as isize - 1 - s - isize::from(s == 0) * samples as isize)
+            .collect();
+        let outputs = Outputs { by_state: &by_state, by_parameter: &by_parameter, rows: &rows, n_y: 1 };
+        let place = Place { slopes: &slopes, outputs: &direct };
+        let (columns, parameters) = answers((&problem, &xi, &[FORCE]), &outputs, &place, &signals).unwrap();
+        assert_eq!((columns.len(), parameters.len()), (k * (samples - 1), k * layout.n_theta));
+        assert!(parameters.iter().all(|p| *p == 0.0), "forward in time parameters take no part");
+        let forward = Forward::new(&problem, &xi).unwrap().unwrap();
+        for (signal, column) in signals.chunks(points).zip(columns.chunks(samples - 1)) {
+            let meshes = || problem.meshes.iter().zip(&layout.first_point);
+            let at_mesh = meshes().flat_map(|(m, f)| &signal[*f..f + m.n_mesh]);
+            let forced: Vec<f64> =
+                at_mesh.zip(slopes.chunks(2)).flat_map(|(s, b)| b.iter().map(move |b| b * s)).collect();
+            let states = &forward.solve(&[&forced])[0];
+            let at = meshes().flat_map(|(m, f)| m.sample_points.iter().map(move |p| f + p));
+            let mut wanted: Vec<f64> = at
+                .enumerate()
+                .map(|(s, point)| {
+                    let moved: f64 =
+                        by_state[2 * s..2 * s + 2].iter().zip(&states[2 * s..]).map(|(a, b)| a * b).sum();
+                    moved + direct[s] * signal[point]
+                })
+                .skip(1)
+                .collect();
+            wanted.reverse();
+            let error = distance(column, &wanted);
+            assert!(error < 1e-12, "order {order}, {grid:?}: off by {error:e}");
         }
     }
 }

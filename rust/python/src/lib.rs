@@ -11,6 +11,7 @@ mod noise;
 mod problem;
 mod response;
 mod shooting;
+mod whitening;
 
 use pyo3::prelude::*;
 
@@ -27,9 +28,11 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<evaluator::PyEvaluator>()?;
     m.add_class::<filter::PyFilter>()?;
     m.add_class::<newton::PySolution>()?;
+    m.add_class::<whitening::PyWhitening>()?;
     m.add_function(wrap_pyfunction!(newton::newton, m)?)?;
     m.add_function(wrap_pyfunction!(newton::information, m)?)?;
-    m.add_function(wrap_pyfunction!(response::responses, m)?)?;
+    m.add_function(wrap_pyfunction!(response::answers, m)?)?;
+    m.add_function(wrap_pyfunction!(response::tangents, m)?)?;
     m.add_function(wrap_pyfunction!(expr::apply, m)?)?;
     m.add_function(wrap_pyfunction!(expr::operations, m)?)?;
     m.add_function(wrap_pyfunction!(expr::load_expression, m)?)?;

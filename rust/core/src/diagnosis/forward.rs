@@ -4,6 +4,7 @@ use nalgebra::{DMatrix, Dyn, LU};
 use rayon::prelude::*;
 
 use crate::nlp::{Nlp, NotFinite};
+use crate::simd::kernel;
 use crate::solver::state_units;
 use crate::transcription::Collocation;
 
@@ -11,7 +12,10 @@ use crate::transcription::Collocation;
 const GROWTH: f64 = 1e6;
 
 /// Right-hand sides that are solved for together: their path stays in the cache.
-const AT_ONCE: usize = 16;
+pub(super) const AT_ONCE: usize = 16;
+
+/// A number for each of them.
+pub(super) type Lanes = [f64; AT_ONCE];
 
 /// Of samples between mesh points: their points, and derivatives by the states at all points of the segment.
 type Between = Vec<(usize, DMatrix<f64>)>;
@@ -28,6 +32,9 @@ struct Step {
     between: Vec<(usize, DMatrix<f64>)>,
     /// Its first point within the experiment.
     point: usize,
+    /// From states at the first point and slopes at all points to states at the others, row by row; at the last point
+    /// alone where no sample asks for those between.
+    map: Vec<f64>,
 }
 
 /// ∂h/∂x of a collocation problem, segment by segment.
@@ -110,9 +117,27 @@ impl<'a> Forward<'a> {
         let each = problem.meshes.iter().zip(blocks).zip(between).zip(parameters);
         for (((mesh, blocks), between), parameters) in each {
             let each = mesh.segments.iter().zip(blocks).zip(between).zip(parameters);
-            let step = each.map(|(((segment, [first, own]), between), parameters)| {
+            let k = mesh.rule.order() - 1;
+            let mut inner = vec![false; mesh.segments.len()];
+            for &point in mesh.sample_points.iter().filter(|&&p| p < mesh.n_mesh && p % k != 0) {
+                inner[point / k] = true;
+            }
+            let step = each.zip(inner).map(|((((segment, [first, own]), between), parameters), inner)| {
                 let own: DMatrix<f64> = own;
-                Step { own: own.lu(), first, parameters, between, point: segment.point }
+                let mut step =
+                    Step { own: own.lu(), first, parameters, between, point: segment.point, map: Vec::new() };
+                let mut map = DMatrix::zeros(k * n, (k + 2) * n);
+                map.columns_mut(0, n).copy_from(&-&step.first);
+                for (i, j, r) in
+                    (0..k).flat_map(|i| (0..=k).flat_map(move |j| (0..n).map(move |r| (i, j, r))))
+                {
+                    map[(i * n + r, (j + 1) * n + r)] = segment.h * mesh.rule.c(j, i);
+                }
+                step.own.solve_mut(&mut map);
+                let whole = inner || !step.between.is_empty();
+                let skipped = if whole { 0 } else { (k - 1) * n };
+                step.map = map.rows_range(skipped..).transpose().as_slice().to_vec();
+                step
             });
             steps.push(step.collect::<Vec<_>>());
         }
@@ -150,33 +175,58 @@ impl<'a> Forward<'a> {
     pub fn solve(&self, slopes: &[&[f64]]) -> Vec<Vec<f64>> {
         let n = self.problem.layout.n_x;
         let some = |slopes: &[&[f64]]| {
-            let force = |e: usize, begin: usize, step: usize, y: &mut DMatrix<f64>| {
-                let mesh = &self.problem.meshes[e];
-                let (k, segment) = (mesh.rule.order() - 1, mesh.segments[step]);
+            let states = self.states(|mesh_point, _, given| {
                 for (c, slope) in slopes.iter().enumerate() {
-                    let b = &slope[(begin + segment.point) * n..];
-                    for i in 0..k {
-                        for r in 0..n {
-                            let sum: f64 = (0..=k).map(|j| mesh.rule.c(j, i) * b[j * n + r]).sum();
-                            y[(i * n + r, c)] = segment.h * sum;
-                        }
-                    }
+                    given.iter_mut().zip(&slope[mesh_point * n..]).for_each(|(g, b)| g[c] = *b);
                 }
-            };
-            let tied = |e: usize, begin: usize, tie: usize, x: &mut DMatrix<f64>| {
-                let tie = &self.problem.meshes[e].between[tie];
-                let point = self.problem.meshes[e].segments[tie.segment].point;
-                for (c, slope) in slopes.iter().enumerate() {
-                    let b = &slope[(begin + point) * n..];
-                    for r in 0..n {
-                        x[(r, c)] +=
-                            tie.weights.iter().enumerate().map(|(j, w)| w * b[j * n + r]).sum::<f64>();
-                    }
-                }
-            };
-            self.march(slopes.len(), |_, _, _| 0.0, force, tied)
+            });
+            (0..slopes.len()).map(|c| states.iter().map(|x| x[c]).collect()).collect::<Vec<_>>()
         };
         slopes.par_chunks(AT_ONCE).flat_map_iter(some).collect()
+    }
+
+    /// The same for a few, side by side, [sample · n_x + state]. `slopes` gives those of the points from one on: its
+    /// place among all mesh points, and among all points.
+    pub(super) fn states(&self, slopes: impl Fn(usize, usize, &mut [Lanes])) -> Vec<Lanes> {
+        let layout = &self.problem.layout;
+        let n = layout.n_x;
+        let samples: usize = self.problem.meshes.iter().map(|m| m.sample_points.len()).sum();
+        let mut out = Vec::with_capacity(samples * n);
+        let mut begin = 0; // mesh point of the experiment among all
+        for ((mesh, steps), first) in self.problem.meshes.iter().zip(&self.steps).zip(&layout.first_point) {
+            let k = mesh.rule.order() - 1;
+            let mut path = vec![[0.0; AT_ONCE]; mesh.times.len() * n];
+            let mut given = vec![[0.0; AT_ONCE]; (k + 2) * n]; // states at the first point, slopes at all
+            let mut ties = mesh.between.iter();
+            for step in steps {
+                given[..n].copy_from_slice(&path[step.point * n..][..n]);
+                slopes(begin + step.point, first + step.point, &mut given[n..]);
+                let end = (step.point + k + 1) * n;
+                let rows = step.map.len() / given.len();
+                combined(&step.map, &given, &mut path[end - rows..end]);
+                for ((point, block), tie) in step.between.iter().zip(&mut ties) {
+                    // The states of all points of the segment, and what the slopes add.
+                    let weights = (0..n).flat_map(|r| {
+                        let states = block.row(r).iter().map(|v| -v).collect::<Vec<_>>();
+                        let slopes = tie
+                            .weights
+                            .iter()
+                            .flat_map(move |w| (0..n).map(move |i| if i == r { *w } else { 0.0 }));
+                        states.into_iter().chain(slopes)
+                    });
+                    let known: Vec<_> =
+                        path[step.point * n..end].iter().chain(&given[n..]).copied().collect();
+                    let mut x = vec![[0.0; AT_ONCE]; n];
+                    combined(&weights.collect::<Vec<_>>(), &known, &mut x);
+                    path[point * n..][..n].copy_from_slice(&x);
+                }
+            }
+            for point in &mesh.sample_points {
+                out.extend_from_slice(&path[point * n..][..n]);
+            }
+            begin += mesh.n_mesh;
+        }
+        out
     }
 
     /// The same for variables that move by 1: parameters, or states at a first point (all others give nothing).
@@ -243,5 +293,20 @@ impl<'a> Forward<'a> {
             begin += mesh.n_mesh;
         }
         out
+    }
+}
+
+kernel! {
+    /// Linear combinations, one a row of `map`, of what is given, for all right-hand sides.
+    fn combined(map: &[f64], given: &[Lanes], out: &mut [Lanes]) {
+        for (row, out) in map.chunks_exact(given.len()).zip(out) {
+            let mut sum = [0.0; AT_ONCE];
+            for (m, given) in row.iter().zip(given) {
+                for (s, g) in sum.iter_mut().zip(given) {
+                    *s = m.mul_add(*g, *s);
+                }
+            }
+            *out = sum;
+        }
     }
 }

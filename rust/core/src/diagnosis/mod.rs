@@ -1,12 +1,18 @@
 //! What a solution tells about itself.
 
+mod answers;
 mod covariance;
 mod forward;
+mod passage;
 mod response;
+mod whitening;
 
+pub use answers::{Outputs, Place, answers};
 pub use covariance::{Information, information};
 pub use forward::Forward;
+pub use passage::Predictors;
 pub use response::Response;
+pub use whitening::Whitening;
 
 /// Curvature, relative to that of other directions, given to directions without any.
 const SLIGHT: f64 = 1e-8;

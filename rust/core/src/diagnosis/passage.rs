@@ -1,0 +1,180 @@
+//! A channel's autoregressive model along a strand: each sample predicted from all before it, also past a gap.
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::simd::kernel;
+
+/// Over gaps longer than this, variances are those of the process, less what is left of knowledge; else they are summed
+/// up step by step, which loses no digits.
+const LONG: usize = 64;
+/// Samples that are predicted together: they stay in the first cache.
+const AT_ONCE: usize = 512;
+
+/// The autoregressive model of a channel: the best predictors from 0, 1, ..., p samples, the latest first, and the
+/// standard deviations of their errors.
+pub struct Predictors {
+    coefficients: Vec<Vec<f64>>,
+    sigmas: Vec<f64>,
+}
+
+impl Predictors {
+    /// Predictor k has k coefficients; there are as many standard deviations as predictors, one at least.
+    pub fn new(coefficients: Vec<Vec<f64>>, sigmas: Vec<f64>) -> Self {
+        assert!(
+            coefficients.len() == sigmas.len() && coefficients.iter().enumerate().all(|(k, c)| c.len() == k)
+        );
+        Predictors { coefficients, sigmas }
+    }
+
+    fn order(&self) -> usize {
+        self.sigmas.len() - 1
+    }
+
+    /// (p, p) from the last p values, the newest first, to those one step later, but for the error.
+    fn transition(&self) -> DMatrix<f64> {
+        let p = self.order();
+        let a = &self.coefficients[p];
+        DMatrix::from_fn(p, p, |i, j| if i == 0 { a[j] } else { f64::from(i == j + 1) })
+    }
+
+    /// (p, p) of p values in a row, by Levinson's recursion.
+    pub(super) fn covariance(&self) -> DMatrix<f64> {
+        let p = self.order();
+        let mut gamma = vec![self.sigmas[0] * self.sigmas[0]];
+        for k in 1..p {
+            let known: f64 =
+                self.coefficients[k - 1].iter().zip(gamma.iter().rev()).map(|(a, g)| a * g).sum();
+            gamma.push(known + self.coefficients[k][k - 1] * self.sigmas[k - 1].powi(2));
+        }
+        DMatrix::from_fn(p, p, |i, j| gamma[i.abs_diff(j)])
+    }
+}
+
+/// To a sample whose last p places are not all there, by Kalman's filter (1960): what the sample's error says of the
+/// last p values, and its standard deviation.
+struct Step {
+    gain: DVector<f64>,
+    sigma: f64,
+}
+
+/// Samples without a gap.
+struct Run {
+    samples: Range<usize>,
+    /// From what was known of p values to its first sample, over the gap before it.
+    transition: Option<DMatrix<f64>>,
+    steps: Vec<Step>,
+}
+
+/// The errors are those of the exact likelihood. Where the last p samples are there, they alone count; at the beginning
+/// and after a gap, p samples long at most, Kalman's filter says what is known.
+pub struct Passage {
+    predictor: Vec<f64>,
+    sigma: f64,
+    runs: Vec<Run>,
+}
+
+impl Passage {
+    /// Along samples at `places` (increasing) of a grid of time; `covariance` is that of the model.
+    pub(super) fn new(model: &Predictors, covariance: &DMatrix<f64>, places: &[usize]) -> Self {
+        let p = model.order();
+        let (step, last) = (model.transition(), model.sigmas[p]);
+        let mut known = covariance.clone(); // of the error of what is known of the last p values
+        let mut runs = Vec::new();
+        let mut begin = 0;
+        for end in 1..=places.len() {
+            if end < places.len() && places[end] == places[end - 1] + 1 {
+                continue;
+            }
+            let mut run = Run { samples: begin..end, transition: None, steps: Vec::new() };
+            for i in begin..end.min(begin + p) {
+                let gap = if i == 0 { 0 } else { places[i] - places[i - 1] };
+                if gap > LONG {
+                    let over = step.pow(u32::try_from(gap).unwrap_or(u32::MAX));
+                    known = covariance + &over * (known - covariance) * over.transpose();
+                } else {
+                    for _ in 0..gap {
+                        known = &step * known * step.transpose();
+                        known[(0, 0)] += last * last;
+                    }
+                }
+                if i == begin && i > 0 {
+                    run.transition = Some(step.pow(u32::try_from(gap).unwrap_or(u32::MAX)));
+                }
+                let gain = known.column(0) / known[(0, 0)];
+                run.steps.push(Step { sigma: known[(0, 0)].sqrt(), gain: gain.clone() });
+                known -= gain * known.row(0).clone_owned();
+            }
+            if end - begin >= p {
+                known.fill(0.0);
+            }
+            runs.push(run);
+            begin = end;
+        }
+        Passage { predictor: model.coefficients[p].clone(), sigma: last, runs }
+    }
+
+    /// Number of samples.
+    pub(super) fn len(&self) -> usize {
+        self.runs.last().map_or(0, |run| run.samples.end)
+    }
+
+    /// Prediction errors of samples, in units of their standard deviations.
+    pub(super) fn errors(&self, x: &[f64], out: &mut [f64]) {
+        let p = self.predictor.len();
+        let mut state = DVector::zeros(p);
+        for run in &self.runs {
+            let (x, out) = (&x[run.samples.clone()], &mut out[run.samples.clone()]);
+            predicted(x, &self.predictor, 1.0 / self.sigma, out);
+            if let Some(transition) = &run.transition {
+                state = transition * state;
+            }
+            for (t, step) in run.steps.iter().enumerate() {
+                if t > 0 {
+                    let next = self.predictor.iter().zip(&state).map(|(a, s)| a * s).sum();
+                    state.as_mut_slice().rotate_right(1);
+                    state[0] = next;
+                }
+                let error = x[t] - state[0];
+                out[t] = error / step.sigma;
+                state.axpy(error, &step.gain, 1.0);
+            }
+            if x.len() >= p {
+                state.iter_mut().zip(x.iter().rev()).for_each(|(s, x)| *s = *x);
+            }
+        }
+    }
+
+    /// Logarithms of the standard deviations of the errors.
+    pub(super) fn log_scales(&self, out: &mut [f64]) {
+        out.fill(self.sigma.ln());
+        for run in &self.runs {
+            for (out, step) in out[run.samples.clone()].iter_mut().zip(&run.steps) {
+                *out = step.sigma.ln();
+            }
+        }
+    }
+}
+
+kernel! {
+    /// Errors of the samples from the p-th on, predicted from the p before, times a scale; those of the first are not set.
+    fn predicted(x: &[f64], predictor: &[f64], scale: f64, out: &mut [f64]) {
+        let p = predictor.len();
+        let mut t = p;
+        while t < x.len() {
+            let end = x.len().min(t + AT_ONCE);
+            let out = &mut out[t..end];
+            for (o, x) in out.iter_mut().zip(&x[t..end]) {
+                *o = x * scale;
+            }
+            for (i, a) in predictor.iter().enumerate() {
+                let a = -a * scale;
+                for (o, x) in out.iter_mut().zip(&x[t - 1 - i..end - 1 - i]) {
+                    *o = a.mul_add(*x, *o);
+                }
+            }
+            t = end;
+        }
+    }
+}

@@ -72,7 +72,6 @@ pub(super) struct Group {
     pub y: Vec<f64>,
     /// Multipliers of own rows; on the way to them, what stands right of Mᵀ λ.
     pub lambda: Vec<f64>,
-    products: Products,
     /// Of the coupled border.
     cross: Vec<f64>,
     /// Segments before which the growth passed the limit, at the last factorisation.
@@ -109,7 +108,6 @@ impl Group {
             side: Side::new(shape),
             y: vec![0.0; rows],
             lambda: vec![0.0; rows],
-            products: Products::new(shape),
             cross: vec![0.0; shape.coupled.len()],
             splits: Vec::new(),
             growth: 0.0,
@@ -121,13 +119,14 @@ impl Group {
     pub fn factorize(
         &mut self,
         context: &Context<'_>,
+        products: &mut Products,
         hessian: &[f64],
         jacobian: &[f64],
     ) -> Result<(), usize> {
         self.splits.clear();
         self.growth = 0.0;
-        factorize(self, context, hessian, jacobian)?;
-        self.make_form(context.shape);
+        factorize(self, context, products, hessian, jacobian)?;
+        self.make_form(context.shape, products);
         Ok(())
     }
 
@@ -144,7 +143,7 @@ impl Group {
     }
 
     /// Puts together the form from what the points have added up.
-    fn make_form(&mut self, shape: &Shape) {
+    fn make_form(&mut self, shape: &Shape, products: &Products) {
         let (n, f) = (shape.n, shape.form());
         let columns = n + shape.used();
         self.form.c.fill(0.0);
@@ -163,10 +162,10 @@ impl Group {
         for (i, v) in shape.columns() {
             let v = place(v);
             for (j, w) in shape.columns() {
-                q[v * f + place(w)] += self.products.square(i, j);
+                q[v * f + place(w)] += products.square(i, j);
             }
             for (c, &b) in shape.coupled.iter().enumerate() {
-                let value = self.products.cross(shape, i, c);
+                let value = products.cross(shape, i, c);
                 q[v * f + 2 * n + b] += value;
                 q[(2 * n + b) * f + v] += value;
             }
@@ -192,12 +191,18 @@ fn panels(segments: &Range<usize>) -> Range<usize> {
 }
 
 kernel! {
-    fn factorize(g: &mut Group, context: &Context<'_>, hessian: &[f64], jacobian: &[f64]) -> Result<(), usize> {
+    fn factorize(
+        g: &mut Group,
+        context: &Context<'_>,
+        products: &mut Products,
+        hessian: &[f64],
+        jacobian: &[f64],
+    ) -> Result<(), usize> {
         let (shape, plan) = (context.shape, context.plan);
         let n = shape.n;
         let along = Along { shape, plan, segments: &g.segments, row: g.row };
         restart(shape, &mut g.pieces);
-        g.products.clear();
+        products.clear();
         let mut starts = g.starts.iter();
         let mut bend = |panel: usize, values: &mut [f64]| {
             let (start, factors) = (*starts.next().expect("one for each panel"), plan.factors(panel));
@@ -212,7 +217,7 @@ kernel! {
         };
         if g.segments.start == 0 {
             let own = bend(0, &mut g.values);
-            g.products.add(shape, plan.runs(0), &g.values[own], &g.pieces, |piece| &piece.z);
+            products.add(shape, plan.runs(0), &g.values[own], &g.pieces, |piece| &piece.z);
         }
         for (i, s) in g.segments.clone().enumerate() {
             let mut growth: f64 = 0.0;
@@ -226,14 +231,14 @@ kernel! {
                 growth = growth.max(piece.growth(part));
             }
             let own = bend(s + 1, &mut g.values);
-            g.products.add(shape, plan.runs(s + 1), &g.values[own], &g.pieces, |piece| &piece.next);
+            products.add(shape, plan.runs(s + 1), &g.values[own], &g.pieces, |piece| &piece.next);
             g.growth = g.growth.max(growth);
             if growth > GROWTH && s + 1 < g.segments.end {
                 g.splits.push(s + 1);
                 restart(shape, &mut g.pieces);
             }
         }
-        g.products.flush(shape);
+        products.flush(shape);
         Ok(())
     }
 }

@@ -31,12 +31,15 @@ mod plan;
 mod products;
 mod root;
 
+use std::sync::{Mutex, PoisonError};
+
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use group::{Context, Form, Group, Side};
 use merge::Merge;
 use plan::{Part, Plan, Run, Shape};
+use products::Products;
 use root::{Border, Top};
 
 use super::{Curvature, KktSolver, Singular, covariance_by_solving};
@@ -113,6 +116,8 @@ pub struct ArrowKkt {
     units: Vec<f64>,
     inverse: Vec<f64>,
     trees: Vec<Tree>,
+    /// Where groups sum: one for each thread.
+    products: Vec<Mutex<Products>>,
     sizes: (usize, usize),
     /// Entries of the last factorisation, for refinement.
     jacobian: Vec<f64>,
@@ -156,6 +161,7 @@ impl ArrowKkt {
             units: units.iter().map(|u| 1.0 / u).collect(),
             inverse: units.to_vec(),
             trees: Vec::new(),
+            products: Vec::new(),
             sizes,
             jacobian: vec![0.0; jacobian.len()],
             outer: vec![0.0; border * border],
@@ -179,6 +185,8 @@ impl ArrowKkt {
         };
         arrow.trees = arrow.whole();
         arrow.least_groups = arrow.groups();
+        let threads = if arrow.parallel { rayon::current_num_threads() } else { 1 };
+        arrow.make_room(threads);
         Some(arrow)
     }
 
@@ -188,8 +196,13 @@ impl ArrowKkt {
         if threads > 1 {
             // Without a pool of its own the work goes to the common one: slower or faster, not wrong.
             self.pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok();
+            self.make_room(threads);
         }
         self
+    }
+
+    fn make_room(&mut self, threads: usize) {
+        self.products = (0..threads).map(|_| Mutex::new(Products::new(&self.plan.shape))).collect();
     }
 
     /// Trees with no group ended early.
@@ -283,10 +296,16 @@ impl ArrowKkt {
         for (tree, plan) in self.trees.iter_mut().zip(&self.plan.chains) {
             let context = Context { shape, plan };
             let done = if parallel {
-                let work = |g: &mut Group| g.factorize(&context, hessian, jacobian);
+                let work = |g: &mut Group| {
+                    let own = rayon::current_thread_index().unwrap_or(0) % self.products.len();
+                    // Nothing is left in it that matters after a panic.
+                    let mut products = self.products[own].lock().unwrap_or_else(PoisonError::into_inner);
+                    g.factorize(&context, &mut products, hessian, jacobian)
+                };
                 tree.groups.par_iter_mut().map(work).reduce(|| Ok(()), Result::and)
             } else {
-                tree.groups.iter_mut().try_for_each(|g| g.factorize(&context, hessian, jacobian))
+                let products = self.products[0].get_mut().unwrap_or_else(PoisonError::into_inner);
+                tree.groups.iter_mut().try_for_each(|g| g.factorize(&context, products, hessian, jacobian))
             };
             done.map_err(|row| Singular { row: global_row(plan, shape.n, row) })?;
         }

@@ -19,9 +19,10 @@ const MOST_DAMPING: f64 = 1e6;
 /// Most full steps in a row without a lower merit function, until such steps have led nowhere.
 const PATIENCE: usize = 8;
 
-/// Trust ends where a defect is so many times what it was, or what its state does, and where so much
+/// Trust ends where a defect is so many times what it was, or what its state does, or where so much
 /// likelihood is lost for each unknown.
 const ASTRAY: f64 = 10.0;
+const LOST: f64 = 100.0;
 
 /// φ + ν Σ|c| in units.
 #[derive(Clone, Copy, Debug, Default)]
@@ -103,7 +104,7 @@ impl Run<'_> {
             }
             let lost = self.trial.objective - self.watchdog.back.objective;
             let sane = self.trial.worst <= ASTRAY * self.watchdog.back.worst.max(1.0)
-                && lost <= ASTRAY * self.here.xi.len() as f64;
+                && lost <= LOST * self.here.xi.len() as f64;
             if sane && self.watchdog.age < self.watchdog.patience {
                 let age = self.watchdog.age + 1;
                 let taken = self.accept(1.0, trials);

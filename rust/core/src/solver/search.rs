@@ -1,7 +1,7 @@
 //! The line search on the ℓ₁ merit function, with second-order corrections.
 
 use super::point::Point;
-use super::{Promise, Run};
+use super::{NEAR, Promise, Run};
 
 /// Part of the promised decrease that must come true (Armijo).
 const ARMIJO: f64 = 1e-4;
@@ -19,8 +19,8 @@ const MOST_DAMPING: f64 = 1e6;
 /// Most full steps in a row without a lower merit function, until such steps have led nowhere.
 const PATIENCE: usize = 8;
 
-/// Trust ends where a defect is so many times what it was, or what its state does, or where so much
-/// likelihood is lost for each unknown.
+/// Trust ends where a defect is so many times what it was, or what its state does, or where so many times
+/// the likelihood is lost that the step promised.
 const ASTRAY: f64 = 10.0;
 const LOST: f64 = 100.0;
 
@@ -104,7 +104,7 @@ impl Run<'_> {
             }
             let lost = self.trial.objective - self.watchdog.back.objective;
             let sane = self.trial.worst <= ASTRAY * self.watchdog.back.worst.max(1.0)
-                && lost <= LOST * self.here.xi.len() as f64;
+                && lost <= LOST * promise.gain.max(NEAR);
             if sane && self.watchdog.age < self.watchdog.patience {
                 let age = self.watchdog.age + 1;
                 let taken = self.accept(1.0, trials);

@@ -128,3 +128,22 @@ def test_what_cannot_be_right_is_refused() -> None:
         with pytest.raises(kind) as error:
             call()
         assert message in str(error.value), str(error.value)
+
+
+def test_one_name_asks_records_fits_models_and_numbers_alike(data: ph.Experiment) -> None:
+    start = ph.subspace(data, 2)
+    fit = ph.estimate(ph.models.modal(start=start), data)
+    found = ph.frequency_response(fit, HZ, "u2", "y")
+    np.testing.assert_array_equal(found.response, model_response(fit, HZ, "u2", "y").response)
+    assert found.std_error is not None
+    values = {n: fit.parameters[n].value for n in fit.model.parameter_names}
+    at_values = ph.frequency_response(fit.model, HZ, input="u2", parameters=values)
+    np.testing.assert_array_equal(at_values.response, found.response)
+    np.testing.assert_array_equal(
+        ph.frequency_response(start, HZ, "u2").response, start.frequency_response(HZ, "u2").response
+    )
+    seen = ph.frequency_response(data, "u2", "y", "h1", segment=100)
+    assert seen.coherence is not None and seen.label == "H1, segments of 100 samples"
+    for wrong in ([data], "run1.csv"):
+        with pytest.raises(ph.DataError, match="one Experiment, a Fit, a Model or a StateSpace, not a"):
+            ph.frequency_response(wrong, "u2", "y")  # type: ignore[call-overload]

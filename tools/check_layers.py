@@ -25,7 +25,7 @@ PYTHON = [
     "models", "sampled", "hankel", "modal_regression", "subspace", "empirical", "summary", "match", "validation",
     "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
-    "jacobians", "gauge", "linear", "modes",
+    "jacobians", "gauge", "linear", "frequency", "modes",
     "biases", "held", "validate", "discrepancy",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]

@@ -23,7 +23,6 @@ from .discrepancy.extension import Extension, Gain
 from .discrepancy.finding import Finding, Scored
 from .discrepancy.misfit import Misfit, misfit
 from .discrepancy.points import Points
-from .empirical import frequency_response
 from .equation_error import EquationError, equation_error
 from .errors import (
     DataError,
@@ -36,6 +35,7 @@ from .errors import (
 from .estimate import estimate
 from .experiment import Experiment
 from .filter_error import FilterError
+from .frequency import frequency_response
 from .integration import IntegrationError
 from .match import Match, match
 from .mode_table import Mode, Modes

@@ -17,7 +17,7 @@ from .experiment import Experiment
 from .filtering import even_rate, number, whole_from
 from .response import FrequencyResponse
 
-__all__ = ["find_period", "frequency_response"]
+__all__ = ["Method", "empirical_response", "find_period"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
@@ -29,7 +29,7 @@ _REPEATS = 0.95
 _AS_GOOD = 0.01
 
 
-def frequency_response(
+def empirical_response(
     data: Experiment,
     input: str,
     output: str,
@@ -42,36 +42,7 @@ def frequency_response(
     floor_db: float = -40.0,
     label: str | None = None,
 ) -> FrequencyResponse:
-    """Response of ``output`` to ``input`` as the record shows it; means are removed first.
-
-    method     ``"etfe"``: ratio of the discrete Fourier transforms of the whole record, at multiples of 1/length. Noisy
-               unless smoothed or periodic.
-               ``"h1"``: cross-spectrum over the input's spectrum, averages over segments with Hann windows that
-               overlap by half (`scipy.signal.csd`, `welch`); with coherence.
-    period     samples in which the input repeats (a multisine), or ``"auto"`` to find it: exact, without leakage. The
-               last whole periods are used, so that a transient at the start is the first thing to go. ETFE: ratio of
-               the means over periods; H1: the cross-spectrum of each, averaged.
-    smoothing  Hz, of the ETFE: cross-spectrum and input's spectrum are averaged with a Hann window of this width at
-               half its height before they are divided. Resonances narrower than that are flattened.
-    segment    samples of a segment of H1; None: an eighth of the record.
-    band       ``(low, high)`` in Hz keeps a part.
-    floor_db   frequencies where the input's power lies so far below its maximum are left out: a ratio of next to
-               nothing says nothing.
-    label      for legends; None: the method, in words.
-
-    Where spectra were averaged, ``coherence`` and ``std_error`` are there (Bendat and Piersol, table 9.6). These count
-    noise at the output as error; noise at the input biases H1 and the smoothed ETFE to low values, not the ETFE over
-    periods, which averages it away. In closed loop the result is not the response of the system alone.
-
-    Input and output need complete, evenly spaced samples at the same times. An input that has finer samples of its own
-    (``decimate(..., inputs=...)``) is taken at the times of the record, which is right where it holds nothing above
-    the Nyquist frequency; one with coarser samples is refused, since interpolation alters its spectrum.
-
-    Raises OptionError for options that make no sense together, DataError for gaps, uneven sampling, a signal that does
-    not repeat, or a record too short.
-    """
-    if not isinstance(data, Experiment):
-        raise DataError(f"frequency_response: data is one Experiment, not a {type(data).__name__}")
+    """Response of ``output`` to ``input`` as the record shows it; arguments as in `frequency_response`."""
     if method not in get_args(Method):
         raise OptionError(f"frequency_response: method is 'etfe' or 'h1', not {method!r}")
     if smoothing is not None and (method != "etfe" or period is not None):

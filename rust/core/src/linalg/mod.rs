@@ -47,6 +47,10 @@ pub trait KktSolver: Send {
     /// When A has not full rank, or something is not finite.
     fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular>;
 
+    /// Whether a system that is very costly, as one of a wildly unstable motion may be, need not be factorised:
+    /// there is another point to go on from. To be set before `factorize`, which then fails.
+    fn set_hurry(&mut self, _on: bool) {}
+
     /// Completes the factorisation with some variables held in place (d = 0 there) and `shift` ≥ 0 times
     /// a positive diagonal, in units of the curvature, added to the reduced Hessian. May be called again
     /// with others: what `factorize` did is used again. Only a positive curvature allows to solve.

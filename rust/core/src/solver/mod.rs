@@ -364,6 +364,7 @@ impl<'a> Run<'a> {
         let exact = self.near;
         self.bent = exact;
         self.kkt.set_refinement(exact);
+        self.kkt.set_hurry(self.watchdog.on_trust());
         if exact {
             self.count.hessian += 1;
             fine = nlp.hessian(&self.here.xi, 1.0, &self.lambda, &mut self.hessian).is_ok();

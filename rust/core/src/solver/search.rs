@@ -58,13 +58,13 @@ pub(super) struct Watchdog {
 
 impl Watchdog {
     pub fn new(here: &Point) -> Watchdog {
-        Watchdog {
-            back: here.clone(),
-            lambda: vec![0.0; here.c.len()],
-            age: 0,
-            patience: PATIENCE,
-            strict: false,
-        }
+        let lambda = vec![0.0; here.c.len()];
+        Watchdog { back: here.clone(), lambda, age: 0, patience: PATIENCE, strict: false }
+    }
+
+    /// Whether the present point is one of trust, and a better one is kept.
+    pub fn on_trust(&self) -> bool {
+        self.age > 0
     }
 }
 

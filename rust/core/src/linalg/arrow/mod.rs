@@ -47,6 +47,8 @@ use crate::nlp::{Chains, Structure};
 
 /// Most segments of a group.
 const GROUP: usize = 128;
+/// More groups than so many times the least are too many in a hurry, and a few.
+const MANY: (usize, usize) = (4, 64);
 /// Least number of points for which waking other threads pays.
 const PARALLEL_POINTS: usize = 2000;
 /// Residuals of a solution, relative to its terms, that are refined.
@@ -141,6 +143,7 @@ pub struct ArrowKkt {
     least_groups: usize,
     /// Factorisations until groups that were split are tried whole again, and how many these were last time.
     wait: (u32, u32),
+    hurry: bool,
     pool: Option<rayon::ThreadPool>,
     parallel: bool,
 }
@@ -179,6 +182,7 @@ impl ArrowKkt {
             refining: true,
             least_groups: 0,
             wait: (0, 0),
+            hurry: false,
             pool: None,
             parallel: sizes.0 >= PARALLEL_POINTS * plan.shape.n,
             plan,
@@ -265,6 +269,11 @@ impl ArrowKkt {
         } else {
             self.wait.0 -= 1;
         }
+    }
+
+    /// Number of places where small changes have grown too far.
+    fn splits(&self) -> usize {
+        self.trees.iter().flat_map(|t| &t.groups).map(|g| g.splits.len()).sum()
     }
 
     /// Ends groups where small changes have grown too far; whether there were any.
@@ -758,6 +767,10 @@ impl KktSolver for ArrowKkt {
         let done = self.on_threads(|arrow| {
             arrow.rejoin();
             arrow.eliminate(hessian, jacobian)?;
+            let many = MANY.0 * arrow.least_groups + MANY.1;
+            if arrow.hurry && arrow.groups() + arrow.splits() > many {
+                return Err(Singular { row: 0 });
+            }
             if arrow.split() {
                 arrow.eliminate(hessian, jacobian)?;
             }
@@ -772,6 +785,10 @@ impl KktSolver for ArrowKkt {
 
     fn set_refinement(&mut self, on: bool) {
         self.refine = on;
+    }
+
+    fn set_hurry(&mut self, on: bool) {
+        self.hurry = on;
     }
 
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {

@@ -35,7 +35,7 @@ def estimate(record: Twin, start: str = "subspace", order: int = 5, iterations: 
     if start == "paper":
         model, values = paper_model()
     else:
-        model = ph.models.modal(start=ph.subspace(record.data, 24, feedthrough=False))
+        model = ph.models.modal(start=ph.subspace(record.data, 24, feedthrough=False, pairs=True))
         values = {}
     solver = ph.Newton(max_iterations=iterations)
     return ph.estimate(model, record.data, transcription=ph.Collocation(order=order), start=values, solver=solver)

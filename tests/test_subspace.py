@@ -204,3 +204,23 @@ def test_what_cannot_be_right_is_refused() -> None:
         with pytest.raises(kind) as error:
             call()
         assert message in str(error.value), str(error.value)
+
+
+def test_pairs_leave_no_real_eigenvalue() -> None:
+    rng = np.random.default_rng(5)
+    t = 0.02 * np.arange(3000)
+    u = rng.standard_normal(t.size)
+    slow, fast = (np.exp(-0.02 * rate) for rate in (1.0, 6.0))
+    y = np.zeros(t.size)
+    states = np.zeros(2)
+    for k in range(1, t.size):
+        states = np.array([slow, fast]) * states + (1 - np.array([slow, fast])) * u[k - 1]
+        y[k] = states @ [1.0, 0.5]
+    run = ph.Experiment(t, {"u": u}, {"y": y + 0.01 * rng.standard_normal(t.size)})
+    free, joined = (ph.subspace(run, 2, feedthrough=False, pairs=pairs) for pairs in (False, True))
+    assert not any(mode.oscillates for mode in free.modes)
+    (mode,) = joined.modes
+    assert mode.oscillates and mode.damping.value > 0.5
+    rates = sorted(m.eigenvalue.real for m in free.modes)
+    assert mode.eigenvalue == pytest.approx(0.5 * sum(rates) + 0.5j * (rates[1] - rates[0]))
+    assert joined.residual_rms["y"] < 1.2 * np.std(y)

@@ -27,7 +27,9 @@ def response(run: ph.Experiment, fit: ph.Fit, outputs: Sequence[str], force: str
         a.plot(seen.frequencies_hz, apart, color="0.6", linewidth=0.7, label="difference")
         a.set_ylabel(f"{n}\ndB re 1 m/s²/N")
         a.grid(color="0.9", linewidth=0.5)
-    axes[0].legend(fontsize="small", frameon=False, ncols=3, loc="lower right")
+    drawn.legend(
+        *axes[0].get_legend_handles_labels(), fontsize="small", frameon=False, ncols=3, loc="outside upper right"
+    )
     axes[-1].set_xlabel("frequency, Hz")
     axes[-1].set_xlim(2.0, 15.0)
     return drawn
@@ -48,6 +50,8 @@ def time(linear: ph.Record, nonlinear: ph.Record, outputs: Sequence[str]):  # ty
         above.set_ylabel(f"{n}\nm/s²")
         below.set_ylabel("m/s²")
     for a in axes[:2]:
+        low, high = a.get_ylim()
+        a.set_ylim(low, high + 0.3 * (high - low))
         a.legend(fontsize="x-small", frameon=False, ncols=2, loc="upper right")
     axes[-1].set_xlabel("time, s")
     drawn.align_ylabels()

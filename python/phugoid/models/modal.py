@@ -60,9 +60,9 @@ def modal(
                      ``"free"`` is the paper's: b is a parameter, the fit warns that b and c cannot be told apart and
                      has no standard errors of theirs, and has the same of all that does not depend on the scale.
     ``bias``         adds ``bias_<output>``, a constant of each experiment.
-    ``stable``       bounds every sigma at 0, so that no mode grows; one of ``start`` that does is reflected. A mode that
-                     stands in for all that resonates above the band ends there: without damping, as such a residual
-                     should be.
+    ``stable``       bounds every sigma at 0, so that no mode grows; one of ``start`` that does is reflected. A mode
+                     that stands in for all that resonates above the band may end there, without damping, and then
+                     neither it nor its standard errors mean anything by themselves.
 
     Two modes that swap give the same model, so starts must differ: equal ones would stay equal.
 

@@ -90,6 +90,15 @@ def test_feedthrough_is_given_to_the_outputs_named() -> None:
     assert [name for name in names if name.startswith("d")] == ["d_a"]
 
 
+def test_no_mode_may_grow_where_that_is_said() -> None:
+    A = [[0.1, 2.0, 0.0], [-2.0, 0.1, 0.0], [0.0, 0.0, 0.5]]
+    free, stable = (ph.models.modal(start=(A, [[1.0]] * 3, [[1.0] * 3]), stable=s) for s in (False, True))
+    for name, value in (("sigma_1", 0.1), ("sigma_r1", 0.5)):
+        assert free.declared_parameters[name].start == pytest.approx(value)
+        declared = stable.declared_parameters[name]
+        assert declared.start == pytest.approx(-value) and declared.bounds == (-np.inf, 0.0)
+
+
 def test_a_bias_is_of_each_experiment() -> None:
     model = ph.models.modal(1, outputs="x a", bias=True)
     assert model.declared_parameters["bias_a"].per_experiment

@@ -33,6 +33,7 @@ def modal(
     feedthrough: bool | Collection[str] | None = None,
     scale: Scale = "fixed",
     bias: bool = False,
+    stable: bool = False,
     name: str = "modal form",
 ) -> Model:
     """A sum of ``n_modes`` oscillators (and ``n_real`` lags), in the real modal form of the paper's ground vibration
@@ -59,6 +60,9 @@ def modal(
                      ``"free"`` is the paper's: b is a parameter, the fit warns that b and c cannot be told apart and
                      has no standard errors of theirs, and has the same of all that does not depend on the scale.
     ``bias``         adds ``bias_<output>``, a constant of each experiment.
+    ``stable``       bounds every sigma at 0, so that no mode grows; one of ``start`` that does is reflected. A mode
+                     that stands in for all that resonates above the band may end there, without damping, and then
+                     neither it nor its standard errors mean anything by themselves.
 
     Two modes that swap give the same model, so starts must differ: equal ones would stay equal.
 
@@ -97,9 +101,9 @@ def modal(
     parts: list[list[Expr | float]] = [[] for _ in y]
     for k, label in enumerate(labels):
         if k < modes:
-            _oscillator(m, label, first, k, force, y, scale, parts)
+            _oscillator(m, label, first, k, force, y, scale, stable, parts)
         else:
-            _lag(m, label, first, k, force, y, scale, parts)
+            _lag(m, label, first, k, force, y, scale, stable, parts)
     add_feedthrough(m, "modal", feedthrough, system, force, y, parts)
     add_outputs(m, y, parts, bias)
     return m
@@ -157,6 +161,10 @@ class _Default(_Start):
         self.held = [0] * (modes + reals)
 
 
+def _sigma(start: float, stable: bool) -> Parameter:
+    return Parameter(-abs(start), bounds=(-np.inf, 0.0), unit="1/s") if stable else Parameter(start, unit="1/s")
+
+
 def _oscillator(
     m: Model,
     label: str,
@@ -165,12 +173,13 @@ def _oscillator(
     force: Sequence[Expr],
     outputs: Sequence[str],
     scale: Scale,
+    stable: bool,
     parts: list[list[Expr | float]],
 ) -> None:
     xa, xb = Expr.symbol(f"x_{label}a"), Expr.symbol(f"x_{label}b")
     sigma, omega = m.parameters(
         **{
-            f"sigma_{label}": Parameter(start.pole[k].real, unit="1/s"),
+            f"sigma_{label}": _sigma(start.pole[k].real, stable),
             f"omega_{label}": Parameter(start.pole[k].imag, unit="rad/s"),
         }
     )
@@ -201,10 +210,11 @@ def _lag(
     force: Sequence[Expr],
     outputs: Sequence[str],
     scale: Scale,
+    stable: bool,
     parts: list[list[Expr | float]],
 ) -> None:
     x = Expr.symbol(f"x_{label}")
-    right = m.parameters(**{f"sigma_{label}": Parameter(start.pole[k].real, unit="1/s")})[0] * x
+    right = m.parameters(**{f"sigma_{label}": _sigma(start.pole[k].real, stable)})[0] * x
     for i, u in enumerate(force):
         held = scale == "fixed" and i == start.held[k]
         named = f"b_{label}_{u}" if len(force) > 1 else f"b_{label}"

@@ -9,13 +9,15 @@ from typing import Any, Literal
 
 from ..parameters import Estimate
 from .finding import Finding
-from .phrases import number
+from .phrases import number, percent
 
 __all__ = ["Outcome", "alias_set", "diagnosis_summary", "finding_lines", "headline", "outcome", "value_of", "with_sign"]
 
 Outcome = Literal["named", "nothing", "unexplained"]
 
 _WIDTH = 110
+# Of the residuals' power, what can be predicted and is worth a word though nothing is named.
+_MOSTLY = 0.9
 
 
 def outcome(findings: Sequence[Finding]) -> Outcome:
@@ -34,6 +36,13 @@ def headline(diagnosis: Any) -> str:
         text = "Nothing significant is missing from the model, as far as these data and these candidates tell."
         if diagnosis.misfit.structured:
             text += " The residuals are not white, but no candidate explains them better than coloured noise does."
+            channels = [c for c in diagnosis.misfit.channels.values() if c.predictable > _MOSTLY]
+            if channels:
+                most = max(channels, key=lambda c: c.predictable)
+                text += (
+                    f" Yet {percent(most.predictable)} of their power in {most.name} follows from what came before: "
+                    "that is noise with a long memory, or something that is none of these candidates."
+                )
         return text
     if kind == "unexplained":
         return "The misfit is significant, but its cause is not established."

@@ -45,8 +45,9 @@ const SETTLED: f64 = 0.1;
 const ENDLESS: f64 = 1e15;
 /// An end that meets this instead of the tolerance is acceptable, again a distance in standard errors.
 const CLOSE: f64 = 1e-3;
-/// Steps that need damping and together gain less than this in log-likelihood: a valley without an end in sight.
-const VALLEY: (usize, f64) = (10, 0.1);
+/// Steps that need damping, among so many, and together gain less than this in log-likelihood: a valley without
+/// an end in sight.
+const VALLEY: (usize, usize, f64) = (10, 40, 0.1);
 /// A shift above this is damping; below, it only makes a singular system regular.
 const DAMPED: f64 = 1e-6;
 /// Greatest shift of the reduced Hessian, in units of its diagonal, that is tried.
@@ -318,6 +319,7 @@ impl<'a> Run<'a> {
             }
             if promise.gain < NEAR && self.crawls() {
                 self.detail = self.farthest_names();
+                self.go_back_if_better();
                 return Ok(Status::Acceptable);
             }
             let searched = self.search(&promise);
@@ -500,12 +502,12 @@ impl<'a> Run<'a> {
 
     /// Whether steps have become short because the likelihood hardly tells where to go.
     fn crawls(&self) -> bool {
-        let (count, least) = VALLEY;
-        let Some(last) = self.history.len().checked_sub(count + 1).map(|k| &self.history[k..]) else {
-            return false;
-        };
-        let damped = last[1..].iter().all(|line| line.shift > DAMPED && line.step > 0.0);
-        damped && last[0].objective - self.here.objective < least
+        // Steps on trust may come between.
+        let (count, among, least) = VALLEY;
+        let damped = |line: &Iteration| line.shift > DAMPED && line.step > 0.0;
+        let mut recent = self.history.iter().enumerate().rev().take(among).filter(|(_, line)| damped(line));
+        let before = recent.nth(count - 1).and_then(|(first, _)| first.checked_sub(1));
+        before.is_some_and(|k| (self.history[k].objective - self.here.objective).abs() < least)
     }
 
     /// Names of the parameters that the step changes most.
@@ -550,7 +552,7 @@ impl<'a> Run<'a> {
     fn finish(mut self, status: Status) -> Solution {
         if matches!(status, Status::IterationLimit | Status::TimeLimit | Status::Interrupted) {
             // The best point so far, not the last that was tried on trust.
-            self.go_back();
+            self.go_back_if_better();
         }
         let mut message = status.hint().to_owned();
         if matches!(status, Status::Infeasible | Status::Failed) && self.detail.is_empty() {

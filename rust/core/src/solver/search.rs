@@ -48,6 +48,8 @@ impl Merit {
 pub(super) struct Watchdog {
     back: Point,
     lambda: Vec<f64>,
+    /// ∇φᵀd of the step that began there.
+    slope: f64,
     /// Steps since the merit function was lowest; 0 where it is so now.
     age: usize,
     /// Most such steps: half as many each time that they led nowhere.
@@ -59,7 +61,7 @@ pub(super) struct Watchdog {
 impl Watchdog {
     pub fn new(here: &Point) -> Watchdog {
         let lambda = vec![0.0; here.c.len()];
-        Watchdog { back: here.clone(), lambda, age: 0, patience: PATIENCE, strict: false }
+        Watchdog { back: here.clone(), lambda, slope: 0.0, age: 0, patience: PATIENCE, strict: false }
     }
 
     /// Whether the present point is one of trust, and a better one is kept.
@@ -101,6 +103,7 @@ impl Run<'_> {
             if self.watchdog.age == 0 {
                 self.watchdog.back.copy(&self.here);
                 self.watchdog.lambda.copy_from_slice(&self.lambda);
+                self.watchdog.slope = promise.slope;
             }
             let lost = self.trial.objective - self.watchdog.back.objective;
             let sane = self.trial.worst <= ASTRAY * self.watchdog.back.worst.max(1.0)
@@ -135,10 +138,14 @@ impl Run<'_> {
     fn goal(&mut self, promise: &Promise) -> Goal {
         self.merit.update(promise, self.here.defect);
         let nu = self.merit.nu;
-        let from = if self.watchdog.age > 0 { &self.watchdog.back } else { &self.here };
+        // On trust, less than where it began, by what the first of these steps was to bring.
+        let (from, slope) = match self.watchdog.age {
+            0 => (&self.here, promise.slope),
+            _ => (&self.watchdog.back, self.watchdog.slope),
+        };
         let merit = nu.mul_add(from.defect, from.objective);
         let noise = 10.0 * f64::EPSILON * (merit.abs() + from.objective.abs()) + promise.floor;
-        Goal { nu, merit, slope: promise.slope - nu * self.here.defect, noise }
+        Goal { nu, merit, slope: slope - nu * from.defect, noise }
     }
 
     fn try_step(&mut self, alpha: f64) -> bool {
@@ -212,6 +219,14 @@ impl Run<'_> {
         (self.watchdog.age, self.watchdog.strict) = (0, true);
         self.watchdog.patience /= 2;
         true
+    }
+
+    /// The same where that point is better than the present one.
+    pub(super) fn go_back_if_better(&mut self) {
+        let merit = |p: &Point| self.merit.nu.mul_add(p.defect, p.objective);
+        if merit(&self.watchdog.back) < merit(&self.here) {
+            self.go_back();
+        }
     }
 
     /// From the trial point a step back to the constraints with the same factorisation.

@@ -33,6 +33,8 @@ pub(super) struct Part {
     pub width: usize,
     /// Where these columns start in a row of all parts.
     pub first: usize,
+    /// Columns of [H Z, K], from the part's own on, that are not zero in its rows: whole vectors.
+    pub meets: Vec<Range<usize>>,
 }
 
 impl Part {
@@ -72,6 +74,37 @@ impl Shape {
     /// Number of variables of a form: two ends of a group and the border.
     pub fn form(&self) -> usize {
         2 * self.n + self.border
+    }
+
+    /// Notes which parts the Hessian brings together, and with which of the coupled border. Of two parts the
+    /// first takes note.
+    fn meet<'a>(&mut self, runs: impl Iterator<Item = &'a Run>) {
+        let total = self.width + self.coupled.len().next_multiple_of(8);
+        let mut part_of = vec![0; self.n];
+        for (p, part) in self.parts.iter().enumerate() {
+            part.states.iter().for_each(|&s| part_of[s] = p);
+        }
+        let mut met = vec![vec![false; total / 8]; self.parts.len()];
+        for run in runs {
+            let p = part_of[run.state as usize];
+            for other in run.others() {
+                if run.coupled {
+                    met[p][(self.width + other) / 8] = true;
+                } else {
+                    let (low, high) = (p.min(part_of[other]), p.max(part_of[other]));
+                    let to = &self.parts[high];
+                    met[low][to.first / 8..(to.first + to.width) / 8].fill(true);
+                }
+            }
+        }
+        for (part, met) in self.parts.iter_mut().zip(met) {
+            for j in (0..total).step_by(8).filter(|j| met[j / 8]) {
+                match part.meets.last_mut() {
+                    Some(range) if range.end == j => range.end += 8,
+                    _ => part.meets.push(j..j + 8),
+                }
+            }
+        }
     }
 
     /// For each column of a row of all parts its variable in a form's order without the end of the group:
@@ -299,13 +332,14 @@ impl ChainPlan {
     /// entries of one place are one value, and its number takes the place's stead.
     fn bend(&mut self, mut hessian: Items, n: usize, across: usize, units: &[f64]) {
         let record = n * n + n * across;
-        let mut last = u32::MAX;
+        let mut last = (u32::MAX, 0);
         for &(start, count, _) in &hessian.panels {
-            if start == last {
+            // One without entries starts where the next does.
+            if (start, count) == last {
                 self.spans.push(self.spans[self.spans.len() - 1].clone());
                 continue;
             }
-            last = start;
+            last = (start, count);
             let (first_run, first) = (self.runs.len(), self.factors.len());
             let items = &mut hessian.items[start as usize..(start + count) as usize];
             items.sort_by_key(|item| item.1);
@@ -408,7 +442,9 @@ impl Plan {
             for i in 0..chain.boundary.states.len() {
                 rows[chain.boundary.row + i] = Place { chain: c as u32, after: BOUNDARY, index: i as u32 };
             }
-            if chain.boundary.states.len() > n_x {
+            // More than the ends can meet; or nothing is left that varies.
+            let k = chain.boundary.states.len();
+            if k > n_x || (k == n_x && border == 0) {
                 return None;
             }
             let (boundary, hessian) = (Items::default(), Items::default());
@@ -562,6 +598,7 @@ impl Plan {
             plan.boundary = sorted_jacobian.next()?;
             plan.bend(hessian, n_x, across, units);
         }
+        shape.meet(plans.iter().flat_map(|plan| &plan.runs));
         let complete = variables[border..].iter().all(|v| v.chain != u32::MAX)
             && rows.iter().all(|r| r.chain != u32::MAX);
         complete.then_some(Plan { shape, chains: plans, border: between })
@@ -618,7 +655,7 @@ fn parts(shape: &Shape, jacobian: &Structure, rows: &[Place], variables: &[Place
         let dynamic: Vec<usize> = (0..count).filter(|d| enters[root * count + d]).collect();
         let width = (states.len() + dynamic.len()).next_multiple_of(8);
         first += width;
-        Part { states, dynamic, width, first: first - width }
+        Part { states, dynamic, width, first: first - width, meets: Vec::new() }
     };
     (0..n).filter(|&i| roots[i] == i).map(part).collect()
 }
@@ -629,6 +666,11 @@ impl Plan {
         let parts = &self.shape.parts;
         let part_of = |state: usize| parts.iter().position(|p| p.states.contains(&state));
         let used = |state: usize| part_of(state).map_or(0, |p| parts[p].used() as u64);
+        let columns = |part: &Part| {
+            let met = |column: &usize| part.meets.iter().any(|range| range.contains(column));
+            self.shape.columns().filter(|column| met(&column.0)).count() as u64
+        };
+        let products: u64 = parts.iter().map(|p| 2 * (p.states.len() * p.used()) as u64 * columns(p)).sum();
         let mut point = u32::MAX;
         let each = runs.iter().map(|run| {
             let state = used(run.state as usize);
@@ -636,9 +678,8 @@ impl Plan {
                 return 2 * state * u64::from(run.count);
             }
             let first = std::mem::replace(&mut point, run.point) != run.point;
-            let products = 2 * parts.iter().map(|p| (p.states.len() * p.used()) as u64).sum::<u64>();
             let own = run.others().map(|o| used(o) + if o == run.state as usize { 0 } else { state });
-            2 * own.sum::<u64>() + if first { products * self.shape.columns().count() as u64 } else { 0 }
+            2 * own.sum::<u64>() + if first { products } else { 0 }
         });
         each.sum()
     }

@@ -111,10 +111,13 @@ impl Products {
                     let (o, j) = self.place[other];
                     let (o, j) = (o as usize, j as usize);
                     let with = &shape.parts[o];
-                    let across = &z(&pieces[o])[(point as usize * with.states.len() + j) * with.width..];
-                    let to = &mut self.collected[p].1[to + with.first..];
-                    for_vectors!(with.width / 8, add_row(to, value, across, with.width));
-                    if other != run.state as usize {
+                    // The sums are symmetric: of two parts the first takes both.
+                    if p <= o {
+                        let across = &z(&pieces[o])[(point as usize * with.states.len() + j) * with.width..];
+                        let to = &mut self.collected[p].1[to + with.first..];
+                        for_vectors!(with.width / 8, add_row(to, value, across, with.width));
+                    }
+                    if o <= p && other != run.state as usize {
                         let to = (self.points * with.states.len() + j) * length + part.first;
                         let to = &mut self.collected[o].1[to..];
                         for_vectors!(part.width / 8, add_row(to, value, own, part.width));
@@ -142,7 +145,9 @@ impl Products {
             let n = part.states.len();
             let from = &z(piece)[point * n * part.width..][..n * part.width];
             to[self.points * n * part.width..][..n * part.width].copy_from_slice(from);
-            right[self.points * n * length..][..n * length].fill(0.0);
+            for row in right[self.points * n * length..][..n * length].chunks_exact_mut(length) {
+                part.meets.iter().for_each(|range| row[range.clone()].fill(0.0));
+            }
         }
     }
 
@@ -153,15 +158,17 @@ impl Products {
         for (part, (z, right)) in shape.parts.iter().zip(&self.collected) {
             let rows = self.points * part.states.len();
             for i in (0..part.used()).step_by(BLOCK) {
-                let mut j = part.first + (i & !7);
-                while j < length {
-                    let sums = &mut self.sums[(part.first + i) * length + j..];
-                    if j + 16 <= length {
-                        add_block::<2>(rows, &z[i..], part.width, &right[j..], length, sums);
-                        j += 16;
-                    } else {
-                        add_block::<1>(rows, &z[i..], part.width, &right[j..], length, sums);
-                        j += 8;
+                for range in &part.meets {
+                    let mut j = range.start.max(part.first + (i & !7));
+                    while j < range.end {
+                        let sums = &mut self.sums[(part.first + i) * length + j..];
+                        if j + 16 <= range.end {
+                            add_block::<2>(rows, &z[i..], part.width, &right[j..], length, sums);
+                            j += 16;
+                        } else {
+                            add_block::<1>(rows, &z[i..], part.width, &right[j..], length, sums);
+                            j += 8;
+                        }
                     }
                 }
             }

@@ -1,0 +1,88 @@
+"""``phugoid fit``: estimates a model's parameters from data files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import OptionError
+from ..result import Fit
+from .data_files import Reading
+from .estimation import Estimation
+from .guard import INTERRUPTED, NOT_CONVERGED, guard
+from .model_file import load_model
+from .options import (
+    DataArgument,
+    DebugOption,
+    FixOption,
+    InputsOption,
+    IterationsOption,
+    JsonOption,
+    ModelArgument,
+    OrderOption,
+    OutputsOption,
+    PlotOption,
+    RenameOption,
+    ReportOption,
+    SolverOption,
+    StartOption,
+    TimeOption,
+    WindowOption,
+)
+from .results import check_targets, emit_json, fit_facts, save_figures
+
+__all__ = ["code_of", "fit"]
+
+
+def fit(
+    model: ModelArgument,
+    data: DataArgument,
+    order: OrderOption = 4,
+    start: StartOption = None,
+    fix: FixOption = None,
+    solver: SolverOption = "newton",
+    iterations: IterationsOption = None,
+    time: TimeOption = "t",
+    rename: RenameOption = None,
+    inputs: InputsOption = None,
+    outputs: OutputsOption = None,
+    window: WindowOption = None,
+    save: Annotated[Path | None, typer.Option("--save", help="Writes the fit, for phugoid.load.")] = None,
+    plot: PlotOption = None,
+    report: ReportOption = None,
+    json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Estimate the parameters of a model from one data file or several."""
+    with guard(debug):
+        if save is not None and save.suffix != ".json":
+            raise OptionError(f"--save {save}: a saved fit ends in .json")
+        check_targets([plot], [save, report])
+        how = Estimation.of(order, start, fix, solver, iterations)
+        reading = Reading.of(time, rename, inputs, outputs, window)
+        result = how.run(load_model(model), reading.read(data))
+        written: list[Path] = []
+        if not json:
+            print(result.summary())
+        if save is not None:
+            result.save(save)
+            written.append(save)
+        if plot is not None:
+            written += save_figures(result, plot)
+        if report is not None:
+            result.report(report)
+            written.append(report)
+        if json:
+            emit_json("fit", fit_facts(result), written)
+        elif written:
+            print(f"\nWritten: {', '.join(map(str, written))}")
+    raise typer.Exit(code_of(result))
+
+
+def code_of(result: Fit) -> int:
+    """The exit code that an estimation ends with."""
+    if result.status == "interrupted":
+        return INTERRUPTED
+    return 0 if result.converged else NOT_CONVERGED

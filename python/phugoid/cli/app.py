@@ -7,7 +7,11 @@ from typing import Annotated
 import typer
 
 from .. import _core
+from .diagnose import diagnose
+from .example import example
 from .fit import fit
+from .simulate import simulate
+from .validate import validate
 
 __all__ = ["app", "main"]
 
@@ -20,7 +24,7 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
-for command in (fit,):
+for command in (fit, diagnose, simulate, validate, example):
     app.command()(command)
 
 

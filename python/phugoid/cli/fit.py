@@ -63,9 +63,8 @@ def fit(
         how = Estimation.of(order, start, fix, solver, iterations)
         reading = Reading.of(time, rename, inputs, outputs, window)
         result = how.run(load_model(model), reading.read(data))
+        # Files first: whoever reads stdout may stop before its end.
         written: list[Path] = []
-        if not json:
-            print(result.summary())
         if save is not None:
             result.save(save)
             written.append(save)
@@ -76,7 +75,9 @@ def fit(
             written.append(report)
         if json:
             emit_json("fit", fit_facts(result), written)
-        elif written:
+            raise typer.Exit(code_of(result))
+        print(result.summary())
+        if written:
             print(f"\nWritten: {', '.join(map(str, written))}")
     raise typer.Exit(code_of(result))
 

@@ -26,6 +26,8 @@ def guard(debug: bool) -> Iterator[None]:
     """
     try:
         yield
+    except BrokenPipeError:  # whoever read stdout, such as `head`, has enough; typer ends quietly
+        raise
     except (PhugoidError, OSError) as error:
         if debug:
             traceback.print_exc()

@@ -57,6 +57,16 @@ def test_not_converged_is_exit_code_1(here: Path) -> None:
     assert done.exit_code == 1 and "iteration limit" in done.stdout
 
 
+def test_a_saved_fit_is_gone_on_from(here: Path) -> None:
+    assert run("fit", "model.py", "run1.csv", "--order", 3, "--iterations", 2, "--save", "part.json").exit_code == 1
+    before = ph.load("part.json")
+    done = run("fit", "part.json", "run1.csv", "--json")
+    found = json.loads(done.stdout)
+    assert done.exit_code == 0 and "order 3" in found["transcription"]
+    assert found["log_likelihood"] > before.log_likelihood
+    assert "order 5" in json.loads(run("fit", "part.json", "run1.csv", "--json", "--order", 5).stdout)["transcription"]
+
+
 def test_interruption_prints_the_best_point(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Interrupting(bar.Progress):
         def __call__(self, line: ph.Iteration) -> None:

@@ -49,7 +49,7 @@ def diagnose(
     validation: Annotated[
         list[Path] | None, typer.Option("--validation", help="Another record, to measure the gain on.")
     ] = None,
-    order: OrderOption = 4,
+    order: OrderOption = None,
     start: StartOption = None,
     fix: FixOption = None,
     solver: SolverOption = "newton",

@@ -10,9 +10,11 @@ from .. import _core
 from ..errors import ModelError, OptionError, listing
 from ..estimate import estimate
 from ..experiment import Experiment
+from ..filter_error import FilterError
 from ..model import Model
 from ..rebuilt import rebuilt
 from ..result import Fit
+from ..shooting import Transcription
 from ..solvers import Ipopt, Newton
 from ..transcription import Collocation
 from .bar import bar
@@ -25,9 +27,10 @@ _SOLVERS: Mapping[str, type[Newton] | type[Ipopt]] = {"newton": Newton, "ipopt":
 
 @dataclass(frozen=True)
 class Estimation:
-    """What the options say of how to estimate. ``fixed``: name -> value, None for the start as declared."""
+    """What the options say of how to estimate. ``fixed``: name -> value, None for the start as declared. ``order`` of
+    collocation, None for 4, or the transcription of the fit to go on from."""
 
-    order: int = 4
+    order: int | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     fixed: Mapping[str, float | None] = field(default_factory=dict)
     solver: Newton | Ipopt = field(default_factory=Newton)
@@ -35,7 +38,7 @@ class Estimation:
     @classmethod
     def of(
         cls,
-        order: int = 4,
+        order: int | None = None,
         start: Sequence[str] | None = None,
         fix: Sequence[str] | None = None,
         solver: str = "newton",
@@ -49,22 +52,21 @@ class Estimation:
         return cls(order, values, fixes(fix, values), kind() if iterations is None else kind(max_iterations=iterations))
 
     def run(self, model: Model, data: Sequence[Experiment], before: Fit | None = None) -> Fit:
-        """Estimates with progress on stderr, from a fit ``before`` where there is one, with its mesh and its noise."""
+        """Estimates with progress on stderr; goes on from a fit ``before`` where there is one, with its noise."""
         model = with_fixed(model, self.fixed)
-        begin: Any = {name: value for name, value in self.start.items() if name not in self.fixed}
+        begin: dict[str, Any] = {} if before is None else dict(before.as_start(before.noise))
+        begin = {n: v for n, v in {**begin, **self.start}.items() if n.partition("[")[0] not in self.fixed}
+        mesh: Transcription | FilterError = Collocation(order=4 if self.order is None else self.order)
+        if before is not None and self.order is None:
+            mesh = before.transcription
         with bar(model.name, self.solver.max_iterations) as watch:
-            if before is None:
-                mesh = Collocation(order=self.order)
-                return estimate(model, data, transcription=mesh, start=begin, solver=self.solver, progress=watch)
-            held = {name for name in self.fixed if name in before.parameters}
-            known = {n: v for n, v in before.as_start(before.noise).items() if n not in held}
             return estimate(
                 model,
                 data,
-                transcription=before.transcription,
-                noise=before.noise,
-                start=known | begin,
-                solver=self.solver,
+                transcription=mesh,
+                noise=None if before is None else before.noise,
+                start=begin,
+                solver=None if isinstance(mesh, FilterError) else self.solver,  # which has its own
                 progress=watch,
             )
 

@@ -12,7 +12,7 @@ from ..result import Fit
 from .data_files import Reading
 from .estimation import Estimation
 from .guard import INTERRUPTED, NOT_CONVERGED, guard
-from .model_file import load_model
+from .model_file import load_source
 from .options import (
     DataArgument,
     DebugOption,
@@ -39,7 +39,7 @@ __all__ = ["code_of", "fit"]
 def fit(
     model: ModelArgument,
     data: DataArgument,
-    order: OrderOption = 4,
+    order: OrderOption = None,
     start: StartOption = None,
     fix: FixOption = None,
     solver: SolverOption = "newton",
@@ -62,7 +62,10 @@ def fit(
         check_targets([plot], [save, report])
         how = Estimation.of(order, start, fix, solver, iterations)
         reading = Reading.of(time, rename, inputs, outputs, window)
-        result = how.run(load_model(model), reading.read(data))
+        source = load_source(model)
+        records = reading.read(data)
+        # A saved fit is gone on from.
+        result = how.run(source.model, records, source) if isinstance(source, Fit) else how.run(source, records)
         # Files first: whoever reads stdout may stop before its end.
         written: list[Path] = []
         if save is not None:

@@ -53,7 +53,10 @@ WindowOption: TypeAlias = Annotated[
     str | None, typer.Option("--window", help="Keeps this part of each record, in s.", metavar="T0,T1")
 ]
 OrderOption: TypeAlias = Annotated[
-    int, typer.Option("--order", help="Points of a collocation segment; 2 is the trapezoid.")
+    int | None,
+    typer.Option(
+        "--order", help="Points of a collocation segment, 2 is the trapezoid; default: 4, or the saved fit's."
+    ),
 ]
 StartOption: TypeAlias = Annotated[
     list[str] | None, typer.Option("--start", help="Start value of a parameter or state.", metavar="NAME=VALUE")

@@ -51,7 +51,7 @@ def validate(
         list[str] | None,
         typer.Option("--tolerance", help="Greatest deviation of an output, in its unit.", metavar="OUTPUT=VALUE"),
     ] = None,
-    order: OrderOption = 4,
+    order: OrderOption = None,
     start: StartOption = None,
     fix: FixOption = None,
     solver: SolverOption = "newton",

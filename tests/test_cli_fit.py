@@ -78,6 +78,15 @@ def test_interruption_prints_the_best_point(here: Path, monkeypatch: pytest.Monk
     assert done.exit_code == 130 and "interrupted" in done.stdout and ph.load("fit.json").status == "interrupted"
 
 
+def test_a_result_that_cannot_be_saved_is_shown(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: ph.Fit, path: object) -> None:
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr(ph.Fit, "save", full)
+    done = run("fit", "model.py", "run1.csv", "--save", "fit.json")
+    assert done.exit_code == 2 and "fit.json: No space left on device" in done.stderr and "sigma_x" in done.stdout
+
+
 def test_report_is_one_page_with_everything(here: Path) -> None:
     done = run("fit", "model.py", "run1.csv", "--report", "fit.html")
     assert done.exit_code == 0, done.output

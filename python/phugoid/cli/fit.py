@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..errors import OptionError
+from ..errors import OptionError, PhugoidError
 from ..result import Fit
 from .data_files import Reading
 from .estimation import Estimation
@@ -67,15 +67,11 @@ def fit(
         # A saved fit is gone on from.
         result = how.run(source.model, records, source) if isinstance(source, Fit) else how.run(source, records)
         # Files first: whoever reads stdout may stop before its end.
-        written: list[Path] = []
-        if save is not None:
-            result.save(save)
-            written.append(save)
-        if plot is not None:
-            written += save_figures(result, plot)
-        if report is not None:
-            result.report(report)
-            written.append(report)
+        try:
+            written = _write(result, save, plot, report)
+        except (PhugoidError, OSError):
+            print(result.summary())  # the work is done: it is not lost with a full disk
+            raise
         if json:
             emit_json("fit", fit_facts(result), written)
             raise typer.Exit(code_of(result))
@@ -83,6 +79,19 @@ def fit(
         if written:
             print(f"\nWritten: {', '.join(map(str, written))}")
     raise typer.Exit(code_of(result))
+
+
+def _write(result: Fit, save: Path | None, plot: Path | None, report: Path | None) -> list[Path]:
+    written: list[Path] = []
+    if save is not None:
+        result.save(save)
+        written.append(save)
+    if plot is not None:
+        written += save_figures(result, plot)
+    if report is not None:
+        result.report(report)
+        written.append(report)
+    return written
 
 
 def code_of(result: Fit) -> int:

@@ -26,12 +26,13 @@ PYTHON = [
     "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
-    "biases", "held", "validate", "discrepancy",
+    "biases", "held", "validate", "discrepancy", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on
-# The one arrow back: `Fit.validate` is where people look for it, and estimates anew. It is imported when called.
-BACK = {("result", "validate")}
+# Arrows back: `Fit.validate`, which estimates anew, and `Fit.report` are where people look for them. They are imported
+# when called.
+BACK = {("result", "report"), ("result", "validate")}
 
 Import = tuple[int, str]  # line, top-level module
 Finder = Callable[[Path, int], Iterator[Import]]  # of a file so many levels below the root

@@ -217,6 +217,13 @@ class Fit:
 
         return validate(self, other, biases=biases, values=values, tolerances=tolerances)
 
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Writes one HTML page that needs no network: how the fit ended, warnings, parameters with standard errors, the
+        match of each output in numbers and figures, equations, data and versions."""
+        from .report import report
+
+        report(self, path)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the fit to a versioned JSON file, which `load` reads."""
         io.save_fit_dict(path, _payload(self))

@@ -8,12 +8,37 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
+from .style import STYLE
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["bullets", "image", "section", "table"]
+__all__ = ["bullets", "document", "image", "section", "table"]
 
 _DPI = 160
+
+
+def document(title: str, kind: str, name: str, headline: str, outcome: str, sections: Iterable[str]) -> str:
+    """A page: kind of report, of what, its result in a sentence coloured by ``outcome``; ``sections`` are markup."""
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{escape(title)}</title>
+<style>{STYLE}</style>
+</head>
+<body>
+<header>
+<p class="kind">{escape(kind)}</p>
+<h1>{escape(name)}</h1>
+<p class="headline {outcome}">{escape(headline)}</p>
+</header>
+<main>
+{"".join(sections)}</main>
+</body>
+</html>
+"""
 
 
 def section(title: str, body: str) -> str:

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import datetime
 import os
-import platform
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from .. import _core
 from ..model import Model
 from ..parameters import Estimate
 from .extension import Extension
 from .figures import findings_figure, gain_figure, misfit_figure, ranking_figure
 from .finding import Finding
-from .markup import bullets, image, section, table
+from .markup import bullets, document, image, section, table
 from .mathml import equation
 from .misfit import Misfit, misfit
 from .phrases import number, percent, what_stands_out, with_unit
-from .style import STYLE
+from .provenance import facts, records_table
 from .words import alias_set, finding_lines, headline, outcome, with_sign
 
 __all__ = ["report"]
@@ -45,26 +42,15 @@ def report(diagnosis: Any, path: str | os.PathLike[str]) -> None:
         _open(diagnosis, extension),
         _provenance(diagnosis, extension),
     ]
-    model = escape(diagnosis.fit.model.name)
-    page = f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Diagnosis: {model}</title>
-<style>{STYLE}</style>
-</head>
-<body>
-<header>
-<p class="kind">What the model misses</p>
-<h1>{model}</h1>
-<p class="headline {outcome(diagnosis.findings)}">{escape(headline(diagnosis))}</p>
-</header>
-<main>
-{"".join(sections)}</main>
-</body>
-</html>
-"""
+    name = diagnosis.fit.model.name
+    page = document(
+        f"Diagnosis: {name}",
+        "What the model misses",
+        name,
+        headline(diagnosis),
+        outcome(diagnosis.findings),
+        sections,
+    )
     Path(path).write_text(page, encoding="utf-8")
 
 
@@ -248,18 +234,8 @@ def _open(diagnosis: Any, extension: Extension | None) -> str:
 
 
 def _provenance(diagnosis: Any, extension: Extension | None) -> str:
-    import matplotlib
-    import numpy
-    import scipy
-
     fit = diagnosis.fit
-    rows = []
-    for r in fit.records:
-        missing = sum(int((z != z).sum()) for z in r.measured.values())
-        span = f"{r.t[0]:g} to {r.t[-1]:g} s"
-        rows.append([r.name, str(r.n), span, str(missing), ", ".join(r.inputs), ", ".join(r.outputs)])
-    data = table(["experiment", "samples", "time", "missing values", "inputs", "outputs"], rows, "lrrrll")
-    facts = {
+    known = {
         "model": f"{fit.model.name}; {len(fit.model.parameter_names)} parameters",
         "fit": f"{fit.status}; log-likelihood {fit.log_likelihood:.1f}; {fit.iterations} iterations",
         "transcription": str(fit.transcription),
@@ -267,12 +243,8 @@ def _provenance(diagnosis: Any, extension: Extension | None) -> str:
         "diagnosis": f"{_tried(diagnosis)}, {diagnosis.seconds:.1f} s",
     }
     if extension is not None:
-        facts["extended fit"] = f"{extension.fit.status}; log-likelihood {extension.fit.log_likelihood:.1f}"
-    versions = f"phugoid {_core.__version__}, Python {platform.python_version()}, numpy {numpy.__version__}, "
-    versions += f"scipy {scipy.__version__}, matplotlib {matplotlib.__version__}"
-    facts |= {"versions": versions, "written": datetime.date.today().isoformat()}
-    listed = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts.items())
-    return section("Data and versions", f"{data}<dl>{listed}</dl>")
+        known["extended fit"] = f"{extension.fit.status}; log-likelihood {extension.fit.log_likelihood:.1f}"
+    return section("Data and versions", records_table(fit.records) + facts(known))
 
 
 def _tried(diagnosis: Any) -> str:

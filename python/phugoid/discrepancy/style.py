@@ -1,4 +1,4 @@
-"""How the report of a diagnosis looks: for a screen, a phone and an A4 page."""
+"""How reports look: for a screen, a phone and an A4 page."""
 
 __all__ = ["STYLE"]
 

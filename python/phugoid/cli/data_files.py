@@ -1,0 +1,51 @@
+"""Records from the data files of a command."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..errors import OptionError
+from ..experiment import Experiment
+from ..read import read
+from .options import names, pairs, span
+
+__all__ = ["Reading"]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How data files are read: the options of `read`."""
+
+    time: str = "t"
+    rename: Mapping[str, str] = field(default_factory=dict)
+    inputs: Sequence[str] | None = None
+    outputs: Sequence[str] | None = None
+    window: tuple[float, float] | None = None
+
+    @classmethod
+    def of(
+        cls, time: str, rename: Sequence[str] | None, inputs: str | None, outputs: str | None, window: str | None
+    ) -> Reading:
+        """From the texts of the options."""
+        return cls(time, pairs("--rename", rename), names(inputs), names(outputs), span(window))
+
+    def read(self, files: Sequence[Path]) -> list[Experiment]:
+        """One record a file, each with a name of its own: the file's, with its folder where that is not enough."""
+        twice = [f for i, f in enumerate(files) if f.resolve() in [g.resolve() for g in files[:i]]]
+        if twice:
+            raise OptionError(f"{twice[0]} is given twice")
+        stems = [f.stem for f in files]
+        return [
+            read(
+                file,
+                time=self.time,
+                inputs=self.inputs,
+                outputs=self.outputs,
+                rename=self.rename,
+                name=str(file) if stems.count(file.stem) > 1 else None,
+                window=self.window,
+            )
+            for file in files
+        ]

@@ -1,0 +1,101 @@
+"""``phugoid fit``: estimates a model's parameters from data files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import OptionError, PhugoidError
+from ..result import Fit
+from .data_files import Reading
+from .estimation import Estimation
+from .guard import INTERRUPTED, NOT_CONVERGED, guard
+from .model_file import load_source
+from .options import (
+    DataArgument,
+    DebugOption,
+    FixOption,
+    InputsOption,
+    IterationsOption,
+    JsonOption,
+    ModelArgument,
+    OrderOption,
+    OutputsOption,
+    PlotOption,
+    RenameOption,
+    ReportOption,
+    SolverOption,
+    StartOption,
+    TimeOption,
+    WindowOption,
+)
+from .results import check_targets, emit_json, fit_facts, save_figures
+
+__all__ = ["code_of", "fit"]
+
+
+def fit(
+    model: ModelArgument,
+    data: DataArgument,
+    order: OrderOption = None,
+    start: StartOption = None,
+    fix: FixOption = None,
+    solver: SolverOption = "newton",
+    iterations: IterationsOption = None,
+    time: TimeOption = "t",
+    rename: RenameOption = None,
+    inputs: InputsOption = None,
+    outputs: OutputsOption = None,
+    window: WindowOption = None,
+    save: Annotated[Path | None, typer.Option("--save", help="Writes the fit, for phugoid.load.")] = None,
+    plot: PlotOption = None,
+    report: ReportOption = None,
+    json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Estimate the parameters of a model from one data file or several."""
+    with guard(debug):
+        if save is not None and save.suffix != ".json":
+            raise OptionError(f"--save {save}: a saved fit ends in .json")
+        check_targets([plot], [save, report])
+        how = Estimation.of(order, start, fix, solver, iterations)
+        reading = Reading.of(time, rename, inputs, outputs, window)
+        source = load_source(model)
+        records = reading.read(data)
+        # A saved fit is gone on from.
+        result = how.run(source.model, records, source) if isinstance(source, Fit) else how.run(source, records)
+        # Files first: whoever reads stdout may stop before its end.
+        try:
+            written = _write(result, save, plot, report)
+        except (PhugoidError, OSError):
+            print(result.summary())  # the work is done: it is not lost with a full disk
+            raise
+        if json:
+            emit_json("fit", fit_facts(result), written)
+            raise typer.Exit(code_of(result))
+        print(result.summary())
+        if written:
+            print(f"\nWritten: {', '.join(map(str, written))}")
+    raise typer.Exit(code_of(result))
+
+
+def _write(result: Fit, save: Path | None, plot: Path | None, report: Path | None) -> list[Path]:
+    written: list[Path] = []
+    if save is not None:
+        result.save(save)
+        written.append(save)
+    if plot is not None:
+        written += save_figures(result, plot)
+    if report is not None:
+        result.report(report)
+        written.append(report)
+    return written
+
+
+def code_of(result: Fit) -> int:
+    """The exit code that an estimation ends with."""
+    if result.status == "interrupted":
+        return INTERRUPTED
+    return 0 if result.converged else NOT_CONVERGED

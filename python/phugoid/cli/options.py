@@ -1,0 +1,144 @@
+"""Options that several commands have, and how their texts are read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import typer
+
+from ..errors import OptionError
+
+__all__ = [
+    "DataArgument",
+    "DebugOption",
+    "FixOption",
+    "InputsOption",
+    "IterationsOption",
+    "JsonOption",
+    "ModelArgument",
+    "OrderOption",
+    "OutputsOption",
+    "PlotOption",
+    "RenameOption",
+    "ReportOption",
+    "SolverOption",
+    "StartOption",
+    "TimeOption",
+    "WindowOption",
+    "fixes",
+    "names",
+    "numbers",
+    "pairs",
+    "span",
+]
+
+ModelArgument: TypeAlias = Annotated[
+    str, typer.Argument(help="model.py, model.py:name, or a saved model or fit (.json).", metavar="MODEL")
+]
+DataArgument: TypeAlias = Annotated[list[Path], typer.Argument(help="Data files, one record each.", metavar="DATA...")]
+TimeOption: TypeAlias = Annotated[str, typer.Option("--time", help="Column of time, in s.", metavar="NAME")]
+RenameOption: TypeAlias = Annotated[
+    list[str] | None, typer.Option("--rename", help="OLD=NEW: a column as the model calls it.", metavar="OLD=NEW")
+]
+InputsOption: TypeAlias = Annotated[
+    str | None, typer.Option("--inputs", help="Columns that are inputs; default: the model's.", metavar="A,B")
+]
+OutputsOption: TypeAlias = Annotated[
+    str | None, typer.Option("--outputs", help="Columns that are outputs; default: the model's.", metavar="A,B")
+]
+WindowOption: TypeAlias = Annotated[
+    str | None, typer.Option("--window", help="Keeps this part of each record, in s.", metavar="T0,T1")
+]
+OrderOption: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        "--order", help="Points of a collocation segment, 2 is the trapezoid; default: 4, or the saved fit's."
+    ),
+]
+StartOption: TypeAlias = Annotated[
+    list[str] | None, typer.Option("--start", help="Start value of a parameter or state.", metavar="NAME=VALUE")
+]
+FixOption: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option("--fix", help="Holds a parameter at its start, or at a value.", metavar="NAME[=VALUE]"),
+]
+SolverOption: TypeAlias = Annotated[str, typer.Option("--solver", help="newton or ipopt.", metavar="NAME")]
+IterationsOption: TypeAlias = Annotated[
+    int | None, typer.Option("--iterations", help="The most iterations; default: the solver's.", metavar="N")
+]
+PlotOption: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--plot", help="Writes the proof of match (.png, .pdf, .svg); several records, several files."),
+]
+ReportOption: TypeAlias = Annotated[Path | None, typer.Option("--report", help="Writes one HTML page with it all.")]
+JsonOption: TypeAlias = Annotated[bool, typer.Option("--json", help="Results on stdout as JSON.")]
+DebugOption: TypeAlias = Annotated[bool, typer.Option("--debug", help="Shows the traceback of an error.")]
+
+
+def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:
+    """``A=B`` of a repeated option, or several apart by commas.
+
+    >>> pairs("--rename", ["a=b,c=d"])
+    {'a': 'b', 'c': 'd'}
+    """
+    found: dict[str, str] = {}
+    for text in (part for given in texts or () for part in given.split(",")):
+        left, equals, right = (part.strip() for part in text.partition("="))
+        if not (left and equals and right):
+            raise OptionError(f"{option}: '{text}' is not of the form A=B")
+        if left in found:
+            raise OptionError(f"{option}: '{left}' is given twice")
+        found[left] = right
+    return found
+
+
+def numbers(option: str, texts: Sequence[str] | None) -> dict[str, float]:
+    """``NAME=VALUE`` with finite numbers.
+
+    >>> numbers("--start", ["Mw=0.2", "Mq=-1e-3"])
+    {'Mw': 0.2, 'Mq': -0.001}
+    """
+    return {name: _number(option, f"{name}={text}", text) for name, text in pairs(option, texts).items()}
+
+
+def fixes(texts: Sequence[str] | None, start: Mapping[str, float]) -> dict[str, float | None]:
+    """``NAME`` or ``NAME=VALUE``; a name alone is held where it starts, None where that is as declared."""
+    found: dict[str, float | None] = {}
+    for text in (part.strip() for given in texts or () for part in given.split(",")):
+        if "=" in text:
+            found |= numbers("--fix", [text])
+        else:
+            found[text] = start.get(text)
+    return found
+
+
+def names(text: str | None) -> list[str] | None:
+    """``A,B`` as a list."""
+    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+
+
+def span(text: str | None) -> tuple[float, float] | None:
+    """``T0,T1`` in s.
+
+    >>> span("2,10.5")
+    (2.0, 10.5)
+    """
+    if text is None:
+        return None
+    parts = text.split(",") if "," in text else text.split(":")
+    if len(parts) != 2:
+        raise OptionError(f"--window: '{text}' is not of the form T0,T1")
+    return _number("--window", text, parts[0]), _number("--window", text, parts[1])
+
+
+def _number(option: str, text: str, number: str) -> float:
+    try:
+        value = float(number)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise OptionError(f"{option} {text}: '{number}' is not a finite number")
+    return value

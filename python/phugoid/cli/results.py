@@ -1,0 +1,100 @@
+"""What commands give out: JSON on stdout, figures and files where they were asked for."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from .. import _core
+from ..errors import OptionError
+from ..match import Match, match
+from ..parameters import Estimates
+from ..result import Fit
+
+__all__ = ["check_targets", "emit_json", "fit_facts", "match_facts", "save_figures"]
+
+
+def check_targets(figures: Sequence[Path | None] = (), others: Sequence[Path | None] = ()) -> None:
+    """Raises OptionError, before any work is done, for a file that could not be written."""
+    for path in (p for p in (*figures, *others) if p is not None):
+        if not path.resolve().parent.is_dir():
+            raise OptionError(f"{path}: cannot be written, since there is no folder {path.resolve().parent}")
+        if path.is_dir():
+            raise OptionError(f"{path}: is a folder, not a file to write")
+    wanted = [p for p in figures if p is not None]
+    if wanted:
+        import matplotlib
+
+        matplotlib.use("Agg")  # no window: figures go to files
+        from matplotlib.figure import Figure
+
+        known = Figure().canvas.get_supported_filetypes()
+        for path in wanted:
+            if path.suffix[1:].lower() not in known:
+                raise OptionError(f"{path}: a figure's file ends in one of {', '.join('.' + k for k in sorted(known))}")
+
+
+def save_figures(result: Any, path: Path) -> list[Path]:
+    """The proof of match of each experiment of a fit or a validation: ``path``, or ``path`` with the name of each."""
+    import matplotlib.pyplot as plt
+
+    written = []
+    for i, record in enumerate(result.records):
+        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in record.name)
+        target = path if len(result.records) == 1 else path.with_stem(f"{path.stem}-{name}")
+        figure, _ = result.plot(i)
+        figure.savefig(target, dpi=150)
+        plt.close(figure)
+        written.append(target)
+    return written
+
+
+def emit_json(command: str, facts: Mapping[str, Any], written: Sequence[Path] = ()) -> None:
+    """One JSON document on stdout; NaN and infinities, which JSON has not, are null."""
+    document = {"command": command, "phugoid": _core.__version__, **facts, "written": [str(p) for p in written]}
+    print(json.dumps(_plain(document), ensure_ascii=False, indent=1, allow_nan=False))
+
+
+def fit_facts(fit: Fit) -> dict[str, Any]:
+    """A fit as plain values."""
+    return {
+        "model": fit.model.name,
+        "status": fit.status,
+        "converged": fit.converged,
+        "message": fit.message,
+        "iterations": fit.iterations,
+        "seconds": fit.time,
+        "log_likelihood": fit.log_likelihood,
+        "transcription": str(fit.transcription),
+        "parameters": _estimates(fit.parameters),
+        "initial_states": {name: _estimates(group) for name, group in fit.initial_states.items()},
+        "matches": match_facts({name: match(fit.records, name) for name in fit.model.output_names}),
+        "experiments": [{"name": r.name, "samples": r.n} for r in fit.records],
+        "warnings": list(fit.warnings),
+    }
+
+
+def match_facts(matches: Mapping[str, Match]) -> dict[str, Any]:
+    """The match of each output as plain values."""
+    kept = ("unit", "samples", "rms", "r_squared", "theil", "lag_one", "whiteness")
+    return {name: {key: getattr(m, key) for key in kept} for name, m in matches.items()}
+
+
+def _estimates(group: Estimates) -> dict[str, Any]:
+    kept = ("value", "std_error", "unit", "fixed", "bounds_active")
+    return {name: {key: getattr(e, key) for key in kept} for name, e in group.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    return value

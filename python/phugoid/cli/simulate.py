@@ -1,0 +1,135 @@
+"""``phugoid simulate``: what a model says with given parameters."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TextIO
+
+import typer
+
+from ..errors import ModelError, OptionError, listing
+from ..match import match
+from ..model import Model
+from ..records import Record
+from ..result import Fit, load
+from ..simulate import simulate as integrate
+from .data_files import Reading
+from .guard import guard
+from .model_file import load_source
+from .options import (
+    DebugOption,
+    InputsOption,
+    JsonOption,
+    ModelArgument,
+    OutputsOption,
+    RenameOption,
+    TimeOption,
+    WindowOption,
+    numbers,
+)
+from .results import check_targets, emit_json, match_facts
+
+__all__ = ["simulate"]
+
+
+def simulate(
+    model: ModelArgument,
+    data: Annotated[Path, typer.Argument(help="Data file with time and inputs.", metavar="DATA")],
+    parameters: Annotated[
+        list[str] | None,
+        typer.Option("--parameters", help="A saved fit, or values (several times).", metavar="FIT.json|NAME=VALUE"),
+    ] = None,
+    initial: Annotated[
+        list[str] | None,
+        typer.Option("--initial", help="State at the first sample; default: the fit's, as measured, or 0."),
+    ] = None,
+    time: TimeOption = "t",
+    rename: RenameOption = None,
+    inputs: InputsOption = None,
+    outputs: OutputsOption = None,
+    window: WindowOption = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Writes the CSV here instead of on stdout.")] = None,
+    json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Simulate a model over the inputs of a data file: a CSV of time, inputs, outputs and states."""
+    with guard(debug):
+        check_targets((), [out])
+        source = load_source(model)
+        described = source.model if isinstance(source, Fit) else source
+        (experiment,) = Reading.of(time, rename, inputs, outputs, window).read([data])
+        fit, values = _parameters(described, source if isinstance(source, Fit) else None, parameters)
+        first = _first(described, fit, experiment.name, numbers("--initial", initial))
+        record = integrate(described, values, experiment, initial=first)
+        written = []
+        if out is not None:
+            with out.open("w", encoding="utf-8", newline="") as file:
+                _write(record, file)
+            written.append(out)
+        measured = {name: match(record, name) for name in record.measured}
+        if json:
+            facts = {"model": described.name, "record": record.name, "samples": record.n}
+            columns = {} if out is not None else {"columns": _columns(record)}
+            emit_json("simulate", {**facts, "matches": match_facts(measured), **columns}, written)
+        elif out is None:
+            _write(record, sys.stdout)
+        else:
+            print(f"{described.name}: {record.n} samples of '{record.name}'")
+            for m in measured.values():
+                print(f"  {m.output}: RMS of measured minus simulated {m.rms:.4g} {m.unit}".rstrip())
+            print(f"\nWritten: {out}")
+
+
+def _parameters(
+    model: Model, fit: Fit | None, given: Sequence[str] | None
+) -> tuple[Fit | None, Mapping[str, Any] | Fit]:
+    """The fit whose initial states hold, and the values: those given by name before those of the fit."""
+    files = [text for text in given or () if "=" not in text]
+    if len(files) > 1:
+        raise OptionError(f"--parameters: one saved fit, not {len(files)}")
+    if files and not files[0].endswith(".json"):
+        raise OptionError(f"--parameters: '{files[0]}' is neither a saved fit (.json) nor of the form NAME=VALUE")
+    fit = load(files[0]) if files else fit
+    values = numbers("--parameters", [text for text in given or () if "=" in text])
+    for name in values:
+        known = [*model.parameter_names, *(fit.parameters if fit is not None else ())]
+        if name not in known:
+            raise ModelError(f"--parameters: '{name}' is no parameter.{listing(name, known)}")
+    if fit is not None:
+        return (fit, fit) if not values else (fit, {**fit.as_start(), **values})
+    # Only what is fixed has a value by its declaration; the start of an estimation is none.
+    fixed = {name: p.start for name, p in model.declared_parameters.items() if p.fixed}
+    found = {**fixed, **values}
+    missing = [name for name in model.parameter_names if name not in found]
+    if missing:
+        raise ModelError(
+            f"no value was given for {', '.join(missing)}: give --parameters fit.json, or --parameters {missing[0]}=..."
+        )
+    return None, found
+
+
+def _first(model: Model, fit: Fit | None, experiment: str, given: Mapping[str, float]) -> dict[str, float]:
+    for name in given:
+        if name not in model.state_names:
+            raise ModelError(f"--initial: '{name}' is no state.{listing(name, model.state_names)}")
+    of_fit = fit.initial_states.get(experiment) if fit is not None else None
+    return {**({name: e.value for name, e in of_fit.items()} if of_fit is not None else {}), **given}
+
+
+def _columns(record: Record) -> dict[str, list[float]]:
+    """Time, inputs, outputs, and states that are not outputs under the same name."""
+    groups = {**record.states, **record.inputs, **record.outputs}
+    order = dict.fromkeys([*record.inputs, *record.outputs, *record.states])
+    return {"t": record.t.tolist(), **{name: groups[name].tolist() for name in order}}
+
+
+def _write(record: Record, file: TextIO) -> None:
+    """A CSV that `read` reads back to the last bit, with units in its header."""
+    columns = _columns(record)
+    units = {"t": "s", **record.units}
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow([f"{name} [{units[name]}]" if units.get(name) else name for name in columns])
+    writer.writerows(zip(*(map(repr, values) for values in columns.values()), strict=True))

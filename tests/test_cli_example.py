@@ -1,0 +1,41 @@
+"""``phugoid example``: what it writes can be fitted, and gives back the truth."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+from cli_case import run
+
+from phugoid.cli.examples import EXAMPLES
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_its_commands_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = run("example", name, "--out", "try", "--json")
+    assert done.exit_code == 0, done.output
+    commands = [shlex.split(line)[1:] for line in json.loads(done.stdout)["commands"]]
+    assert [c[0] for c in commands] == ["fit", "validate", "simulate", "diagnose"]
+    fitted = run(*commands[0], "--json")
+    assert fitted.exit_code == 0, fitted.output
+    parameters = json.loads(fitted.stdout)["parameters"]
+    for parameter, truth in EXAMPLES[name].parameters.items():
+        assert abs(parameters[parameter]["value"] - truth) < 4 * parameters[parameter]["std_error"]
+    for command in commands[1:3]:
+        done = run(*command)
+        assert done.exit_code == 0, done.output
+
+
+def test_list_and_files_that_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert [line.split()[0] for line in run("example", "--list").stdout.splitlines()] == list(EXAMPLES)
+    assert run("example", "unstable").exit_code == 0
+    again = run("example", "unstable")
+    assert again.exit_code == 2 and "would be written over; give --force" in again.stderr
+    assert run("example", "unstable", "--force").exit_code == 0
+    wrong = run("example", "hfb")
+    assert wrong.exit_code == 2 and "there is no example 'hfb'. Did you mean 'hfb320'?" in wrong.stderr
+    assert "which example?" in run("example").stderr

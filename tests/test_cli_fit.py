@@ -1,0 +1,134 @@
+"""``phugoid fit``: results, files, and exit codes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from cli_case import TRUTH, run, write
+
+import phugoid as ph
+from phugoid.cli import bar
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    write(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_fit_prints_what_the_library_says(here: Path) -> None:
+    done = run("fit", "model.py", "run1.csv", "--save", "fit.json")
+    assert done.exit_code == 0, done.output
+    loaded = ph.load("fit.json")
+    saved = {name: e.value for name, e in loaded.parameters.items()}
+    assert all(abs(saved[n] - v) < 5 * loaded.parameters[n].std_error for n, v in TRUTH.items())
+    assert loaded.summary().split("parameter")[1] in done.stdout
+    assert "Written: fit.json" in done.stdout and "building" not in done.stdout
+
+
+def test_json_alone_is_on_stdout(here: Path) -> None:
+    done = run("fit", "model.py:lag", "run1.csv", "run2.csv", "--json", "--plot", "f.svg", "--fix", "c=0.1")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["converged"] and [e["name"] for e in found["experiments"]] == ["run1", "run2"]
+    c = found["parameters"]["c"]
+    assert (c["value"], c["std_error"], c["fixed"]) == (0.1, None, True)  # NaN is null
+    assert found["parameters"]["a"]["unit"] == "1/s" and found["matches"]["x"]["r_squared"] > 0.9
+    assert found["written"] == ["f-run1.svg", "f-run2.svg"] and all((here / f).exists() for f in found["written"])
+
+
+def test_options_reach_the_estimation(here: Path) -> None:
+    text = (here / "run1.csv").read_text().replace("t,u,x", "time,stick,x")
+    (here / "other.csv").write_text(text)
+    named = ["--time", "time", "--rename", "stick=u", "--inputs", "u", "--outputs", "x", "--window", "1,5"]
+    done = run("fit", "model.py", "other.csv", *named, "--order", 3, "--start", "a=1,b=1", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["experiments"][0]["samples"] == 41 and "order 3" in found["transcription"]
+
+
+def test_not_converged_is_exit_code_1(here: Path) -> None:
+    done = run("fit", "model.py", "run1.csv", "--iterations", 0)
+    assert done.exit_code == 1 and "iteration limit" in done.stdout
+
+
+def test_a_saved_fit_is_gone_on_from(here: Path) -> None:
+    assert run("fit", "model.py", "run1.csv", "--order", 3, "--iterations", 2, "--save", "part.json").exit_code == 1
+    before = ph.load("part.json")
+    done = run("fit", "part.json", "run1.csv", "--json")
+    found = json.loads(done.stdout)
+    assert done.exit_code == 0 and "order 3" in found["transcription"]
+    assert found["log_likelihood"] > before.log_likelihood
+    assert "order 5" in json.loads(run("fit", "part.json", "run1.csv", "--json", "--order", 5).stdout)["transcription"]
+
+
+def test_interruption_prints_the_best_point(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Interrupting(bar.Progress):
+        def __call__(self, line: ph.Iteration) -> None:
+            if line.number == 1:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr("phugoid.progress.Progress.__call__", Interrupting.__call__)
+    done = run("fit", "model.py", "run1.csv", "--save", "fit.json")
+    assert done.exit_code == 130 and "interrupted" in done.stdout and ph.load("fit.json").status == "interrupted"
+
+
+def test_a_result_that_cannot_be_saved_is_shown(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: ph.Fit, path: object) -> None:
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr(ph.Fit, "save", full)
+    done = run("fit", "model.py", "run1.csv", "--save", "fit.json")
+    assert done.exit_code == 2 and "fit.json: No space left on device" in done.stderr and "sigma_x" in done.stdout
+
+
+def test_report_is_one_page_with_everything(here: Path) -> None:
+    done = run("fit", "model.py", "run1.csv", "--report", "fit.html")
+    assert done.exit_code == 0, done.output
+    page = (here / "fit.html").read_text()
+    for words in ("<h1>lag</h1>", "Parameters", "Match", "Equations", "run1", "data:image/png;base64", "<math", "1/s"):
+        assert words in page
+    assert page.count("<section>") == page.count("</section>") and "http" not in page.replace("http-equiv", "")
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["nothing.py", "run1.csv"], "nothing.py: there is no such file"),
+        (["model.py", "nothing.csv"], "nothing.csv"),
+        (["model.py:leg", "run1.csv"], "there is no 'leg'. Did you mean 'lag'?"),
+        (["model.py", "run1.csv", "--start", "aa=1"], "'aa'"),
+        (["model.py", "run1.csv", "--start", "a=x"], "--start a=x: 'x' is not a finite number"),
+        (["model.py", "run1.csv", "--start", "a"], "--start: 'a' is not of the form A=B"),
+        (["model.py", "run1.csv", "--fix", "d"], "--fix: 'd' is no parameter"),
+        (["model.py", "run1.csv", "--solver", "newtn"], "Did you mean 'newton'?"),
+        (["model.py", "run1.csv", "--plot", "f.xyz"], "f.xyz: a figure's file ends in one of"),
+        (["model.py", "run1.csv", "--report", "no/f.html"], "there is no folder"),
+        (["model.py", "run1.csv", "--window", "3"], "--window: '3' is not of the form T0,T1"),
+        (["model.py", "run1.csv", "--order", "1"], "order is a whole number from 2"),
+        (["model.py", "run1.csv", "run1.csv"], "run1.csv is given twice"),
+    ],
+)
+def test_bad_input_is_a_line_and_exit_code_2(here: Path, args: list[str], words: str) -> None:
+    done = run("fit", *args)
+    assert done.exit_code == 2 and words in done.stderr, done.output
+    assert "Traceback" not in done.output and done.stdout == ""
+
+
+def test_debug_shows_the_traceback(here: Path) -> None:
+    done = run("fit", "nothing.py", "run1.csv", "--debug")
+    assert done.exit_code == 2 and "Traceback" in done.stderr
+
+
+def test_the_command_in_a_process_of_its_own(here: Path) -> None:
+    command = [sys.executable, "-m", "phugoid", "fit", "model.py", "run1.csv", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["status"] == "converged" and "iteration" in done.stderr
+    done = subprocess.run([*command, "--fix", "d"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "") and done.stderr.splitlines()[-1].startswith("phugoid: --fix")

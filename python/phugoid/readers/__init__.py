@@ -1,0 +1,42 @@
+"""Readers, a kind of file each: all give a `Source`, columns by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import DataError
+from .source import Source
+
+__all__ = ["open_source"]
+
+
+def open_source(
+    data: Any, time: str | None, wanted: set[str], columns: Sequence[str] | None, delimiter: str | None
+) -> Source:
+    """The columns of a file, found by its ending.
+
+    time    name in the file of the column that gives the times; None: not told.
+    wanted  names that are asked for: what is dear to read is left unless it is among them.
+    """
+    path = _path(data)
+    ending = path.suffix.lower()
+    if ending == ".mat":
+        from .matlab import read_matlab
+
+        return read_matlab(path, time, columns)
+    if ending in (".h5", ".hdf5", ".hdf", ".he5"):
+        from .hdf5 import read_hdf5
+
+        return read_hdf5(path, time, columns)
+    from .text import read_text
+
+    return read_text(path, columns, delimiter)
+
+
+def _path(data: Any) -> Path:
+    try:
+        return Path(data)
+    except TypeError:
+        raise DataError(f"read: give the path of a file, not {type(data).__name__}") from None

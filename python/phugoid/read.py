@@ -34,8 +34,9 @@ def read(
 ) -> Experiment:
     """Reads a record from a file, whose ending says what it is, or from a table in memory.
 
-    path       text table (CSV, TSV or columns apart by blanks, also gzipped), MATLAB ``.mat``, HDF5 ``.h5``, ``.hdf5``.
-               Variables in structures and groups are called ``group.name``, columns of matrices ``name[0]``.
+    path       a text table (CSV, TSV or columns apart by blanks, also gzipped), MATLAB ``.mat``, HDF5 ``.h5`` or
+               ``.hdf5``, ``.parquet``; or a table of pandas, polars or xarray. Variables in structures and groups are
+               called ``group.name``, columns of matrices ``name[0]``.
     time       name of the time column, in s (after ``rename``); None: ``t``, or what the file itself takes for time.
     inputs     names of the input columns; None: a model finds its inputs among all columns.
     outputs    the same for outputs. With both given, the other columns are not even looked at.

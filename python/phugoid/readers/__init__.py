@@ -15,11 +15,15 @@ __all__ = ["open_source"]
 def open_source(
     data: Any, time: str | None, wanted: set[str], columns: Sequence[str] | None, delimiter: str | None
 ) -> Source:
-    """The columns of a file, found by its ending.
+    """The columns of a table in memory, or of a file, whose ending tells its kind.
 
     time    name in the file of the column that gives the times; None: not told.
     wanted  names that are asked for: what is dear to read is left unless it is among them.
     """
+    from .frames import is_frame, read_frame
+
+    if is_frame(data):
+        return read_frame(data, time)
     path = _path(data)
     ending = path.suffix.lower()
     if ending == ".mat":
@@ -30,6 +34,10 @@ def open_source(
         from .hdf5 import read_hdf5
 
         return read_hdf5(path, time, columns)
+    if ending in (".parquet", ".pq"):
+        from .parquet import read_parquet
+
+        return read_parquet(path, time)
     from .text import read_text
 
     return read_text(path, columns, delimiter)
@@ -39,4 +47,6 @@ def _path(data: Any) -> Path:
     try:
         return Path(data)
     except TypeError:
-        raise DataError(f"read: give the path of a file, not {type(data).__name__}") from None
+        raise DataError(
+            f"read: give the path of a file, or a table of pandas, polars or xarray, not {data!r:.60}"
+        ) from None

@@ -26,6 +26,14 @@ def open_source(
         return read_frame(data, time)
     path = _path(data)
     ending = path.suffix.lower()
+    if not path.is_file():
+        from .px4_tables import find_tables, read_px4_tables
+
+        tables = find_tables(path)
+        if tables:
+            return read_px4_tables(path, tables, time)
+        if path.is_dir():
+            raise DataError(f"{path}: is a folder without tables of a PX4 log (such as log_vehicle_attitude_0.csv)")
     if ending == ".mat":
         from .matlab import read_matlab
 

@@ -35,9 +35,10 @@ def read(
     """Reads a record from a file, whose ending says what it is, or from a table in memory.
 
     path       a text table (CSV, TSV or columns apart by blanks, also gzipped), MATLAB ``.mat``, HDF5 ``.h5`` or
-               ``.hdf5``, ``.parquet``; a folder of a PX4 log's CSV tables, or what their names begin with; or a table
-               of pandas, polars or xarray. Variables in structures and groups are called ``group.name``, those of logs
-               ``topic.field`` (of a second instance ``topic[1].field``), columns of matrices ``name[0]``.
+               ``.hdf5``, ``.parquet``; a log of PX4 (``.ulg``, or a folder of its CSV tables, or what their names
+               begin with) or of ArduPilot (``.bin``); or a table of pandas, polars or xarray. Variables in structures
+               and groups are called ``group.name``, those of logs ``topic.field`` (of a second instance
+               ``topic[1].field``), columns of matrices ``name[0]``.
     time       name of the time column, in s (after ``rename``); None: ``t``, or what the file itself takes for time.
                In a log, the field with the stamps, such as ``timestamp_sample``, of each topic that has it.
     inputs     names of the input columns; None: a model finds its inputs among all columns.

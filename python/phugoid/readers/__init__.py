@@ -46,6 +46,14 @@ def open_source(
         from .parquet import read_parquet
 
         return read_parquet(path, time)
+    if ending == ".ulg":
+        from .ulog import read_ulog
+
+        return read_ulog(path, time, wanted)
+    if ending == ".bin":
+        from .ardupilot import read_ardupilot
+
+        return read_ardupilot(path, time, wanted)
     from .text import read_text
 
     return read_text(path, columns, delimiter)

@@ -221,9 +221,9 @@ def test_file_without_data(table: Any, text: str, words: str) -> None:
 
 
 def test_binary_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.mat"
-    path.write_bytes(b"MATLAB 5.0 MAT-file\0\0\0")
-    assert has(refusal(path), "not a text table", "scipy.io.loadmat", "Experiment(")
+    path = tmp_path / "a.xls"
+    path.write_bytes(b"\xd0\xcf\x11\xe0\0\0\0")
+    assert has(refusal(path), "a.xls: is not a text table", "pandas.read_excel", "ph.read")
 
 
 def test_gzip_cut_short(tmp_path: Path) -> None:

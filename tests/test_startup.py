@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-HEAVY = ("scipy", "matplotlib", "pandas", "rich", "sympy")
+HEAVY = ("scipy", "matplotlib", "pandas", "rich", "sympy", "h5py", "pyarrow", "polars", "xarray", "pyulog", "pymavlink")
 
 
 def loaded_after(code: str) -> list[str]:
@@ -26,6 +26,12 @@ def test_importing_stays_light() -> None:
     "module",
     [
         "read",
+        "readers.frames",
+        "readers.matlab",
+        "readers.hdf5",
+        "readers.parquet",
+        "readers.ulog",
+        "readers.ardupilot",
         "preprocess",
         "symbols",
         "model",

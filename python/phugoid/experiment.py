@@ -330,7 +330,7 @@ class Experiment(Preprocessing):
 
     def _checked_time(self, t: ArrayLike) -> FloatArray:
         where = f"experiment '{self._name}', time"
-        time = _real(t, where)
+        time = real(t, where)
         if time.ndim != 1:
             raise DataError(f"{where}: has shape {time.shape}; give one value per sample (1-D)")
         if time.size < 2:
@@ -359,7 +359,7 @@ class Experiment(Preprocessing):
         columns = {}
         for channel, values in group.items():
             where = self._where(kind, channel)
-            column = _real(values, where, self._t)
+            column = real(values, where, self._t)
             if column.ndim != 1:
                 raise DataError(f"{where}: has shape {column.shape}; give one value per sample (1-D)")
             if column.size != self.n:
@@ -415,7 +415,7 @@ def _sample(i: int | np.intp, t: FloatArray | None) -> str:
     return f"sample {i}" if t is None or i >= t.size else f"sample {i} (t = {t[i]:.6g} s)"
 
 
-def _real(values: ArrayLike, where: str, t: FloatArray | None = None) -> FloatArray:
+def real(values: ArrayLike, where: str, t: FloatArray | None = None) -> FloatArray:
     """A read-only float64 copy of any shape; None, pandas' NA and masked samples become NaN."""
     if isinstance(values, np.ma.MaskedArray):
         # np.asarray would drop the mask and let the junk beneath pass for data.

@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from ground_vibration_twin import BAND, Twin, paper_model, twin
+from scipy.optimize import linear_sum_assignment
 
 import phugoid as ph
 
@@ -35,7 +36,7 @@ def estimate(record: Twin, start: str = "subspace", order: int = 5, iterations: 
     if start == "paper":
         model, values = paper_model()
     else:
-        model = ph.models.modal(start=ph.subspace(record.data, 24, feedthrough=False, pairs=True))
+        model = ph.models.modal(start=ph.subspace(record.data, 24, feedthrough=False, background=True))
         values = {}
     solver = ph.Newton(max_iterations=iterations)
     return ph.estimate(model, record.data, transcription=ph.Collocation(order=order), start=values, solver=solver)
@@ -52,11 +53,13 @@ def compare(fit: ph.Fit, record: Twin) -> list[tuple[ph.Mode, float, float]]:
     """For each lightly damped mode of the truth the one found, and its errors in frequency and damping in standard
     errors."""
     found = [mode for mode in ph.modes(fit) if mode.oscillates]
+    truth = [mode for mode in record.structure.modes if mode.oscillates]
+    apart = np.array([[abs(m.eigenvalue - t.eigenvalue) / abs(t.eigenvalue) for m in found] for t in truth])
     rows = []
-    for true in record.structure.modes:
-        if not true.oscillates or true.damping.value > LIGHT:
+    for i, k in zip(*linear_sum_assignment(apart), strict=True):
+        near, true = found[k], truth[i]
+        if true.damping.value > LIGHT:
             continue
-        near = min(found, key=lambda m: abs(m.eigenvalue - true.eigenvalue))
         pairs = ((near.frequency, true.frequency), (near.damping, true.damping))
         errors = [(a.value - b.value) / a.std_error if a.std_error else np.nan for a, b in pairs]
         rows.append((near, errors[0], errors[1]))

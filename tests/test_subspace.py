@@ -206,21 +206,23 @@ def test_what_cannot_be_right_is_refused() -> None:
         assert message in str(error.value), str(error.value)
 
 
-def test_pairs_leave_no_real_eigenvalue() -> None:
+def test_a_background_of_heavily_damped_pairs() -> None:
+    """Two lags and two oscillators: these stay, a pair takes the place of the lags and simulates nearly as well."""
     rng = np.random.default_rng(5)
-    t = 0.02 * np.arange(3000)
+    t = 0.02 * np.arange(6000)
     u = rng.standard_normal(t.size)
-    slow, fast = (np.exp(-0.02 * rate) for rate in (1.0, 6.0))
-    y = np.zeros(t.size)
-    states = np.zeros(2)
-    for k in range(1, t.size):
-        states = np.array([slow, fast]) * states + (1 - np.array([slow, fast])) * u[k - 1]
-        y[k] = states @ [1.0, 0.5]
+    lags = lsim(([[-6.0, 0.0], [0.0, -14.0]], [[6.0], [14.0]], [[1.0, 0.5]], [[0.0]]), u, t)[1]
+    modes = [lsim(([[-0.3, w], [-w, -0.3]], [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]]), u, t)[1] for w in (4.0, 20.0)]
+    y = lags + modes[0] + modes[1]
     run = ph.Experiment(t, {"u": u}, {"y": y + 0.01 * rng.standard_normal(t.size)})
-    free, joined = (ph.subspace(run, 2, feedthrough=False, pairs=pairs) for pairs in (False, True))
-    assert not any(mode.oscillates for mode in free.modes)
-    (mode,) = joined.modes
-    assert mode.oscillates and mode.damping.value > 0.5
-    rates = sorted(m.eigenvalue.real for m in free.modes)
-    assert mode.eigenvalue == pytest.approx(0.5 * sum(rates) + 0.5j * (rates[1] - rates[0]))
-    assert joined.residual_rms["y"] < 1.2 * np.std(y)
+    free = ph.subspace(run, 6, feedthrough=False)
+    joined = ph.subspace(run, 6, feedthrough=False, background=True)
+    assert sum(mode.oscillates for mode in free.modes) == 2
+    assert len(joined.modes) == 3 and all(mode.oscillates for mode in joined.modes)
+    light = [mode.frequency.value for mode in joined.modes if mode.damping.value < 0.15]
+    assert light == pytest.approx(np.array([4.0, 20.0]) / (2 * np.pi), rel=0.02)
+    # Without the lags there is this much more than the noise; the pair leaves hardly any.
+    assert joined.residual_rms["y"] < 0.2 * np.std(lags)
+    two = ph.Experiment(t, {"u": u}, {"y": y, "z": 2.0 * y})
+    with pytest.raises(ph.OptionError, match="one output"):
+        ph.subspace(two, 4, background=True)

@@ -28,6 +28,8 @@ Weighting = Literal["cva", "moesp"]
 _TIMES, _BLOCK_ROWS, _MOST = (2, 3, 4), 20, 40
 # A state that is gone after a sample is taken to keep this part of itself.
 _FASTEST = 0.01
+# Damping ratio below which, and part of the Nyquist frequency up to which, a mode is told from a background.
+_LIGHT, _BELOW = 0.15, 0.75
 
 
 def subspace(
@@ -41,7 +43,7 @@ def subspace(
     offset: bool = True,
     weighting: Weighting = "cva",
     stable: bool = False,
-    pairs: bool = False,
+    background: bool = False,
     prune: bool = False,
 ) -> StateSpace:
     """A linear system in continuous time from evenly sampled records, without start values or iterations.
@@ -70,8 +72,10 @@ def subspace(
                     sizes of outputs do not matter; or ``"moesp"``, which asks how much of the outputs it makes.
     ``stable``      reflects growing modes into decaying ones, exp(lambda T) -> 1 / conj exp(lambda T), before B is
                     found.
-    ``pairs``       joins real eigenvalues two by two to heavily damped pairs, before B is found: for the start of a
-                    model of oscillators only. Of an odd number the fastest stays.
+    ``background``  of what is damped by more than 0.15 of critical, or lies near the Nyquist frequency, a record tells
+                    little but the sum. With True as many heavily damped pairs take its place, spread over the band of
+                    the other modes, one after the other where it simulates the output best: the start of a model of
+                    oscillators only. For one output.
     ``prune``       leaves out, one after another, modes without which the sum of squares grows by less than what BIC
                     allows for their parameters: noise that was taken for a mode. The order is then lower. For the start
                     of an estimation, in which such modes, having no effect, would wander.
@@ -93,10 +97,12 @@ def subspace(
         order = _suggested(_observability(records, rows[-1], weighting), records)
     best: _Tried | None = None
     for i in [block_rows] if block_rows else _block_rows(order, records):
-        tried = _tried(records, i, order, direct, offset, weighting, (stable, pairs, prune))
+        tried = _tried(records, i, order, direct, offset, weighting, (stable, prune))
         if best is None or tried.misfit < best.misfit:
             best = tried
     assert best is not None
+    if background:
+        best = _with_background(records, best, direct, offset)
     A, B, C, states = _real(best.values, best.C, best.regression.B)
     return StateSpace(
         A=A,
@@ -138,9 +144,9 @@ def _tried(
     direct: Sequence[bool],
     offset: bool,
     weighting: str,
-    chosen: tuple[bool, bool, bool],
+    chosen: tuple[bool, bool],
 ) -> _Tried:
-    stable, pairs, prune = chosen
+    stable, prune = chosen
     p = len(records.outputs)
     if n > p * (i - 1):
         raise OptionError(
@@ -150,8 +156,6 @@ def _tried(
     shared = _observability(records, i, weighting)
     A, C = shared.system(n, p)
     values, seen, warnings = _continuous(A, C * records.y_size[:, None], records.rate, stable)
-    if pairs:
-        values, seen = _paired(values, seen)
     while True:
         found = regression(records.runs, values, seen, records.inputs, records.outputs, direct, offset, gains=prune)
         if not prune or values.size == 1:
@@ -230,14 +234,33 @@ def _continuous(A: _Array, C: _Array, rate: float, stable: bool) -> tuple[_Compl
     return values, seen, tuple(warnings)
 
 
-def _paired(values: _Complex, seen: _Complex) -> tuple[_Complex, _Complex]:
-    """Real eigenvalues a and b, neighbours, become (a + b) / 2 ± j |a - b| / 2: neither slower nor faster."""
-    real = np.flatnonzero(values.imag == 0.0)
-    real = real[np.argsort(-values[real].real)][: real.size // 2 * 2]
-    a, b = values[real[::2]].real, values[real[1::2]].real
-    joined = 0.5 * (a + b) + 1j * np.maximum(0.5 * np.abs(a - b), 1e-3 * np.abs(a + b))
-    outputs = seen[:, real[::2]].real + 1j * seen[:, real[1::2]].real
-    return np.append(np.delete(values, real), joined), np.column_stack([np.delete(seen, real, axis=1), outputs])
+def _with_background(records: Sampled, tried: _Tried, direct: Sequence[bool], offset: bool) -> _Tried:
+    """The lightly damped modes, and pairs for all else, each where the sum of squares falls most."""
+    if len(records.outputs) > 1:
+        raise OptionError("subspace: background=True is for one output; the residues of more are not of one rank")
+    size = np.abs(tried.values)
+    light = (tried.values.imag > 0.0) & (-tried.values.real < _LIGHT * size) & (size < _BELOW * np.pi * records.rate)
+    states = int(np.sum(1 + (tried.values.imag > 0.0)))
+    values, found = tried.values[light], tried.regression
+    if not values.size:
+        return tried
+    grid = np.geomspace(0.8 * size[light].min(), 1.15 * size[light].max(), 6)
+    places = [w * (-z + 1j * np.sqrt(1.0 - z * z)) for w in grid for z in (0.5, 0.8)]
+    for _ in range((states - 2 * values.size) // 2):
+        best = None
+        for place in places:
+            if np.any(values == place):
+                continue
+            more = np.append(values, place)
+            seen = np.ones((1, more.size), dtype=np.complex128)
+            here = regression(records.runs, more, seen, records.inputs, records.outputs, direct, offset)
+            if best is None or here.rms[0] < best[1].rms[0]:
+                best = more, here
+        if best is None:
+            break
+        values, found = best
+    seen = np.ones((1, values.size), dtype=np.complex128)
+    return _Tried(tried.shared, values, seen, tried.warnings, found)
 
 
 def _real(values: _Complex, c: _Complex, b: _Complex) -> tuple[_Array, _Array, _Array, Callable[[_Complex], _Array]]:

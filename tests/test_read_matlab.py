@@ -94,6 +94,15 @@ def test_damaged(tmp_path: Path, size: int) -> None:
         read(path)
 
 
+def test_tags_that_end_scipys_loader_are_found_before(tmp_path: Path) -> None:
+    path = saved(tmp_path, {"t": T, "q": T})
+    whole = path.read_bytes()
+    for place, byte in ((145, 0x9F), (176, 59)):  # a complex array without its imaginary part; a type there is not
+        path.write_bytes(whole[:place] + bytes([byte]) + whole[place + 1 :])
+        with pytest.raises(DataError, match=r"run1\.mat: .* damaged .*do not fit together"):
+            read(path)
+
+
 def test_attas() -> None:
     path = SHARED / "fAttasElv1.mat"
     if not path.exists():

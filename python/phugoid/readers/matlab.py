@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import DataError
 from .hdf5 import read_hdf5
+from .mat5 import is_whole
 from .nested import Leaf, from_leaves
 from .source import Source, contents, reading, stem
 
@@ -20,9 +22,12 @@ def read_matlab(path: Path, time: str | None, columns: Sequence[str] | None) -> 
 
     Tables, timetables and timeseries are objects that MATLAB alone can read: there, save their columns.
     """
-    head = contents(path)[:520]
+    raw = contents(path)
+    head = raw[:520]
     if head.startswith(b"\x89HDF") or head[512:].startswith(b"\x89HDF"):
         return read_hdf5(path, time, columns, matlab=True)
+    if not is_whole(raw):
+        raise DataError(f"{path}: is not a MATLAB file, or is damaged or cut short (its parts do not fit together)")
     with reading(path, "a MATLAB file"):
         from scipy.io import loadmat
 

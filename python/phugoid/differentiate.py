@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import DataError, OptionError
+from .filtering import intervals
 
 __all__ = ["Differentiator", "FourierSmoothing", "SavitzkyGolay", "SmoothingSpline"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# Sampling counts as even when no interval is further than this part from the median.
-_EVEN = 0.01
 # Median of the square of a standard normal variable.
 _MEDIAN_CHI2 = 0.4549
 # Squared, the coefficients of a smooth signal's sine series fall with this power of the frequency.
@@ -161,10 +160,9 @@ def _size(z: _Array) -> float:
 
 def _even(t: _Array, who: str) -> float:
     """The sampling interval, s."""
-    steps = np.diff(t)
-    step = float(np.median(steps))
-    worst = int(np.argmax(np.abs(steps - step)))
-    if abs(steps[worst] - step) > _EVEN * step:
+    step, steps, uneven = intervals(t)
+    if uneven.size:
+        worst = int(np.argmax(np.abs(steps - step)))
         raise DataError(
             f"{who}: needs evenly spaced samples, but the interval after t = {t[worst]:g} s is {steps[worst]:g} s and "
             f"others are {step:g} s: use SmoothingSpline"

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from .errors import DataError, OptionError
 
 __all__ = [
+    "EVEN",
     "Kind",
     "anti_alias",
     "butterworth",
     "even_rate",
     "filtered",
+    "intervals",
     "number",
     "polyphase",
     "power_above",
@@ -27,11 +29,18 @@ _Array: TypeAlias = NDArray[np.float64]
 Kind: TypeAlias = Literal["highpass", "lowpass"]
 
 # Sampling counts as even when no interval is further than this part from the median.
-_EVEN = 0.01
+EVEN = 0.01
 # A filter has settled when its slowest mode has fallen to this.
 _SETTLED = 0.01
 # Half the length of the filter that resamples, in samples at the lower rate.
 _REACH = 20
+
+
+def intervals(t: _Array) -> tuple[float, _Array, NDArray[np.intp]]:
+    """The median interval (s), all of them, and which are too far from it for sampling to count as even."""
+    steps = np.diff(t)
+    step = float(np.median(steps))
+    return step, steps, np.flatnonzero(np.abs(steps - step) > EVEN * step)
 
 
 def even_rate(t: _Array, values: _Array, where: str, purpose: str) -> float:
@@ -40,10 +49,8 @@ def even_rate(t: _Array, values: _Array, where: str, purpose: str) -> float:
     Raises DataError, which begins with ``where`` and names the first gap: a missing sample, or an interval that is
     more than 1 % off the median one. ``purpose`` is what needs it, such as "band_pass".
     """
-    steps = np.diff(t)
-    step = float(np.median(steps))
+    step, steps, uneven = intervals(t)
     missing = np.flatnonzero(~np.isfinite(values))
-    uneven = np.flatnonzero(np.abs(steps - step) > _EVEN * step)
     gap = missing[0] if missing.size else t.size
     if uneven.size and uneven[0] < gap:
         i = int(uneven[0])

@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from .errors import DataError, OptionError
 from .experiment import Experiment, as_experiments
+from .filtering import EVEN, intervals
 
 __all__ = ["Sampled"]
 
 _Array: TypeAlias = NDArray[np.float64]
-
-# Sampling counts as even when no interval is further than this part from the median.
-_EVEN = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +72,9 @@ def _rate(runs: Sequence[Experiment]) -> float:
     """Sampling rate of all, Hz."""
     rates = []
     for run in runs:
-        steps = np.diff(run.t)
-        step = float(np.median(steps))
-        worst = int(np.argmax(np.abs(steps - step)))
-        if abs(steps[worst] - step) > _EVEN * step:
+        step, steps, uneven = intervals(run.t)
+        if uneven.size:
+            worst = int(np.argmax(np.abs(steps - step)))
             raise DataError(
                 f"subspace: needs evenly spaced samples, but in experiment '{run.name}' the interval after "
                 f"t = {run.t[worst]:g} s is {steps[worst]:g} s and others are {step:g} s: cut the record there with "
@@ -85,7 +82,7 @@ def _rate(runs: Sequence[Experiment]) -> float:
             )
         rates.append((run.n - 1) / float(run.t[-1] - run.t[0]))
     for run, rate in zip(runs, rates, strict=True):
-        if abs(rate - rates[0]) > _EVEN * rates[0]:
+        if abs(rate - rates[0]) > EVEN * rates[0]:
             raise DataError(
                 f"subspace: needs one sampling rate, but experiment '{runs[0].name}' has {rates[0]:g} Hz and "
                 f"'{run.name}' {rate:g} Hz"

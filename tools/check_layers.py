@@ -27,12 +27,13 @@ PYTHON = [
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
     "biases", "held", "validate", "discrepancy", "report",
-    "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
+    "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart",
+    "uncertainty", "cli", "__init__", "__main__",
 ]
 # fmt: on
-# Arrows back: `Fit.validate`, which estimates anew, and `Fit.report` are where people look for them. They are imported
-# when called.
-BACK = {("result", "report"), ("result", "validate")}
+# Arrows back: `Fit.validate`, which estimates anew, `Fit.report` and what says how far a fit may be trusted are where
+# people look for them, and a summary shows the latter. They are imported when called.
+BACK = {("result", "report"), ("result", "uncertainty"), ("result", "validate"), ("summary", "uncertainty")}
 
 Import = tuple[int, str]  # line, top-level module
 Finder = Callable[[Path, int], Iterator[Import]]  # of a file so many levels below the root

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from html import escape
 from pathlib import Path
@@ -12,7 +13,8 @@ from .discrepancy.markup import bullets, document, image, section, table
 from .discrepancy.mathml import equation
 from .discrepancy.provenance import facts, records_table
 from .match import match
-from .parameters import Estimate
+from .parameters import Estimate, Estimates
+from .summary import corrected
 
 __all__ = ["report"]
 
@@ -39,22 +41,27 @@ def _parameters(fit: Any) -> str:
     noise = fit.noise_parameters
     own = [e for e in fit.parameters.values() if e.name not in noise]
     text = (
-        "<p>Standard errors are Cramér-Rao bounds: the inverse of the information matrix. They take residuals for "
-        "white; where residuals are coloured (see the match) true errors are larger.</p>"
+        "<p>Standard errors (±) are Cramér-Rao bounds: the inverse of the information matrix. They take residuals for "
+        "white; those under <i>coloured</i> allow for residuals as coloured as they are.</p>"
     )
-    body = text + _estimates("parameter", own) if own else ""
+    coloured = corrected(fit, at_any_cost=True)
+    body = text + _estimates("parameter", own, coloured) if own else ""
     of_noise = [e for e in fit.parameters.values() if e.name in noise]
     if of_noise:
-        body += "<h3>Noise</h3>" + _estimates("noise", of_noise)
+        body += "<h3>Noise</h3>" + _estimates("noise", of_noise, coloured)
+    body += bullets(fit.correlation.notes) if fit.correlation.notes else ""
     first = [[n, e.name, *_cells(e)] for n, group in fit.initial_states.items() for e in group.values()]
     heads = ["experiment", "state", "estimate ± std error", "unit", "in %", ""]
     body += f"<details><summary>Initial states</summary>{table(heads, first, 'llrlrl')}</details>"
     return section("Parameters", body)
 
 
-def _estimates(head: str, estimates: list[Estimate]) -> str:
-    rows = [[e.name, *_cells(e)] for e in estimates]
-    return table([head, "estimate ± std error", "unit", "in %", ""], rows, "lrlrl")
+def _estimates(head: str, estimates: list[Estimate], coloured: Estimates | None) -> str:
+    rows = []
+    for e in estimates:
+        error = coloured[e.name].std_error if coloured else math.nan
+        rows.append([e.name, *_cells(e)[:3], f"{error:.2g}" if math.isfinite(error) else "", *_cells(e)[3:]])
+    return table([head, "estimate ± std error", "unit", "in %", "coloured", ""], rows, "lrlrrl")
 
 
 def _cells(e: Estimate) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from .uncertainty.coloured import Coloured
+    from .uncertainty.correlation import Correlation
     from .validation import Validation
 
 __all__ = ["Fit", "load", "make_fit"]
@@ -161,8 +164,35 @@ class Fit:
             found.append(Estimate(name, e.evaluate(numbers), float(np.sqrt(variance))))
         return Estimates(found)
 
+    @cached_property
+    def coloured(self) -> Coloured:
+        """Standard errors corrected for coloured residuals: of parameters and initial states, by name; the covariance;
+        by how much they are larger than the plain ones.
+
+        The Cramér-Rao bounds in ``parameters`` take residuals for white; where they are coloured, as those of flight
+        records are, these bounds are optimistic (Maine & Iliff 1981; Morelli & Klein 1997). The noise of each output is
+        taken for an autoregressive process, also common to outputs, as `uncertainty.colour` says. A fit by shooting, or
+        one that was loaded from a file, is estimated again by collocation first.
+
+        Raises OptionError for a fit by the filter-error method.
+        """
+        from .uncertainty.coloured import coloured
+
+        return coloured(self)
+
+    @cached_property
+    def correlation(self) -> Correlation:
+        """Correlations of the estimates: ``fit.correlation["Cm0", "Cma"]``, ``.matrix`` (n, n), ``.pairs(0.9)``, and
+        ``.weak``: combinations that the data hardly determine."""
+        from .uncertainty.correlation import correlation_of
+
+        noise = self.noise_parameters
+        physical = [n for n in self.parameters if n not in noise]
+        return correlation_of(list(self.parameters), self.parameters.values_array, self.covariance, physical)
+
     def summary(self) -> str:
-        """The fit as a plain-text table."""
+        """The fit as a plain-text table: of each parameter the Cramér-Rao standard error and, where the fit has its
+        data at hand, the one corrected for coloured residuals."""
         text = summary.fit_summary(self) + (f"\n\n{self.refinement.summary()}" if self.refinement else "")
         return text + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 

@@ -33,7 +33,13 @@ PYTHON = [
 # fmt: on
 # Arrows back: `Fit.validate`, which estimates anew, `Fit.report` and what says how far a fit may be trusted are where
 # people look for them, and a summary shows the latter. They are imported when called.
-BACK = {("result", "report"), ("result", "uncertainty"), ("result", "validate"), ("summary", "uncertainty")}
+BACK = {
+    ("result", "outcome"),  # a type only
+    ("result", "report"),
+    ("result", "uncertainty"),
+    ("result", "validate"),
+    ("summary", "uncertainty"),
+}
 
 Import = tuple[int, str]  # line, top-level module
 Finder = Callable[[Path, int], Iterator[Import]]  # of a file so many levels below the root

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -28,11 +28,16 @@ from .solvers import HINTS, Iteration, Solution
 from .transcription import Collocation
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from .outcome import Outcome
+    from .uncertainty.bootstrap import Bootstrap
     from .uncertainty.coloured import Coloured
     from .uncertainty.correlation import Correlation
+    from .uncertainty.profile import Profiles
     from .validation import Validation
 
 __all__ = ["Fit", "load", "make_fit"]
@@ -189,6 +194,59 @@ class Fit:
         noise = self.noise_parameters
         physical = [n for n in self.parameters if n not in noise]
         return correlation_of(list(self.parameters), self.parameters.values_array, self.covariance, physical)
+
+    def profile(
+        self,
+        names: str | Iterable[str] | None = None,
+        *,
+        level: float = 0.95,
+        coloured: bool = False,
+        executor: Executor | None = None,
+        progress: bool | Callable[[Outcome], None] = False,
+    ) -> Profiles:
+        """Intervals by profile likelihood (Venzon & Moolgavkar 1988): each parameter is moved, all others estimated
+        anew, until twice the log-likelihood has dropped by chi-square's quantile. They follow a likelihood that is no
+        parabola, where standard errors do not.
+
+        ``names``: of parameters of the model (``"b[run1]"`` of one experiment's own); None: all that are free.
+        ``coloured``: the drop is made larger by what `coloured` finds, as for a composite likelihood (Chandler & Bate
+        2007); without it, intervals take residuals for white.
+        ``executor``, ``progress``: as of `multistart`; a task is one side of a parameter.
+
+        An interval ends at a bound where the likelihood is still high there, and is infinite where it stays high
+        however far one goes: ``.ends`` says so. Ctrl-C keeps the sides that are done.
+
+        Raises OptionError for names without a profile, a fit that has not converged, and process noise.
+        """
+        from .uncertainty.profile import profile
+
+        return profile(self, names, level=level, coloured=coloured, executor=executor, progress=progress)
+
+    def bootstrap(
+        self,
+        n: int = 200,
+        kind: Literal["parametric", "coloured", "block"] = "parametric",
+        *,
+        block: int | None = None,
+        seed: int = 0,
+        executor: Executor | None = None,
+        progress: bool | Callable[[Outcome], None] = False,
+    ) -> Bootstrap:
+        """Standard errors and intervals from estimates with data as they might have been (Efron & Tibshirani 1993):
+        the fitted model's outputs with other noise, where there were measurements.
+
+        ``kind``: "parametric" draws white noise from the fit's noise model; "coloured" Gaussian noise as coloured as
+        the residuals, also in common to outputs, as `coloured` finds it; "block" puts blocks of the residuals
+        themselves together, all channels at once, without reaching over gaps (Künsch 1989).
+        ``block``: samples of a block; None: from how long the noise remembers, a sixth of a record at most.
+        ``seed``: draw i has random numbers of its own, whatever n and executor.
+        ``executor``, ``progress``: as of `multistart`. Each run starts from this fit. Ctrl-C keeps those that are done.
+
+        Raises OptionError for options that cannot be right, a fit that has not converged, and process noise.
+        """
+        from .uncertainty.bootstrap import bootstrap
+
+        return bootstrap(self, n, kind, block=block, seed=seed, executor=executor, progress=progress)
 
     def summary(self) -> str:
         """The fit as a plain-text table: of each parameter the Cramér-Rao standard error and, where the fit has its

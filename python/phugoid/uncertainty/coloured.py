@@ -126,6 +126,26 @@ class Colouring:
     def _laid(self, columns: _Array) -> list[list[Laid]]:
         return [[Laid(g, columns) for g in line] for line in self.grids]
 
+    def spectral_root(self, members: Sequence[int], lags: int, size: int) -> NDArray[np.complex128]:
+        """(size // 2 + 1, n, n) roots of the spectral matrix of some outputs' noise, at the frequencies of
+        `numpy.fft.rfft`, with what they have in common."""
+        n, bins = len(members), size // 2 + 1
+        turn = 2j * np.pi * np.arange(bins) / size
+        matrix = np.zeros((bins, n, n), dtype=np.complex128)
+        responses = [
+            np.fft.rfft(self.processes[i].response(lags), size) * math.sqrt(self.processes[i].power) for i in members
+        ]
+        for a, i in enumerate(members):
+            matrix[:, a, a] = np.maximum(self.processes[i].spectrum(lags, size), 0.0)
+        for (i, j, lag), rho in self.linked.items():
+            if i in members and j in members:
+                a, b = members.index(i), members.index(j)
+                part = rho * np.exp(-turn * lag) * responses[a] * responses[b].conj()
+                matrix[:, a, b] += part
+                matrix[:, b, a] += part.conj()
+        values, vectors = np.linalg.eigh(matrix)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+
     def lengthening(self, i: int, j: int, experiments: Sequence[int]) -> float:
         """By how much the variance of a mean square or product of outputs i and j is greater than of white noise: the
         mean over samples of sum_l rho_i(k - l) rho_j(k - l) (Bartlett 1946)."""

@@ -1,0 +1,83 @@
+"""The figure of profiles: the likelihood over each parameter, and the parabola that a standard error stands for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..plot import _STYLE, _plain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from .profile import Profile
+
+__all__ = ["plot_profiles"]
+
+_COLUMNS, _WIDTH, _HEIGHT = 3, 7.2, 1.95
+_LINE, _PARABOLA, _LEVEL = "#0072B2", "#E69F00", "#7F7F7F"
+
+
+def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, dict[str, Axes]]:
+    """One panel a parameter: log-likelihood below the best; dashed the parabola of the Cramér-Rao standard error; the
+    threshold and the interval."""
+    import matplotlib.pyplot as plt
+    from matplotlib import rc_context
+    from matplotlib.lines import Line2D
+
+    columns = min(_COLUMNS, max(len(profiles), 1))
+    rows = math.ceil(len(profiles) / columns)
+    with rc_context(_STYLE):
+        figure, grid = plt.subplots(
+            rows, columns, figsize=(_WIDTH * columns / _COLUMNS + 0.3, _HEIGHT * rows + 0.4), squeeze=False
+        )
+        panels = list(grid.ravel())
+        axes = {p.name: axis for p, axis in zip(profiles, panels, strict=False)}
+        for axis in panels[len(profiles) :]:
+            axis.set_visible(False)
+        for i, p in enumerate(profiles):
+            _draw(axes[p.name], p)
+            if i % columns == 0:
+                axes[p.name].set_ylabel("Δ log-likelihood")
+        handles = [
+            Line2D([], [], color=_LINE, marker="o", markersize=3, label="profile"),
+            Line2D([], [], color=_PARABOLA, linestyle="--", label="standard error"),
+            Line2D([], [], color=_LEVEL, linewidth=0.8, label=f"{100 * level:g} %"),
+        ]
+        height = figure.get_figheight()
+        figure.legend(handles=handles, loc="upper right", ncols=3, frameon=False, fontsize=8)
+        figure.tight_layout(rect=(0, 0, 1, 1 - 0.28 / height))
+    return figure, axes
+
+
+def _draw(axis: Any, p: Profile) -> None:
+    at, roots = p.values, np.sign(p.values - p.value) * np.sqrt(2.0 * np.maximum(p.drops, 0.0))
+    reach = 1.35 * math.sqrt(2.0 * p.threshold)
+    shown = np.abs(roots) <= 2.0 * reach
+    at, roots = at[shown], roots[shown]
+    if at.size > 1:
+        # Roots are nearly straight, so what lies between the points is known.
+        from scipy.interpolate import PchipInterpolator
+
+        low, high = (e if math.isfinite(e) else float(v) for e, v in zip(p.interval, (at[0], at[-1]), strict=True))
+        fine = np.linspace(at[0], at[-1], 200)
+        smooth = PchipInterpolator(at, roots)(fine)
+        axis.plot(fine, -0.5 * smooth**2, color=_LINE, linewidth=1.3)
+        margin = 0.12 * (high - low)
+        axis.set_xlim(low - margin, high + margin)
+    axis.plot(at, -0.5 * roots**2, "o", color=_LINE, markersize=3)
+    if math.isfinite(p.std_error):
+        wide = np.linspace(axis.get_xlim()[0], axis.get_xlim()[1], 200)
+        axis.plot(wide, -0.5 * ((wide - p.value) / p.std_error) ** 2, "--", color=_PARABOLA, linewidth=1.1, zorder=1)
+    axis.axhline(-p.threshold, color=_LEVEL, linewidth=0.8, zorder=0)
+    for end in p.interval:
+        if math.isfinite(end):
+            axis.plot([end, end], [-p.threshold, -2.0 * p.threshold], color=_LEVEL, linewidth=0.8, zorder=0)
+    axis.set_ylim(-1.6 * p.threshold, 0.12 * p.threshold)
+    axis.locator_params(axis="x", nbins=4)
+    axis.tick_params(labelsize=7)
+    axis.set_xlabel(_plain(p.name + (f" ({p.unit})" if p.unit else "")))

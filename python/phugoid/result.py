@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from .outcome import Outcome
+    from .uncertainty.bands import Bands
     from .uncertainty.bootstrap import Bootstrap
     from .uncertainty.coloured import Coloured
     from .uncertainty.correlation import Correlation
@@ -247,6 +248,30 @@ class Fit:
         from .uncertainty.bootstrap import bootstrap
 
         return bootstrap(self, n, kind, block=block, seed=seed, executor=executor, progress=progress)
+
+    def prediction_bands(
+        self,
+        experiment: str | int | Experiment | None = None,
+        *,
+        level: float = 0.95,
+        coloured: bool = True,
+        biases: Sequence[str] | None = None,
+        values: Mapping[str, float] | None = None,
+    ) -> Bands:
+        """Bands about the outputs: in which the true model's outputs lie, by the uncertainty of parameters and initial
+        states to first order, and in which a new measurement lies, with noise of its own.
+
+        ``experiment``: name or number of one of the fit; None: the only one; or another `Experiment`, of which initial
+        states and biases are found anew as `validate` does, with ``biases`` and ``values`` as there: their errors
+        follow those of the parameters.
+        ``coloured``: errors for coloured residuals, or else for white ones. Each band holds at each sample by itself.
+        ``.plot()`` draws them.
+
+        Raises OptionError, DataError or UnknownName for what is not there, and OptionError for process noise.
+        """
+        from .uncertainty.bands import prediction_bands
+
+        return prediction_bands(self, experiment, level=level, coloured=coloured, biases=biases, values=values)
 
     def summary(self) -> str:
         """The fit as a plain-text table: of each parameter the Cramér-Rao standard error and, where the fit has its

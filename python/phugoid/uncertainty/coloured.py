@@ -92,12 +92,12 @@ class Colouring:
     tangents   the space in which estimates scatter.
     processes  one an output: of scores, in units of the fit's noise.
     linked     correlations between channels.
+    spread      (k, k) covariance of the sums of scores along the tangents.
     covariance  (k + j, k + j) of the coordinates, for noise as coloured as it is.
     """
 
-    def __init__(self, fit: Fit, caller: str = "coloured") -> None:
-        self.fit = fit
-        self.tangents = t = Tangents(linearised(fit, caller))
+    def __init__(self, tangents: Tangents) -> None:
+        self.tangents = t = tangents
         linear, scores, k = t.linear, t.scores, t.k
         self.grids = grids_of(linear)
         # Where experiments have noise of their own, one process is that of all, each in its own size.
@@ -119,7 +119,8 @@ class Colouring:
                 spread += a.columns @ a.times(process).T
         # Of the noise's own unknowns, on which these estimates hardly depend, the curvature serves.
         middle = np.linalg.inv(t.inverse)
-        middle[:k, :k] = _proper(0.5 * (spread + spread.T)) + t.priors[:k, :k]
+        self.spread = _proper(0.5 * (spread + spread.T))
+        middle[:k, :k] = self.spread + t.priors[:k, :k]
         middle[:k, k:] = middle[k:, :k] = 0.0
         self.covariance = t.inverse @ middle @ t.inverse
 
@@ -172,7 +173,7 @@ def _proper(matrix: _Array) -> _Array:
 
 def coloured(fit: Fit) -> Coloured:
     """What `Fit.coloured` does; see there."""
-    c = Colouring(fit)
+    c = Colouring(Tangents(linearised(fit, "coloured")))
     names = list(fit.parameters)
     model = c.tangents.names
     plain = fit.parameters.std_errors_array

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -16,6 +17,8 @@ from ..discrepancy.linearised import dataset
 from ..errors import OptionError
 from ..noise import Gaussian, Noise
 from ..result import Fit
+from .coloured import Colouring
+from .tangents import Tangents, linearised
 
 __all__ = ["Blocks", "Coloured", "Parametric", "Resampler", "block_length"]
 
@@ -112,6 +115,20 @@ class Parametric(Resampler):
                 found[name] = float(quantile[0]) * random.standard_normal(n)
         return found
 
+    def quantiles(self, e: int, output: str, p: float) -> tuple[float, float]:
+        """How far below and above 0 the noise of an output goes, but for a part p on each side."""
+        covariance = self.covariances[e]
+        if covariance is None:
+            probability, quantile = self.tables[e][output]
+            if probability.size:
+                low, high = np.interp([p, 1.0 - p], probability, quantile).tolist()
+                return -low, high
+            sigma = float(quantile[0])
+        else:
+            sigma = math.sqrt(float(np.diag(covariance)[list(self.model[e]).index(output)]))
+        reach = sigma * NormalDist().inv_cdf(1.0 - p)
+        return reach, reach
+
 
 def _values(fit: Fit, experiment: str) -> dict[str, float]:
     """Numbers of the noise, as they are in an experiment."""
@@ -180,9 +197,7 @@ class Coloured(Resampler):
     @classmethod
     def of(cls, fit: Fit) -> Coloured:
         """With the colour of a fit's residuals. Raises OptionError for noise that is not independent and Gaussian."""
-        from .coloured import Colouring
-
-        c = Colouring(fit, "bootstrap")
+        c = Colouring(Tangents(linearised(fit, "bootstrap")))
         scores = c.tangents.scores
         if not scores.gaussian or scores._joint:
             raise OptionError(

@@ -150,3 +150,11 @@ class Tangents:
         """(n, n) covariance of the model's parameters from that of the coordinates (k + j, k + j)."""
         root = self.slopes[:, None] * self.moves[: len(self.slopes)]
         return np.asarray(root @ coordinates @ root.T)
+
+    def outputs(self) -> list[_Array]:
+        """For each experiment (n_y, N, k + j) changes of the outputs at all samples, measured or not."""
+        by_state, by_variable, _ = self.linear._derivatives
+        states = self.states.reshape(len(by_state), -1, self.states.shape[1])
+        changes = (by_state @ states + by_variable @ self.moves).transpose(1, 0, 2)
+        ends = np.cumsum([at.size for at in self.linear.sample_points])[:-1]
+        return np.split(changes, ends, axis=1)

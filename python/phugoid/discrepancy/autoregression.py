@@ -46,14 +46,16 @@ class Autoregression:
         return len(self.predictors) - 1
 
 
-def burg(runs: Sequence[_Array]) -> Autoregression:
+def burg(runs: Sequence[_Array], copies: int = 1) -> Autoregression:
     """The AR models of residuals: ``runs`` are (n,) each, equally spaced and without a gap.
+
+    ``copies``: of so many runs that stand for the same samples, the squares are added, and the samples count once.
 
     The order has the least BIC (Schwarz 1978), of those up to 12 and a tenth of the samples, as long as the lags are
     there for a quarter of the samples. What an order gains counts for the samples that have its lags: where there are
     gaps, few have long ones. The mean is not removed, for that of residuals should be zero.
     """
-    n = sum(run.size for run in runs)
+    n = sum(run.size for run in runs) // copies
     power = sum(float(run @ run) for run in runs) / max(n, 1)
     predictors, powers = [np.empty(0)], [power]
     forward, backward = list(runs), list(runs)
@@ -62,7 +64,7 @@ def burg(runs: Sequence[_Array]) -> Autoregression:
         # Runs that are shorter than the lags say nothing more.
         pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True) if f.size > 1]
         size = sum(float(f @ f + b @ b) for f, b in pairs)
-        count = sum(f.size for f, _ in pairs)
+        count = sum(f.size for f, _ in pairs) // copies
         if size <= 0.0 or count < max(n // _TATTERS, _PAIRS_EACH * p):
             break
         k = float(np.clip(2.0 * sum(float(f @ b) for f, b in pairs) / size, -_EDGE, _EDGE))

@@ -1,9 +1,8 @@
 """The colour of the noise of a fit, channel by channel and between channels, from residuals that the fit has bent.
 
-Each channel is an autoregressive process, r_t = a_1 r_{t-1} + ... + a_p r_{t-p} + e_t; e of different channels may be
-correlated, also some lags apart. A fit follows its noise as far as the model can: residuals hold less of it than the
-data do, least of all at low frequencies, where coloured noise has most. What sums of lagged products lack by that
-follows from the noise and the tangents, so both are found in turn until they agree.
+Each channel is an autoregressive process, r_t = a_1 r_{t-1} + ... + a_p r_{t-p} + e_t, by Burg's recursion with
+Schwarz's order; e of different channels may be correlated, also some lags apart. A fit follows its noise as far as the
+model can: residuals hold less of it than the data do, least of all at low frequencies, where coloured noise has most.
 """
 
 from __future__ import annotations
@@ -15,19 +14,23 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..discrepancy.autoregression import Autoregression, burg
+from ..discrepancy.prediction import Channel
+from ..discrepancy.strands import Strand
+from ..discrepancy.whitening import Rows, Whitening
 from .grids import Grid
 
-__all__ = ["Laid", "Links", "Process", "common", "fitted", "innovations", "levinson", "links"]
+__all__ = ["Laid", "Links", "Process", "common", "fitted", "innovations", "links"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# The greatest order, samples for each coefficient, and a reflection that is as good as a unit root.
-_LONGEST, _SAMPLES_EACH, _EDGE = 12, 10, 1.0 - 1e-4
-# Passes of correcting for what the fit took, and the change of a variance that ends them. More would extrapolate: of
-# noise so slow that they change much, a record tells little.
+# Pairs of samples that tell of a correlation.
+_SAMPLES_EACH = 10
+# Passes, and the change of a variance that ends them. More would extrapolate: of noise so slow that they change much,
+# a record tells little.
 _PASSES, _SETTLED = 3, 5e-3
-# Of all samples, the part whose lags are to be there: of a record in tatters little can be said.
-_TATTERS = 4
+# Columns whose singular value is below this part of the greatest are rounding.
+_NOTHING = 1e-9
 # Steps of a recursion that are taken at once.
 _BLOCK = 64
 # Lags between channels that are looked at.
@@ -111,89 +114,43 @@ class Laid:
         return np.asarray(np.fft.irfft(self._transform * spectrum, self.n)[:, : self.grid.size])
 
 
-def levinson(covariances: _Array, count: float, most: int) -> Process:
-    """The process with given covariances (m + 1,), of the order that has the least BIC (Schwarz 1978) for so many
-    samples; a sequence that is none of a process is followed as far as it is."""
-    total = float(covariances[0])
-    a, power = np.empty(0), total
-    best, best_bic, bic = a, 0.0, 0.0
-    for p in range(1, most + 1):
-        if not power > 0.0:
-            break
-        k = float(covariances[p] - a @ covariances[p - 1 : 0 : -1]) / power
-        edge = not abs(k) < _EDGE
-        k = float(np.clip(k, -_EDGE, _EDGE))
-        a = np.r_[a - k * a[::-1], k]
-        power *= 1.0 - k * k
-        bic += count * math.log1p(-k * k) + math.log(count)
-        if bic < best_bic:
-            best, best_bic = a, bic
-        if edge:
-            break
-    return Process(best, _implied(best, total))
+def _process(model: Autoregression) -> Process:
+    """With the covariances that the recursion implies, from lag to lag."""
+    c = [float(model.powers[0])]
+    for before, after, power in zip(model.predictors[:-1], model.predictors[1:], model.powers[:-1], strict=True):
+        c.append(float(before @ np.array(c[:0:-1]) + after[-1] * power))
+    return Process(model.predictors[-1], np.array(c))
 
 
-def _implied(a: _Array, variance: float) -> _Array:
-    """(p + 1,) covariances of the process with these coefficients and this variance."""
-    p = a.size
-    matrix = np.eye(p + 1)
-    for row in range(1, p + 1):
-        for j in range(1, p + 1):
-            matrix[row, abs(row - j)] -= a[j - 1]
-    matrix[0] = np.eye(p + 1)[0]
-    return np.asarray(np.linalg.solve(matrix, np.r_[variance, np.zeros(p)]))
-
-
-def _lagged(x: _Array, y: _Array, lags: int) -> _Array:
-    """(lags + 1,) sums of x[..., t] y[..., t + m]."""
-    n = x.shape[-1]
-    x, y = np.atleast_2d(x), np.atleast_2d(y)
-    return np.array([float(np.einsum("kt,kt->", x[:, : max(n - m, 0)], y[:, m:])) for m in range(lags + 1)])
-
-
-def fitted(
-    grids: Sequence[Sequence[Grid]], values: _Array, columns: Sequence[Sequence[Laid]], taken: Sequence[Sequence[Laid]]
-) -> list[Process]:
-    """The process of each channel.
+def fitted(grids: Sequence[Sequence[Grid]], values: _Array, columns: _Array) -> list[Process]:
+    """The process of each channel, by restricted maximum likelihood (Patterson & Thompson 1971).
 
     values   (n_rows,) residuals.
-    columns  A on the grids, and ``taken`` G: residuals are noise less G A' of it.
+    columns  (n_rows, k) by which the fit may have moved them.
+
+    By expectation and maximisation: given the processes, the noise is the residuals of generalised least squares, but
+    for errors of that fit, whose covariance is known: a sum of squares of k sequences, which stand beside the residuals
+    in the recursion that finds the processes. So the covariances are always those of a process.
     """
-    masks = [[g.mask for g in line] for line in grids]
-    laid = [[g.laid(values[g.rows]) for g in line] for line in grids]
-    samples = [sum(float(m.sum()) for m in line) for line in masks]
-    most = [
-        max(min(_LONGEST, int(n // _SAMPLES_EACH), max(g.size for g in line) - 1), 0)
-        for n, line in zip(samples, grids, strict=True)
-    ]
-    counts = [sum((_lagged(m, m, p) for m in line), np.zeros(p + 1)) for line, p in zip(masks, most, strict=True)]
-    for i, c in enumerate(counts):  # lags that few pairs of samples have are not used
-        few = np.flatnonzero(c < max(samples[i] / _TATTERS, _SAMPLES_EACH))
-        most[i] = max(int(few[0]) - 1, 0) if few.size else most[i]
-    seen = [sum((_lagged(x, x, p) for x in line), np.zeros(p + 1)) for line, p in zip(laid, most, strict=True)]
-
-    def processes(lacking: Sequence[_Array]) -> list[Process]:
-        return [
-            levinson((s + lack) / np.maximum(c[: p + 1], 1.0), max(n, 2.0), p)
-            for s, lack, c, n, p in zip(seen, lacking, counts, samples, most, strict=True)
-        ]
-
-    found = processes([np.zeros(p + 1) for p in most])
+    rows = Rows([[Strand(g.rows, g.places) for g in line] for line in grids], [])
+    found = [burg([values[g.rows][run] for g in line for run in g.runs]) for line in grids]
     for _ in range(_PASSES):
-        times = [[a.times(p) for a in line] for p, line in zip(found, columns, strict=True)]
-        inner = sum(a.columns @ t.T for la, lt in zip(columns, times, strict=True) for a, t in zip(la, lt, strict=True))
-        lacking = []
-        for i, line in enumerate(taken):
-            lack = np.zeros(most[i] + 1)
-            for g, t, m in zip(line, times[i], masks[i], strict=True):
-                both = t * m
-                lack += _lagged(g.columns, both, most[i]) + _lagged(both - inner @ g.columns, g.columns, most[i])
-            lacking.append(lack)
-        before = [p.covariances[0] for p in found]
-        found = processes(lacking)
-        if all(abs(p.covariances[0] - b) <= _SETTLED * b for p, b in zip(found, before, strict=True)):
+        white = Whitening([Channel(m.predictors, _roots(m)) for m in found], rows)
+        u, sizes, vt = np.linalg.svd(white(np.ascontiguousarray(columns.T)).T, full_matrices=False)
+        kept = sizes > _NOTHING * sizes[:1]
+        errors = columns @ (vt[kept].T / sizes[kept])
+        noise = np.column_stack([values - errors @ (u[:, kept].T @ white(values)), errors]).T
+        before = [m.powers[0] for m in found]
+        found = [
+            burg([v[g.rows][run] for v in noise for g in line for run in g.runs], copies=len(noise)) for line in grids
+        ]
+        if all(abs(m.powers[0] - b) <= _SETTLED * b for m, b in zip(found, before, strict=True)):
             break
-    return found
+    return [_process(m) for m in found]
+
+
+def _roots(model: Autoregression) -> _Array:
+    return np.asarray(np.sqrt(np.maximum(model.powers, np.finfo(float).tiny)))
 
 
 def innovations(process: Process, values: _Array, mask: _Array) -> tuple[_Array, _Array]:
@@ -222,6 +179,9 @@ def links(grids: Sequence[Sequence[Grid]], processes: Sequence[Process], values:
     ]
     pairs = [(i, j) for i in range(len(grids)) for j in range(i)]
     lags = range(-_CROSS, _CROSS + 1)
+    size = [
+        math.sqrt(sum(float(x @ x) for x, _ in line) / max(sum(float(m.sum()) for _, m in line), 1.0)) for line in alone
+    ]
     least = math.sqrt(2.0 * math.log(max(len(pairs) * len(lags), 2)))
     found = {}
     for i, j in pairs:
@@ -232,8 +192,9 @@ def links(grids: Sequence[Sequence[Grid]], processes: Sequence[Process], values:
             for (x, mx), (y, my) in zip(alone[i], alone[j], strict=True):
                 product += _shifted(x, y, lag)
                 count += _shifted(mx, my, lag)
-            if count >= _SAMPLES_EACH and abs(product) > least * math.sqrt(count):
-                found[i, j, lag] = product / count
+            rho = product / max(count * size[i] * size[j], 1e-300)
+            if count >= _SAMPLES_EACH and abs(rho) > least / math.sqrt(count):
+                found[i, j, lag] = rho
     return found
 
 

@@ -110,8 +110,7 @@ class Colouring:
                     )
         self.values = scores.values / self.sizes
         columns = self._laid(t.basis * self.sizes[:, None])
-        taken = self._laid(scores.weighted(t.basis) @ t.inverse[:k, :k] / self.sizes[:, None])
-        self.processes = fitted(self.grids, self.values, columns, taken)
+        self.processes = fitted(self.grids, self.values, scores.weighted(t.basis) / self.sizes[:, None])
         self.linked: Links = links(self.grids, self.processes, self.values)
         spread = common(self.linked, self.processes, columns)
         for process, laid in zip(self.processes, columns, strict=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -24,8 +25,8 @@ class Grid:
     """One output's samples in one experiment.
 
     rows    where they are among the rows.
-    places  (n,) of the nearest grid points, from 0. Where times are irregular, lags are known to half a step, and
-            samples so near to each other that they share a place count as one.
+    places  (n,) of the nearest grid points, from 0, increasing. Where times are irregular, lags are known to about a
+            step; of samples that are nearer to each other than that, later ones stand on the next places.
     size    number of grid points.
     step    s.
     """
@@ -38,8 +39,15 @@ class Grid:
     def laid(self, values: _Array) -> _Array:
         """Values (n, ...) on the grid, (size, ...): 0 where there is no sample."""
         out = np.zeros((self.size, *values.shape[1:]))
-        np.add.at(out, self.places, values)
+        out[self.places] = values
         return out
+
+    @property
+    def runs(self) -> list[slice]:
+        """Samples without a gap between them, counted from the first."""
+        breaks = np.flatnonzero(np.diff(self.places) > 1) + 1
+        edges = [0, *breaks.tolist(), self.places.size]
+        return [slice(a, b) for a, b in pairwise(edges)]
 
     @property
     def mask(self) -> _Array:
@@ -62,6 +70,8 @@ def grids_of(linear: Linearised) -> list[list[Grid]]:
         for e, rows in enumerate(line):
             begin = min(linear.times[other[e].start] for other in linear.rows if other[e].stop > other[e].start)
             places = np.rint((linear.times[rows] - begin) / step).astype(np.intp)
+            order = np.arange(places.size)
+            places = np.maximum.accumulate(places - order) + order
             found[-1].append(Grid(rows, places, int(places[-1]) + 1 if places.size else 0, step))
     return found
 

@@ -141,9 +141,7 @@ def fitted(grids: Sequence[Sequence[Grid]], values: _Array, columns: _Array) -> 
         errors = columns @ (vt[kept].T / sizes[kept])
         noise = np.column_stack([values - errors @ (u[:, kept].T @ white(values)), errors]).T
         before = [m.powers[0] for m in found]
-        found = [
-            burg([v[g.rows][run] for v in noise for g in line for run in g.runs], copies=len(noise)) for line in grids
-        ]
+        found = [burg([noise[:, g.rows][:, run] for g in line for run in g.runs]) for line in grids]
         if all(abs(m.powers[0] - b) <= _SETTLED * b for m, b in zip(found, before, strict=True)):
             break
     return [_process(m) for m in found]
@@ -211,7 +209,7 @@ def common(linked: Links, processes: Sequence[Process], columns: Sequence[Sequen
     total = np.zeros((k, k))
     for e in range(len(columns[0])):
         whole = max(line[e].grid.size for line in columns)
-        size = 1 << (4 * max(whole, _CROSS) - 1).bit_length()
+        size = 1 << (2 * (whole + _CROSS) - 1).bit_length()
         pulled: dict[int, NDArray[np.complex128]] = {}
         for i in {i for i, _, _ in linked} | {j for _, j, _ in linked}:
             # What each innovation does to the sums, those before the beginning too.

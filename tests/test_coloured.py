@@ -43,7 +43,7 @@ def campaign(n: int, rho: tuple[float, float], common: float = 0.0) -> SimpleNam
     ("rho", "common"), [((0.9, 0.9), 0.0), ((0.9, 0.5), 0.0), ((0.95, 0.8), 0.8)], ids=["equal", "different", "common"]
 )
 def test_coloured_intervals_hold_where_plain_ones_fail(rho: tuple[float, float], common: float) -> None:
-    """Of 95 % intervals under AR(1) noise, of one colour, of two, and of one source: 0.45 against 0.94 of 1000 seeds."""
+    """95 % intervals under AR(1) noise: of 1000 seeds plain ones hold in 34 to 54 %, coloured ones in 92 to 96 %."""
     found = campaign(300, rho, common)
     assert found.plain.max() < 0.7
     assert 0.88 <= found.coloured.min() <= found.coloured.max() <= 0.99
@@ -52,7 +52,7 @@ def test_coloured_intervals_hold_where_plain_ones_fail(rho: tuple[float, float],
 
 def test_white_noise_is_left_as_it_is() -> None:
     found = campaign(300, (0.0, 0.0))
-    assert 0.90 <= found.plain.min() and 0.90 <= found.coloured.min()
+    assert found.plain.min() >= 0.90 and found.coloured.min() >= 0.90
     assert found.errors == pytest.approx(found.plain_errors, rel=0.03)
 
 

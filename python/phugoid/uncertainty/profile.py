@@ -36,9 +36,10 @@ _Array: TypeAlias = NDArray[np.float64]
 End: TypeAlias = Literal["found", "bound", "open", "failed", "missing"]
 
 # The likelihood's root at an end is right to this part of the threshold's.
-_CLOSE = 2e-3
-# Points on one side, how much farther each try reaches, and how far in standard errors before an end counts as open.
-_POINTS, _FARTHER, _OPEN = 30, 2.0, 100.0
+_CLOSE = 5e-4
+# Points on one side, how much farther each try reaches, and how far in standard errors, or decades of a parameter with
+# a logarithm, before an end counts as open.
+_POINTS, _FARTHER, _OPEN, _DECADES = 40, 2.0, 100.0, 6.0
 # Log-likelihood by which another optimum is better.
 _BETTER = 1e-3
 # Where there is no standard error, the first step is this part of the value.
@@ -215,7 +216,9 @@ class _Walk:
             self.model, self.experiments = separated.model, separated.experiments
             self.key = next(new for new, old in separated.names.items() if old == name)
             self.base = separated.fit(base)
-        self.low, self.high = self.model.declared_parameters[self.key].bounds
+        declared = self.model.declared_parameters[self.key]
+        self.low, self.high = declared.bounds
+        self.log = declared.transform == "log"
         self.top = _merit(self.base, self.model, self.key)
         self.fits: list[tuple[float, Fit]] = [(self.value, self.base)]
         self.points: list[tuple[float, float]] = []
@@ -254,45 +257,59 @@ class _Walk:
 
     def to_end(self, side: int, target: float) -> tuple[float, End]:
         """Where the root reaches the target on a side, -1 or 1, and how the interval ends there."""
-        limit = self.high if side > 0 else self.low
-        room = side * (limit - self.value)
+        begin, limit = self.value, self.high if side > 0 else self.low
         size = self.error if math.isfinite(self.error) and self.error > 0.0 else _STEP * (abs(self.value) or 1.0)
-        inner, outer = (0.0, 0.0), (math.inf, math.inf)  # steps from the estimate, and roots there
+        if self.log:  # the way is that of the logarithm
+            begin, limit, size = math.log(begin), math.log(limit) if limit > 0.0 else -math.inf, size / begin
+        room = side * (limit - begin)
         if not room > 1e-9 * size:
-            return limit, "bound"
-        step = 0.5 * target * size  # half way first: the others follow more easily, and it shows in the figure
-        while len(self.points) < _POINTS and self.runs < 2 * _POINTS:
+            return self._value(limit), "bound"
+
+        def at(step: float) -> float:
+            return self._value(limit if step == room else begin + side * step)
+
+        far = min(_OPEN * target * size, _DECADES * math.log(10.0) if self.log else math.inf)
+        inner, outer = (0.0, -target), (math.inf, math.inf)  # steps, and what roots are above the target there
+        slope = 1.0 / size  # of the root, between the last two steps
+        step = min(
+            0.5 * target * size, far
+        )  # half way first: the others follow more easily, and it shows in the figure
+        last = 0  # the end that was moved last
+        while self.runs < _POINTS:
             step = min(step, room)
-            found = self.root(limit if step == room else self.value + side * step)
-            if math.isnan(found):
-                outer = (step, math.nan)
-            elif abs(found - target) <= _CLOSE * target:
-                return self.value + side * step, "found"
-            elif found < target:
-                inner = (step, found)
+            above = self.root(at(step)) - target
+            if abs(above) <= _CLOSE * target:
+                return at(step), "found"
+            if above < 0.0:
                 if step == room:
-                    return limit, "bound"
-                if step >= _OPEN * target * size:
-                    return side * math.inf, "open"
+                    return at(step), "bound"
+                if step >= far:
+                    return self._value(side * math.inf), "open"
+                # Illinois: an end that stays counts half, so that it does not stay forever.
+                outer = (outer[0], 0.5 * outer[1]) if last < 0 else outer
+                slope = (above - inner[1]) / (step - inner[0])
+                inner, last = (step, above), -1
             else:
-                outer = (step, found)
+                inner = (inner[0], 0.5 * inner[1]) if last > 0 else inner
+                outer, last = (step, above), 1  # not a number where the solver did not converge
             if math.isinf(outer[0]):
-                rate = inner[1] / inner[0] if inner[0] > 0.0 else 0.0
-                most = (1.05 if inner[1] < 0.7 * target else _FARTHER) * target / rate if rate > 0.0 else math.inf
-                farther = max(_FARTHER * inner[0], 0.1 * target * size)
-                step = min(most, farther) if most > 1.001 * inner[0] else farther
+                reach = -1.05 * above / slope if slope > 0.0 else math.inf
+                step = min(inner[0] + min(max(reach, 0.02 * inner[0]), (_FARTHER - 1.0) * inner[0]), 1.001 * far)
                 continue
             gap = outer[0] - inner[0]
             if gap <= 1e-6 * max(size, outer[0]):
                 break
-            if math.isnan(outer[1]):
-                step = inner[0] + 0.5 * gap
-                continue
-            share = (target - inner[1]) / (outer[1] - inner[1])
+            share = inner[1] / (inner[1] - outer[1]) if math.isfinite(outer[1]) else 0.5
             step = inner[0] + min(max(share, 0.02), 0.98) * gap
-        if math.isnan(outer[1]):
-            return side * math.nan, "failed"
-        return self.value + side * step, "found"
+        if math.isnan(outer[1]) or math.isinf(outer[0]):
+            return math.nan, "failed"
+        return at(step), "found"
+
+    def _value(self, place: float) -> float:
+        """Of the parameter at a place on the way."""
+        if not self.log:
+            return place
+        return math.exp(place) if place < math.inf else place
 
 
 def _merit(fit: Fit, model: Model, without: str) -> float:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["plot_profiles"]
 
 _COLUMNS, _WIDTH, _HEIGHT = 3, 7.2, 1.95
+# How far an interval without end is shown, in halves of one.
+_BEYOND = 4.0
 _LINE, _PARABOLA, _LEVEL = "#0072B2", "#E69F00", "#7F7F7F"
 
 
@@ -63,8 +65,11 @@ def _draw(axis: Any, p: Profile) -> None:
         # Roots are nearly straight, so what lies between the points is known.
         from scipy.interpolate import PchipInterpolator
 
-        low, high = (e if math.isfinite(e) else float(v) for e, v in zip(p.interval, (at[0], at[-1]), strict=True))
-        fine = np.linspace(at[0], at[-1], 200)
+        half = [abs(e - p.value) for e in p.interval if math.isfinite(e)] or [2.0 * p.std_error]
+        beyond = _BEYOND * max(half) if math.isfinite(max(half)) else math.inf
+        low = p.interval[0] if math.isfinite(p.interval[0]) else max(float(at[0]), p.value - beyond)
+        high = p.interval[1] if math.isfinite(p.interval[1]) else min(float(at[-1]), p.value + beyond)
+        fine = np.linspace(max(at[0], low - half[0]), min(at[-1], high + half[-1]), 200)
         smooth = PchipInterpolator(at, roots)(fine)
         axis.plot(fine, -0.5 * smooth**2, color=_LINE, linewidth=1.3)
         margin = 0.12 * (high - low)

@@ -35,7 +35,7 @@ def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, di
     rows = math.ceil(len(profiles) / columns)
     with rc_context(_STYLE):
         figure, grid = plt.subplots(
-            rows, columns, figsize=(_WIDTH * columns / _COLUMNS + 0.3, _HEIGHT * rows + 0.4), squeeze=False
+            rows, columns, figsize=(max(_WIDTH * columns / _COLUMNS + 0.3, 3.9), _HEIGHT * rows + 0.4), squeeze=False
         )
         panels = list(grid.ravel())
         axes = {p.name: axis for p, axis in zip(profiles, panels, strict=False)}

@@ -220,6 +220,28 @@ def test_saved_fits_and_fits_by_shooting_are_estimated_again(tmp_path: Path) -> 
         assert "coloured" not in other.summary()
 
 
+def test_fits_that_did_not_end_have_none() -> None:
+    fit = ph.estimate(model(), measured(100, (0.0, 0.0), 0), start={"k": 1.0}, solver=ph.Newton(max_iterations=1))
+    with pytest.raises(ph.errors.OptionError, match="has not converged"):
+        _ = fit.coloured
+    assert "coloured" not in fit.summary()
+
+
+def test_few_samples_and_an_output_that_is_hardly_there() -> None:
+    first, second = measured(100, (0.5, 0.5), 0, name="one"), measured(100, (0.5, 0.5), 1, name="two")
+    x = np.full(100, np.nan)
+    x[5] = second.output("x")[5]
+    fit = ph.estimate(model(), [first, second.with_outputs({"x": x, "v": second.output("v")})])
+    assert all(1.0 < ratio < 4.0 for ratio in fit.coloured.inflation.values())
+    m = ph.Model("lag")
+    (x,) = m.states("x")
+    (a,) = m.parameters("a")
+    m.dynamics(x=-a * x)
+    m.outputs(x=x)
+    fit = ph.estimate(m, ph.Experiment([0.0, 1.0, 2.0, 3.0], outputs={"x": [1.0, 0.4, 0.1, 0.05]}))
+    assert 0.9 < fit.coloured.inflation["a"] < 2.0
+
+
 def test_process_noise_has_none() -> None:
     run = measured(80, (0.0, 0.0), 0)
     fit = ph.estimate(model(), run, transcription=ph.FilterError(states=("v",)))

@@ -104,6 +104,10 @@ def test_flights_with_biases_and_a_late_actuator(capsys: pytest.CaptureFixture[s
     assert isinstance(check, ph.Validation) and check.converged
     assert abs(check.freed["b"].value - 0.03) < 4 * check.freed["b"].std_error
     assert "within ±0.035 rad/s" in capsys.readouterr().out
+    exec(next(b for b in blocks() if "fit.coloured" in b), names)
+    said = capsys.readouterr().out
+    assert "ratio" in said and "profile likelihood, complete" in said and "50 of 50 runs converged" in said
+    assert names["axes"].keys() == {"q", "theta"}  # type: ignore[attr-defined]
 
 
 def test_a_diagnosis_names_what_the_model_misses(

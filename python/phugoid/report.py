@@ -44,7 +44,7 @@ def _parameters(fit: Any) -> str:
         "<p>Standard errors (±) are Cramér-Rao bounds: the inverse of the information matrix. They take residuals for "
         "white; those under <i>coloured</i> allow for residuals as coloured as they are.</p>"
     )
-    coloured = corrected(fit, at_any_cost=True)
+    coloured = corrected(fit, again=True)
     body = text + _estimates("parameter", own, coloured) if own else ""
     of_noise = [e for e in fit.parameters.values() if e.name in noise]
     if of_noise:

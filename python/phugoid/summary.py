@@ -43,12 +43,12 @@ def fit_summary(fit: Any) -> str:
     return "\n\n".join(parts)
 
 
-def corrected(fit: Any, at_any_cost: bool = False) -> Estimates | None:
-    """The estimates with standard errors for coloured residuals; None where a fit has none, or not without being
-    estimated again, unless that is worth it."""
+def corrected(fit: Any, again: bool = False) -> Estimates | None:
+    """The estimates with standard errors for coloured residuals; None where a fit has none, or where they take much
+    more time than the fit. ``again``: also where they need another estimation."""
     from .uncertainty.tangents import cheap
 
-    if not (at_any_cost or cheap(fit)):
+    if not cheap(fit, again):
         return None
     try:
         found: Estimates = fit.coloured.parameters

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import EvaluationError
 from ..parameters import Estimates, plus_minus, text_table
 from ..result import Fit
 from .colour import Laid, Links, Process, common, fitted, links
@@ -172,7 +173,10 @@ def _proper(matrix: _Array) -> _Array:
 
 def coloured(fit: Fit) -> Coloured:
     """What `Fit.coloured` does; see there."""
-    c = Colouring(Tangents(linearised(fit, "coloured")))
+    try:
+        c = Colouring(Tangents(linearised(fit, "coloured")))
+    except np.linalg.LinAlgError as error:
+        raise EvaluationError(f"coloured: the fit cannot be linearised ({error})") from error
     names = list(fit.parameters)
     model = c.tangents.names
     plain = fit.parameters.std_errors_array

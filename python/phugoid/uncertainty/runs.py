@@ -38,6 +38,8 @@ def common_to(fit: Fit, caller: str) -> dict[str, Any]:
         raise OptionError(f"{caller}: is not offered for fits with process noise (FilterError)")
     if fit.status not in ("converged", "acceptable"):
         raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")
+    if all(e.fixed for e in fit.parameters.values()):
+        raise OptionError(f"{caller}: the fit has no free parameters")
     return {
         "model": fit.model,
         "experiments": tuple(dataset(fit)),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..discrepancy.linearised import Linearised, collocated
-from ..errors import OptionError
+from ..errors import EvaluationError, OptionError
 from ..filter_error import FilterError
 from ..result import Fit
 from ..transcription import Collocation
@@ -21,26 +21,37 @@ _Array: TypeAlias = NDArray[np.float64]
 
 # Tangents whose singular value, in units of the noise, is below this part of the greatest are rounding.
 _NOTHING = 1e-9
+# Numbers in tangents that take about as long as an estimation, and that fill some 400 MB.
+_SOME, _MANY = 3_000_000, 50_000_000
+# Elsewhere curvature says nothing about the data.
+_ENDS = ("converged", "acceptable", "unidentifiable")
 # Where variables tell of the space to less than this, others are taken.
 _TOLD = 1e-5
 # A variable is at a bound within this fraction of its size, as `make_fit` has it.
 _AT_BOUND = 1e-6
 
 
-def cheap(fit: Fit) -> bool:
-    """Whether a fit can be linearised as it is, without an estimation."""
+def cheap(fit: Fit, again: bool = False) -> bool:
+    """Whether a fit can be linearised in about the time of an estimation, and without an estimation unless ``again``:
+    the tangents of large systems are large."""
     inner = fit._moved or fit
-    return bool(fit.experiments) and isinstance(inner.transcription, Collocation) and inner.solution is not None
+    at_hand = bool(fit.experiments) and isinstance(inner.transcription, Collocation) and inner.solution is not None
+    samples, n_x = sum(r.n for r in fit.records), len(fit.model.state_names)
+    columns = len(fit.parameters) + 2 * n_x * len(fit.records)
+    small = samples * (n_x + len(fit.model.output_names)) * columns <= (_MANY if again else _SOME)
+    return small and (at_hand or again)
 
 
 def linearised(fit: Fit, caller: str) -> Linearised:
     """About a fit; one by shooting, or from a file, is estimated again by collocation, from where it is. Raises
-    OptionError for one with process noise."""
+    OptionError for one with process noise, or that has not come to an end."""
     if isinstance(fit.transcription, FilterError):
         raise OptionError(
             f"{caller}: is not offered for fits with process noise (FilterError): their innovations are white where "
             "the model is right, and their standard errors hold as they are"
         )
+    if fit.status not in _ENDS:
+        raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")
     return Linearised(collocated(fit))
 
 
@@ -61,6 +72,8 @@ class Tangents:
         self.scores = Scores(linear)
         problem = linear._problem
         columns, directions = linear.directions()
+        if not columns.size or not np.isfinite(columns).all():
+            raise EvaluationError("the outputs depend on nothing that is free, or not in a finite way")
         u, values, vt = np.linalg.svd(columns, full_matrices=False)
         kept = values > _NOTHING * values[:1]
         self.basis = u[:, kept]

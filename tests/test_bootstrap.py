@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import signal
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,8 @@ from oscillator import SIGMA, TRUE, measured, model
 from scipy import stats
 
 import phugoid as ph
-from phugoid.uncertainty.resample import Blocks, Coloured, Parametric, block_length
+from phugoid.uncertainty.blocks import Blocks, block_length
+from phugoid.uncertainty.resample import Coloured, Parametric
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +63,10 @@ def test_draws_depend_on_the_seed_and_number_alone(white: ph.Fit) -> None:
     first, more = white.bootstrap(4, seed=1), white.bootstrap(8, seed=1)
     assert np.array_equal(first.estimates, more.estimates[:4])
     assert not np.allclose(first.estimates, white.bootstrap(4, seed=2).estimates)
-    with ProcessPoolExecutor(1) as pool:
-        there = white.bootstrap(4, seed=1, executor=pool)
-    assert there.estimates == pytest.approx(first.estimates, rel=1e-9)
+    for pool in (ProcessPoolExecutor(1), ThreadPoolExecutor(3)):
+        with pool:
+            there = white.bootstrap(4, seed=1, executor=pool)
+        assert there.estimates == pytest.approx(first.estimates, rel=1e-9)
 
 
 def test_interrupt_keeps_what_is_done(white: ph.Fit) -> None:

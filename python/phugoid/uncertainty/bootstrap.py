@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -19,7 +19,8 @@ from ..outcome import Outcome, Problem
 from ..parameters import Estimates, text_table
 from ..result import Fit
 from ..starts import stream
-from .resample import Blocks, Coloured, Parametric, Resampler, block_length
+from .blocks import Blocks, block_length
+from .resample import Coloured, Parametric, Resampler
 from .runs import common_to, run_all
 
 if TYPE_CHECKING:
@@ -134,18 +135,17 @@ class _Resampled(Problem):
         """The estimate from the data of that number."""
         assert self.resampler is not None
         drawn = self.resampler.draw(stream(self.seed, index))
-        object.__setattr__(self, "_data", [e.with_outputs(y) for e, y in zip(self.experiments, drawn, strict=True)])
+        data = [e.with_outputs(y) for e, y in zip(self.experiments, drawn, strict=True)]
         try:
-            return super().outcome(index, start)
+            return replace(super().outcome(index, {"data": data}), start=start)
         except DataError as error:  # a draw may leave an output at rest; others do not
             return Outcome(index, start, "error", str(error))
 
     def fit(self, start: Mapping[str, Any]) -> Fit:
-        """The fit to the data drawn last."""
-        data = self.__dict__["_data"]
+        """The fit to data."""
         return estimate(
             self.model,
-            data,
+            start["data"],
             transcription=self.transcription,
             noise=self.noise,
             start=self.base,

@@ -29,8 +29,8 @@ _SAMPLES_EACH = 10
 # Passes, and the change of a variance that ends them. More would extrapolate: of noise so slow that they change much,
 # a record tells little.
 _PASSES, _SETTLED = 3, 5e-3
-# Columns whose singular value is below this part of the greatest are rounding.
-_NOTHING = 1e-9
+# Eigenvalues below this part of the greatest are rounding.
+_NOTHING = 1e-12
 # Steps of a recursion that are taken at once.
 _BLOCK = 64
 # Lags between channels that are looked at.
@@ -136,10 +136,13 @@ def fitted(grids: Sequence[Sequence[Grid]], values: _Array, columns: _Array) -> 
     found = [burg([values[g.rows][run] for g in line for run in g.runs]) for line in grids]
     for _ in range(_PASSES):
         white = Whitening([Channel(m.predictors, _roots(m)) for m in found], rows)
-        u, sizes, vt = np.linalg.svd(white(np.ascontiguousarray(columns.T)).T, full_matrices=False)
-        kept = sizes > _NOTHING * sizes[:1]
-        errors = columns @ (vt[kept].T / sizes[kept])
-        noise = np.column_stack([values - errors @ (u[:, kept].T @ white(values)), errors]).T
+        seen = white(np.vstack([columns.T, values]))
+        # The columns were orthonormal before they were made white: their products keep what there is to know.
+        sizes, vectors = np.linalg.eigh(seen[:-1] @ seen[:-1].T)
+        kept = sizes > _NOTHING * sizes[-1:]
+        errors = columns @ (vectors[:, kept] / np.sqrt(sizes[kept]))
+        share = (vectors[:, kept].T @ (seen[:-1] @ seen[-1])) / np.sqrt(sizes[kept])
+        noise = np.vstack([values - errors @ share, errors.T])
         before = [m.powers[0] for m in found]
         found = [burg([noise[:, g.rows][:, run] for g in line for run in g.runs]) for line in grids]
         if all(abs(m.powers[0] - b) <= _SETTLED * b for m, b in zip(found, before, strict=True)):

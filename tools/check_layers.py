@@ -27,7 +27,7 @@ PYTHON = [
     "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
-    "biases", "held", "validate", "discrepancy", "residuals_plot", "report",
+    "biases", "held", "validate", "discrepancy", "residuals_plot", "remarks", "report_validation", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

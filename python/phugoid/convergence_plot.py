@@ -87,7 +87,8 @@ def plot_convergence(fit: Any) -> tuple[Figure, dict[str, Axes]]:
 
 def _counted(numbers: Sequence[int]) -> _Array:
     """The numbers, which go on where the table starts anew."""
-    found, offset = [], 0
+    found: list[int] = []
+    offset = 0
     for i, number in enumerate(numbers):
         if i and number <= numbers[i - 1]:
             offset = found[-1] + 1 - number

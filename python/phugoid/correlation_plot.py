@@ -40,7 +40,7 @@ def correlations(names: Sequence[str], covariance: _Array) -> tuple[list[str], _
     there = np.flatnonzero(np.diag(covariance) > 0.0)
     deviation = np.sqrt(np.diag(covariance)[there])
     found = covariance[np.ix_(there, there)] / np.outer(deviation, deviation)
-    return [names[i] for i in there], np.asarray(np.clip(found, -1.0, 1.0))
+    return [names[int(i)] for i in there], np.asarray(np.clip(found, -1.0, 1.0))
 
 
 def plot_correlation(fit: Any, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:

@@ -32,10 +32,11 @@ def plot_parameters(
     """Estimates with the interval of ±1.96 standard errors, one row a parameter.
 
     Units differ, so rows are scaled. Of one fit: deviation from the estimate in per cent of it (in millionths where all
-    are tiny), on a scale that is logarithmic away from zero where intervals differ much; one beyond 100 % holds zero. Of several: deviation from the estimate of the first fit, in its standard errors, so that its
-    intervals are all as long and others stand off by what the first one believes to be chance. (A parameter that the
-    first has no standard error of is scaled by the next fit that has one.) What reaches beyond the scale ends in an
-    arrow, with the number beside it. On the right is the estimate of the first fit ± 1.96 standard errors.
+    are tiny), on a scale that is logarithmic away from zero where intervals differ much; one beyond 100 % holds zero.
+    Of several: deviation from the estimate of the first fit, in its standard errors, so that its intervals are all as
+    long and others stand off by what the first one believes to be chance. (A parameter that the first has no standard
+    error of is scaled by the next fit that has one.) What reaches beyond the scale ends in an arrow, with the number
+    beside it. On the right is the estimate of the first fit ± 1.96 standard errors.
 
     fits    with .parameters; fits, regressions or anything else that has them.
     names   the parameters to show, in this order; None: those of the model, without the noise's.
@@ -96,7 +97,7 @@ _Interval = tuple[float, float] | None  # deviation, and half of the interval's 
 
 
 def _row(fits: Sequence[Any], name: str) -> list[_Interval]:
-    there = [fit.parameters[name] if name in fit.parameters else None for fit in fits]
+    there = [fit.parameters.get(name) for fit in fits]
     first = next(e for e in there if e is not None and e.std_error > 0.0)
     scale = first.std_error
     if len(fits) == 1:

@@ -250,12 +250,23 @@ class Fit:
 
         return validate(self, other, biases=biases, values=values, tolerances=tolerances)
 
-    def report(self, path: str | os.PathLike[str]) -> None:
-        """Writes one HTML page that needs no network: how the fit ended, warnings, parameters with standard errors, the
-        match of each output in numbers and figures, equations, data and versions."""
+    def report(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        validation: Validation | None = None,
+        files: Sequence[str | os.PathLike[str]] = (),
+        command: str = "",
+    ) -> None:
+        """Writes one HTML page that needs no network: how the fit ended, what to beware of, parameters with standard
+        errors, the match of each output in numbers and figures, residuals, equations, the solver's way, data, versions.
+
+        ``validation``: of this fit, as a section. ``files``, such as data and model, are listed with their SHA-256;
+        ``command`` is quoted.
+        """
         from .report import report
 
-        report(self, path)
+        report(self, path, validation=validation, files=files, command=command)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the fit to a versioned JSON file, which `load` reads."""

@@ -104,6 +104,7 @@ def _draw(axis: Axes, number: _Array, values: _Array, colour: str, hollow: NDArr
         axis.text(
             0.5, 0.5, "zero, or none, throughout", transform=axis.transAxes, ha="center", va="center", fontsize=7.0
         )
+        axis.set_yscale("linear")
         axis.set_yticks([])
         return
     axis.plot(number, np.where(shown, values, np.nan), color=colour, linewidth=0.9)

@@ -119,7 +119,7 @@ def _draw(axis: Axes, matrix: _Array, names: Sequence[str], cell: float) -> Any:
     axis.set_yticks(np.arange(n) - 0.5, minor=True)
     axis.grid(which="minor", color="white", linewidth=0.8)
     axis.tick_params(which="minor", length=0.0)
-    size = min(7.0, 0.9 * cell / (4.0 * _LETTER))  # for as many letters as -.99 has
+    size = min(7.0, 0.9 * cell / (4.2 * _LETTER))  # for as many letters as -.99 has
     if size < _SMALLEST:
         return image
     for row in range(n - 1):

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -29,6 +32,7 @@ __all__ = [
     "labelled",
     "plain",
     "squared",
+    "with_gaps",
 ]
 
 # Okabe and Ito's palette, which colour-blind readers tell apart; shapes and dashes differ as well, for grey prints.
@@ -102,3 +106,18 @@ def squared(unit: str) -> str:
 def plain(text: str) -> str:
     """Names as given: matplotlib would take dollar signs for mathematics."""
     return text.replace("$", r"\$")
+
+
+def with_gaps(t: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times and values for a line through the samples that there are, broken where more than a few are missing.
+
+    A channel slower than the record's times has a value at few of them: a line with NaN between would not be seen.
+
+    >>> with_gaps(np.arange(5.0), np.array([1, np.nan, 2, np.nan, 3]))
+    (array([0., 2., 4.]), array([1., 2., 3.]))
+    """
+    there = np.isfinite(values)
+    t, values = t[there], values[there]
+    steps = np.diff(t)
+    gaps = np.flatnonzero(steps > 5.0 * np.median(steps)) + 1 if steps.size else np.zeros(0, dtype=np.intp)
+    return np.insert(t, gaps, np.nan), np.insert(values, gaps, np.nan)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .errors import DataError, UnknownName, did_you_mean
 from .figure_style import (
@@ -24,6 +25,7 @@ from .figure_style import (
     figure_of,
     labelled,
     plain,
+    with_gaps,
 )
 from .match import match, tolerances_by_output
 from .records import Record
@@ -263,7 +265,8 @@ def _draw_residual(axis: Axes, record: Record, name: str, sigma: float | None, t
         axis.axhspan(-2.0 * sigma, 2.0 * sigma, color=BAND, linewidth=0.0, label="±2σ")
     axis.axhline(0.0, color=INPUT, linewidth=0.5)
     many = record.n > 5000
-    axis.plot(record.t, residual, color=RESIDUAL, linewidth=0.6, label="residual", rasterized=many)
+    t, shown = _seen(record.t, residual)
+    axis.plot(t, shown, color=RESIDUAL, linewidth=0.6, label="residual", rasterized=many)
     # Symmetric about zero, so that a bias is seen at a glance.
     largest = float(np.nanmax(np.abs(residual))) if not np.isnan(residual).all() else 0.0
     limit = 1.08 * max(largest, 2.0 * (sigma or 0.0))
@@ -277,6 +280,13 @@ def _draw_residual(axis: Axes, record: Record, name: str, sigma: float | None, t
     axis.set_ylabel("resid.", fontsize=6.5)
     # A common factor of the ticks belongs into the strip: above it, it would stand in the panel of the output.
     axis.yaxis.get_offset_text().set(va="top", ha="left", size="small")
+
+
+def _seen(t: NDArray[np.float64], r: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """For a line: as it is, unless so many samples stand alone between missing ones that little would be drawn."""
+    there = np.isfinite(r)
+    alone = there & ~np.append(there[1:], False) & ~np.insert(there[:-1], 0, False)
+    return with_gaps(t, r) if 3 * alone.sum() > there.sum() else (t, r)
 
 
 def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:

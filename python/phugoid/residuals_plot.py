@@ -13,7 +13,7 @@ from .discrepancy.autocorrelation import autocorrelation_of
 from .discrepancy.series import Series, channel_series
 from .discrepancy.spectrum import spectrum_of
 from .errors import DataError, UnknownName, listing
-from .figure_style import BAND, GREY, INPUT, MEASURED, RESIDUAL, STYLE, WIDTH, labelled, plain, squared
+from .figure_style import BAND, GREY, INPUT, MEASURED, RESIDUAL, STYLE, WIDTH, labelled, plain, squared, with_gaps
 from .plot import choose_record
 from .records import Record
 
@@ -41,7 +41,8 @@ def plot_residuals(
     Time: measured minus model in the output's unit, with the band of ±2σ of the fit's noise. Autocorrelation: about
     zero, over lags in s, with the band that holds 95 % of white residuals, ±1.96/√n. Spectrum: one-sided power density
     by Welch's method (1967), with the level of white noise of the same power and the band that would hold 95 % of its
-    values. With process noise (`FilterError`) innovations take the place of residuals.
+    values. With process noise (`FilterError`) innovations take the place of residuals, and the band is what they should
+    be.
 
     Missing samples leave gaps, across which no products are taken; in the spectrum they count as zero, and its power is
     that of the samples present. Single samples far off their neighbours are drawn over time, but left out of the rest.
@@ -94,7 +95,9 @@ def plot_residuals(
             axes[f"{names[-1]}{what}"].set_visible(True)
         for name in names[:-1]:
             axes[name].tick_params(labelbottom=False)
-        _finish(figure, axes, names, f"{_model(fit)}{chosen.name}, {_called(chosen)}s", height)
+        _finish(
+            figure, axes, names, f"{_model(fit)}{chosen.name}, {_called(chosen)}s", height, bool(chosen.innovations)
+        )
     return figure, axes
 
 
@@ -128,13 +131,15 @@ def _chosen(record: Record, channels: Sequence[str] | None) -> list[str]:
 
 def _draw_time(axis: Axes, record: Record, name: str, sigma: float) -> None:
     r = _values(record, name)
-    there = np.isfinite(r)
-    if sigma > 0.0:
+    spread = record.innovation_std.get(name) if record.innovations else None
+    if spread is not None:
+        at, size = with_gaps(record.t, spread)
+        axis.fill_between(at, -2.0 * size, 2.0 * size, color=BAND, linewidth=0.0)
+        sigma = float(np.nanmedian(spread))
+    elif sigma > 0.0:
         axis.axhspan(-2.0 * sigma, 2.0 * sigma, color=BAND, linewidth=0.0)
     axis.axhline(0.0, color=INPUT, linewidth=0.5)
-    # A slow channel among fast ones has a value at few of the times: a line through those that there are.
-    t, values = (record.t, r) if there.mean() > 0.5 else (record.t[there], r[there])
-    axis.plot(t, values, color=RESIDUAL, linewidth=0.6, rasterized=record.n > 5000)
+    axis.plot(*with_gaps(record.t, r), color=RESIDUAL, linewidth=0.6, rasterized=record.n > 5000)
     limit = 1.08 * max(float(np.nanmax(np.abs(r))), 2.0 * sigma if sigma > 0.0 else 0.0)
     if limit > 0.0:
         axis.set_ylim(-limit, limit)
@@ -161,9 +166,10 @@ def _draw_autocorrelation(axis: Axes, series: Series) -> None:
     axis.margins(x=0.03)
     said = f"lag 1: {rho[1]:.2f}" if rho.size > 1 else ""
     if _uneven(series):
-        said += f"; uneven times, on a grid of {series.dt:.3g} s"
+        said += "; uneven times"
     if series.outliers.size:
-        said += f"; {series.outliers.size} outlier{'s' * (series.outliers.size > 1)} left out"
+        said += "\n" if len(said) > 20 else "; "
+        said += f"{series.outliers.size} outlier{'s' * (series.outliers.size > 1)} left out"
     axis.set_title(said.replace("-", "−"), fontsize=6.5, loc="right", pad=1.5)
 
 
@@ -181,6 +187,8 @@ def _draw_spectrum(axis: Axes, series: Series, unit: str) -> None:
     axis.yaxis.set_major_locator(LogLocator(numticks=5))
     for part in (axis.xaxis, axis.yaxis):
         part.set_minor_formatter(NullFormatter())
+    if s.frequency[-1] < 100.0 * s.frequency[0]:  # less than two decades
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=9))
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_title(plain(squared(unit)), fontsize=6.5, loc="right", pad=1.5)
 
@@ -190,14 +198,16 @@ def _uneven(series: Series) -> bool:
     return bool(np.mean(np.abs(steps - np.rint(steps)) > _UNEVEN) > _MANY)
 
 
-def _finish(figure: Figure, axes: dict[str, Any], names: Sequence[str], title: str, height: float) -> None:
+def _finish(
+    figure: Figure, axes: dict[str, Any], names: Sequence[str], title: str, height: float, predicted: bool
+) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     left = _LEFT / WIDTH
     figure.text(left, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
     handles: list[Any] = [
-        Line2D([], [], color=RESIDUAL, linewidth=0.8, label="measured − model"),
+        Line2D([], [], color=RESIDUAL, linewidth=0.8, label=f"measured − {'predicted' if predicted else 'model'}"),
         Patch(color=BAND, label="±2σ"),
     ]
     keys = {names[0]: handles}

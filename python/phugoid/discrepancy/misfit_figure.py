@@ -8,7 +8,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import DataError, UnknownName, listing
-from ..figure_style import BAND, GREY, INPUT, MEASURED, MODEL, RESIDUAL, SPAN, STYLE, WIDTH, labelled, plain, squared
+from ..figure_style import (
+    BAND,
+    GREY,
+    INPUT,
+    MEASURED,
+    MODEL,
+    RESIDUAL,
+    SPAN,
+    STYLE,
+    WIDTH,
+    labelled,
+    plain,
+    squared,
+    with_gaps,
+)
 from ..records import Record
 from .misfit import ChannelMisfit, Misfit
 from .phrases import number, per_second
@@ -111,18 +125,13 @@ def _most_telling(c: ChannelMisfit, records: Sequence[Record]) -> list[Record]:
 def _draw_time(axis: Axes, c: ChannelMisfit, record: Record, *, first: bool, room: int) -> None:
     """``room``: for so many letters of the experiment's name, 0 where there is but one."""
     r = _residual(record, c.name)
-    there = np.isfinite(r)
     if np.isfinite(c.noise):
         axis.axhspan(-2.0 * c.noise, 2.0 * c.noise, color=BAND, linewidth=0.0)
     for span in c.spans:
         if span.experiment == record.name:
             axis.axvspan(span.start, span.end, color=SPAN, linewidth=0.0, zorder=0.5)
     axis.axhline(0.0, color=INPUT, linewidth=0.5)
-    many = record.n > 5000
-    # A slow channel among fast ones has a value at few of the times: a line through those that there are.
-    dense = there.mean() > 0.5
-    t, values = (record.t, r) if dense else (record.t[there], r[there])
-    axis.plot(t, values, color=RESIDUAL, linewidth=0.6, rasterized=many)
+    axis.plot(*with_gaps(record.t, r), color=RESIDUAL, linewidth=0.6, rasterized=record.n > 5000)
     running = (c.running or {}).get(record.name)
     if running is not None:
         axis.plot(running.t, running.rms, color=MODEL, linewidth=0.9)

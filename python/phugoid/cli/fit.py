@@ -71,7 +71,9 @@ def fit(
         result = how.run(source.model, records, source) if isinstance(source, Fit) else how.run(source, records)
         # Files first: whoever reads stdout may stop before its end.
         try:
-            written = _write(result, save, plot, report, [model, *data])
+            written = _write(
+                result, save, plot, report, [model if Path(model).is_file() else model.rpartition(":")[0], *data]
+            )
         except (PhugoidError, OSError):
             print(result.summary())  # the work is done: it is not lost with a full disk
             raise

@@ -56,7 +56,9 @@ summary { cursor: pointer; }
 @media (max-width: 34rem) { body { font-size: 15px; padding: .7rem .7rem 2rem; } dl { grid-template-columns: 1fr; }
   dd { margin-bottom: .4rem; } th, td { padding-right: .6rem; } table { font-size: .84rem; } }
 @media print { @page { margin: 15mm; } body { font-size: 10pt; max-width: none; padding: 0; }
-  h2, h3, summary, h2 + p { break-after: avoid; } figure, article, tr, .wide, .equation, dl { break-inside: avoid; }
+  p, li { orphans: 3; widows: 3; }
+  h2, h3, summary, h2 + p { break-after: avoid; } h2 + p { break-inside: avoid; }
+  figure, article, tr, .wide, .equation, dl { break-inside: avoid; }
   thead { display: table-header-group; } .wide, .equation, .shot { overflow: visible; background: none; }
   table { font-size: 8.5pt; } .t { min-width: 0; }
   .shot img { width: auto; max-width: 100%; max-height: 20.5cm; margin: 0 auto; } .shot img.small { margin: 0; }

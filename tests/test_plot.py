@@ -15,6 +15,7 @@ matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt
 
+import phugoid as ph
 from phugoid.errors import DataError, OptionError, UnknownName
 from phugoid.parameters import Estimate, Estimates
 from phugoid.plot import plot_fit, plot_record
@@ -88,6 +89,15 @@ def test_band_of_two_sigma_only_where_sigma_is_known() -> None:
     _, axes = plot_fit(fit(record(["alpha", "q"])))
     assert len(axes["alpha residual"].patches) == 1
     assert len(axes["q residual"].patches) == 0
+
+
+def test_sigma_may_be_known_or_of_one_experiment() -> None:
+    f = fit(record(["alpha", "q", "V"]))
+    f.parameters = Estimates([Estimate("sigma_q[run1]", 0.3), Estimate("sigma_V[run2]", 0.3)])
+    f.noise = ph.Gaussian({"alpha": 0.2})
+    _, axes = plot_fit(f)
+    heights = {n: [p.get_height() for p in axes[f"{n} residual"].patches] for n in ("alpha", "q", "V")}
+    assert heights == {"alpha": [0.8], "q": [1.2], "V": []}
 
 
 def test_labels_carry_units() -> None:

@@ -21,7 +21,7 @@ RUST = [
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
     "filtering", "preprocess", "experiment", "multirate", "readers", "read", "transcription", "shooting",
-    "filter_error", "guess", "solvers", "progress", "records", "io", "figure_style", "match", "plot",
+    "filter_error", "guess", "solvers", "progress", "records", "io", "figure_style", "match", "time_panels", "plot",
     "correlation_plot", "parameters_plot", "convergence_plot", "frequency_plot", "response", "mode_table",
     "state_space", "models", "sampled", "hankel", "modal_regression", "subspace", "empirical", "summary",
     "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",

@@ -7,34 +7,17 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from .errors import DataError, UnknownName, did_you_mean
-from .figure_style import (
-    BAND,
-    INPUT,
-    LIMIT,
-    MEASURED,
-    MODEL,
-    RESIDUAL,
-    STATE,
-    STYLE,
-    TOLERANCE,
-    WIDTH,
-    figure_of,
-    labelled,
-    plain,
-    with_gaps,
-)
-from .match import match, tolerances_by_output
+from .figure_style import STYLE, WIDTH, figure_of, plain
+from .match import tolerances_by_output
 from .records import Record
+from .time_panels import draw_channel, draw_residual
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["choose_record", "plot_fit", "plot_record", "plot_validation"]
+__all__ = ["choose_record", "plot_fit", "plot_record", "plot_validation", "sigmas_of"]
 
 # Inches. The figure fits between the margins of an A4 page; its own margins are fixed, not found from the
 # labels, so that all time axes of a column are exactly as long.
@@ -43,9 +26,7 @@ _OUTPUT, _STRIP, _INPUT_PANEL = 1.25, 0.42, 0.8  # heights
 _INNER_GAP, _GAP = 0.05, 0.16
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.78, 0.12, 0.56, 0.42
 _LABEL = 0.53  # from the axis to the middle of its label
-_LETTER = 0.58  # mean width of a letter, in units of the font's size
 _TWO_COLUMNS_FROM = 7
-_FAR = 3.0  # a tolerance of so many times what a panel must show is left out of its range
 
 
 def plot_fit(
@@ -70,8 +51,7 @@ def plot_fit(
     """
     chosen = choose_record(fit.records, record)
     limits = tolerances_by_output("plot", list(chosen.outputs), tolerances)
-    parameters = getattr(fit, "parameters", {})
-    sigma = {n: float(parameters[f"sigma_{n}"]) for n in chosen.outputs if f"sigma_{n}" in parameters}
+    sigma = sigmas_of(fit, chosen)
     model = getattr(getattr(fit, "model", None), "name", "")
     title = f"{model}: {chosen.name}" if model else chosen.name
     return _draw(chosen, channels, axes, sigma, title, limits)
@@ -95,6 +75,17 @@ def plot_record(
     Parameters, return value and errors as for `plot_fit`.
     """
     return _draw(record, channels, axes, {}, record.name)
+
+
+def sigmas_of(fit: Any, record: Record) -> dict[str, float]:
+    """Output -> standard deviation (scale) of its noise in a record: estimated, for all or for this one, or known."""
+    parameters, noise = getattr(fit, "parameters", {}), getattr(fit, "noise", None)
+    found: dict[str, float] = {} if noise is None else dict(noise.known_sigmas(tuple(record.outputs)))
+    for name in record.outputs:
+        for label in (f"sigma_{name}", f"sigma_{name}[{record.name}]"):
+            if label in parameters:
+                found[name] = float(parameters[label])
+    return found
 
 
 def choose_record(records: Sequence[Record], which: int | str) -> Record:
@@ -145,9 +136,9 @@ def _draw(
             figure = figure_of(next(iter(panels.values())))
         for name in channels:
             if name in panels:
-                _draw_channel(panels[name], record, name, tolerances.get(name))
+                draw_channel(panels[name], record, name, tolerances.get(name))
             if name in record.residuals and f"{name} residual" in panels:
-                _draw_residual(panels[f"{name} residual"], record, name, sigma.get(name), tolerances.get(name))
+                draw_residual(panels[f"{name} residual"], record, name, sigma.get(name), tolerances.get(name))
         if axes is None:
             _finish(figure, panels, title)
     return figure, panels
@@ -192,101 +183,6 @@ def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, 
     for axis in panels.values():
         axis.yaxis.set_label_coords(-_LABEL / width, 0.5)
     return figure, panels
-
-
-def _draw_channel(axis: Axes, record: Record, name: str, tolerance: float | None = None) -> None:
-    many = record.n > 5000  # as vectors, so many points would make a PDF heavy
-    if name in record.outputs:
-        if name in record.measured:
-            if tolerance is not None:
-                _draw_tolerance(axis, record, name, tolerance)
-                _write_share(axis, record, name, tolerance)
-            size = 2.0 if record.n <= 1000 else 1.2
-            axis.plot(
-                record.t,
-                record.measured[name],
-                ".",
-                color=MEASURED,
-                ms=size,
-                label="measured",
-                rasterized=many,
-            )
-        axis.plot(record.t, record.outputs[name], color=MODEL, linewidth=1.0, label="model", rasterized=many)
-        if tolerance is not None and name in record.measured:
-            _keep_in_view(axis, record, name, tolerance)
-    elif name in record.inputs:
-        axis.plot(record.t, record.inputs[name], color=INPUT, linewidth=0.8, label="input", rasterized=many)
-    else:
-        axis.plot(record.t, record.states[name], color=STATE, linewidth=0.9, label="state", rasterized=many)
-    text = labelled(name, record.units)
-    # The label must not reach into the panels above and below: two lines first, then smaller letters.
-    room = 72.0 * axis.get_position().height * float(figure_of(axis).get_size_inches()[1]) / _LETTER
-    if len(text) * 8.0 > room:
-        text = text.replace(", ", ",\n")
-    longest = max(map(len, text.split("\n")))
-    axis.set_ylabel(plain(text), fontsize=min(7.0 if "\n" in text else 8.0, max(room / longest, 4.5)))
-    axis.locator_params(axis="y", nbins=5)
-
-
-def _draw_tolerance(axis: Axes, record: Record, name: str, tolerance: float) -> None:
-    """The band about the measurements that the model should stay in; a short gap does not end it."""
-    there = np.isfinite(record.measured[name])
-    t, z = record.t[there], record.measured[name][there]
-    if t.size < 2:
-        return
-    gaps = np.diff(t)
-    pieces = np.flatnonzero(gaps > 5.0 * np.median(gaps)) + 1
-    for part, values in zip(np.split(t, pieces), np.split(z, pieces), strict=True):
-        low, high = values - tolerance, values + tolerance
-        axis.fill_between(part, low, high, color=TOLERANCE, alpha=0.55, linewidth=0.0, label="tolerance", zorder=0.5)
-
-
-def _write_share(axis: Axes, record: Record, name: str, tolerance: float) -> None:
-    """The part of the samples that lies within."""
-    inside = match(record, name, tolerance=tolerance).inside
-    if inside == inside:
-        unit = record.units.get(name, "")
-        size = f"{tolerance:.4g}{'' if unit in ('', '1', '-') else f' {unit}'}"
-        axis.set_title(plain(f"{100.0 * inside:.1f} % within ±{size}"), loc="right", fontsize=6.5, pad=1.5)
-
-
-def _keep_in_view(axis: Axes, record: Record, name: str, tolerance: float) -> None:
-    """A band far wider than what it is about reaches out of the panel, or nothing else would be seen."""
-    drawn = np.concatenate([record.measured[name], record.outputs[name]])
-    drawn = drawn[np.isfinite(drawn)]
-    span = float(np.ptp(drawn)) if drawn.size else 0.0
-    if 0.0 < _FAR * span < tolerance:
-        axis.set_ylim(float(drawn.min()) - span, float(drawn.max()) + span)
-
-
-def _draw_residual(axis: Axes, record: Record, name: str, sigma: float | None, tolerance: float | None = None) -> None:
-    residual = record.residuals[name]
-    if sigma is not None:
-        axis.axhspan(-2.0 * sigma, 2.0 * sigma, color=BAND, linewidth=0.0, label="±2σ")
-    axis.axhline(0.0, color=INPUT, linewidth=0.5)
-    many = record.n > 5000
-    t, shown = _seen(record.t, residual)
-    axis.plot(t, shown, color=RESIDUAL, linewidth=0.6, label="residual", rasterized=many)
-    # Symmetric about zero, so that a bias is seen at a glance.
-    largest = float(np.nanmax(np.abs(residual))) if not np.isnan(residual).all() else 0.0
-    limit = 1.08 * max(largest, 2.0 * (sigma or 0.0))
-    if tolerance is not None and tolerance < _FAR * limit:  # one far away would flatten the residual
-        limit = max(limit, 1.08 * tolerance)
-        for side in (-tolerance, tolerance):
-            axis.axhline(side, color=LIMIT, linewidth=0.7, linestyle="--", label="tolerance")
-    if limit > 0.0:
-        axis.set_ylim(-limit, limit)
-    axis.locator_params(axis="y", nbins=3)
-    axis.set_ylabel("resid.", fontsize=6.5)
-    # A common factor of the ticks belongs into the strip: above it, it would stand in the panel of the output.
-    axis.yaxis.get_offset_text().set(va="top", ha="left", size="small")
-
-
-def _seen(t: NDArray[np.float64], r: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """For a line: as it is, unless so many samples stand alone between missing ones that little would be drawn."""
-    there = np.isfinite(r)
-    alone = there & ~np.append(there[1:], False) & ~np.insert(there[:-1], 0, False)
-    return with_gaps(t, r) if 3 * alone.sum() > there.sum() else (t, r)
 
 
 def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:

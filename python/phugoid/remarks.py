@@ -35,11 +35,11 @@ def _sentence(text: str) -> str:
 
 
 def _of_residuals(fit: Any) -> list[str]:
+    if any(record.innovations for record in fit.records):
+        return []  # residuals of a smoothed path are coloured by nature
     found = []
     coloured, off = [], []
     for name in fit.model.output_names:
-        if any(record.innovations for record in fit.records):
-            return []  # residuals of a smoothed path are coloured by nature
         m = match(fit.records, name)
         if m.whiteness < _WHITE and abs(m.lag_one) > _MUCH:
             coloured.append(f"{name} ({m.lag_one:.2f})")

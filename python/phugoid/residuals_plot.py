@@ -14,7 +14,7 @@ from .discrepancy.series import Series, channel_series
 from .discrepancy.spectrum import spectrum_of
 from .errors import DataError, UnknownName, listing
 from .figure_style import BAND, GREY, INPUT, MEASURED, RESIDUAL, STYLE, WIDTH, labelled, plain, squared, with_gaps
-from .plot import choose_record
+from .plot import choose_record, sigmas_of
 from .records import Record
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def plot_residuals(
 
     chosen = choose_record(fit.records, record)
     names = _chosen(chosen, channels)
-    parameters = getattr(fit, "parameters", {})
+    sigmas = sigmas_of(fit, chosen)
     axes: dict[str, Any] = {}
     with rc_context(STYLE):
         height = _ROW * len(names) + _HEAD + _FOOT
@@ -80,8 +80,7 @@ def plot_residuals(
             axes[name] = share[0] = figure.add_subplot(grid[i, 0], sharex=share[0])
             axes[f"{name} autocorrelation"] = figure.add_subplot(grid[i, 1])
             axes[f"{name} spectrum"] = figure.add_subplot(grid[i, 2])
-            sigma = float(parameters[f"sigma_{name}"]) if f"sigma_{name}" in parameters else math.nan
-            _draw_time(axes[name], chosen, name, sigma)
+            _draw_time(axes[name], chosen, name, sigmas.get(name, math.nan))
             series = channel_series([chosen], name)
             enough = bool(series) and series[0].r.size >= _ENOUGH and bool(np.any(series[0].r != 0.0))
             if not enough:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -98,6 +99,15 @@ def test_what_is_far_off_does_not_flatten_the_others() -> None:
     axis = plot_parameters([fit("first", **ones), fit("second", **off)])[1]["parameters"]
     assert axis.get_xlim()[1] < 20.0
     assert "+1e+04" in [t.get_text() for t in axis.texts]
+
+
+def test_eighty_parameters_fit_a_page() -> None:
+    figure, axes = plot_parameters([fit(**{f"p{i}": (1.0, 0.1) for i in range(80)})])
+    assert figure.get_size_inches()[1] <= 10.3
+    drawn = figure.canvas.get_renderer()
+    figure.draw(drawn)
+    boxes = [t.get_window_extent(drawn) for t in axes["parameters"].get_yticklabels()]
+    assert all(a.y0 >= b.y1 - 1.0 for a, b in pairwise(boxes))
 
 
 def test_what_has_no_error_is_named_at_the_foot() -> None:

@@ -20,6 +20,7 @@ __all__ = ["plot_parameters"]
 
 _SIDE = 1.959963984540054  # standard errors on either side: 95 % of a normal distribution
 _ROW, _MORE = 0.21, 0.09  # inches: a parameter, and each fit more
+_PAGE, _LOWEST = 9.2, 0.1  # inches: all rows of a page, and the lowest of them
 _PERCENT = 100.0  # the scale ends here: a longer interval holds zero
 _SMALL = 0.01  # per cent; below, in millionths
 _WIDE = 10.0  # times the median from which on the scale is logarithmic
@@ -55,7 +56,9 @@ def plot_parameters(
     shown, without = _chosen(fits, names)
     rows = [_row(fits, name) for name in shown]
     limit = _limit(rows, len(fits))
-    row = _ROW + _MORE * (len(fits) - 1)
+    # Of many parameters rows are lower, as long as their names can be read; then the figure grows beyond a page.
+    row = min(_ROW + _MORE * (len(fits) - 1), max(_PAGE / len(shown), _LOWEST + 0.5 * _MORE * (len(fits) - 1)))
+    letters = min(7.0, 72.0 * 0.85 * row)
     with rc_context(STYLE):
         height = row * len(shown) + 0.95 + (0.18 if without else 0.0)
         figure, axis = plt.subplots(figsize=(WIDTH, height), layout="constrained")
@@ -74,10 +77,10 @@ def plot_parameters(
                 xycoords=axis.get_yaxis_transform(),
                 textcoords="offset points",
                 va="center",
-                fontsize=7.0,
+                fontsize=letters,
                 annotation_clip=False,
             )
-        axis.set_yticks(range(len(shown)), [plain(name) for name in shown])
+        axis.set_yticks(range(len(shown)), [plain(name) for name in shown], fontsize=letters)
         axis.set_ylim(len(shown) - 0.5, -0.5)
         axis.tick_params(axis="y", length=0.0)
         if len(fits) == 1:

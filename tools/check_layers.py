@@ -21,18 +21,20 @@ RUST = [
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
     "filtering", "preprocess", "experiment", "multirate", "readers", "read", "transcription", "shooting",
+    "hdf5_file",
     "filter_error", "guess", "solvers", "progress", "records", "io", "plot", "frequency_plot", "response", "mode_table",
     "state_space", "models", "sampled", "hankel", "modal_regression", "subspace", "empirical", "summary", "match",
     "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
+    "saving",
     "biases", "held", "validate", "discrepancy", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on
-# Arrows back: `Fit.validate`, which estimates anew, and `Fit.report` are where people look for them. They are imported
-# when called.
-BACK = {("result", "report"), ("result", "validate")}
+# Arrows back: `Fit.validate`, which estimates anew, `Fit.report` and `Fit.save` are where people look for them. They are
+# imported when called.
+BACK = {("result", "report"), ("result", "saving"), ("result", "validate")}
 
 Import = tuple[int, str]  # line, top-level module
 Finder = Callable[[Path, int], Iterator[Import]]  # of a file so many levels below the root

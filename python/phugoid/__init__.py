@@ -51,7 +51,8 @@ from .read import read
 from .records import Record
 from .refinement import Refinement
 from .response import FrequencyResponse
-from .result import Fit, load
+from .result import Fit
+from .saving import load
 from .shooting import MultipleShooting, SingleShooting
 from .simulate import simulate
 from .solvers import Ipopt, Iteration, Newton

@@ -14,7 +14,8 @@ from typing import Any
 from ..errors import DataError, ModelError, listing
 from ..io import FORMAT
 from ..model import Model
-from ..result import Fit, load
+from ..result import Fit
+from ..saving import load
 
 __all__ = ["load_model", "load_source"]
 

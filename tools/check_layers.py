@@ -19,7 +19,7 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
+    "_core", "errors", "tabular", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
     "filtering", "preprocess", "experiment", "multirate", "readers", "read", "transcription", "shooting",
     "hdf5_file",
     "filter_error", "guess", "solvers", "progress", "records", "io", "plot", "frequency_plot", "response", "mode_table",
@@ -32,8 +32,8 @@ PYTHON = [
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on
-# Arrows back: `Fit.validate`, which estimates anew, `Fit.report` and `Fit.save` are where people look for them. They are
-# imported when called.
+# Arrows back: `Fit.validate`, which estimates anew, `Fit.report` and `Fit.save` are where people look for them. They
+# are imported when called.
 BACK = {("result", "report"), ("result", "saving"), ("result", "validate")}
 
 Import = tuple[int, str]  # line, top-level module

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _core, plot, summary
+from . import _core, plot, summary, tabular
 from ._core import Expr
 from .densities import PerExperiment
 from .errors import DataError, ModelError, OptionError, did_you_mean
@@ -27,6 +27,8 @@ from .solvers import HINTS, Iteration, Solution
 from .transcription import Collocation
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -223,6 +225,18 @@ class Fit:
         from .report import report
 
         report(self, path)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The parameters, a row each; see `Estimates.to_pandas`. Time histories: ``fit.records[0].to_pandas()``."""
+        return self.parameters.to_pandas()
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Time histories of all experiments, estimates and covariance, with units among the attributes.
+
+        Variables are those of `Record.to_xarray`. Several experiments are along ``experiment``, over the times of all
+        of them: NaN where one has no sample. Raises MissingDependency without xarray.
+        """
+        return tabular.fit_dataset(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the fit with its data to a versioned file, which `load` reads: HDF5 for ``.h5`` and ``.hdf5``, where

@@ -27,7 +27,7 @@ PYTHON = [
     "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
-    "saving",
+    "trim", "saving",
     "biases", "held", "validate", "discrepancy", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]

@@ -37,6 +37,7 @@ from .experiment import Experiment
 from .filter_error import FilterError
 from .frequency import frequency_response
 from .integration import IntegrationError
+from .linear import linearise
 from .match import Match, match
 from .mode_table import Mode, Modes
 from .model import Model
@@ -85,6 +86,7 @@ from .symbols import (
     where,
 )
 from .transcription import Collocation
+from .trim import Trim, trim
 from .validation import Validation
 
 __all__ = [
@@ -141,6 +143,7 @@ __all__ = [
     "StateSpace",
     "StudentT",
     "Table",
+    "Trim",
     "Validation",
     "__version__",
     "acos",
@@ -156,6 +159,7 @@ __all__ = [
     "exp",
     "frequency_response",
     "from_sympy",
+    "linearise",
     "load",
     "log",
     "match",
@@ -180,5 +184,6 @@ __all__ = [
     "subspace",
     "tan",
     "tanh",
+    "trim",
     "where",
 ]

@@ -27,14 +27,14 @@ PYTHON = [
     "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
-    "trim", "saving",
+    "trim", "export", "saving",
     "biases", "held", "validate", "discrepancy", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on
-# Arrows back: `Fit.validate`, which estimates anew, `Fit.report` and `Fit.save` are where people look for them. They
-# are imported when called.
-BACK = {("result", "report"), ("result", "saving"), ("result", "validate")}
+# Arrows back: `Fit.validate`, which estimates anew, `Fit.report`, `Fit.save` and `Fit.export_c` are where people look
+# for them. They are imported when called.
+BACK = {("result", "export"), ("result", "report"), ("result", "saving"), ("result", "validate")}
 
 Import = tuple[int, str]  # line, top-level module
 Finder = Callable[[Path, int], Iterator[Import]]  # of a file so many levels below the root

@@ -34,6 +34,7 @@ from .errors import (
 )
 from .estimate import estimate
 from .experiment import Experiment
+from .export import export_c
 from .filter_error import FilterError
 from .frequency import frequency_response
 from .integration import IntegrationError
@@ -157,6 +158,7 @@ __all__ = [
     "equation_error",
     "estimate",
     "exp",
+    "export_c",
     "frequency_response",
     "from_sympy",
     "linearise",

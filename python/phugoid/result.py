@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -225,6 +226,13 @@ class Fit:
         from .report import report
 
         report(self, path)
+
+    def export_c(self, folder: str | os.PathLike[str], **options: Any) -> tuple[Path, Path]:
+        """Writes the model with the estimates as C source, a header and a source file; returns their paths. Options are
+        those of `phugoid.export_c`, which also says what there is in the files."""
+        from .export import export_c
+
+        return export_c(self, folder, **options)
 
     def to_pandas(self) -> pandas.DataFrame:
         """The parameters, a row each; see `Estimates.to_pandas`. Time histories: ``fit.records[0].to_pandas()``."""

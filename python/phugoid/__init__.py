@@ -34,7 +34,7 @@ from .errors import (
 )
 from .estimate import estimate
 from .experiment import Experiment
-from .export import export_c
+from .export import export_c, export_fmu
 from .filter_error import FilterError
 from .frequency import frequency_response
 from .integration import IntegrationError
@@ -159,6 +159,7 @@ __all__ = [
     "estimate",
     "exp",
     "export_c",
+    "export_fmu",
     "frequency_response",
     "from_sympy",
     "linearise",

@@ -234,6 +234,13 @@ class Fit:
 
         return export_c(self, folder, **options)
 
+    def export_fmu(self, path: str | os.PathLike[str], **options: Any) -> Path:
+        """Writes the model with the estimates as a functional mock-up unit (FMI 2.0); returns its path. Options are
+        those of `phugoid.export_fmu`."""
+        from .export import export_fmu
+
+        return export_fmu(self, path, **options)
+
     def to_pandas(self) -> pandas.DataFrame:
         """The parameters, a row each; see `Estimates.to_pandas`. Time histories: ``fit.records[0].to_pandas()``."""
         return self.parameters.to_pandas()

@@ -18,7 +18,7 @@ from ..result import Fit
 from .graph import HELPERS, Graph, number
 from .tables import LOOKUP, definition
 
-__all__ = ["Code", "Contents", "contents_of", "export_c", "identifier", "source"]
+__all__ = ["Code", "Contents", "checked_name", "contents_of", "export_c", "identifier", "source"]
 
 # Words that are no names in C or C++.
 _RESERVED = {
@@ -87,7 +87,7 @@ def export_c(
     OptionError for a name that is none in C; DataError where the files cannot be written.
     """
     contents = contents_of("export_c", fit, parameters, experiment, late_inputs)
-    code = source(contents, identifier(contents.model.name) if name is None else _checked(name))
+    code = source(contents, identifier(contents.model.name) if name is None else checked_name(name))
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)
@@ -111,8 +111,8 @@ def contents_of(
     if model.delays and not late_inputs:
         late = ", ".join([*model.delays.inputs, *model.delays.outputs])
         raise ModelError(
-            f"{caller}: the model has delays ({late}), which functions of the present state cannot hold; export_c "
-            "takes late_inputs=True: then each late input is one of its own, which the caller delays"
+            f"{caller}: the model has delays ({late}), which functions of the present state cannot hold; with "
+            "export_c(..., late_inputs=True) each late input is one of its own, which the caller delays"
         )
     states = dict.fromkeys(model.state_names, 0.0)
     inputs = {name: 0.0 for name, _ in model._core.inputs}
@@ -338,7 +338,8 @@ def _unique(names: Any) -> list[str]:
     return found
 
 
-def _checked(name: str) -> str:
+def checked_name(name: str) -> str:
+    """A name that C takes; OptionError for any other."""
     if not (isinstance(name, str) and re.fullmatch(r"[A-Za-z]\w*", name, flags=re.ASCII)) or name in _RESERVED:
         raise OptionError(f"export: {name!r} is no name in C: letters, digits and underscores, a letter first")
     return name

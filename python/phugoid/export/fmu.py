@@ -8,15 +8,10 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
-import uuid
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -64,6 +59,8 @@ def export_fmu(
     for a step that is not positive; MissingDependency without FMPy, which has the standard's headers, or a compiler;
     DataError where the file cannot be written.
     """
+    import uuid
+
     contents = contents_of("export_fmu", fit, parameters, experiment)
     if step is None:
         gaps = [float(np.diff(r.t).min()) for r in fit.records] if isinstance(fit, Fit) else []
@@ -86,6 +83,13 @@ def export_fmu(
         folder, suffix = _platform()
         members[f"binaries/{folder}/{name}{suffix}"] = _compiled(name, files, suffix)
     target = Path(path)
+    _archive(target, members)
+    return target
+
+
+def _archive(target: Path, members: Mapping[str, bytes]) -> None:
+    import zipfile
+
     try:
         with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
             for member, data in members.items():
@@ -93,8 +97,7 @@ def export_fmu(
                 info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
                 archive.writestr(info, data)
     except OSError as error:
-        raise DataError(f"{path}: the FMU cannot be written ({error.strerror})") from error
-    return target
+        raise DataError(f"{target}: the FMU cannot be written ({error.strerror})") from error
 
 
 def _glue(contents: Contents, code: Code, guid: str, step: float) -> str:
@@ -121,6 +124,8 @@ def _glue(contents: Contents, code: Code, guid: str, step: float) -> str:
 
 def _description(contents: Contents, name: str, guid: str) -> bytes:
     """modelDescription.xml."""
+    from xml.etree import ElementTree
+
     model, units = contents.model, contents.model.units
     of_outputs = {n: unit or units.get(n, "") for n, _, unit, _ in model._core.outputs}
     root = ElementTree.Element(
@@ -186,6 +191,8 @@ def _description(contents: Contents, name: str, guid: str) -> bytes:
 
 def _structure(root: Any, contents: Contents, places: Mapping[str, int], taken: set[str]) -> None:
     """What depends on what: states and inputs in each equation."""
+    from xml.etree import ElementTree
+
     model = contents.model
     known: dict[str, Any] = {}
     for n, e, *_ in model._core.quantities:
@@ -214,6 +221,9 @@ def _platform() -> tuple[str, str]:
 
 
 def _compiled(name: str, files: Mapping[str, str], suffix: str) -> bytes:
+    import subprocess
+    from tempfile import TemporaryDirectory
+
     try:
         import fmpy
     except ImportError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import shutil
 import subprocess
 import sys
@@ -112,6 +113,15 @@ def test_every_operation(tmp_path: Path) -> None:
         assert points.min() < 0 or len(expressions) == len(_core.operations())
         folder = tmp_path / str(points.min() < 0)
         compare(folder, expressions, points)
+
+
+@needs_cc
+def test_at_the_edge_of_conditions(tmp_path: Path) -> None:
+    """Where arguments are equal or zero, which random points are not."""
+    arguments = [Expr.symbol(s) for s in "abc"]
+    names = {"sign": 1, "abs": 1, "not": 1, "lt": 2, "le": 2, "and": 2, "or": 2, "min": 2, "max": 2, "where": 3}
+    expressions = {f"{name}_": _core.apply(name, *arguments[:n]) for name, n in names.items()}
+    compare(tmp_path, expressions, np.array(list(itertools.product((-1.0, 0.0, 0.5), repeat=3))))
 
 
 @needs_cc

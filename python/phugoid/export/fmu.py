@@ -19,8 +19,9 @@ from .._core import Expr, __version__
 from ..errors import DataError, MissingDependency, OptionError
 from ..model import Model
 from ..result import Fit
+from .contents import Contents, contents_of, identifier
 from .graph import number
-from .source import Code, Contents, checked_name, contents_of, identifier, source
+from .writer import Code, source
 
 __all__ = ["export_fmu"]
 
@@ -67,7 +68,8 @@ def export_fmu(
         step = min(gaps) / _PARTS if gaps else _STEP
     if not (isinstance(step, (int, float)) and 0.0 < step < np.inf):
         raise OptionError(f"export_fmu: step is a positive number of seconds, not {step!r}")
-    name = checked_name(identifier(contents.model.name))
+    name = identifier(contents.model.name)
+    name = f"{name}_" if name.startswith("fmi2") else name  # as the wrapper's files are called
     code = source(contents, name)
     wrapper = (Path(__file__).parent / _WRAPPER).read_text(encoding="utf-8")
     guid = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, code.header + code.source + wrapper + repr(step))}}}"

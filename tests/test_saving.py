@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ import phugoid as ph
 from phugoid import DataError, MissingDependency, io
 
 VERSION_1 = Path(__file__).parent / "data" / "fit_version_1.json"
-SUFFIXES = ("json", "h5")
+needs_h5py = pytest.mark.skipif(find_spec("h5py") is None, reason="HDF5 needs h5py")
+SUFFIXES = ("json", pytest.param("h5", marks=needs_h5py))
 T = 0.1 * np.arange(60)
 
 
@@ -124,8 +126,10 @@ def test_a_fit_with_a_delay_is_diagnosed_alike_after_loading(suffix: str, tmp_pa
     assert ph.misfit(again).summary() == ph.misfit(fit).summary()
 
 
+@needs_h5py
 def test_hdf5_holds_arrays_with_units(tmp_path: Path, fit: ph.Fit) -> None:
-    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    import h5py
+
     fit.save(tmp_path / "fit.hdf5")
     with h5py.File(tmp_path / "fit.hdf5") as file:
         assert (file.attrs["format"], file.attrs["version"]) == ("phugoid-fit", io.VERSION)
@@ -138,6 +142,7 @@ def test_hdf5_holds_arrays_with_units(tmp_path: Path, fit: ph.Fit) -> None:
         assert "units" not in file["covariance"].attrs
 
 
+@needs_h5py
 def test_names_that_are_no_hdf5_paths(tmp_path: Path) -> None:
     names = ("a/b", "a∕b", ".", "..", "document", "é ü")
     e = ph.Experiment(T, channels={n: k * T for k, n in enumerate(names)}, outputs={"x": np.exp(-T)})
@@ -152,6 +157,7 @@ def test_names_that_are_no_hdf5_paths(tmp_path: Path) -> None:
     same_experiment(ph.load(tmp_path / "fit.h5").experiments[0], e)
 
 
+@needs_h5py
 def test_hdf5_is_known_by_its_content(tmp_path: Path, fit: ph.Fit) -> None:
     fit.save(tmp_path / "fit.h5")
     (tmp_path / "fit.h5").rename(tmp_path / "fit.dat")
@@ -184,9 +190,11 @@ def test_a_file_cut_short_is_refused(suffix: str, tmp_path: Path, fit: ph.Fit) -
             ph.load(path)
 
 
+@needs_h5py
 def test_damaged_arrays_are_found_out(tmp_path: Path, fit: ph.Fit) -> None:
     """A bit that flips in a dataset is caught by its checksum."""
-    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    import h5py
+
     path = tmp_path / "fit.h5"
     fit.save(path)
     with h5py.File(path) as file:
@@ -198,8 +206,10 @@ def test_damaged_arrays_are_found_out(tmp_path: Path, fit: ph.Fit) -> None:
         ph.load(path)
 
 
+@needs_h5py
 def test_other_hdf5_files_and_newer_versions_are_refused(tmp_path: Path, fit: ph.Fit) -> None:
-    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    import h5py
+
     path = tmp_path / "fit.h5"
     with h5py.File(path, "w") as file:
         file["x"] = T
@@ -230,6 +240,7 @@ def test_version_2_without_its_data_is_damaged(tmp_path: Path, fit: ph.Fit) -> N
             ph.load(path)
 
 
+@needs_h5py
 def test_a_failed_save_leaves_the_old_file(tmp_path: Path, fit: ph.Fit) -> None:
     fit.save(tmp_path / "fit.h5")
     before = (tmp_path / "fit.h5").read_bytes()
@@ -241,10 +252,10 @@ def test_a_failed_save_leaves_the_old_file(tmp_path: Path, fit: ph.Fit) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["fit.h5"]
 
 
+@needs_h5py
 def test_without_h5py_the_command_to_install_it_is_told(
     tmp_path: Path, fit: ph.Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("h5py", reason="HDF5 needs h5py")
     fit.save(tmp_path / "fit.h5")
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(MissingDependency, match=r"pip install phugoid\[hdf5\]"):

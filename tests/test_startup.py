@@ -7,7 +7,10 @@ import sys
 
 import pytest
 
-HEAVY = ("scipy", "matplotlib", "pandas", "rich", "sympy", "h5py", "pyarrow", "polars", "xarray", "pyulog", "pymavlink")
+HEAVY = (
+    "scipy", "matplotlib", "pandas", "rich", "sympy", "h5py", "pyarrow", "polars", "xarray", "pyulog", "pymavlink",
+    "control", "fmpy",
+)  # fmt: skip
 
 
 def loaded_after(code: str) -> list[str]:
@@ -36,12 +39,18 @@ def test_importing_stays_light() -> None:
         "symbols",
         "model",
         "plot",
+        "residuals_plot",
+        "report",
         "empirical",
         "frequency_plot",
         "summary",
         "simulate",
         "estimate",
         "result",
+        "saving",
+        "tabular",
+        "trim",
+        "export",
         "discrepancy.page",
     ],
 )

@@ -19,25 +19,27 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
+    "_core", "errors", "tabular", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
     "filtering", "preprocess", "experiment", "multirate", "readers", "read", "transcription", "shooting",
-    "filter_error", "guess", "solvers", "progress", "records", "io", "plot", "frequency_plot", "response", "mode_table",
-    "state_space", "models", "sampled", "hankel", "modal_regression", "subspace", "empirical", "summary", "match",
+    "hdf5_file",
+    "filter_error", "guess", "solvers", "progress", "records", "io", "figure_style", "match", "time_panels", "plot",
+    "correlation_plot", "parameters_plot", "convergence_plot", "frequency_plot", "response", "mode_table",
+    "state_space", "models", "modal_response", "sampled", "hankel", "modal_regression", "identified", "subspace",
+    "modal_blocks", "mode_places", "linear_fit", "empirical", "summary",
     "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
-    "biases", "held", "validate", "discrepancy", "report",
+    "trim", "export", "saving",
+    "biases", "held", "validate", "discrepancy", "residuals_plot", "remarks", "report_validation", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart",
     "uncertainty", "cli", "__init__", "__main__",
 ]
 # fmt: on
-# Arrows back: `Fit.validate`, which estimates anew, `Fit.report` and what says how far a fit may be trusted are where
-# people look for them, and a summary shows the latter. They are imported when called.
+# Arrows back: methods of `Fit` that stand where people look for them, such as `validate`, which estimates anew, and
+# `plot_residuals`, which asks what a diagnosis asks; and a summary shows how far a fit may be trusted. They are
+# imported when called; `outcome` is a type only.
 BACK = {
-    ("result", "outcome"),  # a type only
-    ("result", "report"),
-    ("result", "uncertainty"),
-    ("result", "validate"),
+    *(("result", m) for m in ("export", "outcome", "report", "residuals_plot", "saving", "uncertainty", "validate")),
     ("summary", "uncertainty"),
 }
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..errors import OptionError, PhugoidError
+from ..io import SUFFIXES
 from ..result import Fit
 from .data_files import Reading
 from .estimation import Estimation
@@ -49,7 +53,9 @@ def fit(
     inputs: InputsOption = None,
     outputs: OutputsOption = None,
     window: WindowOption = None,
-    save: Annotated[Path | None, typer.Option("--save", help="Writes the fit, for phugoid.load.")] = None,
+    save: Annotated[
+        Path | None, typer.Option("--save", help="Writes the fit, for phugoid.load: .json, or .h5 (HDF5).")
+    ] = None,
     plot: PlotOption = None,
     report: ReportOption = None,
     json: JsonOption = False,
@@ -57,8 +63,8 @@ def fit(
 ) -> None:
     """Estimate the parameters of a model from one data file or several."""
     with guard(debug):
-        if save is not None and save.suffix != ".json":
-            raise OptionError(f"--save {save}: a saved fit ends in .json")
+        if save is not None and save.suffix.lower() not in (".json", *SUFFIXES):
+            raise OptionError(f"--save {save}: a saved fit ends in .json, {' or '.join(SUFFIXES)}")
         check_targets([plot], [save, report])
         how = Estimation.of(order, start, fix, solver, iterations)
         reading = Reading.of(time, rename, inputs, outputs, window)
@@ -68,7 +74,9 @@ def fit(
         result = how.run(source.model, records, source) if isinstance(source, Fit) else how.run(source, records)
         # Files first: whoever reads stdout may stop before its end.
         try:
-            written = _write(result, save, plot, report)
+            written = _write(
+                result, save, plot, report, [model if Path(model).is_file() else model.rpartition(":")[0], *data]
+            )
         except (PhugoidError, OSError):
             print(result.summary())  # the work is done: it is not lost with a full disk
             raise
@@ -81,7 +89,9 @@ def fit(
     raise typer.Exit(code_of(result))
 
 
-def _write(result: Fit, save: Path | None, plot: Path | None, report: Path | None) -> list[Path]:
+def _write(
+    result: Fit, save: Path | None, plot: Path | None, report: Path | None, files: Sequence[str | Path]
+) -> list[Path]:
     written: list[Path] = []
     if save is not None:
         result.save(save)
@@ -89,9 +99,17 @@ def _write(result: Fit, save: Path | None, plot: Path | None, report: Path | Non
     if plot is not None:
         written += save_figures(result, plot)
     if report is not None:
-        result.report(report)
+        sources = [Path(f) for f in files if Path(f).is_file()]
+        result.report(report, files=sources, command=_command())
         written.append(report)
     return written
+
+
+def _command() -> str:
+    """As it was typed; nothing where another program called."""
+    called = Path(sys.argv[0])
+    mine = called.stem == "phugoid" or called.parent.name == "phugoid"
+    return shlex.join(["phugoid", *sys.argv[1:]]) if mine else ""
 
 
 def code_of(result: Fit) -> int:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..plot import _STYLE, _plain
+from ..figure_style import BAND, INPUT, MODEL, SPAN, STYLE, WIDTH, labelled, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_bands"]
 
-_COLUMNS, _WIDTH, _HEIGHT = 2, 7.2, 1.8
-_LINE, _MODEL, _MEASUREMENT, _POINTS = "#0072B2", "#56B4E9", "#D9D9D9", "#333333"
+_COLUMNS, _HEIGHT = 2, 1.8
 
 
 def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
@@ -27,8 +26,8 @@ def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
     names = list(bands.model)
     columns = min(_COLUMNS, len(names)) if len(names) > 2 else 1
     rows = math.ceil(len(names) / columns)
-    with rc_context(_STYLE):
-        figure, grid = plt.subplots(rows, columns, figsize=(_WIDTH, _HEIGHT * rows + 0.7), squeeze=False, sharex=True)
+    with rc_context(STYLE):
+        figure, grid = plt.subplots(rows, columns, figsize=(WIDTH, _HEIGHT * rows + 0.7), squeeze=False, sharex=True)
         panels = list(grid.T.ravel())
         for axis in panels[len(names) :]:
             axis.set_visible(False)
@@ -36,17 +35,17 @@ def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
         for name, axis in axes.items():
             _draw(axis, bands, name)
         for axis in grid[-1]:
-            axis.set_xlabel("t (s)")
+            axis.set_xlabel("time, s")
         if len(names) < len(panels):  # the panel above an empty one has the axis of time
             last = axes[names[-1]]
             last.tick_params(labelbottom=True)
-            last.set_xlabel("t (s)")
+            last.set_xlabel("time, s")
         handles, labels = axes[names[0]].get_legend_handles_labels()
         height = figure.get_figheight()
         figure.legend(handles, labels, loc="upper right", ncols=4, frameon=False, fontsize=8, columnspacing=1.2)
         what = "coloured" if bands.coloured else "white"
         figure.suptitle(
-            _plain(f"{title}, {100 * bands.level:g} % for {what} noise"),
+            plain(f"{title}, {100 * bands.level:g} % for {what} noise"),
             x=0.01,
             y=1 - 0.3 / height,
             ha="left",
@@ -60,15 +59,14 @@ def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
 def _draw(axis: Any, bands: Any, name: str) -> None:
     record = bands.record
     t = record.t
-    axis.fill_between(t, *bands.measurement[name], color=_MEASUREMENT, linewidth=0, label="measurement")
-    axis.fill_between(t, *bands.model[name], color=_MODEL, linewidth=0, label="model")
-    axis.plot(t, record.outputs[name], color=_LINE, linewidth=0.9, label="estimate")
+    axis.fill_between(t, *bands.measurement[name], color=BAND, linewidth=0, label="measurement")
+    axis.fill_between(t, *bands.model[name], color=SPAN, linewidth=0, label="model")
+    axis.plot(t, record.outputs[name], color=MODEL, linewidth=0.9, label="estimate")
     if name in record.measured:
         there = np.isfinite(record.measured[name])
         size = 2.0 if t.size <= 1000 else 1.0
         axis.plot(
-            t[there], record.measured[name][there], ".", color=_POINTS, markersize=size, label="measured", zorder=1.5
+            t[there], record.measured[name][there], ".", color=INPUT, markersize=size, label="measured", zorder=1.5
         )
-    unit = record.units.get(name, "")
-    axis.set_ylabel(_plain(f"{name} ({unit})" if unit else name))
+    axis.set_ylabel(plain(labelled(name, record.units)))
     axis.margins(x=0.01)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..plot import _STYLE, _plain
+from ..figure_style import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,10 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_profiles"]
 
-_COLUMNS, _WIDTH, _HEIGHT = 3, 7.2, 1.95
+_COLUMNS, _HEIGHT = 3, 1.95
 # How far an interval without end is shown, in halves of one.
 _BEYOND = 4.0
-_LINE, _PARABOLA, _LEVEL = "#0072B2", "#E69F00", "#7F7F7F"
 
 
 def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, dict[str, Axes]]:
@@ -33,9 +32,9 @@ def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, di
 
     columns = min(_COLUMNS, max(len(profiles), 1))
     rows = math.ceil(len(profiles) / columns)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure, grid = plt.subplots(
-            rows, columns, figsize=(max(_WIDTH * columns / _COLUMNS + 0.3, 3.9), _HEIGHT * rows + 0.4), squeeze=False
+            rows, columns, figsize=(max(WIDTH * columns / _COLUMNS + 0.3, 3.9), _HEIGHT * rows + 0.4), squeeze=False
         )
         panels = list(grid.ravel())
         axes = {p.name: axis for p, axis in zip(profiles, panels, strict=False)}
@@ -46,9 +45,9 @@ def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, di
             if i % columns == 0:
                 axes[p.name].set_ylabel("Δ log-likelihood")
         handles = [
-            Line2D([], [], color=_LINE, marker="o", markersize=3, label="profile"),
-            Line2D([], [], color=_PARABOLA, linestyle="--", label="standard error"),
-            Line2D([], [], color=_LEVEL, linewidth=0.8, label=f"{100 * level:g} %"),
+            Line2D([], [], color=MEASURED, marker="o", markersize=3, label="profile"),
+            Line2D([], [], color=ORANGE, linestyle="--", label="standard error"),
+            Line2D([], [], color=GREY, linewidth=0.8, label=f"{100 * level:g} %"),
         ]
         height = figure.get_figheight()
         figure.legend(handles=handles, loc="upper right", ncols=3, frameon=False, fontsize=8)
@@ -71,18 +70,18 @@ def _draw(axis: Any, p: Profile) -> None:
         high = p.interval[1] if math.isfinite(p.interval[1]) else min(float(at[-1]), p.value + beyond)
         fine = np.linspace(max(at[0], low - half[0]), min(at[-1], high + half[-1]), 200)
         smooth = PchipInterpolator(at, roots)(fine)
-        axis.plot(fine, -0.5 * smooth**2, color=_LINE, linewidth=1.3)
+        axis.plot(fine, -0.5 * smooth**2, color=MEASURED, linewidth=1.3)
         margin = 0.12 * (high - low)
         axis.set_xlim(low - margin, high + margin)
-    axis.plot(at, -0.5 * roots**2, "o", color=_LINE, markersize=3)
+    axis.plot(at, -0.5 * roots**2, "o", color=MEASURED, markersize=3)
     if math.isfinite(p.std_error):
         wide = np.linspace(axis.get_xlim()[0], axis.get_xlim()[1], 200)
-        axis.plot(wide, -0.5 * ((wide - p.value) / p.std_error) ** 2, "--", color=_PARABOLA, linewidth=1.1, zorder=1)
-    axis.axhline(-p.threshold, color=_LEVEL, linewidth=0.8, zorder=0)
+        axis.plot(wide, -0.5 * ((wide - p.value) / p.std_error) ** 2, "--", color=ORANGE, linewidth=1.1, zorder=1)
+    axis.axhline(-p.threshold, color=GREY, linewidth=0.8, zorder=0)
     for end in p.interval:
         if math.isfinite(end):
-            axis.plot([end, end], [-p.threshold, -2.0 * p.threshold], color=_LEVEL, linewidth=0.8, zorder=0)
+            axis.plot([end, end], [-p.threshold, -2.0 * p.threshold], color=GREY, linewidth=0.8, zorder=0)
     axis.set_ylim(-1.6 * p.threshold, 0.12 * p.threshold)
     axis.locator_params(axis="x", nbins=4)
     axis.tick_params(labelsize=7)
-    axis.set_xlabel(_plain(p.name + (f" ({p.unit})" if p.unit else "")))
+    axis.set_xlabel(plain(labelled(p.name, {p.name: p.unit})))

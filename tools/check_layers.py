@@ -21,7 +21,7 @@ RUST = [
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
     "filtering", "preprocess", "experiment", "multirate", "readers", "read", "transcription", "shooting",
-    "filter_error", "guess", "solvers", "progress", "records", "io", "plot", "frequency_plot", "response", "mode_table",
+    "filter_error", "guess", "solvers", "progress", "records", "io", "plot", "frequency_plot", "response", "mode_table", "inputs",
     "state_space", "models", "sampled", "hankel", "modal_regression", "subspace", "empirical", "summary", "match",
     "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",

@@ -11,7 +11,7 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
     print(fit.summary())
 """
 
-from . import models
+from . import inputs, models
 from ._core import Expr, __version__
 from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
@@ -155,6 +155,7 @@ __all__ = [
     "exp",
     "frequency_response",
     "from_sympy",
+    "inputs",
     "load",
     "log",
     "match",

@@ -21,12 +21,12 @@ RUST = [
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
     "filtering", "preprocess", "experiment", "multirate", "readers", "read", "transcription", "shooting",
-    "filter_error", "guess", "solvers", "progress", "records", "io", "plot", "frequency_plot", "response", "mode_table", "inputs",
-    "state_space", "models", "sampled", "hankel", "modal_regression", "subspace", "empirical", "summary", "match",
-    "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
+    "filter_error", "guess", "solvers", "progress", "records", "io", "plot", "frequency_plot", "response", "mode_table",
+    "inputs", "state_space", "models", "sampled", "hankel", "modal_regression", "subspace", "empirical", "summary",
+    "match", "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
-    "biases", "held", "validate", "discrepancy", "report",
+    "biases", "held", "validate", "discrepancy", "planning", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

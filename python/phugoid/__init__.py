@@ -47,6 +47,9 @@ from .noise import Gaussian, Sigma
 from .optima import Optimum
 from .outcome import Outcome
 from .parameters import Estimate, Parameter
+from .planning.optimum import optimal_plan
+from .planning.plan import Excursion, Plan, Plans
+from .planning.planned import plan, plans
 from .read import read
 from .records import Record
 from .refinement import Refinement
@@ -96,6 +99,7 @@ __all__ = [
     "EquationError",
     "Estimate",
     "EvaluationError",
+    "Excursion",
     "Experiment",
     "Expr",
     "Extension",
@@ -129,6 +133,8 @@ __all__ = [
     "PerOutput",
     "PhugoidError",
     "Place",
+    "Plan",
+    "Plans",
     "Points",
     "Record",
     "Refinement",
@@ -166,6 +172,9 @@ __all__ = [
     "modes",
     "multirate",
     "multistart",
+    "optimal_plan",
+    "plan",
+    "plans",
     "read",
     "sign",
     "simulate",

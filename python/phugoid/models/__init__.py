@@ -9,7 +9,8 @@ here fixes as many of them, or says that it does not. Start values come from num
 A parameter that is fixed by a form can be told in the fit by ``fixed``; all others are estimated.
 """
 
+from .flight_path import flight_path
 from .general import state_space
 from .modal import modal
 
-__all__ = ["modal", "state_space"]
+__all__ = ["flight_path", "modal", "state_space"]

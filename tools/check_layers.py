@@ -26,7 +26,7 @@ PYTHON = [
     "match", "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
-    "biases", "held", "validate", "discrepancy", "planning", "report",
+    "biases", "held", "validate", "discrepancy", "planning", "reconstruction", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on

@@ -51,6 +51,7 @@ from .planning.optimum import optimal_plan
 from .planning.plan import Excursion, Plan, Plans
 from .planning.planned import plan, plans
 from .read import read
+from .reconstruction.reconstruct import Reconstruction, reconstruct
 from .records import Record
 from .refinement import Refinement
 from .response import FrequencyResponse
@@ -136,6 +137,7 @@ __all__ = [
     "Plan",
     "Plans",
     "Points",
+    "Reconstruction",
     "Record",
     "Refinement",
     "SavitzkyGolay",
@@ -176,6 +178,7 @@ __all__ = [
     "plan",
     "plans",
     "read",
+    "reconstruct",
     "sign",
     "simulate",
     "sin",

@@ -23,7 +23,7 @@ _INERTIAL = {"ax": "m/s²", "ay": "m/s²", "az": "m/s²", "p": "rad/s", "q": "ra
 _GROUND = ("north", "east", "v_north", "v_east")
 _LONGITUDINAL = ("V", "alpha", "theta", "h")
 _LONGITUDINAL_INPUTS = ("ax", "az", "q")
-_LATE = 0.5  # s; no air-data sensor is later
+_LATE = 2.0  # s; pneumatic lines of small aircraft may take a second
 
 
 def flight_path(
@@ -67,7 +67,8 @@ def flight_path(
                    well.
     scales         channels with a scale factor ``K_<channel>``: measured = K true + b. Unless given alpha and beta,
                    where they are outputs: vanes and probes stand in air that the fuselage deflects.
-    late           outputs that are measured late, by ``tau_<output>`` (s, 0 to 0.5).
+    late           outputs that are measured late, by ``tau_<output>`` (s, 0 to 2). `estimate` needs ``start={"V":
+                   ...}`` where V is.
     accelerometer  (x, y, z) of the accelerometers from the centre of gravity (m; forward, right, down). Then the
                    angular accelerations are inputs too: pdot, qdot, rdot (rad/s²).
     alpha_vane, beta_vane  (x, y, z) of the vanes from the centre of gravity (m): they see the air that rotation adds.

@@ -112,10 +112,10 @@ def _fitted(
     return fit
 
 
-def sensitivities(fit: Fit) -> tuple[list[str], _Array]:
+def sensitivities(fit: Fit, linear: Linearised | None = None) -> tuple[list[str], _Array]:
     """Names of the free parameters (n) and J (rows, n): changes of the outputs by them, in units of the noise, less
     what first states could make up for."""
-    linear = Linearised(fit)
+    linear = linear or Linearised(fit)
     columns, moves = linear.moves
     names = [name for name, *_ in linear._problem.estimands]
     free = np.flatnonzero([not (p.fixed or p.bounds_active) for p in (fit.parameters[n] for n in names)])

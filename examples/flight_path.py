@@ -14,9 +14,9 @@ them or less):
     and 0.919 ± 0.009. (Its own delay, of first order, makes that 0.115 s and 0.90: not alike to so many digits.)
     Gyros are off by 0.001 to 0.003 rad/s, accelerometers by 0.01 to 0.09 m/s^2. The bias of q differs from record to
     record by 2e-4 rad/s, four times its standard error: what drifts is no constant.
-    Altitude does not follow the flight path: in the manoeuvre it is off by up to 10 m, with the sign of the angle of
-    attack. That is an error of the static pressure, and so altitude is left out, and with it a bias of alpha, which
-    nothing else would tell.
+    Altitude does not follow the flight path: in the manoeuvre it is off by up to 10 m, downwards where the angle of
+    attack is large, as it is where that changes the static pressure. So altitude is left out, and with it a bias of
+    alpha, which nothing else would tell.
     A regression on the records as measured has Mq and Zde far off (-1.92 and +0.15), since alpha stands in it late; on
     the corrected records it comes near to the output-error method (-1.46 and -0.07; -1.50 and -0.08).
 

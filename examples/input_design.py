@@ -12,7 +12,8 @@ keep the aircraft within 5 deg of sideslip, 30 deg of bank and 12 deg/s of roll,
 (`optimal_plan`): without such limits the larger input would win, and nothing would be learnt about its shape.
 
 What is predicted is then tried: the best manoeuvre is simulated with noise again and again, and estimated; the scatter
-of the estimates is what the plan said.
+of the estimates is what the plan said (ratios of 0.90 to 1.04 in 200 flights, of which each is known to 5 %). The mean
+relative error is 0.46 % with doublets, 0.33 % with either 3-2-1-1 and 0.28 % with multisines.
 
     python examples/input_design.py [--seeds 200]
 

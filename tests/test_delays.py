@@ -144,6 +144,14 @@ def test_wrong_delays_are_refused() -> None:
         ph.estimate(model(late=100.0), record())
 
 
+def test_states_may_start_with_one_value_a_sample() -> None:
+    run = record()
+    plain = ph.estimate(model(), run)
+    states = {n: v + 0.0 for n, v in ph.simulate(model(), plain, run).states.items()}
+    started = ph.estimate(model(), run, start=states)
+    assert started.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-6)
+
+
 # ---------------------------------------------------------------- time stamps of their own
 
 

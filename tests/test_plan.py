@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,9 @@ import pytest
 
 import phugoid as ph
 from phugoid import inputs
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
+import input_design as example
 
 T = 0.05 * np.arange(161)
 TRUTH = {"Zw": -1.42, "Zde": -6.26, "Mw": -0.216, "Mq": -3.7, "Mde": -12.8}
@@ -25,6 +30,10 @@ def short_period(**more: Any) -> ph.Model:
     late = m.delay(de, *m.parameters(tau=0.13)) if "delay" in more else de
     m.dynamics(w=Zw * w + U0 * q + Zde * late, q=Mw * w + Mq * q + Mde * late)
     m.outputs(w=w, q=q + b, az=(Zw * w + Zde * late, "m/s²"))
+    if "vane" in more:
+        m.sensor_delay(w=m.parameters(tau=0.13)[0])
+    if "steady" in more:
+        m.initial(w=0.0, q=0.0)
     return m
 
 
@@ -54,15 +63,16 @@ def test_the_errors_are_those_of_an_estimation_of_noisy_data() -> None:
     assert all(np.isfinite(e.std_error) for e in first.values())
 
 
-@pytest.mark.parametrize("more", [{}, {"bias": True}, {"delay": True}])
-def test_without_noise_in_the_data_they_are_the_same_to_many_digits(more: dict[str, bool]) -> None:
+@pytest.mark.parametrize("more", [{}, {"bias": True}, {"delay": True}, {"vane": True}, {"steady": True}, {"Mw": 0.25}])
+def test_without_noise_in_the_data_they_are_the_same_to_many_digits(more: dict[str, Any]) -> None:
     m = short_period(**more)
-    extra = ({"b": 0.01} if "bias" in more else {}) | ({"tau": 0.13} if "delay" in more else {})
+    extra = ({"b": 0.01} if "bias" in more else {}) | ({"tau": 0.13} if {"delay", "vane"} & {*more} else {})
+    extra |= {n: v for n, v in more.items() if n in TRUTH}  # unstable
     fit = ph.estimate(m, measured(m, flown(), None, **extra), noise=ph.Gaussian(NOISE), start={**TRUTH, **extra})
     assert fit.converged
     plan = ph.plan(m, flown(), values=extra, noise=NOISE)
     # A delay is found to a small part of its standard error, no better.
-    digits = 1e-3 if "delay" in more else 1e-5
+    digits = 1e-3 if "tau" in extra else 1e-5
     assert errors(plan) == pytest.approx(errors(fit), rel=digits)
     correlation = fit.covariance / np.outer(*2 * [np.sqrt(np.diag(fit.covariance))])
     assert plan.information.correlation == pytest.approx(correlation, abs=digits)
@@ -263,3 +273,25 @@ def test_a_model_is_asked_for() -> None:
     robust.noise(ph.Huber())
     with pytest.raises(ph.OptionError, match="that of the model is"):
         ph.plan(robust, flown())
+
+
+def test_a_fit_that_was_loaded_serves_too(tmp_path: Path) -> None:
+    m = short_period()
+    fit = ph.estimate(m, measured(m, flown(), np.random.default_rng(1)))
+    fit.save(tmp_path / "fit.json")
+    again = ph.load(tmp_path / "fit.json")
+    assert errors(ph.plan(again, flown(), after=again)) == pytest.approx(errors(ph.plan(fit, flown(), after=fit)))
+
+
+def test_the_example_keeps_its_limits_and_multisines_tell_most() -> None:
+    runs = {
+        "doublets": example.steps("doublets", 4.5 * example.DEG, 3.7 * example.DEG),
+        "3-2-1-1": example.steps("3-2-1-1", 3.4 * example.DEG, 3.6 * example.DEG),
+        "multisines": example.sines(2.3 * example.DEG, 3.7 * example.DEG),
+    }
+    plans = ph.plans(example.model(), runs, noise=example.NOISE, limits=example.LIMITS)
+    assert all(p.within_limits for p in plans.values())
+    criteria = [p.criteria["D"] for p in plans.values()]
+    assert criteria == sorted(criteria, reverse=True) and criteria[2] < 0.65 * criteria[0]
+    ratios = example.scatter(plans["multisines"], 60)
+    assert np.sqrt(np.mean(np.square(list(ratios.values())))) == pytest.approx(1.0, abs=0.1)

@@ -1,5 +1,5 @@
-"""Ready models: linear systems (the modal form, for structural dynamics, and general state spaces), and the kinematics of
-a flight (`flight_path`), which needs nothing of what follows.
+"""Ready models: linear systems (the modal form, for structural dynamics, and general state spaces), and the kinematics
+of a flight (`flight_path`), which needs nothing of what follows.
 
 What a record of inputs and outputs tells of a linear system is its transfer function; states may be transformed at will
 (x -> T x), so of the n^2 + n (m + p) numbers in A, B and C (n states, m inputs, p outputs) n^2 are arbitrary. Each form

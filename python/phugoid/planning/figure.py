@@ -70,9 +70,10 @@ def _errors(a: Axes, plans: Sequence[Plan]) -> Axes:
         told = np.where(np.isfinite(x), x, np.nan)
         a.plot(told, y + shift, color=colour, linestyle="", marker=mark, markersize=4, label=p.name)
         a.grid(axis="both", linewidth=0.3)
-        lost = [n for n, v in zip(names, x.tolist(), strict=True) if np.isinf(v)]
-        if lost:
-            a.plot([], [], linestyle="", label=f"   does not tell {', '.join(lost)}")
+        for at, value in zip((y + shift).tolist(), x.tolist(), strict=True):
+            if np.isinf(value):
+                axis = a.get_yaxis_transform()
+                a.text(0.98, at, "not told", color=colour, fontsize="x-small", transform=axis, ha="right", va="center")
     a.set_xscale("log")
     a.xaxis.set_major_formatter("{x:g}")
     a.set_yticks(y, names)

@@ -89,7 +89,7 @@ def multisines(
 
 def peak_factor(u: ArrayLike) -> float:
     """Relative peak factor (max - min)/(2 sqrt(2) rms) of a signal about its mean: 1 for a sine, less is gentler at the
-    same power. (Klein and Morelli, Eq. 9.26.)
+    same power. (Klein and Morelli, ch. 9.)
 
     >>> round(peak_factor([0.0, 1.0, 0.0, -1.0]), 6)
     1.0

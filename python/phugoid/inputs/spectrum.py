@@ -66,7 +66,7 @@ def step_width(mode: Mode | float, kind: _Kind = "3-2-1-1") -> float:
                 then 0.78 of the greatest (0.99 where it is balanced), and above a quarter of it up to 1.8 f_n.
     "pulse"     half a period, 0.5/f_n: most energy there, 4 sin²(ωT/2)/ω², that a pulse of this height can have.
 
-    (Jategaonkar, sec. 2.3: 2.3/ω_n and 1.6/ω_n; Klein and Morelli, sec. 9.3.)
+    (See Jategaonkar, ch. 2, and Klein and Morelli, ch. 9, for such rules; the numbers here are those of the spectra.)
 
     >>> round(step_width(0.5, "doublet"), 3)
     0.742

@@ -74,7 +74,7 @@ def three_two_one_one(
 
     ``balanced``: the first step is lower by a third, so that ups and downs cancel and the vehicle drifts less from its
     trim. ``heights``: four of your own, such as (1.0, -0.9, 0.8, -0.8). For the rest see `multistep`.
-    (Marchand 1974; Jategaonkar, sec. 2.3; Klein and Morelli, sec. 9.3.)
+    (Jategaonkar, ch. 2; Klein and Morelli, ch. 9.)
     """
     lengths, usual = PATTERNS["balanced 3-2-1-1" if balanced else "3-2-1-1"]
     if heights is not None and balanced:

@@ -35,7 +35,7 @@ def sweep(
     fade       s over which it grows at the beginning and dies away at the end.
 
     Returns (N,). Raises OptionError for a band beyond half the sampling rate, or a sweep that does not end within the
-    times. (Klein and Morelli, sec. 9.3; M. B. Tischler and R. K. Remple, Aircraft and Rotorcraft System Identification,
+    times. (Klein and Morelli, ch. 9; M. B. Tischler and R. K. Remple, Aircraft and Rotorcraft System Identification,
     ch. 5.)
 
     >>> u = sweep(np.arange(0.0, 30.0, 0.02), 0.05, band=(0.1, 2.0), start=2.0, duration=25.0)

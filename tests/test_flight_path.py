@@ -137,12 +137,12 @@ def accelerations(truth: ph.Record) -> NDArray[np.float64]:
 
 
 def test_wind_height_and_speeds_over_ground(truth: ph.Record) -> None:
-    from scipy.integrate import cumulative_simpson
+    from scipy.integrate import cumulative_trapezoid
 
     c = true_channels(truth)
     north, east, down = over_ground(truth) + np.array([[8.0], [-5.0], [0.0]])
     track = {
-        n: cumulative_simpson(v, x=truth.t, initial=0.0) for n, v in (("north", north), ("east", east), ("h", -down))
+        n: cumulative_trapezoid(v, x=truth.t, initial=0.0) for n, v in (("north", north), ("east", east), ("h", -down))
     }
     speeds = {"v_north": north, "v_east": east, "v_down": down}
     sigma = {**twin.NOISE, "h": 1.0, "north": 1.0, "east": 1.0, "v_north": 0.1, "v_east": 0.1, "v_down": 0.1}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..figure_style import BAND, INPUT, MODEL, SPAN, STYLE, WIDTH, labelled, plain
+from ..figure_style import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +66,7 @@ def _draw(axis: Any, bands: Any, name: str) -> None:
         there = np.isfinite(record.measured[name])
         size = 2.0 if t.size <= 1000 else 1.0
         axis.plot(
-            t[there], record.measured[name][there], ".", color=INPUT, markersize=size, label="measured", zorder=1.5
+            t[there], record.measured[name][there], ".", color=MEASURED, markersize=size, label="measured", zorder=1.5
         )
     axis.set_ylabel(plain(labelled(name, record.units)))
     axis.margins(x=0.01)

@@ -298,6 +298,6 @@ def test_bad_input(fit: ph.Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(MissingDependency, match="needs a C compiler"):
         fit.export_fmu(tmp_path / "a.fmu")
     monkeypatch.setitem(sys.modules, "fmpy", None)
-    with pytest.raises(MissingDependency, match=r"pip install phugoid\[fmu\]"):
+    with pytest.raises(MissingDependency, match=r'pip install "phugoid\[fmu\]"'):
         fit.export_fmu(tmp_path / "a.fmu")
     assert not (tmp_path / "a.fmu").exists()

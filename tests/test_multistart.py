@@ -726,7 +726,7 @@ def test_table_for_pandas(rugged: Multistart) -> None:
 
 def test_table_without_pandas_says_what_to_install(twins: Multistart, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ph.MissingDependency, match=r"pip install phugoid\[pandas\]"):
+    with pytest.raises(ph.MissingDependency, match=r'pip install "phugoid\[pandas\]"'):
         twins.to_pandas()
 
 

@@ -75,5 +75,5 @@ def test_other_bytes(path: Path) -> None:
 
 def test_missing_package_names_the_command(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pymavlink.DFReader", None)
-    with pytest.raises(MissingDependency, match=r"needs pymavlink .*pip install phugoid\[ardupilot\]"):
+    with pytest.raises(MissingDependency, match=r'needs pymavlink .*pip install "phugoid\[ardupilot\]"'):
         read(path)

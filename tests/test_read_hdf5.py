@@ -66,5 +66,5 @@ def test_damaged(path: Path, size: int) -> None:
 
 def test_missing_package_names_the_command(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(MissingDependency, match=r"needs h5py .*pip install phugoid\[hdf5\]"):
+    with pytest.raises(MissingDependency, match=r'needs h5py .*pip install "phugoid\[hdf5\]"'):
         read(path)

@@ -59,5 +59,5 @@ def test_damaged_within(path: Path) -> None:
 
 def test_missing_package_names_the_command(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(MissingDependency, match=r"needs pyarrow .*pip install phugoid\[parquet\]"):
+    with pytest.raises(MissingDependency, match=r'needs pyarrow .*pip install "phugoid\[parquet\]"'):
         read(path)

@@ -89,5 +89,5 @@ def test_damage_within_is_told(path: Path) -> None:
 
 def test_missing_package_names_the_command(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyulog.core", None)
-    with pytest.raises(MissingDependency, match=r"needs pyulog .*pip install phugoid\[px4\]"):
+    with pytest.raises(MissingDependency, match=r'needs pyulog .*pip install "phugoid\[px4\]"'):
         read(path)

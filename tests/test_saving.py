@@ -258,7 +258,7 @@ def test_without_h5py_the_command_to_install_it_is_told(
 ) -> None:
     fit.save(tmp_path / "fit.h5")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(MissingDependency, match=r"pip install phugoid\[hdf5\]"):
+    with pytest.raises(MissingDependency, match=r'pip install "phugoid\[hdf5\]"'):
         fit.save(tmp_path / "other.h5")
-    with pytest.raises(MissingDependency, match=r"pip install phugoid\[hdf5\]"):
+    with pytest.raises(MissingDependency, match=r'pip install "phugoid\[hdf5\]"'):
         ph.load(tmp_path / "fit.h5")

@@ -149,5 +149,5 @@ def test_a_simulation_as_a_table() -> None:
 def test_without_the_package_the_command_is_told(package: str, fit: ph.Fit, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     for of in (fit, fit.records[0], fit.experiments[0]):
-        with pytest.raises(MissingDependency, match=rf"pip install phugoid\[{package}\]"):
+        with pytest.raises(MissingDependency, match=rf'pip install "phugoid\[{package}\]"'):
             getattr(of, f"to_{package}")()

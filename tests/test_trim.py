@@ -103,7 +103,7 @@ def test_names_with_dots_go_to_python_control() -> None:
 
 def test_without_python_control_the_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(MissingDependency, match=r"pip install phugoid\[control\]"):
+    with pytest.raises(MissingDependency, match=r'pip install "phugoid\[control\]"'):
         ph.StateSpace([[-1.0]], [[1.0]], [[1.0]]).to_control()
 
 

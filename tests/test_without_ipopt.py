@@ -34,4 +34,4 @@ def test_estimation_works_and_ipopt_says_what_to_install() -> None:
     simulated, estimated, refused = done.stdout.strip().splitlines()
     assert simulated == "simulated 20"
     assert estimated == "estimated 1.0"
-    assert refused.startswith("refused the solver Ipopt needs cyipopt") and "pip install phugoid[ipopt]" in refused
+    assert refused.startswith("refused the solver Ipopt needs cyipopt") and 'pip install "phugoid[ipopt]"' in refused

@@ -19,6 +19,7 @@ from .model import Model
 from .parameters import Estimate, Estimates, estimates_table, text_table
 from .records import Record
 from .regression import Regression, regress
+from .unit_check import check_units
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -151,6 +152,7 @@ def equation_error(
         raise OptionError(f"equation_error: start holds values by name, not {start!r}")
     for run in runs:
         run.check_for(model.input_names, model.output_names, model.output_names)
+    check_units(model, runs, "equation_error")
     check_names(model, start or {}, runs)
     values = [parameter_start(model, start or {}, run.name) for run in runs]  # those of each experiment
     measured = channels(model, values[0])

@@ -26,6 +26,7 @@ from .result import Fit, make_fit
 from .shooting import MultipleShooting, SingleShooting, Transcription
 from .solvers import Ipopt, Iteration, Newton, Solution
 from .transcription import Collocation
+from .unit_check import check_units
 
 __all__ = ["estimate"]
 
@@ -65,6 +66,7 @@ def estimate(
     if not isinstance(model, Model):
         raise ModelError(f"estimate: the first argument is a Model, not a {type(model).__name__}")
     model.check()
+    check_units(model, experiments, "estimate")
     transcription = transcription or Collocation()
     noise = noise or model.noise_model
     if not isinstance(transcription, (Collocation, FilterError, MultipleShooting, SingleShooting)):

@@ -31,7 +31,7 @@ def _h5py(what: str) -> Any:
     try:
         import h5py
     except ImportError as error:
-        raise MissingDependency(f"to {what} a fit as HDF5 needs h5py ({error}): pip install phugoid[hdf5]") from error
+        raise MissingDependency(f'to {what} a fit as HDF5 needs h5py ({error}): pip install "phugoid[hdf5]"') from error
     return h5py
 
 

@@ -142,7 +142,7 @@ class Multistart:
         try:
             import pandas as pd
         except ImportError as error:
-            raise MissingDependency(f"to_pandas needs pandas ({error}): pip install phugoid[pandas]") from error
+            raise MissingDependency(f'to_pandas needs pandas ({error}): pip install "phugoid[pandas]"') from error
         number = {index: i for i, optimum in enumerate(self.optima, 1) for index in optimum.indices}
         plain_fields = ("status", "log_likelihood", "iterations", "time", "message")
         rows = [

@@ -19,6 +19,7 @@ from .model import Model
 from .multirate import distinct
 from .records import Record
 from .result import Fit
+from .unit_check import check_units
 
 __all__ = ["first_values", "simulate"]
 
@@ -56,6 +57,7 @@ def simulate(
         raise OptionError(f"simulate: rtol is a number between 0 and 1, not {rtol!r}")
     model.check()
     data.check_for(model.input_names, [])
+    check_units(model, [data], "simulate")
     values = _values(model, parameters, data.name)
     x0 = first_values(model, values, parameters, data, initial or {})
     if model.delays:

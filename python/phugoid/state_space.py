@@ -119,7 +119,7 @@ class StateSpace:
             import control
         except ImportError as error:
             raise MissingDependency(
-                f"to_control needs python-control ({error}): pip install phugoid[control]"
+                f'to_control needs python-control ({error}): pip install "phugoid[control]"'
             ) from error
         kinds = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
         names = {kind: [one.replace(".", "_") for one in group] for kind, group in kinds.items()}

@@ -142,7 +142,7 @@ def _package(name: str, caller: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise MissingDependency(f"{caller} needs {name} ({error}): pip install phugoid[{name}]") from error
+        raise MissingDependency(f'{caller} needs {name} ({error}): pip install "phugoid[{name}]"') from error
 
 
 def _channels(e: Any) -> list[tuple[str, str, _Array]]:

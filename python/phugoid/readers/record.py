@@ -65,8 +65,14 @@ class Record:
             where = f"{self.where}, time '{clock}'"
             values = real(_seconds(self._columns[clock].values(clock)), where)
             unit = self._labels[clock] = self._label(clock)
-            if isinstance(unit, str) and unit and si(unit) == "s":
-                values = converted(values, unit, "s", where)
+            if unit:
+                # Seconds "since" some date, as the CF conventions write it, are seconds; a step of time is all we need.
+                measure = unit.partition(" since ")[0]
+                if si(measure) != "s":
+                    raise DataError(
+                        f"{where}: '{unit}' is no unit of time that is known; tell what it is, units={{'{clock}': 's'}}"
+                    )
+                values = converted(values, measure, "s", where)
                 self._labels[clock] = "s"
             self._read[clock] = values
         return self._read[clock]

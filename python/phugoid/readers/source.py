@@ -82,7 +82,7 @@ def load(module: str, kind: str, extra: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        raise MissingDependency(f"to read {kind} needs {package} ({error}): pip install phugoid[{extra}]") from error
+        raise MissingDependency(f'to read {kind} needs {package} ({error}): pip install "phugoid[{extra}]"') from error
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import DataError, listing
 from ..experiment import FloatArray
 
-__all__ = ["convert", "si"]
+__all__ = ["convert", "differ", "si"]
 
 _DEG = math.pi / 180.0
 _FT = 0.3048
@@ -100,6 +100,22 @@ def convert(values: FloatArray, unit: str, into: str, where: str) -> FloatArray:
     if source == target:
         return values
     return np.asarray((values + source.offset) * (source.factor / target.factor) - target.offset)
+
+
+def differ(unit: str, other: str) -> bool:
+    """Whether a number in one unit means something else in the other; False where either is not known.
+
+    Radians are no dimension here: who writes ``1/s`` for an angular rate means ``rad/s``.
+
+    >>> differ("deg", "rad"), differ("1/s", "rad/s"), differ("m", "m/s"), differ("furlong", "m")
+    (True, False, True, False)
+    """
+    scales = [_scale(text) for text in (unit, other)]
+    one, two = scales
+    if one is None or two is None:
+        return False
+    kinds = [{(d, p) for d, p in scale.dimensions if d != "rad"} for scale in (one, two)]
+    return kinds[0] != kinds[1] or one.offset != two.offset or not math.isclose(one.factor, two.factor, rel_tol=1e-9)
 
 
 def _scale(unit: str) -> _Scale | None:

@@ -359,7 +359,7 @@ def load_cyipopt() -> Any:
         return _extension()
     except ImportError as error:
         raise MissingDependency(
-            f"the solver Ipopt needs cyipopt ({error}): pip install phugoid[ipopt], or see README"
+            f'the solver Ipopt needs cyipopt ({error}): pip install "phugoid[ipopt]", or see README'
         ) from error
 
 

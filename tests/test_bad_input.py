@@ -128,7 +128,7 @@ def test_the_experiment_at_fault_is_named() -> None:
     [
         ([], "the list of experiments is empty"),
         ([run(), run()], "two experiments are called 'run1'; give each a name of its own"),
-        ({"u": U, "x": X}, r"data is an Experiment or a list of them; make one with ph\.read"),
+        ({"u": U, "x": X}, r"data is an Experiment or a list of them, not .*; make one with ph\.read"),
         ([run(), None], "data is an Experiment or a list of them"),
         ("run1.csv", "data is an Experiment or a list of them"),
     ],

@@ -19,9 +19,9 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "tabular", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
-    "filtering", "preprocess", "experiment", "multirate", "readers", "read", "unit_check", "transcription", "shooting",
-    "hdf5_file",
+    "_core", "errors", "tabular", "symbols", "declared", "parameters", "noise", "densities", "rebuilt", "delayed",
+    "model", "filtering", "preprocess", "experiment", "multirate", "readers", "read", "unit_check", "transcription",
+    "shooting", "hdf5_file",
     "filter_error", "guess", "solvers", "progress", "records", "io", "figure_style", "match", "time_panels", "plot",
     "correlation_plot", "parameters_plot", "convergence_plot", "frequency_plot", "response", "mode_table",
     "inputs", "state_space", "models", "modal_response", "sampled", "hankel", "modal_regression", "identified",

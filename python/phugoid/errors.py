@@ -67,7 +67,7 @@ def did_you_mean(name: str, candidates: Iterable[str]) -> str:
     lowered: dict[str, str] = {}
     for candidate in candidates:
         lowered.setdefault(candidate.lower(), candidate)
-    near = get_close_matches(name.lower(), lowered, n=1)
+    near = get_close_matches(str(name).lower(), lowered, n=1)  # a number, where text was meant, is no reason to fail
     return f" Did you mean '{lowered[near[0]]}'?" if near else ""
 
 

@@ -75,6 +75,10 @@ class Experiment(Preprocessing):
         self._inputs = self._columns(inputs, "input")
         self._outputs = self._columns(outputs, "output")
         self._channels = self._columns(channels, "channel")
+        if not isinstance(units, (Mapping, type(None))) or not all(isinstance(u, str) for u in (units or {}).values()):
+            raise DataError(
+                f"experiment '{self._name}': units are texts by name, such as {{'q': 'rad/s'}}, not {units!r}"
+            )
         self._units = dict(units or {})
         self._signals: dict[str, Signal] = {}
         self._mesh_times: FloatArray | None = None
@@ -423,7 +427,11 @@ def as_experiments(data: Any, caller: str) -> list[Experiment]:
     """One experiment or several as a list; DataError, in the caller's name, for anything else or repeated names."""
     runs = [data] if isinstance(data, Experiment) else list(data) if isinstance(data, (list, tuple)) else None
     if runs is None or not all(isinstance(e, Experiment) for e in runs):
-        raise DataError(f"{caller}: data is an Experiment or a list of them; make one with ph.read or ph.Experiment")
+        first = data if runs is None else next(e for e in runs if not isinstance(e, Experiment))
+        raise DataError(
+            f"{caller}: data is an Experiment or a list of them, not {type(first).__name__}; make one with "
+            "ph.read (of a file or a data frame) or ph.Experiment (of arrays)"
+        )
     if not runs:
         raise DataError(f"{caller}: the list of experiments is empty")
     names = [e.name for e in runs]
@@ -467,7 +475,8 @@ def _scalar(value: Any, i: int, where: str, t: FloatArray | None) -> float:
     # pandas' NA is known by its type's name: importing pandas only to compare would be dear.
     if value is None or type(value).__name__ in ("NAType", "NaTType"):
         return float("nan")
-    if not isinstance(value, str):
+    # float() would drop the imaginary part of numpy's complex numbers.
+    if not isinstance(value, (str, complex, np.complexfloating)):
         try:
             return float(value)
         except (TypeError, ValueError):

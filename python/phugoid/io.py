@@ -31,6 +31,7 @@ __all__ = [
     "to_array",
     "to_float",
     "to_json",
+    "write_page",
 ]
 
 FORMAT = "phugoid-fit"
@@ -131,6 +132,16 @@ def load_fit_dict(path: str | PathLike[str]) -> tuple[dict[str, Any], int]:
     with hdf5_file.Reader(path) as saved:
         document, version = from_json(saved.text(FORMAT), source=str(path))
         return saved.filled(document), version
+
+
+def write_page(path: str | PathLike[str], page: str) -> None:
+    """Writes a page or another text; DataError where that cannot be done."""
+    try:
+        Path(path).write_text(page, encoding="utf-8")
+    except OSError as error:
+        folder = Path(path).resolve().parent
+        why = error.strerror or error if folder.is_dir() else f"there is no folder {folder}"
+        raise DataError(f"{path}: cannot be written ({why})") from error
 
 
 def to_float(value: Any) -> float:

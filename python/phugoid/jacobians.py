@@ -44,6 +44,8 @@ class Jacobians:
 
     def point(self, values: Mapping[str, float], at: Mapping[str, float] | None) -> dict[str, float]:
         """Numbers for all symbols: parameters by ``values``, and the point. ModelError where it does not say enough."""
+        if not isinstance(at, (Mapping, type(None))):
+            raise ModelError(f"{self.caller}: at: give states and inputs by name, such as {{'alpha': 0.1}}, not {at!r}")
         at = dict(at or {})
         there = (*self.states, *self.inputs, "time")
         for name in at:

@@ -11,9 +11,10 @@ from typing import Any
 
 from . import _core
 from ._core import Expr
+from .declared import Declared
 from .delayed import Delays, at_delays
 from .densities import PerOutput, noise_from_dict
-from .errors import ModelError, did_you_mean
+from .errors import DataError, ModelError, did_you_mean
 from .noise import KINDS, Gaussian, Noise, Sigma
 from .parameters import Parameter
 
@@ -85,12 +86,12 @@ class Model:
     def states(self, *names: str, **units: str) -> tuple[Expr, ...]:
         """Declares states, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
         declared = _with_units("states", _declared("states", names, units))
-        return tuple(self._core.state(n, u) for n, u in declared.items())
+        return Declared(self._core.state(n, u) for n, u in declared.items())
 
     def inputs(self, *names: str, **units: str) -> tuple[Expr, ...]:
         """Declares inputs, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
         declared = _with_units("inputs", _declared("inputs", names, units))
-        return tuple(self._core.input(n, u) for n, u in declared.items())
+        return Declared(self._core.input(n, u) for n, u in declared.items())
 
     def parameters(self, *names: str, **parameters: Parameter | float) -> tuple[Expr, ...]:
         """Declares unknown parameters: ``"a b"`` (start 0), ``a=start`` or ``a=Parameter(...)``.
@@ -109,7 +110,7 @@ class Model:
             symbols.append(
                 self._core.parameter(name, p.unit, p.start, low, high, p.prior, p.fixed, p.per_experiment, log, p.scale)
             )
-        return tuple(symbols)
+        return Declared(symbols)
 
     def delay(self, input: Expr, by: Expr, name: str | None = None) -> Expr:
         """The symbol of an input that acts late, u(t - tau), with ``by`` the parameter tau (s), which is estimated.
@@ -155,7 +156,7 @@ class Model:
         A term that is added to a quantity later enters wherever the quantity is used.
         """
         source = _source()
-        return tuple(self._each("quantity", expressions, lambda n, e: self._core.quantity(n, e, source)))
+        return Declared(self._each("quantity", expressions, lambda n, e: self._core.quantity(n, e, source)))
 
     def dynamics(self, **expressions: Any) -> None:
         """Gives state equations: ``dynamics(x=...)`` is x' = ... (per second)."""
@@ -199,6 +200,8 @@ class Model:
             raise ModelError(f"{kind}: no equations were given")
         results = []
         for name, expression in expressions.items():
+            if isinstance(expression, Declared):
+                expression.no_expression()
             try:
                 results.append(act(name, expression))
             except TypeError as error:
@@ -321,13 +324,22 @@ class Model:
         return model
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes `to_json` to a file."""
-        Path(path).write_text(self.to_json(), encoding="utf-8")
+        """Writes `to_json` to a file; DataError where that cannot be done."""
+        try:
+            Path(path).write_text(self.to_json(), encoding="utf-8")
+        except OSError as error:
+            raise DataError(f"{path}: the model cannot be saved ({error.strerror or error})") from error
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Model:
-        """Reads a file that `save` wrote."""
-        return cls.from_json(Path(path).read_text(encoding="utf-8"))
+        """Reads a file that `save` wrote; DataError where it cannot be read, ModelError where it holds no model."""
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise DataError(
+                f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'it is no text'})"
+            ) from error
+        return cls.from_json(text)
 
     def __reduce__(self) -> Any:
         return Model.from_json, (self.to_json(),)

@@ -64,7 +64,14 @@ def read(
     that are unknown or of different kinds, and with the path for a damaged file; MissingDependency, with the command
     that installs it, where a package is needed to read a file.
     """
+    if not isinstance(rename, (Mapping, type(None))):
+        raise DataError(f"rename={rename!r}: give names by name, such as rename={{'ALFCG': 'alpha'}}")
+    if not isinstance(units, (Mapping, type(None))):
+        raise DataError(f"units={units!r}: give units by name, such as units={{'alpha': ('deg', 'rad')}}")
+    if time is not None and not isinstance(time, str):
+        raise DataError(f"time={time!r}: give the name of the time column, or rate=... in Hz where there is none")
     renaming, labels = dict(rename or {}), dict(units or {})
+    window = _span(window)
     for kind, wanted in (("input", inputs), ("output", outputs), ("unit", units)):
         if isinstance(wanted, str):
             raise DataError(f"{kind}s='{wanted}' is text: give a list of names, such as {kind}s=['{wanted}']")
@@ -80,6 +87,17 @@ def read(
     used = list(dict.fromkeys([*(inputs or ()), *(outputs or ())])) if given else record.available
     result = _one_rate(record, used, inputs, outputs, name, interpolation, window, not given)
     return result if result is not None else _many_rates(record, inputs, outputs, name, interpolation, window)
+
+
+def _span(window: Any) -> tuple[float, float] | None:
+    """The window as two numbers; DataError for anything else."""
+    if window is None:
+        return None
+    try:
+        first, last = window
+        return float(first) + 0.0, float(last) + 0.0
+    except (TypeError, ValueError):
+        raise DataError(f"window={window!r}: give its begin and end in s, such as window=(2.0, 30.0)") from None
 
 
 def _one_rate(

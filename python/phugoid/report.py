@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
 from typing import Any
 
 from . import plot
@@ -16,6 +15,7 @@ from .discrepancy.markup import bullets, details, document, image, section, tabl
 from .discrepancy.mathml import equation
 from .discrepancy.provenance import facts, files_table, records_table, steps_of
 from .errors import DataError, OptionError
+from .io import write_page
 from .match import match
 from .parameters import Estimate, Estimates
 from .parameters_plot import plot_parameters
@@ -76,7 +76,7 @@ def report(
     kind = "nothing" if fit.converged and not fit.warnings else "unexplained"
     headline = f"{fit.status[:1].upper()}{fit.status[1:]}" + (f": {fit.message}." if fit.message else ".")
     page = document(f"Fit: {fit.model.name}", "Parameters from data", fit.model.name, headline, kind, sections)
-    Path(path).write_text(page, encoding="utf-8")
+    write_page(path, page)
 
 
 def _parameters(fit: Any) -> str:

@@ -25,7 +25,7 @@ def check_units(model: Model, runs: Sequence[Experiment], caller: str) -> None:
                 if told and wanted and differ(told, wanted):
                     raise DataError(
                         f"{caller}: {kind} '{name}' of experiment '{run.name}' is in '{told}', but the model has it in "
-                        f"'{wanted}'; convert it, as by ph.read(..., units={{'{name}': ('{told}', '{wanted}')}}) or, "
-                        f"of all channels to SI, convert=True (--convert at the command line); or put right the label "
-                        f"that is wrong, units={{'{name}': '{wanted}'}}"
+                        f"'{wanted}'; convert it where it is read, units={{'{name}': ('{told}', '{wanted}')}}, or all "
+                        f"channels to SI, convert=True (--convert at the command line); or put right a wrong label, "
+                        f"units={{'{name}': '{wanted}'}} (--units {name}={wanted})"
                     )

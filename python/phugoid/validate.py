@@ -22,6 +22,7 @@ from .noise import Gaussian, Noise
 from .records import Record
 from .result import Fit
 from .solvers import Newton
+from .unit_check import check_units
 from .validation import Validation
 
 __all__ = ["found_anew", "shared", "validate"]
@@ -163,6 +164,7 @@ def _held(fit: Fit, free: Sequence[str], values: Mapping[str, Any]) -> dict[str,
 def _check(fit: Fit, e: Experiment, free: Sequence[str]) -> tuple[str, ...]:
     """Warnings on an experiment. Raises DataError for one that cannot serve."""
     model = fit.model
+    check_units(model, [e], "validate")
     there = {*e.channels}
     lacking = [f"input '{n}'" for n in model.input_names if n not in there | {*e.inputs}]
     lacking += [f"output '{n}'" for n in model.output_names if n not in there | {*e.outputs}]

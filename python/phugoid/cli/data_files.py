@@ -23,13 +23,23 @@ class Reading:
     inputs: Sequence[str] | None = None
     outputs: Sequence[str] | None = None
     window: tuple[float, float] | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    convert: bool = False
 
     @classmethod
     def of(
-        cls, time: str, rename: Sequence[str] | None, inputs: str | None, outputs: str | None, window: str | None
+        cls,
+        time: str,
+        rename: Sequence[str] | None,
+        inputs: str | None,
+        outputs: str | None,
+        window: str | None,
+        units: Sequence[str] | None = None,
+        convert: bool = False,
     ) -> Reading:
         """From the texts of the options."""
-        return cls(time, pairs("--rename", rename), names(inputs), names(outputs), span(window))
+        told = pairs("--units", units)
+        return cls(time, pairs("--rename", rename), names(inputs), names(outputs), span(window), told, convert)
 
     def read(self, files: Sequence[Path]) -> list[Experiment]:
         """One record a file, each with a name of its own: the file's, with its folder where that is not enough."""
@@ -46,6 +56,8 @@ class Reading:
                 rename=self.rename,
                 name=str(file) if stems.count(file.stem) > 1 else None,
                 window=self.window,
+                units=self.units,
+                convert=self.convert,
             )
             for file in files
         ]

@@ -21,6 +21,7 @@ from .fit import code_of
 from .guard import INTERRUPTED, NOT_CONVERGED, guard
 from .model_file import load_source
 from .options import (
+    ConvertOption,
     DebugOption,
     FixOption,
     InputsOption,
@@ -34,6 +35,7 @@ from .options import (
     SolverOption,
     StartOption,
     TimeOption,
+    UnitsOption,
     WindowOption,
 )
 from .results import check_targets, emit_json, fit_facts
@@ -60,6 +62,8 @@ def diagnose(
     inputs: InputsOption = None,
     outputs: OutputsOption = None,
     window: WindowOption = None,
+    units: UnitsOption = None,
+    convert: ConvertOption = False,
     report: ReportOption = None,
     json: JsonOption = False,
     debug: DebugOption = False,
@@ -71,7 +75,7 @@ def diagnose(
     with guard(debug):
         check_targets((), [report])
         how = Estimation.of(order, start, fix, solver, iterations)
-        reading = Reading.of(time, rename, inputs, outputs, window)
+        reading = Reading.of(time, rename, inputs, outputs, window, units, convert)
         base = _base(model, reading, data or [], fit, how)
         others = reading.read(validation) if validation else None
         if base.status not in ("converged", "acceptable"):

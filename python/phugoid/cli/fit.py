@@ -18,6 +18,7 @@ from .estimation import Estimation
 from .guard import INTERRUPTED, NOT_CONVERGED, guard
 from .model_file import load_source
 from .options import (
+    ConvertOption,
     DataArgument,
     DebugOption,
     FixOption,
@@ -33,6 +34,7 @@ from .options import (
     SolverOption,
     StartOption,
     TimeOption,
+    UnitsOption,
     WindowOption,
 )
 from .results import check_targets, emit_json, fit_facts, save_figures
@@ -53,6 +55,8 @@ def fit(
     inputs: InputsOption = None,
     outputs: OutputsOption = None,
     window: WindowOption = None,
+    units: UnitsOption = None,
+    convert: ConvertOption = False,
     save: Annotated[
         Path | None, typer.Option("--save", help="Writes the fit, for phugoid.load: .json, or .h5 (HDF5).")
     ] = None,
@@ -67,7 +71,7 @@ def fit(
             raise OptionError(f"--save {save}: a saved fit ends in .json, {' or '.join(SUFFIXES)}")
         check_targets([plot], [save, report])
         how = Estimation.of(order, start, fix, solver, iterations)
-        reading = Reading.of(time, rename, inputs, outputs, window)
+        reading = Reading.of(time, rename, inputs, outputs, window, units, convert)
         source = load_source(model)
         records = reading.read(data)
         # A saved fit is gone on from.

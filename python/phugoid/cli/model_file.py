@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from ..errors import DataError, ModelError, listing
+from ..errors import DataError, ModelError, did_you_mean, listing
 from ..io import FORMAT, SUFFIXES
 from ..model import Model
 from ..result import Fit
@@ -97,7 +97,9 @@ def _at_line(path: Path, error: BaseException) -> ModelError:
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
     where = f"{path}, line {lines[-1]}" if lines else str(path)
     kind = "" if isinstance(error, ModelError) else f"{type(error).__name__}: "
-    return ModelError(f"{where}: {kind}{error}")
+    # Python itself tells the nearest name only where it prints the traceback.
+    hint = did_you_mean(error.name, dir(error.obj)) if isinstance(error, AttributeError) and error.name else ""
+    return ModelError(f"{where}: {kind}{error}{'.' if hint else ''}{hint}")
 
 
 def _named(path: Path, names: dict[str, Any], name: str) -> Any:

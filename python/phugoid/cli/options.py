@@ -12,6 +12,7 @@ import typer
 from ..errors import OptionError
 
 __all__ = [
+    "ConvertOption",
     "DataArgument",
     "DebugOption",
     "FixOption",
@@ -27,6 +28,7 @@ __all__ = [
     "SolverOption",
     "StartOption",
     "TimeOption",
+    "UnitsOption",
     "WindowOption",
     "fixes",
     "names",
@@ -51,6 +53,13 @@ OutputsOption: TypeAlias = Annotated[
 ]
 WindowOption: TypeAlias = Annotated[
     str | None, typer.Option("--window", help="Keeps this part of each record, in s.", metavar="T0,T1")
+]
+UnitsOption: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option("--units", help="Unit of a column, in place of what the file says.", metavar="NAME=UNIT"),
+]
+ConvertOption: TypeAlias = Annotated[
+    bool, typer.Option("--convert", help="Brings columns to SI: degrees to radians, knots to m/s, ...")
 ]
 OrderOption: TypeAlias = Annotated[
     int | None,

@@ -11,6 +11,7 @@ from typing import Annotated, Any, TextIO
 import typer
 
 from ..errors import ModelError, OptionError, listing
+from ..io import SUFFIXES
 from ..match import match
 from ..model import Model
 from ..records import Record
@@ -21,6 +22,7 @@ from .data_files import Reading
 from .guard import guard
 from .model_file import load_source
 from .options import (
+    ConvertOption,
     DebugOption,
     InputsOption,
     JsonOption,
@@ -28,6 +30,7 @@ from .options import (
     OutputsOption,
     RenameOption,
     TimeOption,
+    UnitsOption,
     WindowOption,
     numbers,
 )
@@ -52,6 +55,8 @@ def simulate(
     inputs: InputsOption = None,
     outputs: OutputsOption = None,
     window: WindowOption = None,
+    units: UnitsOption = None,
+    convert: ConvertOption = False,
     out: Annotated[Path | None, typer.Option("--out", help="Writes the CSV here instead of on stdout.")] = None,
     json: JsonOption = False,
     debug: DebugOption = False,
@@ -61,7 +66,7 @@ def simulate(
         check_targets((), [out])
         source = load_source(model)
         described = source.model if isinstance(source, Fit) else source
-        (experiment,) = Reading.of(time, rename, inputs, outputs, window).read([data])
+        (experiment,) = Reading.of(time, rename, inputs, outputs, window, units, convert).read([data])
         fit, values = _parameters(described, source if isinstance(source, Fit) else None, parameters)
         first = _first(described, fit, experiment.name, numbers("--initial", initial))
         record = integrate(described, values, experiment, initial=first)
@@ -91,12 +96,12 @@ def _parameters(
     files = [text for text in given or () if "=" not in text]
     if len(files) > 1:
         raise OptionError(f"--parameters: one saved fit, not {len(files)}")
-    if files and not files[0].endswith(".json"):
-        raise OptionError(f"--parameters: '{files[0]}' is neither a saved fit (.json) nor of the form NAME=VALUE")
+    if files and not files[0].lower().endswith((".json", *SUFFIXES)):
+        raise OptionError(f"--parameters: '{files[0]}' is neither a saved fit (.json, .h5) nor of the form NAME=VALUE")
     fit = load(files[0]) if files else fit
     values = numbers("--parameters", [text for text in given or () if "=" in text])
     for name in values:
-        known = [*model.parameter_names, *(fit.parameters if fit is not None else ())]
+        known = [*dict.fromkeys([*model.parameter_names, *(fit.parameters if fit is not None else ())])]
         if name not in known:
             raise ModelError(f"--parameters: '{name}' is no parameter.{listing(name, known)}")
     if fit is not None:

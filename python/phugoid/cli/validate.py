@@ -18,6 +18,7 @@ from .fit import code_of
 from .guard import NOT_CONVERGED, guard
 from .model_file import load_source
 from .options import (
+    ConvertOption,
     DataArgument,
     DebugOption,
     FixOption,
@@ -31,6 +32,7 @@ from .options import (
     SolverOption,
     StartOption,
     TimeOption,
+    UnitsOption,
     WindowOption,
     numbers,
 )
@@ -43,7 +45,7 @@ def validate(
     model: Annotated[
         str,
         typer.Argument(
-            help="A saved fit (.json); or a model, which is fitted to the first data file.", metavar="MODEL"
+            help="A saved fit (.json, .h5); or a model, which is fitted to the first data file.", metavar="MODEL"
         ),
     ],
     data: DataArgument,
@@ -61,6 +63,8 @@ def validate(
     inputs: InputsOption = None,
     outputs: OutputsOption = None,
     window: WindowOption = None,
+    units: UnitsOption = None,
+    convert: ConvertOption = False,
     plot: PlotOption = None,
     json: JsonOption = False,
     debug: DebugOption = False,
@@ -70,7 +74,7 @@ def validate(
         check_targets([plot])
         limits = numbers("--tolerance", tolerance)
         how = Estimation.of(order, start, fix, solver, iterations)
-        reading = Reading.of(time, rename, inputs, outputs, window)
+        reading = Reading.of(time, rename, inputs, outputs, window, units, convert)
         source = load_source(model)
         if isinstance(source, Fit):
             if how.start or how.fixed:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
 from typing import Any
 
+from ..io import write_page
 from ..model import Model
 from ..parameters import Estimate
 from .extension import Extension
@@ -52,7 +52,7 @@ def report(diagnosis: Any, path: str | os.PathLike[str]) -> None:
         outcome(diagnosis.findings),
         sections,
     )
-    Path(path).write_text(page, encoding="utf-8")
+    write_page(path, page)
 
 
 def _wrong(diagnosis: Any) -> str:

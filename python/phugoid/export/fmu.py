@@ -230,8 +230,8 @@ def _compiled(name: str, files: Mapping[str, str], suffix: str) -> bytes:
         import fmpy
     except ImportError as error:
         raise MissingDependency(
-            f'export_fmu needs FMPy, which has the headers of the FMI standard ({error}): pip install "phugoid[fmu]", or '
-            "binary=False for a unit with source alone"
+            f'export_fmu needs FMPy, which has the headers of the FMI standard ({error}): pip install "phugoid[fmu]", '
+            "or binary=False for a unit with source alone"
         ) from error
     compiler = os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
     if compiler is None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -73,7 +75,15 @@ def _values(rows: list[list[Any]], i: int, name: str) -> Any:
 
 
 @contextlib.contextmanager
-def _quiet() -> Any:
-    """pymavlink prints what it finds wrong."""
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+def _quiet() -> Iterator[None]:
+    """pymavlink prints what it finds wrong, a line a damaged byte; its part in C does so past Python's streams."""
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.redirect_stdout(io.StringIO()))
+        stack.enter_context(contextlib.redirect_stderr(io.StringIO()))
+        with contextlib.suppress(OSError):  # a program without a console may have no such stream
+            kept = os.dup(2)
+            stack.callback(os.close, kept)
+            stack.callback(os.dup2, kept, 2)
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), 2)
         yield

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -61,7 +62,7 @@ def _parse(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> 
     if not content:
         raise DataError(f"{file}: is empty")
     # The third line is surely data: a header and a row of units may stand before it.
-    split = _splitter(delimiter, content[min(2, len(content) - 1)][1])
+    split = _splitter(file, delimiter, content[min(2, len(content) - 1)][1])
     first = split(_glued(content[0][1]))
     if columns is not None:
         if isinstance(columns, str):
@@ -106,6 +107,9 @@ def _text(path: Path) -> str:
             raw = gzip.decompress(raw)
         except (OSError, EOFError, zlib.error) as error:
             raise DataError(f"{path}: the gzip file is damaged or cut short ({error})") from None
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):  # "Unicode text" of spreadsheets
+        with contextlib.suppress(UnicodeDecodeError):
+            return raw.decode("utf-16")
     if b"\0" in raw[:4096]:
         raise DataError(
             f"{path}: is not a text table, and its ending is of no other kind that is known ({KINDS}); load it "
@@ -117,7 +121,7 @@ def _text(path: Path) -> str:
         return raw.decode("latin-1")  # a degree sign in a unit, written by older Windows tools
 
 
-def _splitter(delimiter: str | None, sample: str) -> Any:
+def _splitter(file: str, delimiter: str | None, sample: str) -> Any:
     """A function that cuts a line into stripped fields."""
     if delimiter is None:
         # A tab may be mere alignment among blanks: it delimits only where no field has a blank inside.
@@ -132,7 +136,10 @@ def _splitter(delimiter: str | None, sample: str) -> Any:
         if '"' in line:
             import csv
 
-            return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+            try:
+                return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+            except csv.Error as error:
+                raise DataError(f"{file}: is no table of text ({error})") from None
         return [cell.strip() for cell in line.split(delimiter)]
 
     return split
@@ -164,7 +171,12 @@ def _numbers(table: _Table, j: int, name: str) -> FloatArray:
         try:
             values[i] = np.nan if cell.lower() in _MISSING else float(cell)
         except ValueError:
-            comma = " (a decimal comma? write a point)" if re.fullmatch(r"[+-]?\d+,\d+.*", cell) else ""
+            decimal = re.fullmatch(r"[+-]?\d+,\d+.*", cell)
+            comma = (
+                " (a decimal comma? write points, or give ph.read(pandas.read_csv(..., decimal=',')))"
+                if decimal
+                else ""
+            )
             raise DataError(
                 f"{table.file}, line {table.lines[i]}, column '{name}': '{cell}' is not a number{comma}; "
                 "leave a missing sample empty or NaN, or leave the column out by naming inputs=[...] and "

@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 
 import phugoid
+from pygments.lexers.rust import RustLexer
+from sphinx.application import Sphinx
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE / "_ext"))
@@ -78,3 +80,8 @@ html_static_path = ["_static"]
 html_css_files = ["phugoid.css"]
 html_show_sphinx = False
 html_show_copyright = False
+
+
+def setup(app: Sphinx) -> None:
+    """Names of languages that Rust's documentation knows and Pygments does not."""
+    app.add_lexer("rust,no_run", RustLexer)

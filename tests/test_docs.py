@@ -1,0 +1,152 @@
+"""The documentation: its code runs page by page, it names the whole public API, and Sphinx builds it without a warning."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pages import ROOT, Block, blocks, run
+from typer.testing import CliRunner
+
+import phugoid as ph
+from phugoid.cli.app import app
+
+DOCS = ROOT / "docs"
+GALLERY = sorted((DOCS / "gallery").glob("*.py"))
+PAGES = [p for p in sorted(DOCS.rglob("*.md")) if "_build" not in p.parts and blocks(p)]
+EXAMPLES = ("hfb320", "unstable")
+# What shells run on these pages besides phugoid: each is checked in another way.
+ELSEWHERE = {"pip", "make", "cargo", "python", "pre-commit"}
+
+
+@pytest.fixture(scope="session")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the files of all examples."""
+    folder = tmp_path_factory.mktemp("examples")
+    for name in EXAMPLES:
+        assert CliRunner().invoke(app, ["example", name, "--out", str(folder)]).exit_code == 0
+    return folder
+
+
+@pytest.fixture
+def modules(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Model files are imported from the page's folder, and forgotten after it."""
+    for name in EXAMPLES:
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    before = set(sys.modules)
+    yield
+    for name in {*EXAMPLES}.intersection(set(sys.modules) - before):
+        del sys.modules[name]
+
+
+def shell(block: Block) -> None:
+    """Runs the commands of the package; others must be such as are run elsewhere."""
+    for line in block.code.splitlines():
+        if not line.startswith("$ "):
+            continue
+        program, *arguments = shlex.split(line[2:])
+        if program == "phugoid":
+            result = CliRunner().invoke(app, arguments)
+            assert result.exit_code == 0, f"{line}\n{result.output}\n{result.stderr}"
+        else:
+            assert program in ELSEWHERE, line
+
+
+def shape(text: str) -> list[str]:
+    """Printed lines without what differs from machine to machine: digits, and how wide columns are."""
+    lines = [re.sub(r"-{2,}", "--", re.sub(r"[-+]?\d[\d.e+-]*", "0", line)) for line in text.splitlines()]
+    return [" ".join(line.split()) for line in lines if line.strip()]
+
+
+def contains(printed: list[str], wanted: list[str]) -> bool:
+    return any(printed[i : i + len(wanted)] == wanted for i in range(len(printed) - len(wanted) + 1))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(p.relative_to(DOCS)) for p in PAGES])
+def test_code_runs(
+    page: Path,
+    written: Path,
+    modules: None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("matplotlib")
+    import matplotlib.pyplot as plt
+
+    text = page.read_text(encoding="utf-8")
+    for name in EXAMPLES:
+        if f"$ phugoid example {name}" not in text:  # else the page writes them itself
+            for file in written.glob(f"{name}*"):
+                shutil.copy(file, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    names: dict[str, object] = {}
+    printed = ""
+    for block in blocks(page):
+        if block.language == "python":
+            run(block, page, names)
+            printed = capsys.readouterr().out
+        elif block.language == "console":
+            shell(block)
+        elif block.language == "text":
+            assert contains(shape(printed), shape(block.code)), f"{page}:{block.line}: it prints\n{printed}"
+    plt.close("all")
+
+
+@pytest.mark.parametrize("script", GALLERY, ids=[p.stem for p in GALLERY])
+def test_gallery_runs(script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import matplotlib.pyplot as plt
+
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "__main__"}
+    exec(compile(script.read_text(encoding="utf-8"), str(script), "exec"), names)
+    assert plt.get_fignums(), "a page of the gallery shows a figure"
+    plt.close("all")
+
+
+def test_all_names_are_documented() -> None:
+    text = "\n".join(p.read_text(encoding="utf-8") for p in (DOCS / "api").glob("*.rst"))
+    there = re.findall(r"^\.\. auto\w+:: (?:phugoid\.)?([\w.]+)", text, re.M)
+    assert len(there) == len({*there})
+    public = {n for n in ph.__all__ if n not in ("__version__", "models")} | {f"models.{n}" for n in ph.models.__all__}
+    assert {*there} == public
+
+
+def test_commands_and_files_that_pages_name_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = {*re.findall(r"^([a-z-]+):", makefile, re.M)}
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for path in re.findall(r"`((?:examples|benchmarks|tests|tools|rust)/[\w/.-]+\.\w+)`", text):
+            assert (ROOT / path).exists(), f"{page}: {path}"
+        for target in re.findall(r"(?:\$ |`)make ([a-z-]+)", text):
+            assert target in targets, f"{page}: make {target}"
+
+
+@pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("sphinx", "furo", "myst_parser", "sphinx_gallery")),
+    reason="building the documentation needs the extra 'docs'",
+)
+def test_pages_build_without_a_warning(tmp_path: Path) -> None:
+    """Without running the gallery, which has a test of its own."""
+    source = tmp_path / "docs"
+    shutil.copytree(DOCS, source, ignore=shutil.ignore_patterns("_build", "examples", "__pycache__"))
+    for name in ("CHANGELOG.md", "CONTRIBUTING.md", "README.md"):
+        shutil.copy(ROOT / name, tmp_path)
+    for part in ("rust/core/README.md", "benchmarks/README.md"):
+        (tmp_path / part).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / part, tmp_path / part)
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-D", "plot_gallery=0", "-b", "html"]
+    done = subprocess.run([*command, str(source), str(tmp_path / "html")], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    start = (tmp_path / "html" / "start.html").read_text(encoding="utf-8")
+    assert "_images/start-1.png" in start and "phugoid fit" in start
+    method = (tmp_path / "html" / "method.html").read_text(encoding="utf-8")
+    assert method.count("<math") > 80 and "https://cdn" not in method

@@ -6,9 +6,10 @@ import os
 import sys
 from pathlib import Path
 
-import phugoid
 from pygments.lexers.rust import RustLexer
 from sphinx.application import Sphinx
+
+import phugoid
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE / "_ext"))

@@ -8,7 +8,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-_FENCE = re.compile(r"^(?P<fence>```+|:::+)\{?(?P<language>[\w-]*)\}?[^\n]*\n(?P<code>.*?)^(?P=fence)[ ]*$", re.M | re.S)
+_FENCE = re.compile(
+    r"^(?P<fence>```+|:::+)\{?(?P<language>[\w-]*)\}?[^\n]*\n(?P<code>.*?)^(?P=fence)[ ]*$", re.M | re.S
+)
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
+import pages
 import pytest
 
 import phugoid as ph
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+README = pages.ROOT / "README.md"
 
 
 def blocks() -> list[str]:
-    return re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.S)
+    return [b.code for b in pages.blocks(README, "python")]
 
 
 @pytest.fixture

@@ -1,8 +1,8 @@
 """Docstrings as reStructuredText.
 
 Those of the package are set to be read in a terminal: names in one column and what they mean in the next, indented
-formulas, and signs such as ``|x|`` and ``*`` that stand for themselves. Here they become definition lists, literal blocks
-and escaped text.
+formulas, and signs such as ``|x|`` and ``*`` that stand for themselves. Here they become definition lists, literal
+blocks and escaped text.
 """
 
 from __future__ import annotations
@@ -124,7 +124,10 @@ RESULTS = {
     "Validation",
 }  # fmt: skip
 _SHORT = [
-    (re.compile(r"~?(?:numpy\.)?ndarray\[tuple\[~?(?:typing\.)?Any, \.\.\.\], ~?(?:numpy\.)?dtype\[[^\]]*\]\]"), "ndarray"),
+    (
+        re.compile(r"~?(?:numpy\.)?ndarray\[tuple\[~?(?:typing\.)?Any, \.\.\.\], ~?(?:numpy\.)?dtype\[[^\]]*\]\]"),
+        "ndarray",
+    ),
     (re.compile(r"_Buffer \| _SupportsArray\[.*?bytes \| str\]"), "ArrayLike"),
     (re.compile(r"~(?:\w+\.)+"), ""),
     (re.compile(r"TypeAliasForwardRef\('(\w+)'\)"), r"\1"),

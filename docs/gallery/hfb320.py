@@ -2,8 +2,9 @@
 A business jet from zero
 ========================
 
-The longitudinal motion of the HFB-320 Hansa Jet, as in the paper: eleven derivatives, four biases, seven standard deviations and
-four initial states, all derivatives from 0. The record is simulated from the published optimum.
+The longitudinal motion of the HFB-320 Hansa Jet, as in the paper: eleven derivatives, four biases,
+seven standard deviations and four initial states, all derivatives from 0. The record is simulated
+from the published optimum.
 """
 
 import tempfile
@@ -21,7 +22,8 @@ model = load_model(str(folder / "hfb320.py"))
 record, other = ph.read(folder / "hfb320.csv"), ph.read(folder / "hfb320_other.csv")
 
 # %%
-# The model names its aerodynamic coefficients, so that candidates for what it misses can be sought in them:
+# The model names its aerodynamic coefficients, so that candidates for what it misses can be sought
+# in them:
 
 print(model)
 

@@ -2,8 +2,8 @@
 What a model misses
 ===================
 
-The flown vehicle has quadratic damping; its model is linear. The fit converges, with small standard errors, and is wrong. The residuals
-know it.
+The flown vehicle has quadratic damping; its model is linear. The fit converges, with small
+standard errors, and is wrong. The residuals know it.
 """
 
 import numpy as np
@@ -40,7 +40,8 @@ print(fit.parameters["Mq"], "  true: -2")
 figure, axes = ph.misfit(fit).plot()
 
 # %%
-# Every candidate is scored from one linearisation of the fit; the best are fitted in full, and must predict the second record:
+# Every candidate is scored from one linearisation of the fit; the best are fitted in full, and
+# must predict the second record:
 
 diagnosis = ph.diagnose(fit, validation=second)
 print(diagnosis.summary())

@@ -2,8 +2,9 @@
 Turbulence
 ==========
 
-In gusts the equations of motion are disturbed, not only the sensors. Output error has no place for that but the measurement noise; the
-filter-error method integrates the gusts out, and estimates how strong they are.
+In gusts the equations of motion are disturbed, not only the sensors. Output error has no place for
+that but the measurement noise; the filter-error method integrates the gusts out, and estimates how
+strong they are.
 """
 
 import numpy as np
@@ -18,8 +19,8 @@ m.dynamics(q=Mq * q + Mt * theta + Mde * de, theta=q)
 m.outputs(q=q, theta=theta)
 
 # %%
-# A record, with white noise on the pitch acceleration, 0.05 rad/s²/√Hz, and little noise on the sensors. It is simulated in ten steps
-# between two samples:
+# A record, with white noise on the pitch acceleration, 0.05 rad/s²/√Hz, and little noise on the
+# sensors. It is simulated in ten steps between two samples:
 
 h, n, steps = 0.02, 1000, 10
 random = np.random.default_rng(2)
@@ -37,8 +38,9 @@ outputs = {"q": x[:, 0] + 0.002 * random.standard_normal(n), "theta": x[:, 1] + 
 run = ph.Experiment(t, {"de": de_t}, outputs, name="gusts")
 
 # %%
-# The sensors are so good that it matters *when* between two samples the noise enters: ``parts=1`` lets it enter in the middle. With the
-# default, at the samples, the damping would come out a tenth too small here.
+# The sensors are so good that it matters *when* between two samples the noise enters: ``parts=1``
+# lets it enter in the middle. With the default, at the samples, the damping would come out a tenth
+# too small here.
 
 plain = ph.estimate(m, run)
 gusts = ph.estimate(m, run, transcription=ph.FilterError(states=("q",), parts=1))
@@ -47,7 +49,7 @@ for name, true in {"Mq": -2.0, "Mt": -4.0, "Mde": -6.0}.items():
 print(gusts.parameters["q_q"], "  true: 0.05")
 
 # %%
-# Output error is many of its standard errors from the truth; the filter-error method says how uncertain it is. Residuals are those of
-# the smoothed states, hence small:
+# Output error is many of its standard errors from the truth; the filter-error method says how
+# uncertain it is. Residuals are those of the smoothed states, hence small:
 
 figure, axes = gusts.plot()

@@ -2,8 +2,9 @@
 An unstable aircraft
 ====================
 
-Output error by single shooting needs a simulation that stays near the data, which an unstable aircraft does not. With collocation there
-is nothing to stay near: the states are unknowns, and start as measured.
+Output error by single shooting needs a simulation that stays near the data, which an unstable
+aircraft does not. With collocation there is nothing to stay near: the states are unknowns, and
+start as measured.
 """
 
 import numpy as np

@@ -2,8 +2,8 @@
 A vibration test
 ================
 
-Two modes that lie close together, a random force, one accelerometer. The subspace method finds them without start values; maximum
-likelihood makes the estimate, with standard errors.
+Two modes that lie close together, a random force, one accelerometer. The subspace method finds
+them without start values; maximum likelihood makes the estimate, with standard errors.
 """
 
 import numpy as np

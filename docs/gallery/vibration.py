@@ -29,6 +29,6 @@ print(ph.modes(fit))
 # %%
 # The record's own frequency response, and that of the fit:
 
-measured = ph.frequency_response(run, "force", "acc", method="h1")
+measured = ph.frequency_response(run, "force", "acc", method="h1", segment=1000)
 model = ph.frequency_response(fit, np.linspace(0.5, 10, 600), "force", "acc")
 figure, axes = measured.plot(model, band=(0.5, 10))

@@ -8,9 +8,11 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from pages import ROOT, Block, blocks, run
 from typer.testing import CliRunner
@@ -68,6 +70,68 @@ def contains(printed: list[str], wanted: list[str]) -> bool:
     return any(printed[i : i + len(wanted)] == wanted for i in range(len(printed) - len(wanted) + 1))
 
 
+def close(fit: Any, **truth: float) -> None:
+    """Estimates lie within four standard errors of what was put in."""
+    for name, true in truth.items():
+        estimate = fit.parameters[name]
+        assert abs(estimate.value - true) < 4 * estimate.std_error, estimate
+
+
+def started(n: dict[str, Any]) -> None:
+    close(n["fit"], Mw=0.2163, Mde=-12.784)
+    assert n["check"].converged and ph.load("hfb320_fit.json").parameters["CLa"].value == n["lift"].value
+
+
+def with_gaps(n: dict[str, Any]) -> None:
+    assert np.isnan(n["iced"].output("alpha")).sum() == 150 and n["fit"].converged
+    close(n["fit"], Cma=-0.9941, Cmde=-1.4714)
+
+
+def several(n: dict[str, Any]) -> None:
+    close(n["both"], Cmq=-28.65, CLa=3.0904)
+    assert n["check"].converged and n["check"].matches["q"].inside == 1.0
+
+
+def late(n: dict[str, Any]) -> None:
+    close(n["delayed"], **n["truth"])
+    assert abs(n["fit"].initial_states["run"]["q"].value) < 1e-12
+
+
+def noisy(n: dict[str, Any]) -> None:
+    assert n["robust"].log_likelihood > n["plain"].log_likelihood + 100
+    close(n["robust"], Mw=0.2163, Mq=-3.7067)
+
+
+def converging(n: dict[str, Any]) -> None:
+    assert n["many"].success_rate == 1.0 and n["best"].converged
+    close(n["fit"], Mw=0.2163, Mq=-3.7067)
+
+
+def missing(n: dict[str, Any]) -> None:
+    assert abs(n["linear"].parameters["Mq"].value + 2) > 10 * n["linear"].parameters["Mq"].std_error
+    assert n["extended"].added == ("q':q|q|",) and n["extended"].gain.held_out > 10
+    close(n["extended"].fit, Mq=-2.0, Mde=-6.0, **{n["hidden"]: -2.0})
+
+
+def modes(n: dict[str, Any]) -> None:
+    assert np.allclose(n["system"].modes.frequencies_hz, [2, 5], rtol=0.01)
+    found = ph.modes(n["fit"])  # of the unstable aircraft
+    assert not found[0].stable
+
+
+# What has come out at the end of a page, beyond that it ran.
+CLAIMS: dict[str, Callable[[dict[str, Any]], None]] = {
+    "start.md": started,
+    "howto/gaps.md": with_gaps,
+    "howto/several.md": several,
+    "howto/biases_delays.md": late,
+    "howto/noise.md": noisy,
+    "howto/convergence.md": converging,
+    "howto/missing.md": missing,
+    "howto/linear.md": modes,
+}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=[str(p.relative_to(DOCS)) for p in PAGES])
 def test_code_runs(
     page: Path,
@@ -86,7 +150,7 @@ def test_code_runs(
                 shutil.copy(file, tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    names: dict[str, object] = {}
+    names: dict[str, Any] = {}
     printed = ""
     for block in blocks(page):
         if block.language == "python":
@@ -96,6 +160,8 @@ def test_code_runs(
             shell(block)
         elif block.language == "text":
             assert contains(shape(printed), shape(block.code)), f"{page}:{block.line}: it prints\n{printed}"
+    if claim := CLAIMS.get(page.relative_to(DOCS).as_posix()):
+        claim(names)
     plt.close("all")
 
 

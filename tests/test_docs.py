@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import re
 import shlex
 import shutil
@@ -180,8 +181,33 @@ def test_all_names_are_documented() -> None:
     text = "\n".join(p.read_text(encoding="utf-8") for p in (DOCS / "api").glob("*.rst"))
     there = re.findall(r"^\.\. auto\w+:: (?:phugoid\.)?([\w.]+)", text, re.M)
     assert len(there) == len({*there})
-    public = {n for n in ph.__all__ if n not in ("__version__", "models")} | {f"models.{n}" for n in ph.models.__all__}
-    assert {*there} == public
+    spaces = [n for n in ph.__all__ if inspect.ismodule(getattr(ph, n))]
+    public = {n for n in ph.__all__ if n != "__version__" and n not in spaces}
+    public |= {f"{space}.{n}" for space in spaces for n in getattr(ph, space).__all__}
+    assert public <= {*there}, "not in docs/api: " + ", ".join(sorted(public - {*there}))
+
+
+def test_docstrings_become_restructured_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(DOCS / "_ext")
+    pytest.importorskip("sphinx")
+    converted = importlib.import_module("docstrings").converted
+
+    def made(text: str) -> str:
+        return "\n".join(converted(text.splitlines())).strip()
+
+    table = "t          (N,) times, s; |t| is\n           small.\nlong_name_ one blank.\n``x``, ``y``  two names."
+    assert made(table) == (
+        "``t``\n    (N,) times, s; \\|t\\| is\n    small.\n\n``long_name_``\n    one blank.\n\n"
+        "``x``, ``y``\n    two names."
+    )
+    assert made("``a``: first,\ngoes on.\n``b``: second.") == "``a``\n    first,\n    goes on.\n\n``b``\n    second."
+    assert made("Formula:\n\n    y = a*x\n\nEnd.") == "Formula:\n\n::\n\n    y = a*x\n\nEnd."
+    assert made("q*alpha, 2**3, *A Title*, `estimate`, ``a*b``") == (
+        "q\\*alpha, 2\\*\\*3, *A Title*, `estimate`, ``a*b``"
+    )
+    assert made(">>> f(1)\n2") == ">>> f(1)\n2"
+    # What is no table stays a paragraph.
+    assert made("One sentence.  Another one\nthat goes on.") == "One sentence.  Another one\nthat goes on."
 
 
 def test_commands_and_files_that_pages_name_exist() -> None:

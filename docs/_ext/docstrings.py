@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 
 from sphinx.application import Sphinx
+from sphinx.util import inspect
 
 # A row of a table: a term, at least two blanks, and its meaning.
 _ROW = re.compile(r"(?P<term>\S(?:.*?\S)?) {2,}(?P<text>\S.*)")
@@ -153,6 +154,9 @@ def signature(
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Has autodoc call `process` and `signature`."""
+    # The names of arrays in `autodoc_type_aliases` are printed so within other types, as in Mapping[str, ndarray].
+    if alias := getattr(inspect, "TypeAliasForwardRef", None):
+        alias.__repr__ = lambda self: self.name
     app.connect("autodoc-process-docstring", process)
     app.connect("autodoc-process-signature", signature)
     return {"parallel_read_safe": True}

@@ -37,6 +37,7 @@ from .experiment import Experiment
 from .filter_error import FilterError
 from .frequency import frequency_response
 from .integration import IntegrationError
+from .linear_fit import fit_linear
 from .match import Match, match
 from .mode_table import Mode, Modes
 from .model import Model
@@ -153,6 +154,7 @@ __all__ = [
     "equation_error",
     "estimate",
     "exp",
+    "fit_linear",
     "frequency_response",
     "from_sympy",
     "load",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -10,17 +9,15 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _core
 from .experiment import Experiment
 from .hankel import rows_at_once, triangle
+from .modal_response import Driven
 
-__all__ = ["Regression", "regression"]
+__all__ = ["Layout", "Regression", "modal_columns", "regression", "rows", "samples_of"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
 
-# Nodes of Gauss-Legendre on each piece of the input: exact to rounding for a cubic times a mode below the Nyquist rate.
-_NODES = 8
 # Outputs are weighted by their residuals: so many times anew.
 _PASSES = 3
 # Directions of the unknowns that matter less than this part of the greatest are left at zero.
@@ -33,7 +30,7 @@ class Regression:
 
     B (r, m), complex, of the modal coordinates; D (p, m); x0: experiment -> (r,), complex; offsets: experiment -> (p,);
     rms (p,) of the residuals; gains (r,), if asked for: by how much the sum of squares, in units of the noise, would be
-    greater without each mode.
+    greater without each mode. motion: experiment -> (r,), what multiplies `free`.
     """
 
     B: _Complex
@@ -42,13 +39,13 @@ class Regression:
     offsets: Mapping[str, _Array]
     rms: _Array
     gains: _Array
+    motion: Mapping[str, _Complex]
 
 
 def regression(
-    data: Sequence[Experiment],
+    data: Sequence[Driven],
     values: _Complex,
     C: _Complex,
-    inputs: Sequence[str],
     outputs: Sequence[str],
     feedthrough: Sequence[bool],
     offset: bool,
@@ -61,25 +58,26 @@ def regression(
     of each mode to each input is exact. An eigenvalue with a positive real part is integrated from the end of the
     record backwards, its state there being free, so that unstable systems are as well conditioned as stable ones.
     """
-    layout = _Layout(values.imag != 0.0, len(inputs), tuple(feedthrough), offset, len(data))
-    triangles = [_triangles(run, values, C, inputs, outputs, layout) for run in data]
-    solution, rms, gained = _solved(triangles, layout, sum(run.n for run in data), gains)
-    x0, offsets = {}, {}
+    layout = Layout(values.imag != 0.0, len(data[0].inputs), tuple(feedthrough), offset, len(data))
+    triangles = [_triangles(driven, values, C, outputs, layout) for driven in data]
+    solution, rms, gained = _solved(triangles, layout, samples_of([driven.run for driven in data], outputs), gains)
+    x0, offsets, motion = {}, {}, {}
     B = np.array([_complex(row, layout.paired) for row in solution[layout.common].reshape(layout.m, -1)])
     B = B.reshape(layout.m, values.size).T
-    for e, run in enumerate(data):
-        own = solution[layout.own(e)]
-        x0[run.name] = _first(run, values, inputs, B, _complex(own[: layout.width], layout.paired))
-        offsets[run.name] = own[layout.width :] if offset else np.zeros(len(outputs))
+    for e, driven in enumerate(data):
+        own, name = solution[layout.own(e)], driven.run.name
+        motion[name] = _complex(own[: layout.width], layout.paired)
+        x0[name] = _first(driven, values, B, motion[name])
+        offsets[name] = own[layout.width :] if offset else np.zeros(len(outputs))
     D = np.zeros((len(outputs), layout.m))
     for j in range(len(outputs)):
         if feedthrough[j]:
             D[j] = solution[layout.direct(j)]
-    return Regression(B=B, D=D, x0=x0, offsets=offsets, rms=rms, gains=gained)
+    return Regression(B=B, D=D, x0=x0, offsets=offsets, rms=rms, gains=gained, motion=motion)
 
 
 @dataclass(frozen=True)
-class _Layout:
+class Layout:
     """Places of the unknowns: of each experiment first states and offsets; then B; D of the outputs that have it."""
 
     paired: NDArray[np.bool_]
@@ -123,34 +121,37 @@ class _Layout:
         return [start + k for start in starts for k in parts]
 
     def columns(self, e: int, j: int) -> list[int]:
-        """The unknowns that output j of experiment e depends on, in the order of `_rows`."""
+        """The unknowns that output j of experiment e depends on, in the order of `rows`."""
         first = self.own(e).start
         offset = [first + self.width + j] if self.offset else []
         places = [self.common, self.direct(j)]
         return [*range(first, first + self.width), *offset, *(k for s in places for k in range(s.start, s.stop))]
 
 
-def _triangles(
-    run: Experiment, values: _Complex, C: _Complex, inputs: Sequence[str], outputs: Sequence[str], layout: _Layout
-) -> list[_Array]:
+def _triangles(driven: Driven, values: _Complex, C: _Complex, outputs: Sequence[str], layout: Layout) -> list[_Array]:
     """The least squares of each output of an experiment, reduced to a triangle; the last column is the output."""
-    forced, free = _responses(run, values, inputs), _transients(run, values)
-    u = np.array([run.input(name) for name in inputs]).reshape(len(inputs), -1)
+    motion, modes = driven.free(values), driven.forced(values)
     found = []
     for j, name in enumerate(outputs):
-        seen = u if layout.feedthrough[j] else u[:0]
-        found.append(triangle(_rows(C[j], layout.paired, free, forced, seen, run.output(name), layout.offset)))
+        seen = driven.u if layout.feedthrough[j] else driven.u[:0]
+        z = driven.run.output(name)
+        found.append(triangle(rows(C[j], layout.paired, motion, modes, seen, z, layout.offset)))
     return found
 
 
+def samples_of(data: Sequence[Experiment], outputs: Sequence[str]) -> NDArray[np.intp]:
+    """Of each output how many samples there are, (p,)."""
+    return np.array([sum(int(np.isfinite(run.output(name)).sum()) for run in data) for name in outputs])
+
+
 def _solved(
-    triangles: Sequence[Sequence[_Array]], layout: _Layout, samples: int, gains: bool
+    triangles: Sequence[Sequence[_Array]], layout: Layout, samples: NDArray[np.intp], gains: bool
 ) -> tuple[_Array, _Array, _Array]:
     """All unknowns; the root mean square (p,) of the residuals, by which outputs are weighted; gains of modes."""
     from scipy.linalg import lstsq
 
     p = len(layout.feedthrough)
-    rms = np.sqrt([sum(float(np.sum(each[j][:, -1] ** 2)) for each in triangles) / samples for j in range(p)])
+    rms = np.sqrt([sum(float(np.sum(each[j][:, -1] ** 2)) for each in triangles) / samples[j] for j in range(p)])
     solution: _Array = np.zeros(layout.total)
     for _ in range(1 if p == 1 else _PASSES):
         blocks = []
@@ -168,10 +169,10 @@ def _solved(
             for j, R in enumerate(each):
                 squares[j] += np.sum((R[:, -1] - R[:, :-1] @ solution[layout.columns(e, j)]) ** 2)
         rms = np.sqrt(squares / samples)
-    return solution, rms, _gains(whole, size, layout, p * samples) if gains else np.empty(0)
+    return solution, rms, _gains(whole, size, layout, int(samples.sum())) if gains else np.empty(0)
 
 
-def _gains(whole: _Array, size: _Array, layout: _Layout, samples: int) -> _Array:
+def _gains(whole: _Array, size: _Array, layout: Layout, samples: int) -> _Array:
     """By how much the sum of squares grows without each mode, the others found anew, in units of the noise."""
     from scipy.linalg import lstsq
 
@@ -185,14 +186,15 @@ def _gains(whole: _Array, size: _Array, layout: _Layout, samples: int) -> _Array
     return (np.array(without) - least) / max(least / samples, np.finfo(np.float64).tiny)
 
 
-def _first(run: Experiment, values: _Complex, inputs: Sequence[str], B: _Complex, free: _Complex) -> _Complex:
+def _first(driven: Driven, values: _Complex, B: _Complex, found: _Complex) -> _Complex:
     """Modal states at the first sample: of growing modes those found are at the last."""
     growing = values.real > 0.0
     if not growing.any():
-        return free
-    forced = np.array([xi[:, 0] for xi in _responses(run, values, inputs)]).reshape(len(inputs), values.size)
-    back = np.exp(np.where(growing, -values * (run.t[-1] - run.t[0]), 0.0))
-    return np.asarray(free * back + np.where(growing, np.sum(forced * B.T, axis=0), 0.0))
+        return found
+    start = np.array([xi[:, 0] for xi in driven.forced(values)]).reshape(len(driven.inputs), values.size)
+    t = driven.run.t
+    back = np.exp(np.where(growing, -values * (t[-1] - t[0]), 0.0))
+    return np.asarray(found * back + np.where(growing, np.sum(start * B.T, axis=0), 0.0))
 
 
 def _complex(numbers: _Array, paired: NDArray[np.bool_]) -> _Complex:
@@ -204,7 +206,7 @@ def _complex(numbers: _Array, paired: NDArray[np.bool_]) -> _Complex:
     return found
 
 
-def _columns(c: _Complex, paired: NDArray[np.bool_], xi: _Complex) -> Iterator[_Array]:
+def modal_columns(c: _Complex, paired: NDArray[np.bool_], xi: _Complex) -> Iterator[_Array]:
     """Re(c b xi) as columns times the real unknowns of b."""
     for i, two in enumerate(paired):
         seen = c[i] * xi[i]
@@ -213,83 +215,36 @@ def _columns(c: _Complex, paired: NDArray[np.bool_], xi: _Complex) -> Iterator[_
             yield -seen.imag
 
 
-def _rows(
+def rows(
     c: _Complex,
     paired: NDArray[np.bool_],
-    free: _Complex,
+    motion: _Complex,
     modes: Sequence[_Complex],
     u: _Array,
     z: _Array,
     offset: bool,
+    more: _Array | None = None,
 ) -> Iterator[_Array]:
-    """Rows of the least squares of one output, some at a time; samples that are missing are left out."""
-    count = int(np.where(paired, 2, 1).sum()) * (1 + len(modes)) + int(offset) + len(u) + 1
+    """Rows of the least squares of one output, some at a time; samples that are missing are left out.
+
+    Columns: free motions, offset, responses to each input, inputs, and ``more`` (k, N) of them; the last is the output.
+    """
+    extra = np.empty((0, z.size)) if more is None else more
+    count = int(np.where(paired, 2, 1).sum()) * (1 + len(modes)) + int(offset) + len(u) + len(extra) + 1
     step = rows_at_once(count)
     for a in range(0, z.size, step):
         b = min(a + step, z.size)
         block = np.ones((b - a, count), order="F")
         k = 0
-        for column in _columns(c, paired, free[:, a:b]):
+        for column in modal_columns(c, paired, motion[:, a:b]):
             block[:, k] = column
             k += 1
         k += int(offset)
         for xi in modes:
-            for column in _columns(c, paired, xi[:, a:b]):
+            for column in modal_columns(c, paired, xi[:, a:b]):
                 block[:, k] = column
                 k += 1
-        block[:, k:-1] = u[:, a:b].T
+        block[:, k : k + len(u)] = u[:, a:b].T
+        block[:, k + len(u) : -1] = extra[:, a:b].T
         block[:, -1] = z[a:b]
         yield block[np.isfinite(block[:, -1])]
-
-
-def _transients(run: Experiment, values: _Complex) -> _Complex:
-    """e^(lambda t) from the end where it is 1 to where it has decayed, (r, N)."""
-    t = run.t
-    reference = np.where(values.real > 0.0, t[-1], t[0])
-    return np.asarray(np.exp(values[:, None] * (t - reference[:, None])))
-
-
-def _responses(run: Experiment, values: _Complex, inputs: Sequence[str]) -> list[_Complex]:
-    """Of each input the response (r, N) of each mode, from zero at the start; at the end for those that grow."""
-    from scipy.signal import lfilter
-
-    step = (run.t[-1] - run.t[0]) / (run.n - 1)
-    found = []
-    for name in inputs:
-        pieces = _pieces(run, name, step)
-        x, w = np.polynomial.legendre.leggauss(_NODES)
-        # Nodes of all pieces of a sampling interval, as parts of it.
-        at = (np.arange(pieces)[:, None] + 0.5 * (x + 1.0)).ravel() / pieces
-        weights = np.tile(0.5 * w, pieces) / pieces * step
-        times = (run.t[:-1, None] + at * np.diff(run.t)[:, None]).ravel()
-        u = _between(run, name, times).reshape(run.n - 1, at.size)
-        xi = np.zeros((values.size, run.n), dtype=np.complex128)
-        for i, value in enumerate(values):
-            if value.real > 0.0:
-                # xi(t) = -integral from t to the end of e^(lambda (t - s)) u(s) ds.
-                push = u @ (-weights * np.exp(-value * at * step))
-                xi[i, -2::-1] = lfilter([1.0], [1.0, -np.exp(-value * step)], push[::-1])
-            else:
-                push = u @ (weights * np.exp(value * (1.0 - at) * step))
-                xi[i, 1:] = lfilter([1.0], [1.0, -np.exp(value * step)], push)
-        found.append(xi)
-    return found
-
-
-def _pieces(run: Experiment, name: str, step: float) -> int:
-    """Intervals of the input's own samples within one of the record."""
-    signal = run.signal(name)
-    if signal is None:
-        return 1
-    return max(1, math.ceil(step / float(np.median(np.diff(signal[0]))) - 0.01))
-
-
-def _between(run: Experiment, name: str, times: _Array) -> _Array:
-    """An input at any times."""
-    signal = run.signal(name)
-    if signal is not None and signal[3] == 0:
-        t, samples, delay, _ = signal
-        times = np.clip(times - delay, t[0], t[-1])
-    else:
-        t, samples = run.t, run.input(name)
-    return np.array(_core.interpolate(run.interpolation, t.tolist(), samples.tolist(), times.tolist()))

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import DataError, OptionError
+from .errors import DataError, OptionError, listing
 from .experiment import Experiment, as_experiments
 from .filtering import EVEN, intervals
+from .modal_response import Driven
 
-__all__ = ["Sampled"]
+__all__ = ["Sampled", "chosen_outputs"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -33,42 +35,57 @@ class Sampled:
     y_size: _Array
     rate: float
 
+    @cached_property
+    def driven(self) -> list[Driven]:
+        """The experiments as modes see them."""
+        return [Driven(run, self.inputs) for run in self.runs]
+
     @property
     def lengths(self) -> list[int]:
         """Samples of each experiment, N."""
         return [run.n for run in self.runs]
 
     @classmethod
-    def of(cls, data: Any, inputs: str | Sequence[str] | None, outputs: str | Sequence[str] | None) -> Sampled:
-        """Raises DataError where a channel is not there, is missing a sample or never changes, or time is uneven."""
-        runs = as_experiments(data, "subspace")
-        u_names = _names("inputs", inputs, runs[0])
-        y_names = _names("outputs", outputs, runs[0])
-        rate = _rate(runs)
-        columns = [_columns(run, u_names, y_names) for run in runs]
+    def of(
+        cls,
+        data: Any,
+        inputs: str | Sequence[str] | None,
+        outputs: str | Sequence[str] | None,
+        caller: str = "subspace",
+        complete: bool = True,
+    ) -> Sampled:
+        """Raises DataError where a channel is not there or never changes, or time is uneven; and where a sample is
+        missing, if all must be there (``complete``)."""
+        runs = as_experiments(data, caller)
+        u_names = _names(caller, "inputs", inputs, runs[0])
+        y_names = _names(caller, "outputs", outputs, runs[0])
+        rate = _rate(caller, runs)
+        columns = [_columns(caller, run, u_names, y_names, complete) for run in runs]
         u_size, y_size = (_sizes([pair[k] for pair in columns]) for k in (0, 1))
         for name, size in zip([*u_names, *y_names], [*u_size, *y_size], strict=True):
             if not size > 0.0:
-                raise DataError(f"subspace: '{name}' never changes: leave it out")
+                raise DataError(f"{caller}: '{name}' never changes: leave it out")
         scaled = [(u / u_size[:, None], y / y_size[:, None]) for u, y in columns]
         return cls(runs, u_names, y_names, scaled, u_size, y_size, rate)
 
 
-def _names(kind: Literal["inputs", "outputs"], given: str | Sequence[str] | None, run: Experiment) -> list[str]:
+def _names(
+    caller: str, kind: Literal["inputs", "outputs"], given: str | Sequence[str] | None, run: Experiment
+) -> list[str]:
     if given is None:
         names = list(run.inputs if kind == "inputs" else run.outputs)
         if not names:
             raise DataError(
-                f"subspace: experiment '{run.name}' does not say which channels are {kind}: name them, {kind}=..."
+                f"{caller}: experiment '{run.name}' does not say which channels are {kind}: name them, {kind}=..."
             )
         return names
     names = given.replace(",", " ").split() if isinstance(given, str) else list(given)
     if not names or len(set(names)) < len(names):
-        raise OptionError(f"subspace: {kind} names channels, each once, not {given!r}")
+        raise OptionError(f"{caller}: {kind} names channels, each once, not {given!r}")
     return names
 
 
-def _rate(runs: Sequence[Experiment]) -> float:
+def _rate(caller: str, runs: Sequence[Experiment]) -> float:
     """Sampling rate of all, Hz."""
     rates = []
     for run in runs:
@@ -76,7 +93,7 @@ def _rate(runs: Sequence[Experiment]) -> float:
         if uneven.size:
             worst = int(np.argmax(np.abs(steps - step)))
             raise DataError(
-                f"subspace: needs evenly spaced samples, but in experiment '{run.name}' the interval after "
+                f"{caller}: needs evenly spaced samples, but in experiment '{run.name}' the interval after "
                 f"t = {run.t[worst]:g} s is {steps[worst]:g} s and others are {step:g} s: cut the record there with "
                 ".window, or resample it"
             )
@@ -84,21 +101,23 @@ def _rate(runs: Sequence[Experiment]) -> float:
     for run, rate in zip(runs, rates, strict=True):
         if abs(rate - rates[0]) > EVEN * rates[0]:
             raise DataError(
-                f"subspace: needs one sampling rate, but experiment '{runs[0].name}' has {rates[0]:g} Hz and "
+                f"{caller}: needs one sampling rate, but experiment '{runs[0].name}' has {rates[0]:g} Hz and "
                 f"'{run.name}' {rate:g} Hz"
             )
     return rates[0]
 
 
-def _columns(run: Experiment, inputs: Sequence[str], outputs: Sequence[str]) -> tuple[_Array, _Array]:
-    """Inputs (m, N) and outputs (p, N), all there."""
+def _columns(
+    caller: str, run: Experiment, inputs: Sequence[str], outputs: Sequence[str], complete: bool
+) -> tuple[_Array, _Array]:
+    """Inputs (m, N) and outputs (p, N)."""
     run.check_for(inputs, outputs, outputs)
-    for name in outputs:
+    for name in outputs if complete else ():
         missing = np.flatnonzero(np.isnan(run.output(name)))
         if missing.size:
             k = int(missing[0])
             raise DataError(
-                f"subspace: experiment '{run.name}', output '{name}': sample {k} (t = {run.t[k]:.6g} s) is missing"
+                f"{caller}: experiment '{run.name}', output '{name}': sample {k} (t = {run.t[k]:.6g} s) is missing"
                 f"{f' (and {missing.size - 1} more)' if missing.size > 1 else ''}: cut the record there with .window "
                 "and give the parts as several experiments, or fill the gap"
             )
@@ -108,8 +127,19 @@ def _columns(run: Experiment, inputs: Sequence[str], outputs: Sequence[str]) -> 
 
 def _sizes(channels: Sequence[_Array]) -> _Array:
     """Of each channel the standard deviation about the mean of each experiment."""
-    squares = [np.sum((c - c.mean(axis=1, keepdims=True)) ** 2, axis=1) for c in channels]
-    count = sum(c.shape[1] for c in channels)
+    squares = [np.nansum((c - np.nanmean(c, axis=1, keepdims=True)) ** 2, axis=1) for c in channels]
+    count = np.sum([np.isfinite(c).sum(axis=1) for c in channels], axis=0)
     size = np.sqrt(np.sum(squares, axis=0) / count)
-    level = np.max([np.abs(c).max(axis=1) for c in channels], axis=0)
+    level = np.max([np.nanmax(np.abs(c), axis=1) for c in channels], axis=0)
     return np.asarray(np.where(size > 1e-13 * level, size, 0.0))
+
+
+def chosen_outputs(caller: str, feedthrough: bool | Collection[str], outputs: Sequence[str]) -> list[bool]:
+    """On which outputs inputs act at once: on all, or on those named."""
+    if isinstance(feedthrough, bool):
+        return [feedthrough] * len(outputs)
+    chosen = [feedthrough] if isinstance(feedthrough, str) else list(feedthrough)
+    for name in chosen:
+        if name not in outputs:
+            raise OptionError(f"{caller}: feedthrough: '{name}' is no output.{listing(str(name), outputs)}")
+    return [name in chosen for name in outputs]

@@ -34,6 +34,8 @@ class StateSpace:
     singular_values   of the subspace method, the greatest first: the order is where they sink into the noise.
     suggested_order   the order that these values suggest.
     residual_rms      output -> root mean square of measured minus simulated, over all experiments.
+    log_likelihood    of the outputs, each with white noise of the size of its residuals, without the constant
+                      -N n_y/2 ln 2 pi: of `fit_linear`.
     warnings          what to beware of, in words.
 
     Raises ModelError for shapes that do not fit each other, and numbers that are not finite.
@@ -55,6 +57,7 @@ class StateSpace:
     singular_values: _Array | None = None
     suggested_order: int | None = None
     residual_rms: Mapping[str, float] = field(default_factory=dict)
+    log_likelihood: float | None = None
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from numbers import Integral
 from typing import Literal, TypeAlias, get_args
@@ -10,11 +10,12 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import DataError, OptionError, listing
+from .errors import DataError, OptionError
 from .experiment import Experiment
 from .hankel import Observability, observability
+from .identified import identified
 from .modal_regression import Regression, regression
-from .sampled import Sampled
+from .sampled import Sampled, chosen_outputs
 from .state_space import StateSpace, modal_parts
 
 __all__ = ["subspace"]
@@ -86,7 +87,7 @@ def subspace(
     OptionError for an order, or other options, out of range.
     """
     records = Sampled.of(data, inputs, outputs)
-    direct = _direct(feedthrough, records.outputs)
+    direct = chosen_outputs("subspace", feedthrough, records.outputs)
     if weighting not in get_args(Weighting):
         raise OptionError(f'subspace: weighting is "cva" or "moesp", not {weighting!r}')
     _whole("order", order)
@@ -103,20 +104,13 @@ def subspace(
     assert best is not None
     if background:
         best = _with_background(records, best, direct, offset)
-    A, B, C, states = _real(best.values, best.C, best.regression.B)
-    return StateSpace(
-        A=A,
-        B=B,
-        C=C,
-        D=best.regression.D,
-        inputs=tuple(records.inputs),
-        outputs=tuple(records.outputs),
-        x0={name: states(x) for name, x in best.regression.x0.items()},
-        offsets=best.regression.offsets,
-        rate=records.rate,
+    return identified(
+        records,
+        best.values,
+        best.C,
+        best.regression,
         singular_values=best.shared.singular_values,
         suggested_order=_suggested(best.shared, records),
-        residual_rms=dict(zip(records.outputs, best.regression.rms.tolist(), strict=True)),
         warnings=best.warnings,
     )
 
@@ -157,7 +151,7 @@ def _tried(
     A, C = shared.system(n, p)
     values, seen, warnings = _continuous(A, C * records.y_size[:, None], records.rate, stable)
     while True:
-        found = regression(records.runs, values, seen, records.inputs, records.outputs, direct, offset, gains=prune)
+        found = regression(records.driven, values, seen, records.outputs, direct, offset, gains=prune)
         if not prune or values.size == 1:
             break
         worst = int(np.argmin(found.gains))
@@ -253,7 +247,7 @@ def _with_background(records: Sampled, tried: _Tried, direct: Sequence[bool], of
                 continue
             more = np.append(values, place)
             seen = np.ones((1, more.size), dtype=np.complex128)
-            here = regression(records.runs, more, seen, records.inputs, records.outputs, direct, offset)
+            here = regression(records.driven, more, seen, records.outputs, direct, offset)
             if best is None or here.rms[0] < best[1].rms[0]:
                 best = more, here
         if best is None:
@@ -261,34 +255,6 @@ def _with_background(records: Sampled, tried: _Tried, direct: Sequence[bool], of
         values, found = best
     seen = np.ones((1, values.size), dtype=np.complex128)
     return _Tried(tried.shared, values, seen, tried.warnings, found)
-
-
-def _real(values: _Complex, c: _Complex, b: _Complex) -> tuple[_Array, _Array, _Array, Callable[[_Complex], _Array]]:
-    """A, B and C in real blocks, of a pair [[sigma, omega], [-omega, sigma]]; and what makes such states of modal ones.
-
-    With xi = x_a - j x_b, xi' = (sigma + j omega) xi and Re(c xi) = Re(c) x_a + Im(c) x_b.
-    """
-    place, width = [], 0
-    for value in values:
-        place.append(width)
-        width += 2 if value.imag != 0.0 else 1
-    A, C = np.zeros((width, width)), np.zeros((c.shape[0], width))
-    for k, value, seen in zip(place, values, c.T, strict=True):
-        A[k, k] = value.real
-        C[:, k] = seen.real
-        if value.imag != 0.0:
-            A[k : k + 2, k : k + 2] = [[value.real, value.imag], [-value.imag, value.real]]
-            C[:, k + 1] = seen.imag
-
-    def states(xi: _Complex) -> _Array:
-        x = np.zeros((width, *xi.shape[1:]))
-        for k, value, each in zip(place, values, xi, strict=True):
-            x[k] = each.real
-            if value.imag != 0.0:
-                x[k + 1] = -each.imag
-        return x
-
-    return A, states(b), C, states
 
 
 def _suggested(shared: Observability, records: Sampled) -> int:
@@ -302,16 +268,6 @@ def _suggested(shared: Observability, records: Sampled) -> int:
     s2 = shared.singular_values[: most + 1] ** 2
     n = np.arange(1, s2.size)
     return int(n[np.argmin(s2[1:] + n * each * np.log(T) / T)]) if n.size else 1
-
-
-def _direct(feedthrough: bool | Collection[str], outputs: Sequence[str]) -> list[bool]:
-    if isinstance(feedthrough, bool):
-        return [feedthrough] * len(outputs)
-    chosen = [feedthrough] if isinstance(feedthrough, str) else list(feedthrough)
-    for name in chosen:
-        if name not in outputs:
-            raise OptionError(f"subspace: feedthrough: '{name}' is no output.{listing(str(name), outputs)}")
-    return [name in chosen for name in outputs]
 
 
 def _whole(what: str, value: int | None) -> None:

@@ -1,0 +1,231 @@
+"""The maximum-likelihood estimate of a linear system, by variable projection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from numbers import Integral
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import DataError, OptionError
+from .experiment import Experiment
+from .hankel import triangle
+from .identified import identified
+from .modal_blocks import Blocks
+from .modal_regression import Layout, Regression, regression, rows, samples_of
+from .mode_places import best_places
+from .progress import Progress
+from .sampled import Sampled, chosen_outputs
+from .solvers.solution import Iteration
+from .state_space import StateSpace, as_state_space, modal_parts
+
+__all__ = ["fit_linear"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+# An iteration that gains less log-likelihood than this is the last; and, while modes are moved, than this.
+_GAIN, _ROUGH = 1e-7, 1e-3
+# A mode has found a better place where the log-likelihood rises by this. So many places of a mode are tried.
+_BETTER, _PLACES = 0.5, 2
+# Damping of the first step, as a part of the greatest singular value squared; and how often a step is damped more.
+_DAMPING, _TRIALS = 1e-9, 15
+# Eigenvalues stay below so many Nyquist frequencies. A mode that grows with a damping ratio up to this is reflected.
+_FASTEST, _REFLECTED = 20.0, 0.1
+
+
+def fit_linear(
+    system: StateSpace | Sequence[Any],
+    data: Experiment | Sequence[Experiment],
+    *,
+    feedthrough: bool | Collection[str] | None = None,
+    offset: bool = True,
+    moves: int = 3,
+    max_iterations: int = 200,
+    progress: bool | Callable[[Iteration], None] = False,
+) -> StateSpace:
+    """The linear system of the same order that fits evenly sampled records best: maximum likelihood of the outputs.
+
+    Output error as in `estimate`, the noise white and of each output with a variance of its own, but for linear
+    systems, where much can be had for nothing: given A and C, the outputs are linear in B, D, the first states and
+    offsets, which so are found by least squares for each A and C that is tried (variable projection: Golub and Pereyra,
+    SIAM J. Numer. Anal. 10(2), 1973; the approximation of Kaufman, BIT 15, 1975). What is left, two numbers a mode and
+    C, is found by Levenberg-Marquardt steps with orthogonal factorisations, so that modes of which a record tells
+    little (heavily damped, or near each other) do no harm. A mode is the two coefficients of s^2 + a s + b: a pair
+    becomes two real eigenvalues, or the other way round, where that fits better. Responses to inputs are exact.
+
+    Local optima are left by moving modes: each of the ``moves`` that the fit would miss least is taken away and put
+    where it fits best, and the search goes on from there if that is better.
+
+    ``system``      where to start: what `subspace` found, (A, B, C), or `linearise` of a model. Only its eigenvalues,
+                    which must be distinct, and its C count. Names of inputs and outputs are those of the data.
+    ``data``        one experiment or several, of one sampling rate. Samples of outputs may be missing.
+    ``feedthrough`` whether inputs act on outputs at once: on all, or on those named. None: where ``system`` has it.
+    ``offset``      a constant in each output of each experiment, such as a sensor's bias or the trim.
+    ``max_iterations``  in each search.
+    ``progress``    True prints the iterations; a function is called with each (its ``defect`` is 0, ``dual`` the gain).
+
+    Ctrl-C ends the search and gives the best so far, with a warning. Modes may grow with time only if one of
+    ``system`` does.
+
+    For parameters with standard errors: ``ph.estimate(ph.models.modal(start=ph.fit_linear(...)), data)``, which then is
+    a few steps away from its optimum.
+
+    Raises DataError for channels that are not there and uneven sampling, ModelError for a system that is none or has
+    eigenvalues that cannot be told apart, OptionError for options out of range.
+    """
+    for name, value, least in (("moves", moves, 0), ("max_iterations", max_iterations, 1)):
+        if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+            raise OptionError(f"fit_linear: {name} is a whole number from {least}, not {value!r}")
+    if not isinstance(progress, bool) and not callable(progress):
+        raise OptionError(f"fit_linear: progress is True, False or a function, not {progress!r}")
+    start = as_state_space("fit_linear", system)
+    records = Sampled.of(data, start.inputs, start.outputs, "fit_linear", complete=False)
+    parts = modal_parts(start.A, start.B, start.C)
+    task = _Task(records, _direct(feedthrough, start), offset, bool(np.any(parts.values.real > 0.0)), max_iterations)
+    if min(samples_of(records.runs, records.outputs)) <= 2 * start.order + len(records.inputs) + 1:
+        raise DataError(f"fit_linear: the records are too short for {start.order} states")
+    found = task.point(Blocks.of(parts.values, parts.outputs, records.y_size))
+    warnings: tuple[str, ...] = ()
+    with Progress.of(progress, "linear system") as watch:
+        task.watch = watch
+        try:
+            task.search(task.moved(task.search(found, _ROUGH), moves), _GAIN)
+        except KeyboardInterrupt:
+            warnings = ("interrupted: this is the best system so far, not the optimum",)
+    found = task.best or found
+    values, C, _ = found.blocks.modal()
+    return identified(
+        records,
+        values,
+        C,
+        found.regression,
+        log_likelihood=found.log_likelihood,
+        warnings=warnings,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A and C, what least squares finds for them, and the log-likelihood."""
+
+    blocks: Blocks
+    regression: Regression
+    log_likelihood: float
+
+
+class _Task:
+    """What a search needs, and the searches."""
+
+    def __init__(
+        self, records: Sampled, direct: tuple[bool, ...], offset: bool, growing: bool, max_iterations: int
+    ) -> None:
+        self.records, self.direct, self.offset = records, direct, offset
+        self.growing, self.max_iterations = growing, max_iterations
+        self.samples = samples_of(records.runs, records.outputs)
+        self.watch: Callable[[Iteration], None] | None = None
+        self.number = 0
+        self.best: _Point | None = None
+
+    def point(self, blocks: Blocks) -> _Point:
+        values, C, _ = blocks.modal()
+        found = regression(self.records.driven, values, C, self.records.outputs, self.direct, self.offset)
+        rms = np.maximum(found.rms, np.finfo(np.float64).tiny)
+        return _Point(blocks, found, -float(self.samples @ (np.log(rms) + 0.5)))
+
+    def search(self, point: _Point, least: float) -> _Point:
+        """Levenberg-Marquardt steps, each better, until one gains less than ``least``."""
+        damping = _DAMPING
+        for _ in range(self.max_iterations):
+            J, q = self._projected(point)
+            sizes = point.blocks.sizes
+            U, s, Vt = np.linalg.svd(J * sizes, full_matrices=False)
+            q_in = U.T @ q
+            better, factor, trials = None, 2.0, 0
+            while better is None and trials < _TRIALS and s[0] > 0.0:
+                trials += 1
+                step = sizes * (Vt.T @ (s * q_in / (s * s + damping * s[0] ** 2)))
+                tried = self._tried(point.blocks.moved(step))
+                if tried is not None and tried.log_likelihood > point.log_likelihood:
+                    better = tried
+                else:
+                    damping, factor = damping * factor, min(2.0 * factor, 16.0)
+            if better is None:
+                break
+            gain = better.log_likelihood - point.log_likelihood
+            if gain > 0.375 * (q @ q - np.sum((q - J @ step) ** 2)):  # three quarters of what was promised
+                damping /= 5.0
+            point = better
+            if self.best is None or point.log_likelihood > self.best.log_likelihood:
+                self.best = point
+            self.number += 1
+            if self.watch:
+                self.watch(Iteration(self.number, point.log_likelihood, 0.0, gain, 1.0, trials))
+            if gain < least:
+                break
+        return point
+
+    def moved(self, point: _Point, moves: int) -> _Point:
+        """Puts modes that the fit would miss least where they fit best, as long as that is better."""
+        left = moves
+        while left:
+            left = 0
+            missed = [self.point(point.blocks.without(k)).log_likelihood for k in range(len(point.blocks))]
+            for k in np.argsort(missed)[: -moves - 1 : -1] if len(point.blocks) > 1 else ():
+                rest = self.point(point.blocks.without(int(k)))
+                places = best_places(self.records, rest.blocks, rest.regression, self.direct, self.offset)
+                for block in places[:_PLACES]:
+                    there = self.search(self.point(rest.blocks.joined(block)), _ROUGH)
+                    if there.log_likelihood > point.log_likelihood + _BETTER:
+                        point, left = there, moves
+                        break
+                if left:
+                    break
+        return point
+
+    def _tried(self, blocks: Blocks) -> _Point | None:
+        """None where there is no answer, modes are too fast to matter, or grow that must not.
+
+        Those that grow a little are reflected: a mode without damping would be stuck at the edge.
+        """
+        values = blocks.modal()[0]
+        if not np.all(np.abs(values) < _FASTEST * np.pi * self.records.rate):
+            return None
+        if not self.growing and np.any(values.real > 0.0):
+            if np.any(values.real > _REFLECTED * np.abs(values)):
+                return None
+            blocks = blocks.reflected()
+        try:
+            found = self.point(blocks)
+        except (ValueError, np.linalg.LinAlgError):
+            return None
+        return found if np.isfinite(found.log_likelihood) else None
+
+    def _projected(self, point: _Point) -> tuple[_Array, _Array]:
+        """Derivatives (k, k) of the residuals by the numbers of the blocks, and residuals (k,), over the noise: both
+        without what B, D, first states and offsets can do, and turned to as many rows as there are numbers."""
+        r, found = self.records, point.regression
+        values, C, _ = point.blocks.modal()
+        layout = Layout(values.imag != 0.0, len(r.inputs), self.direct, self.offset, len(r.runs))
+        count = point.blocks.sizes.size
+        blocks = []
+        for e, driven in enumerate(r.driven):
+            motion, modes = driven.free(values), driven.forced(values)
+            for j, (which, slopes) in enumerate(point.blocks.slopes(driven, found)):
+                seen = driven.u if self.direct[j] else driven.u[:0]
+                z = driven.run.output(r.outputs[j])
+                R = triangle(rows(C[j], layout.paired, motion, modes, seen, z, self.offset, slopes))
+                wide = np.zeros((R.shape[0], layout.total + count + 1))
+                places = [*layout.columns(e, j), *(layout.total + i for i in which), layout.total + count]
+                wide[:, places] = R / found.rms[j]
+                blocks.append(wide)
+        whole = triangle(blocks)[layout.total : layout.total + count, layout.total :]
+        return whole[:, :-1], whole[:, -1]
+
+
+def _direct(feedthrough: bool | Collection[str] | None, start: StateSpace) -> tuple[bool, ...]:
+    if feedthrough is None:
+        return tuple(bool(np.any(row)) for row in start.D)
+    return tuple(chosen_outputs("fit_linear", feedthrough, start.outputs))

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import phugoid as ph
+from phugoid.errors import DataError, OptionError
+from phugoid.parameters import Estimate, Estimates
+from phugoid.remarks import remarks
 
 VOID = {"meta", "img", "br"}
 
@@ -66,7 +72,9 @@ def test_page_has_all_of_the_fit(fit: ph.Fit, tmp_path: Path) -> None:
         assert words in page.text
     assert fit.warnings and all(w in page.text for w in fit.warnings)
     assert page.text.count("nan") == 0
-    assert source.count("<img ") == len(fit.records)
+    # Of each record the match and the residuals; intervals, correlations and the solver's way.
+    assert source.count("<img ") == 2 * len(fit.records) + 3
+    assert len(re.findall(r"<img [^>]*alt='[^']+'", source)) == source.count("<img ")
     assert re.search(r"<(script|link)\b|src='http|url\(", source) is None
 
 
@@ -75,4 +83,75 @@ def test_page_of_a_saved_fit_is_the_same(fit: ph.Fit, tmp_path: Path) -> None:
     fit.report(tmp_path / "first.html")
     ph.load(tmp_path / "fit.json").report(tmp_path / "again.html")
     texts = [Page((tmp_path / f"{name}.html").read_text(encoding="utf-8")).text for name in ("first", "again")]
-    assert texts[0] == texts[1]
+    done = "".join(f"{e.name}: {'; '.join(e.history)}" for e in fit.experiments)  # not kept in the file
+    assert done in texts[0]
+    assert texts[0].replace(done, "") == texts[1]
+
+
+def test_page_says_in_words_what_to_beware_of(fit: ph.Fit) -> None:
+    said = remarks(fit)
+    assert [w for w in fit.warnings if not any(w in text for text in said)] == []
+    quiet = SimpleNamespace(**{f.name: getattr(fit, f.name) for f in dataclasses.fields(fit)})
+    quiet.warnings, quiet.noise_parameters = (), fit.noise_parameters
+    rng = np.random.default_rng(3)
+    record = fit.records[0]
+
+    def with_residuals(r: np.ndarray) -> list[str]:
+        z = record.outputs["x"] + r
+        quiet.records = [dataclasses.replace(record, measured={"x": z}, residuals={"x": r})]
+        return remarks(quiet)
+
+    white = 0.01 * rng.standard_normal(record.n)
+    assert not any("white" in text or "offset" in text for text in with_residuals(white))
+    walk = np.cumsum(white) - np.mean(np.cumsum(white))
+    (coloured,) = [text for text in with_residuals(walk) if "not white" in text]
+    r = float(walk[1:] @ walk[:-1] / (walk @ walk))
+    assert f"x ({r:.2f})" in coloured
+    assert any(text.startswith("Residuals of x are mostly a constant offset") for text in with_residuals(white + 0.1))
+    estimates = [
+        Estimate("a", 1.0, 0.1),
+        Estimate("b", 0.1, 0.1),
+        Estimate("c", 2.0, 0.1),
+        Estimate("d", 0.0, np.nan, bounds=(0, 1), bounds_active="lower"),
+    ]
+    quiet.parameters, quiet.noise_parameters = Estimates(estimates), set()
+    quiet.covariance = np.array([[1, 0.1, -0.97, 0], [0.1, 1, 0, 0], [-0.97, 0, 1, 0], [0, 0, 0, np.nan]])
+    text = " ".join(with_residuals(white))
+    assert "interval of b holds zero" in text and "d lies at its lower bound" in text
+    assert "a with c (−0.97)" in text and "b with" not in text
+
+
+def test_page_holds_a_validation_files_and_the_command(fit: ph.Fit, tmp_path: Path) -> None:
+    held = dataclasses.replace(fit.records[1])
+    other = ph.Experiment(held.t, held.inputs, {"x": held.measured["x"]}, name="third & last")
+    checked = fit.validate(other, values={"c": 0.1}, biases=(), tolerances={"x": 0.02})
+    (tmp_path / "data <1>.csv").write_bytes(b"t,x\n0,1\n")
+    fit.report(
+        tmp_path / "fit.html",
+        validation=checked,
+        files=[tmp_path / "data <1>.csv"],
+        command="phugoid fit <m>.py",
+    )
+    page = Page((tmp_path / "fit.html").read_text(encoding="utf-8"))
+    assert page.wrong == [] and page.open == []
+    for words in (
+        "Validation",
+        "third & last",
+        f"{100 * checked.matches['x'].inside:.1f} % of the samples lie within ±0.02 m",
+        "phugoid fit <m>.py",
+        "data <1>.csv",
+        hashlib.sha256(b"t,x\n0,1\n").hexdigest(),
+        "8 bytes",
+    ):
+        assert words in page.text
+
+
+def test_what_cannot_be_in_a_report_is_refused(fit: ph.Fit, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"gone\.csv: cannot be read for the report"):
+        fit.report(tmp_path / "fit.html", files=[tmp_path / "gone.csv"])
+    with pytest.raises(OptionError, match="validation is what Fit.validate gives back, not a Fit"):
+        fit.report(tmp_path / "fit.html", validation=fit)  # type: ignore[arg-type]
+    stranger = SimpleNamespace(matches={}, model=SimpleNamespace(name="other"))
+    with pytest.raises(OptionError, match="is of 'other'"):
+        fit.report(tmp_path / "fit.html", validation=stranger)  # type: ignore[arg-type]
+    assert not (tmp_path / "fit.html").exists()

@@ -45,7 +45,7 @@ def test_the_twin_is_the_structure_s_answer_to_its_force() -> None:
 
 
 def test_the_fit_ends_at_the_noise() -> None:
-    assert fit().status in ("converged", "acceptable", "unidentifiable")
+    assert fit().converged and fit().iterations < 20
     residual = fit().residuals["acceleration"]
     assert 0.93 * NOISE < np.sqrt(np.mean(residual**2)) < 1.01 * NOISE
 
@@ -59,8 +59,19 @@ def test_lightly_damped_modes_are_found() -> None:
 
 
 def test_the_frequency_response_is_that_of_the_structure() -> None:
-    error = np.abs(ground_vibration.response_error(fit(), record()))
+    error, standard = (np.abs(each) for each in ground_vibration.response_error(fit(), record()))
     assert np.median(error) < 0.3
+    # One record, its errors correlated over frequency: as likely as not below 1, rarely above 3.
+    assert np.isfinite(standard).all() and np.median(standard) < 1.5 and np.quantile(standard, 0.98) < 3.5
+
+
+def test_the_paper_s_start_leads_to_a_fit_as_good_as_the_truth_s() -> None:
+    """Without damping and with all else 1; collocation alone ends in a local optimum there."""
+    data = twin(3001)
+    near = ph.fit_linear(data.structure, data.data, offset=False, moves=0)
+    found = ground_vibration.best_linear(data, "paper")
+    assert near.log_likelihood is not None and found.log_likelihood is not None
+    assert found.log_likelihood > near.log_likelihood - 1.0
 
 
 def test_the_paper_s_form_and_start() -> None:

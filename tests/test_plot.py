@@ -15,7 +15,8 @@ matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt
 
-from phugoid.errors import DataError, UnknownName
+import phugoid as ph
+from phugoid.errors import DataError, OptionError, UnknownName
 from phugoid.parameters import Estimate, Estimates
 from phugoid.plot import plot_fit, plot_record
 from phugoid.records import Record
@@ -88,6 +89,15 @@ def test_band_of_two_sigma_only_where_sigma_is_known() -> None:
     _, axes = plot_fit(fit(record(["alpha", "q"])))
     assert len(axes["alpha residual"].patches) == 1
     assert len(axes["q residual"].patches) == 0
+
+
+def test_sigma_may_be_known_or_of_one_experiment() -> None:
+    f = fit(record(["alpha", "q", "V"]))
+    f.parameters = Estimates([Estimate("sigma_q[run1]", 0.3), Estimate("sigma_V[run2]", 0.3)])
+    f.noise = ph.Gaussian({"alpha": 0.2})
+    _, axes = plot_fit(f)
+    heights = {n: [p.get_height() for p in axes[f"{n} residual"].patches] for n in ("alpha", "q", "V")}
+    assert heights == {"alpha": [0.8], "q": [1.2], "V": []}
 
 
 def test_labels_carry_units() -> None:
@@ -186,6 +196,44 @@ def test_residual_missing_throughout_does_no_harm() -> None:
     r.residuals["q"][:] = np.nan
     figure, _ = plot_fit(fit(r))
     figure.savefig(io.BytesIO())
+
+
+def test_tolerances_are_bands_and_the_part_within() -> None:
+    r = record(["alpha", "q"])
+    figure, axes = plot_fit(fit(r), tolerances={"q": 0.12})
+    bands = [c for c in axes["q"].collections if c.get_label() == "tolerance"]
+    corners = np.concatenate([path.vertices for band in bands for path in band.get_paths()])
+    assert corners[:, 1].max() == pytest.approx(np.nanmax(r.measured["q"]) + 0.12)
+    assert corners[:, 1].min() == pytest.approx(np.nanmin(r.measured["q"]) - 0.12)
+    inside = 100.0 * np.mean(np.abs(r.residuals["q"][np.isfinite(r.residuals["q"])]) <= 0.12)
+    assert 0.0 < inside < 100.0
+    assert axes["q"].get_title(loc="right") == f"{inside:.1f} % within ±0.12"
+    assert {line.get_ydata()[0] for line in axes["q residual"].get_lines()} >= {-0.12, 0.12}
+    assert not axes["alpha"].get_title(loc="right") and not axes["alpha"].collections
+    assert "tolerance" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"Alpha": 1.0}, "tolerance of 'Alpha', which is not an output. Did you mean 'alpha'"),
+        ({"alpha": -1.0}, "must be positive and finite, not -1.0"),
+        ({"alpha": "wide"}, "must be a number, not 'wide'"),
+        (0.1, "given by output"),
+    ],
+)
+def test_tolerances_that_are_none_are_refused(given: Any, words: str) -> None:
+    with pytest.raises(OptionError, match=words):
+        plot_fit(fit(record(["alpha"])), tolerances=given)
+
+
+def test_residuals_of_a_channel_with_every_other_sample_are_seen() -> None:
+    r = record(["q"])
+    r.residuals["q"][::2] = np.nan
+    _, axes = plot_fit(fit(r))
+    drawn = np.asarray(lines(axes["q residual"])["residual"].get_ydata())
+    seen = np.isfinite(drawn[1:]) & np.isfinite(drawn[:-1])
+    assert seen.sum() > 0.7 * np.isfinite(r.residuals["q"]).sum()
 
 
 def test_style_of_the_user_is_left_alone() -> None:

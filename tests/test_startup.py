@@ -36,6 +36,8 @@ def test_importing_stays_light() -> None:
         "symbols",
         "model",
         "plot",
+        "residuals_plot",
+        "report",
         "empirical",
         "frequency_plot",
         "summary",

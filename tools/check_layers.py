@@ -21,19 +21,20 @@ RUST = [
 PYTHON = [
     "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
     "filtering", "preprocess", "experiment", "multirate", "readers", "read", "transcription", "shooting",
-    "filter_error", "guess", "solvers", "progress", "records", "io", "plot", "frequency_plot", "response", "mode_table",
+    "filter_error", "guess", "solvers", "progress", "records", "io", "figure_style", "match", "time_panels", "plot",
+    "correlation_plot", "parameters_plot", "convergence_plot", "frequency_plot", "response", "mode_table",
     "state_space", "models", "modal_response", "sampled", "hankel", "modal_regression", "identified", "subspace",
-    "modal_blocks", "mode_places", "linear_fit", "empirical", "summary", "match",
+    "modal_blocks", "mode_places", "linear_fit", "empirical", "summary",
     "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
-    "biases", "held", "validate", "discrepancy", "report",
+    "biases", "held", "validate", "discrepancy", "residuals_plot", "remarks", "report_validation", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on
-# Arrows back: `Fit.validate`, which estimates anew, and `Fit.report` are where people look for them. They are imported
-# when called.
-BACK = {("result", "report"), ("result", "validate")}
+# Arrows back: `Fit.validate`, which estimates anew, `Fit.report`, and `Fit.plot_residuals`, which asks what a diagnosis
+# asks, are where people look for them. They are imported when called.
+BACK = {("result", "report"), ("result", "residuals_plot"), ("result", "validate")}
 
 Import = tuple[int, str]  # line, top-level module
 Finder = Callable[[Path, int], Iterator[Import]]  # of a file so many levels below the root

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import DataError
-from .plot import _BAND, _MEASURED, _MODEL, _RESIDUAL, _STATE, _STYLE, _figure_of, _plain
+from .figure_style import BAND, MEASURED, MODEL, ORANGE, PURPLE, RESIDUAL, STATE, STYLE, WIDTH, figure_of, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_frequency_response"]
 
-# Models differ in colour (Okabe and Ito's) and in dashes, so that they do in grey too.
-_MODELS = ((_MODEL, "-"), (_STATE, "--"), ("#CC79A7", "-."), ("#E69F00", ":"))
-# Inches: the figure, its panels, the title, a row of the legend, what is below.
-_WIDTH, _LEFT, _MAGNITUDE, _SMALL, _HEAD, _ROW, _FOOT = 7.2, 0.78, 2.9, 1.2, 0.34, 0.18, 0.45
+# Models differ in colour and in dashes, so that they do in grey too.
+_MODELS = ((MODEL, "-"), (STATE, "--"), (PURPLE, "-."), (ORANGE, ":"))
+# Inches: the left margin, the panels, the title, a row of the legend, what is below.
+_LEFT, _MAGNITUDE, _SMALL, _HEAD, _ROW, _FOOT = 0.78, 2.9, 1.2, 0.34, 0.18, 0.45
 _COLUMNS = 3
 
 
@@ -64,10 +64,10 @@ def plot_frequency_response(
             f"'{empirical.label}' has no coherence: take method='h1', smoothing or several periods in "
             "frequency_response"
         )
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         rows = -(-(1 + len(models) + (empirical.std_error is not None)) // _COLUMNS)
         panels = _layout(wanted, rows) if axes is None else dict(axes)
-        figure = _figure_of(panels[wanted[0]])
+        figure = figure_of(panels[wanted[0]])
         shown = empirical if band is None else empirical.band(*band)
         for name in wanted:
             _draw(panels[name], name, shown, models)
@@ -89,14 +89,14 @@ def _layout(wanted: list[str], rows: int) -> dict[str, Axes]:
     heights = [_MAGNITUDE] + [_SMALL] * (len(wanted) - 1)
     top = _HEAD + _ROW * rows
     height = sum(heights) + top + _FOOT + 0.12 * (len(wanted) - 1)
-    figure = plt.figure(figsize=(_WIDTH, height))
+    figure = plt.figure(figsize=(WIDTH, height))
     grid = figure.add_gridspec(
         len(wanted),
         1,
         height_ratios=heights,
         hspace=0.12,
-        left=_LEFT / _WIDTH,
-        right=1.0 - 0.15 / _WIDTH,
+        left=_LEFT / WIDTH,
+        right=1.0 - 0.15 / WIDTH,
         bottom=_FOOT / height,
         top=1.0 - top / height,
     )
@@ -109,8 +109,8 @@ def _layout(wanted: list[str], rows: int) -> dict[str, Axes]:
 
 def _finish(figure: Figure, magnitude: Axes, title: str) -> None:
     height = float(figure.get_size_inches()[1])
-    left = _LEFT / _WIDTH
-    figure.text(left, 1.0 - 0.08 / height, _plain(title), ha="left", va="top", fontsize=9.5)
+    left = _LEFT / WIDTH
+    figure.text(left, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
     handles, labels = magnitude.get_legend_handles_labels()
     figure.legend(
         handles,
@@ -131,16 +131,16 @@ def _draw(axis: Axes, name: str, empirical: Any, models: tuple[Any, ...]) -> Non
     f = empirical.frequencies_hz
     many = f.size > 5000  # as vectors, so many points would make a PDF heavy
     if name == "coherence":
-        axis.plot(*_apart(f, empirical.coherence), color=_RESIDUAL, linewidth=0.7, rasterized=many)
+        axis.plot(*_apart(f, empirical.coherence), color=RESIDUAL, linewidth=0.7, rasterized=many)
         axis.set_ylim(0.0, 1.02)
         axis.set_ylabel("coherence")
         return
     values = _values(empirical, name)
-    label = _plain(empirical.label or "empirical")
-    style: dict[str, Any] = {"color": _MEASURED, "marker": ".", "ms": 3.0 if f.size <= 400 else 1.5, "linewidth": 0.4}
+    label = plain(empirical.label or "empirical")
+    style: dict[str, Any] = {"color": MEASURED, "marker": ".", "ms": 3.0 if f.size <= 400 else 1.5, "linewidth": 0.4}
     axis.plot(*_apart(f, values), label=label, rasterized=many, **style)
     for model, (color, dashes) in zip(models, cycle(_MODELS), strict=False):
-        label = _plain(model.label or "model")
+        label = plain(model.label or "model")
         style = {"color": color, "linestyle": dashes, "linewidth": 1.1}
         axis.plot(model.frequencies_hz, _values(model, name), label=label, **style)
     if name == "magnitude" and empirical.std_error is not None:
@@ -149,14 +149,14 @@ def _draw(axis: Axes, name: str, empirical: Any, models: tuple[Any, ...]) -> Non
         bounds = [np.maximum(size - spread, 0.01 * size), size + spread]
         with np.errstate(divide="ignore"):
             (where, low), (_, high) = (_apart(f, 20.0 * np.log10(bound)) for bound in bounds)
-        axis.fill_between(where, low, high, color=_BAND, linewidth=0.0, label="±2 standard errors", rasterized=many)
+        axis.fill_between(where, low, high, color=BAND, linewidth=0.0, label="±2 standard errors", rasterized=many)
     if name == "phase":
         axis.set_ylim(-185.0, 185.0)
         axis.set_yticks([-180, -90, 0, 90, 180])
         axis.set_ylabel("phase, deg")
     else:
         unit = empirical.unit
-        axis.set_ylabel(f"magnitude, dB{f' re 1 {_plain(unit)}' if unit not in ('', '1') else ''}")
+        axis.set_ylabel(f"magnitude, dB{f' re 1 {plain(unit)}' if unit not in ('', '1') else ''}")
         finite = values[np.isfinite(values)]
         if finite.size:
             # The points set the range: a model may fall far below them.

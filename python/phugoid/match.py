@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import UnknownName, listing
+from .errors import OptionError, UnknownName, did_you_mean, listing
 from .records import Record
 
-__all__ = ["Match", "match"]
+__all__ = ["Match", "match", "tolerances_by_output"]
 
 _Array = NDArray[np.float64]
 _Piece = tuple[_Array, _Array, _Array]  # of one record where measured: times, measured, model
@@ -111,6 +112,29 @@ def match(
         tolerance=tolerance,
         inside=float(np.mean(np.abs(residuals) <= tolerance)) if tolerance is not None and n else math.nan,
     )
+
+
+def tolerances_by_output(caller: str, outputs: Sequence[str], given: Any) -> dict[str, float]:
+    """The tolerances given to ``caller``, in the order of ``outputs``; None is none.
+
+    Raises OptionError for what is no mapping, an output that there is not, or a tolerance that is no positive number.
+    """
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise OptionError(f"{caller}: tolerances are given by output, such as {{'q': 0.035}}, not as {given!r}")
+    limits = {}
+    for name, value in given.items():
+        if name not in outputs:
+            hint = did_you_mean(str(name), outputs)
+            raise OptionError(f"{caller}: tolerance of '{name}', which is not an output.{hint}")
+        try:
+            limits[name] = float(value)
+        except (TypeError, ValueError):
+            raise OptionError(f"{caller}: the tolerance of '{name}' must be a number, not {value!r}") from None
+        if not 0.0 < limits[name] < math.inf:
+            raise OptionError(f"{caller}: the tolerance of '{name}' must be positive and finite, not {value!r}")
+    return {name: limits[name] for name in outputs if name in limits}
 
 
 def _present(record: Record, output: str) -> _Piece:

@@ -7,52 +7,26 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from .errors import DataError, UnknownName, did_you_mean
+from .figure_style import STYLE, WIDTH, figure_of, plain
+from .match import tolerances_by_output
 from .records import Record
+from .time_panels import draw_channel, draw_residual
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_fit", "plot_record", "plot_validation"]
-
-# Okabe and Ito's palette, which colour-blind readers tell apart; points against a line also print in grey.
-_MEASURED = "#0072B2"
-_MODEL = "#D55E00"
-_STATE = "#009E73"
-_INPUT = "#000000"
-_RESIDUAL = "#4D4D4D"
-_BAND = "#DDDDDD"
-_TOLERANCE, _LIMIT = "#F0E442", "#A08A00"
-
-_STYLE: dict[Any, Any] = {
-    "font.size": 8.0,
-    "axes.labelsize": 8.0,
-    "xtick.labelsize": 7.0,
-    "ytick.labelsize": 7.0,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.formatter.useoffset": False,
-    "axes.formatter.limits": (-4, 5),
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-}
+__all__ = ["choose_record", "plot_fit", "plot_record", "plot_validation", "sigmas_of"]
 
 # Inches. The figure fits between the margins of an A4 page; its own margins are fixed, not found from the
 # labels, so that all time axes of a column are exactly as long.
-_WIDTH, _MAX_HEIGHT = 7.2, 10.2
+_MAX_HEIGHT = 10.2
 _OUTPUT, _STRIP, _INPUT_PANEL = 1.25, 0.42, 0.8  # heights
 _INNER_GAP, _GAP = 0.05, 0.16
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.78, 0.12, 0.56, 0.42
 _LABEL = 0.53  # from the axis to the middle of its label
-_LETTER = 0.58  # mean width of a letter, in units of the font's size
 _TWO_COLUMNS_FROM = 7
-_FAR = 3.0  # a tolerance of so many times what a panel must show is left out of its range
 
 
 def plot_fit(
@@ -60,30 +34,34 @@ def plot_fit(
     record: int | str = 0,
     channels: Sequence[str] | None = None,
     axes: Mapping[str, Axes] | None = None,
+    tolerances: Mapping[str, float] | None = None,
 ) -> tuple[Figure, dict[str, Axes]]:
     """Proof of match of one experiment: per output measured points, the model's line, the residual beneath.
 
-    fit       has .records (of `Record`), and if it can .parameters (``sigma_<output>`` gives the band of ±2σ)
-              and .model.name.
-    record    index or name of the experiment.
-    channels  the outputs, inputs and states to show; None: all outputs, then all inputs.
-    axes      name -> axes of your own to draw into; ``"<output> residual"`` takes the strip.
+    fit         has .records (of `Record`), and if it can .parameters (``sigma_<output>`` gives the band of ±2σ)
+                and .model.name.
+    record      index or name of the experiment.
+    channels    the outputs, inputs and states to show; None: all outputs, then all inputs.
+    axes        name -> axes of your own to draw into; ``"<output> residual"`` takes the strip.
+    tolerances  output -> greatest deviation in its unit: a band about the measurements, as flight simulators are
+                qualified with (14 CFR Part 60), and the part of the samples within.
 
-    Returns the figure and the axes by name. Raises UnknownName for a channel or a record that is not there.
+    Returns the figure and the axes by name. Raises UnknownName for a channel or a record that is not there, OptionError
+    for a tolerance that is none.
     """
-    chosen = _choose(fit.records, record)
-    parameters = getattr(fit, "parameters", {})
-    sigma = {n: float(parameters[f"sigma_{n}"]) for n in chosen.outputs if f"sigma_{n}" in parameters}
+    chosen = choose_record(fit.records, record)
+    limits = tolerances_by_output("plot", list(chosen.outputs), tolerances)
+    sigma = sigmas_of(fit, chosen)
     model = getattr(getattr(fit, "model", None), "name", "")
     title = f"{model}: {chosen.name}" if model else chosen.name
-    return _draw(chosen, channels, axes, sigma, title)
+    return _draw(chosen, channels, axes, sigma, title, limits)
 
 
 def plot_validation(
     validation: Any, record: int | str = 0, channels: Sequence[str] | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
     """`plot_fit` of a `Validation`, with its tolerances as bands about the measurements."""
-    chosen = _choose(validation.records, record)
+    chosen = choose_record(validation.records, record)
     sigma = {name: m.sigma for name, m in validation.matches.items() if math.isfinite(m.sigma)}
     title = f"{validation.model.name}: {chosen.name}, validation"
     return _draw(chosen, channels, None, sigma, title, validation.tolerances)
@@ -99,7 +77,19 @@ def plot_record(
     return _draw(record, channels, axes, {}, record.name)
 
 
-def _choose(records: Sequence[Record], which: int | str) -> Record:
+def sigmas_of(fit: Any, record: Record) -> dict[str, float]:
+    """Output -> standard deviation (scale) of its noise in a record: estimated, for all or for this one, or known."""
+    parameters, noise = getattr(fit, "parameters", {}), getattr(fit, "noise", None)
+    found: dict[str, float] = {} if noise is None else dict(noise.known_sigmas(tuple(record.outputs)))
+    for name in record.outputs:
+        for label in (f"sigma_{name}", f"sigma_{name}[{record.name}]"):
+            if label in parameters:
+                found[name] = float(parameters[label])
+    return found
+
+
+def choose_record(records: Sequence[Record], which: int | str) -> Record:
+    """The record of that index or name; UnknownName where there is none."""
     if isinstance(which, str):
         for record in records:
             if record.name == which:
@@ -138,17 +128,17 @@ def _draw(
         raise DataError(f"record '{record.name}': there is no channel to plot")
     if axes is not None and not axes:
         raise DataError("axes={}: give at least one axis, or None for a new figure")
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         if axes is None:
             figure, panels = _layout(record, channels)
         else:
             panels = dict(axes)
-            figure = _figure_of(next(iter(panels.values())))
+            figure = figure_of(next(iter(panels.values())))
         for name in channels:
             if name in panels:
-                _draw_channel(panels[name], record, name, tolerances.get(name))
+                draw_channel(panels[name], record, name, tolerances.get(name))
             if name in record.residuals and f"{name} residual" in panels:
-                _draw_residual(panels[f"{name} residual"], record, name, sigma.get(name), tolerances.get(name))
+                draw_residual(panels[f"{name} residual"], record, name, sigma.get(name), tolerances.get(name))
         if axes is None:
             _finish(figure, panels, title)
     return figure, panels
@@ -166,16 +156,16 @@ def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, 
     heights = upper_block * upper_rows + [_INPUT_PANEL, _GAP] * lower_rows
     del heights[-1]
     height = min(sum(heights) + _TOP + _BOTTOM, _MAX_HEIGHT)
-    figure = plt.figure(figsize=(_WIDTH, height))
-    width = (_WIDTH - columns * (_LEFT + _RIGHT)) / columns
+    figure = plt.figure(figsize=(WIDTH, height))
+    width = (WIDTH - columns * (_LEFT + _RIGHT)) / columns
     grid = figure.add_gridspec(
         len(heights),
         columns,
         height_ratios=heights,
         hspace=0.0,
         wspace=(_LEFT + _RIGHT) / width,
-        left=_LEFT / _WIDTH,
-        right=1.0 - _RIGHT / _WIDTH,
+        left=_LEFT / WIDTH,
+        right=1.0 - _RIGHT / WIDTH,
         bottom=_BOTTOM / height,
         top=1.0 - _TOP / height,
     )
@@ -195,83 +185,6 @@ def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, 
     return figure, panels
 
 
-def _draw_channel(axis: Axes, record: Record, name: str, tolerance: float | None = None) -> None:
-    many = record.n > 5000  # as vectors, so many points would make a PDF heavy
-    if name in record.outputs:
-        if name in record.measured:
-            if tolerance is not None:
-                _draw_tolerance(axis, record, name, tolerance)
-            size = 2.0 if record.n <= 1000 else 1.2
-            axis.plot(
-                record.t,
-                record.measured[name],
-                ".",
-                color=_MEASURED,
-                ms=size,
-                label="measured",
-                rasterized=many,
-            )
-        axis.plot(record.t, record.outputs[name], color=_MODEL, linewidth=1.0, label="model", rasterized=many)
-        if tolerance is not None and name in record.measured:
-            _keep_in_view(axis, record, name, tolerance)
-    elif name in record.inputs:
-        axis.plot(record.t, record.inputs[name], color=_INPUT, linewidth=0.8, label="input", rasterized=many)
-    else:
-        axis.plot(record.t, record.states[name], color=_STATE, linewidth=0.9, label="state", rasterized=many)
-    label = _label(name, record.units)
-    # The label must not reach into the panels above and below: two lines first, then smaller letters.
-    room = 72.0 * axis.get_position().height * float(_figure_of(axis).get_size_inches()[1]) / _LETTER
-    if len(label) * 8.0 > room:
-        label = label.replace(", ", ",\n")
-    longest = max(map(len, label.split("\n")))
-    axis.set_ylabel(_plain(label), fontsize=min(7.0 if "\n" in label else 8.0, max(room / longest, 4.5)))
-    axis.locator_params(axis="y", nbins=5)
-
-
-def _draw_tolerance(axis: Axes, record: Record, name: str, tolerance: float) -> None:
-    """The band about the measurements that the model should stay in; a short gap does not end it."""
-    there = np.isfinite(record.measured[name])
-    t, z = record.t[there], record.measured[name][there]
-    if t.size < 2:
-        return
-    gaps = np.diff(t)
-    pieces = np.flatnonzero(gaps > 5.0 * np.median(gaps)) + 1
-    for part, values in zip(np.split(t, pieces), np.split(z, pieces), strict=True):
-        low, high = values - tolerance, values + tolerance
-        axis.fill_between(part, low, high, color=_TOLERANCE, alpha=0.55, linewidth=0.0, label="tolerance", zorder=0.5)
-
-
-def _keep_in_view(axis: Axes, record: Record, name: str, tolerance: float) -> None:
-    """A band far wider than what it is about reaches out of the panel, or nothing else would be seen."""
-    drawn = np.concatenate([record.measured[name], record.outputs[name]])
-    drawn = drawn[np.isfinite(drawn)]
-    span = float(np.ptp(drawn)) if drawn.size else 0.0
-    if 0.0 < _FAR * span < tolerance:
-        axis.set_ylim(float(drawn.min()) - span, float(drawn.max()) + span)
-
-
-def _draw_residual(axis: Axes, record: Record, name: str, sigma: float | None, tolerance: float | None = None) -> None:
-    residual = record.residuals[name]
-    if sigma is not None:
-        axis.axhspan(-2.0 * sigma, 2.0 * sigma, color=_BAND, linewidth=0.0, label="±2σ")
-    axis.axhline(0.0, color=_INPUT, linewidth=0.5)
-    many = record.n > 5000
-    axis.plot(record.t, residual, color=_RESIDUAL, linewidth=0.6, label="residual", rasterized=many)
-    # Symmetric about zero, so that a bias is seen at a glance.
-    largest = float(np.nanmax(np.abs(residual))) if not np.isnan(residual).all() else 0.0
-    limit = 1.08 * max(largest, 2.0 * (sigma or 0.0))
-    if tolerance is not None and tolerance < _FAR * limit:  # one far away would flatten the residual
-        limit = max(limit, 1.08 * tolerance)
-        for side in (-tolerance, tolerance):
-            axis.axhline(side, color=_LIMIT, linewidth=0.7, linestyle="--", label="tolerance")
-    if limit > 0.0:
-        axis.set_ylim(-limit, limit)
-    axis.locator_params(axis="y", nbins=3)
-    axis.set_ylabel("resid.", fontsize=6.5)
-    # A common factor of the ticks belongs into the strip: above it, it would stand in the panel of the output.
-    axis.yaxis.get_offset_text().set(va="top", ha="left", size="small")
-
-
 def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
     """Time labels at the foot of each column only, a title, and one legend for all panels."""
     lowest: dict[float, Axes] = {}
@@ -288,8 +201,8 @@ def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
         axis.set_xlabel("time, s")
     next(iter(panels.values())).margins(x=0.01)
     height = float(figure.get_size_inches()[1])
-    left = _LEFT / _WIDTH
-    figure.text(left, 1.0 - 0.08 / height, _plain(title), ha="left", va="top", fontsize=9.5)
+    left = _LEFT / WIDTH
+    figure.text(left, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
     order = [
         name for name in ("measured", "tolerance", "model", "state", "input", "residual", "±2σ") if name in handles
     ]
@@ -305,21 +218,3 @@ def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
         columnspacing=1.6,
         markerscale=2.5,
     )
-
-
-def _figure_of(axis: Axes) -> Figure:
-    parent: Any = axis.figure
-    while parent is not parent.figure:  # a subfigure
-        parent = parent.figure
-    figure: Figure = parent
-    return figure
-
-
-def _label(name: str, units: Mapping[str, str]) -> str:
-    unit = units.get(name, "")
-    return name if unit in ("", "1", "-") else f"{name}, {unit}"
-
-
-def _plain(text: str) -> str:
-    """Names as given: matplotlib would take dollar signs for mathematics."""
-    return text.replace("$", r"\$")

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from . import _core, io, plot, summary
 from ._core import Expr
+from .convergence_plot import plot_convergence
+from .correlation_plot import plot_correlation
 from .densities import PerExperiment, noise_from_dict
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
@@ -20,6 +22,7 @@ from .integration import IntegrationError, integration_error
 from .model import Model
 from .noise import Noise
 from .parameters import Estimate, Estimates
+from .parameters_plot import plot_parameters
 from .records import Record
 from .refinement import Refinement
 from .shooting import Transcription, from_dict, to_dict
@@ -183,9 +186,39 @@ class Fit:
         labels = {name: f"{name}[{experiment}]" for name in self.model.parameter_names}
         return {n: self.parameters[label if label in self.parameters else n].value for n, label in labels.items()}
 
-    def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
-        """The proof-of-match figure of an experiment: measured points, model, residuals, inputs."""
-        return plot.plot_fit(self, record, channels)
+    def plot(
+        self,
+        record: int | str = 0,
+        channels: Sequence[str] | None = None,
+        tolerances: Mapping[str, float] | None = None,
+    ) -> tuple[Figure, dict[str, Axes]]:
+        """The proof-of-match figure of an experiment: measured points, model, residuals, inputs; see `plot_fit`.
+
+        ``tolerances``: output -> greatest deviation in its unit, drawn as bands (14 CFR Part 60).
+        """
+        return plot.plot_fit(self, record, channels, tolerances=tolerances)
+
+    def plot_residuals(
+        self, record: int | str = 0, channels: Sequence[str] | None = None
+    ) -> tuple[Figure, dict[str, Axes]]:
+        """The residuals of an experiment over time, their autocorrelation and their spectrum; see `plot_residuals`."""
+        from .residuals_plot import plot_residuals
+
+        return plot_residuals(self, record, channels)
+
+    def plot_parameters(
+        self, *others: Any, names: Sequence[str] | None = None, labels: Sequence[str] | None = None
+    ) -> tuple[Figure, dict[str, Axes]]:
+        """The estimates with 95 % intervals, of this fit or side by side with others; see `plot_parameters`."""
+        return plot_parameters([self, *others], names, labels)
+
+    def plot_correlation(self, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+        """The correlation matrix of the estimates as a heat map; see `plot_correlation`."""
+        return plot_correlation(self, names)
+
+    def plot_convergence(self) -> tuple[Figure, dict[str, Axes]]:
+        """Log-likelihood, defects, distance from the optimum and step of every iteration; see `plot_convergence`."""
+        return plot_convergence(self)
 
     def validate(
         self,
@@ -217,12 +250,23 @@ class Fit:
 
         return validate(self, other, biases=biases, values=values, tolerances=tolerances)
 
-    def report(self, path: str | os.PathLike[str]) -> None:
-        """Writes one HTML page that needs no network: how the fit ended, warnings, parameters with standard errors, the
-        match of each output in numbers and figures, equations, data and versions."""
+    def report(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        validation: Validation | None = None,
+        files: Sequence[str | os.PathLike[str]] = (),
+        command: str = "",
+    ) -> None:
+        """Writes one HTML page that needs no network: how the fit ended, what to beware of, parameters with standard
+        errors, the match of each output in numbers and figures, residuals, equations, the solver's way, data, versions.
+
+        ``validation``: of this fit, as a section. ``files``, such as data and model, are listed with their SHA-256;
+        ``command`` is quoted.
+        """
         from .report import report
 
-        report(self, path)
+        report(self, path, validation=validation, files=files, command=command)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the fit to a versioned JSON file, which `load` reads."""

@@ -16,7 +16,7 @@ from .experiment import Experiment, as_experiments
 from .filter_error import FilterError
 from .guess import measured_states
 from .held import estimates_of, held_model, held_noise, mesh_for
-from .match import Match, match
+from .match import Match, match, tolerances_by_output
 from .model import Model
 from .noise import Gaussian, Noise
 from .records import Record
@@ -40,7 +40,7 @@ def validate(
 ) -> Validation:
     """What `Fit.validate` does; see there."""
     model, experiments = fit.model, as_experiments(other, "validate")
-    limits = _tolerances(model, tolerances)
+    limits = tolerances_by_output("validate", model.output_names, tolerances)
     free = _free(fit, biases, {} if values is None else values)
     held = _held(fit, free, {} if values is None else values)
     mesh = mesh_for(fit, experiments)
@@ -96,22 +96,6 @@ def _predicted_std(records: Sequence[Record], output: str) -> float:
     """What the root mean square of the innovations of an output should be."""
     expected = np.concatenate([r.innovation_std[output][np.isfinite(r.innovations[output])] for r in records])
     return float(np.sqrt(np.mean(expected**2))) if expected.size else math.nan
-
-
-def _tolerances(model: Model, given: Any) -> dict[str, float]:
-    if given is None:
-        return {}
-    if not isinstance(given, Mapping):
-        raise OptionError(f"validate: tolerances are given by output, such as {{'q': 0.035}}, not as {given!r}")
-    limits = {}
-    for name, value in given.items():
-        if name not in model.output_names:
-            hint = did_you_mean(str(name), model.output_names)
-            raise OptionError(f"validate: tolerance of '{name}', which is not an output.{hint}")
-        limits[name] = _finite(f"the tolerance of '{name}'", value)
-        if limits[name] <= 0:
-            raise OptionError(f"validate: the tolerance of '{name}' is positive, not {value!r}")
-    return {name: limits[name] for name in model.output_names if name in limits}
 
 
 def _free(fit: Fit, named: Any, values: Any) -> tuple[str, ...]:

@@ -89,7 +89,7 @@ class Validation:
         parts.append(_match_table(self.matches.values()))
         if len(self.records) > 1:
             parts += [f"{name} alone\n{_match_table(each.values())}" for name, each in self.by_experiment.items()]
-        parts.append("\n".join(textwrap.fill(line, _WIDTH, subsequent_indent="  ") for line in self._words()))
+        parts.append("\n".join(textwrap.fill(line, _WIDTH, subsequent_indent="  ") for line in self.in_words()))
         return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 
     def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
@@ -119,8 +119,8 @@ class Validation:
         lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
         return "\n".join([f"{self.model.name}: validation", *lines])
 
-    def _words(self) -> list[str]:
-        """What the numbers say, an output a line."""
+    def in_words(self) -> list[str]:
+        """What the numbers say, a sentence for each output."""
         lines = []
         for m in self.matches.values():
             if not m.samples:

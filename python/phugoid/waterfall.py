@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .figure_style import INPUT, MEASURED, ORANGE, PURPLE, STATE, STYLE, WIDTH, figure_of, plain
 from .optima import LOG_LIKELIHOOD, Optimum
 from .outcome import Outcome
-from .plot import _STYLE, _figure_of, _plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_waterfall"]
 
-# Okabe and Ito's palette; neighbours differ in shape as well, for grey prints.
-_BEST = ("#0072B2", "o")
-_OTHERS = (("#E69F00", "s"), ("#009E73", "^"), ("#CC79A7", "D"))
+# Neighbours differ in shape as well, for grey prints.
+_BEST = (MEASURED, "o")
+_OTHERS = ((ORANGE, "s"), (STATE, "^"), (PURPLE, "D"))
 _SINGLE = ("#7F7F7F", ".")
-_FAILED = ("#000000", "x")
+_FAILED = (INPUT, "x")
 
 # Inches.
-_WIDTH, _HEIGHT, _ROW = 7.2, 3.6, 0.17
+_HEIGHT, _ROW = 3.6, 0.17
 _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.78, 0.3, 0.34, 0.46, 0.08
 _NAMES = 1.2  # left margin that the names of statuses need
 _LABEL = (0.34, 0.13)  # room that a count needs
@@ -52,20 +52,20 @@ def plot_waterfall(
     left = _NAMES if counts else _LEFT
     strip = (len(counts) + 0.4) * _ROW if counts else 0.0
     height = _HEIGHT + strip
-    with rc_context(_STYLE):
-        figure = plt.figure(figsize=(_WIDTH, height))
-        width = (_WIDTH - left - _RIGHT) / _WIDTH
+    with rc_context(STYLE):
+        figure = plt.figure(figsize=(WIDTH, height))
+        width = (WIDTH - left - _RIGHT) / WIDTH
         gap_height = _HEIGHT - _TOP - _BOTTOM - (_GAP if counts else 0.0)
-        axis = figure.add_axes((left / _WIDTH, _BOTTOM / height, width, gap_height / height))
+        axis = figure.add_axes((left / WIDTH, _BOTTOM / height, width, gap_height / height))
         axes = {"gap": axis}
         rank = _draw_optima(axis, outcomes, optima)
         if counts:
             bottom = (_BOTTOM + gap_height + _GAP) / height
-            above = figure.add_axes((left / _WIDTH, bottom, width, strip / height), sharex=axis)
+            above = figure.add_axes((left / WIDTH, bottom, width, strip / height), sharex=axis)
             axes["not converged"] = above
             _draw_failures(above, counts, rank)
         axis.set_xlabel("starts, best first")
-        figure.text(left / _WIDTH, 1.0 - 0.08 / height, _plain(title), ha="left", va="top", fontsize=9.5)
+        figure.text(left / WIDTH, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
     return figure, axes
 
 
@@ -116,7 +116,7 @@ def _scale(gaps: Sequence[float], axis: Axes) -> None:
 def _label_counts(axis: Axes, plateaus: Sequence[tuple[int, float, float]]) -> None:
     """Writes each plateau's number of starts above its middle, the largest first, as long as there is room."""
     taken: list[Any] = []
-    dpi = _figure_of(axis).dpi
+    dpi = figure_of(axis).dpi
     for i, (count, middle, level) in sorted(enumerate(plateaus), key=lambda p: (p[0] > 0, -p[1][0])):
         place = axis.transData.transform((middle, level)) / dpi
         if any(np.all(np.abs(place - other) < _LABEL) for other in taken):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -68,7 +71,9 @@ def fit(
         result = how.run(source.model, records, source) if isinstance(source, Fit) else how.run(source, records)
         # Files first: whoever reads stdout may stop before its end.
         try:
-            written = _write(result, save, plot, report)
+            written = _write(
+                result, save, plot, report, [model if Path(model).is_file() else model.rpartition(":")[0], *data]
+            )
         except (PhugoidError, OSError):
             print(result.summary())  # the work is done: it is not lost with a full disk
             raise
@@ -81,7 +86,9 @@ def fit(
     raise typer.Exit(code_of(result))
 
 
-def _write(result: Fit, save: Path | None, plot: Path | None, report: Path | None) -> list[Path]:
+def _write(
+    result: Fit, save: Path | None, plot: Path | None, report: Path | None, files: Sequence[str | Path]
+) -> list[Path]:
     written: list[Path] = []
     if save is not None:
         result.save(save)
@@ -89,9 +96,17 @@ def _write(result: Fit, save: Path | None, plot: Path | None, report: Path | Non
     if plot is not None:
         written += save_figures(result, plot)
     if report is not None:
-        result.report(report)
+        sources = [Path(f) for f in files if Path(f).is_file()]
+        result.report(report, files=sources, command=_command())
         written.append(report)
     return written
+
+
+def _command() -> str:
+    """As it was typed; nothing where another program called."""
+    called = Path(sys.argv[0])
+    mine = called.stem == "phugoid" or called.parent.name == "phugoid"
+    return shlex.join(["phugoid", *sys.argv[1:]]) if mine else ""
 
 
 def code_of(result: Fit) -> int:

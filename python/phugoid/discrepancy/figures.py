@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import DataError, UnknownName, listing
-from ..plot import _INPUT, _MEASURED, _MODEL, _RESIDUAL, _STATE, _STYLE, _label, _plain
+from ..figure_style import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, STYLE, WIDTH, labelled, plain
 from ..records import Record
 from .extension import Extension, Gain
 from .finding import Scored
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["findings_figure", "gain_figure", "misfit_figure", "ranking_figure"]
 
-_GREY = "#999999"
-_WIDTH = 7.2  # inches
 _BARS = 12
 
 
@@ -54,12 +52,12 @@ def findings_figure(
     if not channels:
         raise DataError("findings_figure: there is no channel to draw")
     panels: dict[str, Any] = {}
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure, axes = plt.subplots(
             2 * len(channels),
             1,
             sharex=True,
-            figsize=(_WIDTH, 1.9 * len(channels) + 0.6),
+            figsize=(WIDTH, 1.9 * len(channels) + 0.6),
             layout="constrained",
             gridspec_kw={"height_ratios": [1.5, 1.0] * len(channels)},
             squeeze=False,
@@ -68,21 +66,21 @@ def findings_figure(
             top, bottom = axes[2 * i, 0], axes[2 * i + 1, 0]
             panels[name], panels[f"{name} change"] = top, bottom
             for axis in (top, bottom):
-                axis.axhline(0.0, color=_INPUT, linewidth=0.5)
+                axis.axhline(0.0, color=INPUT, linewidth=0.5)
             many = before.n > 5000
-            top.plot(before.t, before.residuals[name], color=_GREY, linewidth=1.1, label="before", rasterized=many)
-            top.plot(after.t, after.residuals[name], color=_MODEL, linewidth=0.8, label="after", rasterized=many)
+            top.plot(before.t, before.residuals[name], color=GREY, linewidth=1.1, label="before", rasterized=many)
+            top.plot(after.t, after.residuals[name], color=MODEL, linewidth=0.8, label="after", rasterized=many)
             change = after.outputs[name] - before.outputs[name]
-            bottom.plot(after.t, change, color=_STATE, linewidth=1.0, label="change of the model's output")
+            bottom.plot(after.t, change, color=STATE, linewidth=1.0, label="change of the model's output")
             unit = before.units.get(name, "")
-            top.set_ylabel(_plain(_label("residual", {"residual": unit})))
+            top.set_ylabel(plain(labelled("residual", {"residual": unit})))
             bottom.set_ylabel("change")
             old, now = before.rms()[name], after.rms()[name]
             title = f"{name}: RMS {number(old, 3)} to {number(now, 3)} {unit}"
-            top.set_title(_plain(title), loc="left", fontsize=8.5)
+            top.set_title(plain(title), loc="left", fontsize=8.5)
         handles = [*panels[channels[0]].get_lines()[1:], panels[f"{channels[0]} change"].get_lines()[1]]
         figure.legend(handles=handles, loc="outside upper right", ncols=3, frameon=False, fontsize=7.5)
-        axes[-1, 0].set_xlabel(_plain(f"time in '{before.name}', s" if len(fit.records) > 1 else "time, s"))
+        axes[-1, 0].set_xlabel(plain(f"time in '{before.name}', s" if len(fit.records) > 1 else "time, s"))
         axes[-1, 0].margins(x=0.01)
         figure.align_ylabels()
     return figure, panels
@@ -113,8 +111,8 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float, best: int = _BAR
     if not ranking:
         raise DataError("ranking_figure: there are no candidates")
     shown = sorted(ranking, key=lambda s: s.ranking, reverse=True)[:best]
-    with rc_context({**_STYLE, "hatch.linewidth": 0.4}):
-        figure, axis = plt.subplots(figsize=(_WIDTH, 0.24 * len(shown) + 0.9), layout="constrained")
+    with rc_context({**STYLE, "hatch.linewidth": 0.4}):
+        figure, axis = plt.subplots(figsize=(WIDTH, 0.24 * len(shown) + 0.9), layout="constrained")
         low = max(1.0, 0.3 * min(threshold, *(s.statistic for s in shown)))
         for row, scored in enumerate(shown):
             passed = scored.statistic > threshold
@@ -122,19 +120,19 @@ def ranking_figure(ranking: Sequence[Scored], threshold: float, best: int = _BAR
                 row,
                 max(scored.statistic, 0.0),
                 0.66,
-                color=_MEASURED if passed else "#B5CFE0",
+                color=MEASURED if passed else "#B5CFE0",
                 hatch="////" if scored.remark else None,
                 edgecolor="white",
                 linewidth=0.0,
                 label=None,
             )
-            axis.plot(scored.ranking, row, "|", ms=9.0, mec=_RESIDUAL, mew=1.6)
-            axis.plot(scored.white, row, "o", ms=3.6, mfc="white", mec=_RESIDUAL, mew=0.9)
-        axis.axvline(threshold, color=_MODEL, linewidth=1.1)
+            axis.plot(scored.ranking, row, "|", ms=9.0, mec=RESIDUAL, mew=1.6)
+            axis.plot(scored.white, row, "o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9)
+        axis.axvline(threshold, color=MODEL, linewidth=1.1)
         axis.set_xscale("log")
         axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_xlim(left=low)
-        axis.set_yticks(range(len(shown)), [_plain(s.name) for s in shown])
+        axis.set_yticks(range(len(shown)), [plain(s.name) for s in shown])
         axis.tick_params(axis="y", length=0.0)
         axis.invert_yaxis()
         axis.set_xlabel("expected 2 Δ log-likelihood")
@@ -148,13 +146,13 @@ def _ranking_key(threshold: float, remarks: bool) -> list[Any]:
     from matplotlib.patches import Patch
 
     key: list[Any] = [
-        Patch(color=_MEASURED, label="residuals whitened"),
-        Line2D([], [], linestyle="", marker="|", ms=7.0, mec=_RESIDUAL, mew=1.6, label="as ranked"),
-        Line2D([], [], linestyle="", marker="o", ms=3.6, mfc="white", mec=_RESIDUAL, mew=0.9, label="taken as white"),
-        Line2D([], [], color=_MODEL, linewidth=1.1, label=f"threshold {threshold:.0f}"),
+        Patch(color=MEASURED, label="residuals whitened"),
+        Line2D([], [], linestyle="", marker="|", ms=7.0, mec=RESIDUAL, mew=1.6, label="as ranked"),
+        Line2D([], [], linestyle="", marker="o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9, label="taken as white"),
+        Line2D([], [], color=MODEL, linewidth=1.1, label=f"threshold {threshold:.0f}"),
     ]
     if remarks:
-        key.append(Patch(facecolor=_MEASURED, hatch="////", edgecolor="white", label="see its remark"))
+        key.append(Patch(facecolor=MEASURED, hatch="////", edgecolor="white", label="see its remark"))
     return key
 
 
@@ -170,24 +168,24 @@ def gain_figure(gain: Gain, units: Mapping[str, str] | None = None) -> tuple[Fig
     if not names:
         raise DataError("gain_figure: the gain has no channels")
     held_out = [gain.change(name, held_out=True) for name in names]
-    with rc_context(_STYLE):
-        figure, axis = plt.subplots(figsize=(_WIDTH, 0.3 * len(names) + 0.9), layout="constrained")
-        axis.axvline(100.0, color=_INPUT, linewidth=0.6)
+    with rc_context(STYLE):
+        figure, axis = plt.subplots(figsize=(WIDTH, 0.3 * len(names) + 0.9), layout="constrained")
+        axis.axvline(100.0, color=INPUT, linewidth=0.6)
         rows = np.arange(len(names))
         apart = 0.12 if np.isfinite(held_out).any() else 0.0
         fitted = np.array([100.0 * (1.0 + gain.change(name)) for name in names])
         other = np.array([100.0 * (1.0 + change) for change in held_out])
         for row, a, b in zip(rows, fitted, other, strict=True):
-            axis.plot([100.0, a], [row - apart] * 2, color=_MEASURED, linewidth=1.4)
-            axis.plot([100.0, b], [row + apart] * 2, color=_MODEL, linewidth=1.4)
-        axis.plot(fitted, rows - apart, "o", color=_MEASURED, ms=4.5, label="fitted")
+            axis.plot([100.0, a], [row - apart] * 2, color=MEASURED, linewidth=1.4)
+            axis.plot([100.0, b], [row + apart] * 2, color=MODEL, linewidth=1.4)
+        axis.plot(fitted, rows - apart, "o", color=MEASURED, ms=4.5, label="fitted")
         if np.isfinite(other).any():
-            axis.plot(other, rows + apart, "D", color=_MODEL, ms=4.0, label="held out")
+            axis.plot(other, rows + apart, "D", color=MODEL, ms=4.0, label="held out")
         labels = []
         for name in names:
             unit = (units or {}).get(name, "")
             sizes = f"{number(gain.rms_before[name], 3)} to {number(gain.rms_after[name], 3)} {unit}".rstrip()
-            labels.append(_plain(f"{name}: {sizes}"))
+            labels.append(plain(f"{name}: {sizes}"))
         axis.set_yticks(rows, labels)
         axis.tick_params(axis="y", length=0.0)
         axis.invert_yaxis()

@@ -17,18 +17,36 @@ _GREEK = {
     "phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω",
 }  # fmt: skip
 _RELATIONS = {"lt": "&lt;", "le": "≤", "gt": "&gt;", "ge": "≥", "eq": "=", "ne": "≠"}
+_MATH = "<math displaystyle='true'>"
+_D = "<mi mathvariant='normal'>d</mi>"  # a dot above is lost in many fonts
+_SIGNED = ("constant", "neg", "mul")  # a sign in front of these is that of the whole
 _LONGEST = 600  # characters of the plain text; longer equations are shown as that
 
 
 def equation(left: str, right: Expr, new: Collection[str] = (), *, rate: bool = False) -> str:
-    """HTML of ``left = right``, with the symbols ``new`` marked; ``rate`` puts a dot on the left side."""
+    """HTML of ``left = right``, with the symbols ``new`` marked; ``rate`` makes the left side a derivative."""
     plain = str(right)
     if len(plain) > _LONGEST:
         prime = "'" if rate else ""
         return f"<code>{escape(left)}{prime} = {escape(plain)}</code>"
     name = _symbol(left, new)
-    head = f"<mover accent='true'>{name}<mo>˙</mo></mover>" if rate else name
-    return f"<math display='block'><mrow>{head}<mo>=</mo>{_markup(right, new)[0]}</mrow></math>"
+    head = f"<mfrac><mrow>{_D}{name}</mrow><mrow>{_D}<mi>t</mi></mrow></mfrac>" if rate else name
+    first, *others = _terms(right)
+    pieces = [f"<mrow>{head}<mo>=</mo>{_markup(first[1], new)[0]}</mrow>"]
+    for operation, term in others:
+        sign, text = _joined(operation, term, _markup(term, new))
+        pieces.append(f"<mrow><mo form='infix'>{sign}</mo>{text}</mrow>")
+    # A formula does not break; a line of several, one for each term, does where the page is narrow.
+    return f"<span class='formula'>{'<wbr/>'.join(f'{_MATH}{piece}</math>' for piece in pieces)}</span>"
+
+
+def _terms(e: Expr) -> list[tuple[str, Expr]]:
+    """The terms of a sum in order, each with how it is joined to those before."""
+    joined: list[tuple[str, Expr]] = []
+    while e.operation[0] in ("add", "sub"):
+        operation, (e, last) = e.operation
+        joined.append((operation, last))
+    return [("add", e), *reversed(joined)]
 
 
 def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
@@ -40,13 +58,13 @@ def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
         return _constant(e.constant if e.constant is not None else float("nan"))
     of = [_markup(a, new) for a in arguments]
     if operation in ("add", "sub"):
-        return _sum(operation, of), _SUM
+        return _sum(operation, arguments[1], of), _SUM
     if operation == "mul":
-        # A dot where two numbers would else run together.
-        numbers = "<mn>" in of[0][0][-20:] and of[1][0].startswith("<mn>")
-        between = "<mo>·</mo>" if numbers else "<mspace width='0.17em'/>"
+        # A dot before a number, which would else run together with what is before it.
+        number = of[1][0].replace("<mrow>", "").startswith(("<mn>", "<mfrac><mrow><mn>", "<mfrac><mn>"))
+        between = "<mo>·</mo>" if number else "<mspace width='0.17em'/>"
         # A sign in front is that of the whole product.
-        signed = _leads(of[0]) and arguments[0].operation[0] in ("constant", "neg")
+        signed = _leads(of[0]) and arguments[0].operation[0] in _SIGNED
         left = of[0][0] if signed else _fenced(of[0], _PRODUCT)
         return f"<mrow>{left}{between}{_fenced(of[1], _PRODUCT, _leads(of[1]))}</mrow>", _SUM if signed else _PRODUCT
     if operation == "div":
@@ -68,11 +86,19 @@ def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
     return f"<mrow><mi>{name}</mi><mo>(</mo>{inside}<mo>)</mo></mrow>", _ATOM
 
 
-def _sum(operation: str, of: list[tuple[str, int]]) -> str:
-    sign, (right, tightness) = "+" if operation == "add" else "−", of[1]
-    if tightness == _SUM and (operation == "sub" or _leads(of[1])):
-        right = f"<mrow><mo>(</mo>{right}<mo>)</mo></mrow>"
+def _sum(operation: str, term: Expr, of: list[tuple[str, int]]) -> str:
+    sign, right = _joined(operation, term, of[1])
     return f"<mrow>{of[0][0]}<mo>{sign}</mo>{right}</mrow>"
+
+
+def _joined(operation: str, term: Expr, part: tuple[str, int]) -> tuple[str, str]:
+    """The sign before a term, and the term: in brackets where it would read otherwise without."""
+    text, tightness = part
+    if operation == "add" and _leads(part) and term.operation[0] in _SIGNED:
+        return "−", text.replace("<mo>−</mo>", "", 1)  # a + (−b) is a − b
+    if tightness == _SUM and (operation == "sub" or _leads(part)):
+        text = f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>"
+    return "+" if operation == "add" else "−", text
 
 
 def _leads(part: tuple[str, int]) -> bool:

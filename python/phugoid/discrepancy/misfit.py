@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
+from .autocorrelation import autocorrelation_of
 from .colour import Colour, Memory, colour_of
 from .phrases import channel_phrases
 from .regimes import Correlation, Regime, correlations_of, regimes_of
@@ -31,7 +32,6 @@ _Array = NDArray[np.float64]
 _ALPHA = 1e-3
 _ENOUGH = 30  # samples below which only the size of residuals is told
 _ENOUGH_FOR_REGIMES = 60
-_LAGS = 100
 _LJUNG_BOX = 20  # lags
 _WORTH = 0.15  # correlation
 _ROUNDING = 1e-6  # of the RMS: less is no noise
@@ -236,7 +236,7 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
     longest = max(int(s.at[-1]) + 1 for s in series)
     memory = Memory(colour.autocorrelation(longest))
     mean_error = own_rms * memory.spread([np.nan_to_num(s.on_grid(np.full(s.r.size, 1.0 / own.size))) for s in series])
-    lags, correlation, scatter = _autocorrelation(series)
+    lags, correlation, scatter = autocorrelation_of(series)
     running, usual, spans = spans_of(every, _ALPHA)
     regimes: list[Regime] = []
     correlations: list[Correlation] = []
@@ -285,25 +285,6 @@ def _noise(colour: Colour, rms: float, own_rms: float) -> float:
         return rms
     noise = min(rms, colour.noise * rms / own_rms)
     return noise if noise > _ROUNDING * rms else 0.0
-
-
-def _autocorrelation(series: Sequence[Series]) -> tuple[_Array, _Array, _Array]:
-    """Lags in s, autocorrelation about zero, and its variance if residuals are white, of all experiments together.
-
-    The variance is that of residuals of which the size may change (Diebold 1986): a noisy stretch is no colour.
-    """
-    grids = [s.on_grid(s.r) for s in series]
-    n = sum(s.r.size for s in series)
-    power = sum(float(s.r @ s.r) for s in series) / n
-    lags = range(min(_LAGS, n // 4) + 1)
-    rho, scatter = [], []
-    for k in lags:
-        products = np.concatenate([g[k:] * g[: g.size - k] for g in grids if g.size > k])
-        products = products[np.isfinite(products)]
-        rho.append(float(products.mean()) / power if products.size else 0.0)
-        squares = float(np.mean(products**2)) if products.size else 0.0
-        scatter.append(squares / power**2 / products.size if squares > 0.0 else np.inf)
-    return np.array(lags) * series[0].dt, np.array(rho), np.array(scatter)
 
 
 def _ljung_box(rho: _Array, scatter: _Array, n: int) -> float:

@@ -8,7 +8,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import DataError, UnknownName, listing
-from ..plot import _BAND, _INPUT, _MEASURED, _MODEL, _RESIDUAL, _STYLE, _label, _plain
+from ..figure_style import (
+    BAND,
+    GREY,
+    INPUT,
+    MEASURED,
+    MODEL,
+    RESIDUAL,
+    SPAN,
+    STYLE,
+    WIDTH,
+    labelled,
+    plain,
+    squared,
+    with_gaps,
+)
 from ..records import Record
 from .misfit import ChannelMisfit, Misfit
 from .phrases import number, per_second
@@ -19,10 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["misfit_figure"]
 
-# As in `plot`; spans are paler than anything drawn on them.
-_SPAN = "#F6D5A8"
-_GREY = "#999999"
-_WIDTH, _PER_CHANNEL = 7.2, 3.1  # inches
+_PER_CHANNEL = 3.1  # inches
 _EXPERIMENTS = 4  # side by side
 _NAME = 90  # characters across the figure
 
@@ -46,15 +57,15 @@ def misfit_figure(misfit: Misfit, fit: Any, channels: Sequence[str] | None = Non
     if not names:
         raise DataError("misfit_figure: there is no channel to draw")
     panels: dict[str, Any] = {}
-    with rc_context(_STYLE):
-        figure = plt.figure(figsize=(_WIDTH, _PER_CHANNEL * len(names) + 0.25), layout="constrained")
+    with rc_context(STYLE):
+        figure = plt.figure(figsize=(WIDTH, _PER_CHANNEL * len(names) + 0.25), layout="constrained")
         parts = figure.subfigures(len(names), 1, squeeze=False)[:, 0]
         for part, name in zip(parts, names, strict=True):
             channel = misfit.channels[name]
             records = [r for r in fit.records if _residual(r, name) is not None]
             shown = _most_telling(channel, records)
             _key(part, misfit, names) if name == names[0] else None
-            part.suptitle(_plain(_heading(channel)), x=0.01, ha="left", fontsize=9.0)
+            part.suptitle(plain(_heading(channel)), x=0.01, ha="left", fontsize=9.0)
             grid = part.add_gridspec(2, 3, height_ratios=(1.15, 1.0))
             spans = np.array([r.t[-1] - r.t[0] for r in shown])
             shares = np.maximum(spans / spans.sum(), 0.12)  # so that a short one still can be read
@@ -79,18 +90,18 @@ def _key(part: Any, misfit: Misfit, names: Sequence[str]) -> None:
     from matplotlib.patches import Patch
 
     handles: list[Any] = [
-        Line2D([], [], color=_RESIDUAL, linewidth=0.8, label="residual"),
-        Line2D([], [], color=_MODEL, linewidth=0.9, label="running RMS"),
-        Patch(color=_BAND, label="±2 noise"),
+        Line2D([], [], color=RESIDUAL, linewidth=0.8, label="residual"),
+        Line2D([], [], color=MODEL, linewidth=0.9, label="running RMS"),
+        Patch(color=BAND, label="±2 noise"),
     ]
     if any(misfit.channels[name].spans for name in names):
-        handles.append(Patch(color=_SPAN, label="stands out"))
+        handles.append(Patch(color=SPAN, label="stands out"))
     key = part.legend(handles=handles, loc="upper right", ncols=4, frameon=False, fontsize=7.0, borderaxespad=0.2)
     key.set_in_layout(False)
 
 
 def _heading(c: ChannelMisfit) -> str:
-    size = _label(f"{c.name}: RMS {number(c.rms)}", {f"{c.name}: RMS {number(c.rms)}": c.unit}).replace(", ", " ")
+    size = labelled(f"{c.name}: RMS {number(c.rms)}", {f"{c.name}: RMS {number(c.rms)}": c.unit}).replace(", ", " ")
     return size if np.isnan(c.ratio) else f"{size}, noise {number(c.noise)}, ratio {number(c.ratio)}"
 
 
@@ -114,46 +125,41 @@ def _most_telling(c: ChannelMisfit, records: Sequence[Record]) -> list[Record]:
 def _draw_time(axis: Axes, c: ChannelMisfit, record: Record, *, first: bool, room: int) -> None:
     """``room``: for so many letters of the experiment's name, 0 where there is but one."""
     r = _residual(record, c.name)
-    there = np.isfinite(r)
     if np.isfinite(c.noise):
-        axis.axhspan(-2.0 * c.noise, 2.0 * c.noise, color=_BAND, linewidth=0.0)
+        axis.axhspan(-2.0 * c.noise, 2.0 * c.noise, color=BAND, linewidth=0.0)
     for span in c.spans:
         if span.experiment == record.name:
-            axis.axvspan(span.start, span.end, color=_SPAN, linewidth=0.0, zorder=0.5)
-    axis.axhline(0.0, color=_INPUT, linewidth=0.5)
-    many = record.n > 5000
-    # A slow channel among fast ones has a value at few of the times: a line through those that there are.
-    dense = there.mean() > 0.5
-    t, values = (record.t, r) if dense else (record.t[there], r[there])
-    axis.plot(t, values, color=_RESIDUAL, linewidth=0.6, rasterized=many)
+            axis.axvspan(span.start, span.end, color=SPAN, linewidth=0.0, zorder=0.5)
+    axis.axhline(0.0, color=INPUT, linewidth=0.5)
+    axis.plot(*with_gaps(record.t, r), color=RESIDUAL, linewidth=0.6, rasterized=record.n > 5000)
     running = (c.running or {}).get(record.name)
     if running is not None:
-        axis.plot(running.t, running.rms, color=_MODEL, linewidth=0.9)
+        axis.plot(running.t, running.rms, color=MODEL, linewidth=0.9)
     axis.margins(x=0.01)
     axis.set_xlabel("time, s", labelpad=1.0)
     if room:
         name = record.name if len(record.name) <= room else f"{record.name[: max(room - 1, 1)]}…"
-        axis.set_title(_plain(name), fontsize=6.5, loc="left", pad=2.0)
+        axis.set_title(plain(name), fontsize=6.5, loc="left", pad=2.0)
         axis.locator_params(axis="x", nbins=max(2, room // 9))
     if first:
-        axis.set_ylabel(_plain(_label("residual", {"residual": c.unit})))
+        axis.set_ylabel(plain(labelled("residual", {"residual": c.unit})))
     else:
         axis.tick_params(labelleft=False)
 
 
 def _empty(axis: Axes, text: str) -> None:
     axis.set_axis_off()
-    axis.text(0.5, 0.5, text, ha="center", va="center", fontsize=7.0, color=_RESIDUAL, transform=axis.transAxes)
+    axis.text(0.5, 0.5, text, ha="center", va="center", fontsize=7.0, color=RESIDUAL, transform=axis.transAxes)
 
 
 def _draw_autocorrelation(axis: Axes, c: ChannelMisfit) -> None:
     if c.lags.size < 2:
         _empty(axis, "too few samples\nfor an autocorrelation")
         return
-    axis.axhspan(-c.band, c.band, color=_BAND, linewidth=0.0)
-    axis.axhline(0.0, color=_INPUT, linewidth=0.5)
-    axis.fill_between(c.lags, c.autocorrelation, color=_MEASURED, alpha=0.25, linewidth=0.0)
-    axis.plot(c.lags, c.autocorrelation, color=_MEASURED, linewidth=1.1)
+    axis.axhspan(-c.band, c.band, color=BAND, linewidth=0.0)
+    axis.axhline(0.0, color=INPUT, linewidth=0.5)
+    axis.fill_between(c.lags, c.autocorrelation, color=MEASURED, alpha=0.25, linewidth=0.0)
+    axis.plot(c.lags, c.autocorrelation, color=MEASURED, linewidth=1.1)
     axis.set_ylim(min(-0.3, 1.1 * float(c.autocorrelation.min())), 1.05)
     axis.set_xlabel("lag, s", labelpad=1.0)
     axis.set_title(f"autocorrelation ({'not white' if c.coloured else 'white'})", fontsize=7.5)
@@ -167,21 +173,19 @@ def _draw_spectrum(axis: Axes, c: ChannelMisfit) -> None:
         return
     s = c.spectrum
     for band in s.bands:
-        axis.axvspan(max(band.low, 0.7 * s.frequency[0]), band.high, color=_SPAN, linewidth=0.0)
-    axis.axhline(s.level, color=_GREY, linewidth=0.8, linestyle="--")
-    axis.loglog(s.frequency, s.density, color=_MEASURED, linewidth=1.0)
+        axis.axvspan(max(band.low, 0.7 * s.frequency[0]), band.high, color=SPAN, linewidth=0.0)
+    axis.axhline(s.level, color=GREY, linewidth=0.8, linestyle="--")
+    axis.loglog(s.frequency, s.density, color=MEASURED, linewidth=1.0)
     for tone in c.tones:
-        axis.axvline(tone.frequency, color=_MODEL, linewidth=0.9, linestyle=":")
+        axis.axvline(tone.frequency, color=MODEL, linewidth=0.9, linestyle=":")
     axis.set_xlim(0.7 * s.frequency[0], s.frequency[-1])
     # A flat spectrum shall look flat.
     axis.set_ylim(min(s.level / 20.0, float(s.density.min())), max(s.level * 20.0, 1.5 * float(s.density.max())))
     for part in (axis.xaxis, axis.yaxis):
         part.set_minor_formatter(NullFormatter())
     axis.set_xlabel("frequency, Hz", labelpad=1.0)
-    unit = c.unit if c.unit.isalpha() else f"({c.unit})"
-    square = f"{unit}²/Hz" if c.unit not in ("", "1", "-") else "1/Hz"
     tones = ", tones dotted" if c.tones else ""
-    axis.set_title(_plain(f"power, {square}{tones}"), fontsize=7.5)
+    axis.set_title(plain(f"power, {squared(c.unit)}{tones}"), fontsize=7.5)
 
 
 def _draw_regime(axis: Axes, c: ChannelMisfit, records: Sequence[Record]) -> None:
@@ -193,15 +197,15 @@ def _draw_regime(axis: Axes, c: ChannelMisfit, records: Sequence[Record]) -> Non
     half = [0.5 * (b.high - b.low) for b in regime.bins]
     mean = np.array([b.mean for b in regime.bins])
     error = np.array([2.0 * b.std_error for b in regime.bins])
-    axis.axhline(0.0, color=_INPUT, linewidth=0.5)
-    axis.bar(middle, 2.0 * error, 1.9 * np.array(half), -error, color=_BAND, linewidth=0.0)
+    axis.axhline(0.0, color=INPUT, linewidth=0.5)
+    axis.bar(middle, 2.0 * error, 1.9 * np.array(half), -error, color=BAND, linewidth=0.0)
     marked = [b.stands_out for b in regime.bins]
     for value, x, h, out in zip(mean, middle, half, marked, strict=True):
-        axis.plot([x - h, x + h], [value, value], color=_MODEL if out else _MEASURED, linewidth=2.0 if out else 1.4)
+        axis.plot([x - h, x + h], [value, value], color=MODEL if out else MEASURED, linewidth=2.0 if out else 1.4)
     name, bare = regime.variable, regime.variable.removesuffix("'")
     unit = c.units.get(bare, "")
     unit = per_second(unit) if name.endswith("'") else unit
-    axis.set_xlabel(_plain(_label(name, {name: unit})), labelpad=1.0)
+    axis.set_xlabel(plain(labelled(name, {name: unit})), labelpad=1.0)
     clear = c.regime is not None or (c.follows is not None and c.follows.variable == name)
-    axis.set_title(_plain(f"mean over {name}{'' if clear else ' (chance?)'}"), fontsize=7.5)
+    axis.set_title(plain(f"mean over {name}{'' if clear else ' (chance?)'}"), fontsize=7.5)
     axis.locator_params(axis="x", nbins=5)

@@ -13,7 +13,7 @@ from ..parameters import Estimate
 from .extension import Extension
 from .figures import findings_figure, gain_figure, misfit_figure, ranking_figure
 from .finding import Finding
-from .markup import bullets, document, image, section, table
+from .markup import bullets, details, document, image, section, table
 from .mathml import equation
 from .misfit import Misfit, misfit
 from .phrases import number, percent, what_stands_out, with_unit
@@ -22,6 +22,7 @@ from .words import alias_set, finding_lines, headline, outcome, with_sign
 
 __all__ = ["report"]
 
+_SHOWN = 3  # channels with a figure
 _RANKED = 20  # candidates in the table
 _GROWN = 0.05  # of the RMS, by which residuals on held-out data may grow without being told of
 
@@ -61,23 +62,30 @@ def _wrong(diagnosis: Any) -> str:
         c = found.channels[name]
         share = percent(c.predictable) if c.predictable == c.predictable else ""
         sizes = [with_unit(c.rms, c.unit), _number(c.noise), _number(c.ratio), share]
-        rows.append([name, *sizes, what_stands_out(c)])
-    heads = ["channel", "RMS", "noise", "ratio", "predictable", "what stands out"]
+        rows.append([name, what_stands_out(c), *sizes])
+    heads = ["channel", "what stands out", "RMS", "noise", "ratio", "predictable"]
     explained = (
         "Residuals are measured minus model. Noise is what in them cannot be predicted from their own past "
         "(innovations of an autoregressive model); a ratio of 1, and nothing predictable, is a perfect match. Claims "
         "take into account that residuals are coloured: each has a chance of about 1 in 1000 of being false."
     )
-    shown = image(
-        misfit_figure(found, diagnosis.fit)[0],
-        "Residuals of the worst channels",
-        "The worst channels. Grey in the time histories: ±2 times the noise; orange spans stand out. Autocorrelation "
-        "and its 95 % band for white noise. Spectrum: dashed, white noise of the same power; shaded, bands above it. "
-        "Last, the mean residual over the variable that it depends on most; grey, ±2 standard errors; orange, bins "
-        "that stand out.",
+    # One figure a channel, so that pages break between them.
+    worst = found.worst[:_SHOWN]
+    pictures = [
+        image(
+            misfit_figure(found, diagnosis.fit, [name])[0],
+            f"Residuals of {name}: {what_stands_out(found.channels[name])}",
+        )
+        for name in worst
+    ]
+    shown = "".join(pictures) + (
+        "<p class='quiet'>The worst channels. Grey in the time histories: ±2 times the noise; orange spans stand out. "
+        "Autocorrelation and its 95 % band for white noise. Spectrum: dashed, white noise of the same power; shaded, "
+        "bands above it. Last, the mean residual over the variable that it depends on most; grey, ±2 standard errors; "
+        "orange, bins that stand out.</p>"
     )
     notes = bullets(list(dict.fromkeys(n for c in found.channels.values() for n in c.notes)))
-    return section("What was wrong", f"<p>{escape(explained)}</p>{table(heads, rows, 'lrrrrl')}{notes}{shown}")
+    return section("What was wrong", f"<p>{escape(explained)}</p>{table(heads, rows, 'ltrrrr')}{notes}{shown}")
 
 
 def _causes(diagnosis: Any) -> str:
@@ -129,7 +137,7 @@ def _candidates(diagnosis: Any) -> str:
         for s in ranking[:_RANKED]
     ]
     heads = ["candidate", "statistic", "ranking", "white", "distinct", "explanation", "remark"]
-    more = f"<details><summary>The best {len(rows)} in figures</summary>{table(heads, rows, 'lrrrrll')}</details>"
+    more = details(f"The best {len(rows)} in figures", table(heads, rows, "lrrrrtt"))
     return section("The evidence", text + shown + more)
 
 
@@ -164,7 +172,7 @@ def _equations(diagnosis: Any, extension: Extension) -> str:
     heads = ["parameter", "before", "after", "unit", ""]
     added = [row for row in rows if not row[1]]
     news = table(["new parameter", "estimate ± std error", "unit", ""], [[r[0], *r[2:]] for r in added], "lrll")
-    every = f"<details><summary>All parameters, before and after</summary>{table(heads, rows, 'lrrll')}</details>"
+    every = details("All parameters, before and after", table(heads, rows, "lrrll"))
     return section("The new equations", intro + "".join(shown) + (news if added else "") + every)
 
 

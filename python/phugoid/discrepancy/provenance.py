@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import datetime
+import hashlib
+import os
 import platform
 from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import Path
 
 from .. import _core
+from ..errors import DataError
+from ..experiment import Experiment
 from ..records import Record
-from .markup import table
+from .markup import bullets, table
 
-__all__ = ["facts", "records_table"]
+__all__ = ["facts", "files_table", "records_table", "steps_of"]
 
 
 def records_table(records: Sequence[Record]) -> str:
@@ -21,7 +26,28 @@ def records_table(records: Sequence[Record]) -> str:
         missing = sum(int((z != z).sum()) for z in r.measured.values())
         span = f"{r.t[0]:g} to {r.t[-1]:g} s"
         rows.append([r.name, str(r.n), span, str(missing), ", ".join(r.inputs), ", ".join(r.outputs)])
-    return table(["experiment", "samples", "time", "missing values", "inputs", "outputs"], rows, "lrrrll")
+    return table(["experiment", "samples", "time", "missing values", "inputs", "outputs"], rows, "lrrrlt")
+
+
+def steps_of(experiments: Sequence[Experiment]) -> str:
+    """What was done to the records since they were read; nothing where that is nothing."""
+    return bullets(f"{e.name}: {'; '.join(e.history)}" for e in experiments if e.history)
+
+
+def files_table(paths: Sequence[str | os.PathLike[str]]) -> str:
+    """Name, size and SHA-256 of files; nothing for none. Raises DataError for one that cannot be read."""
+    rows = []
+    for path in map(Path, paths):
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read for the report ({error.strerror or error})") from error
+        rows.append((path.name, f"{len(content):,}".replace(",", " "), hashlib.sha256(content).hexdigest()))
+    listed = "".join(
+        f"<dt>{escape(name)}</dt><dd>{size} bytes, SHA-256 <span class='hash'>{digest}</span></dd>"
+        for name, size, digest in rows
+    )
+    return f"<h3>Files</h3><dl>{listed}</dl>" if rows else ""
 
 
 def facts(known: Mapping[str, str]) -> str:

@@ -51,6 +51,7 @@ class Spectrum:
     level      density of white noise of the same power.
     most_below Hz: 80 % of the power lies at lower frequencies.
     bands      where the density is above that of white noise by more than chance, the largest share first.
+    freedom    degrees of freedom of each value: density / expectation * freedom is chi-square distributed.
     """
 
     frequency: _Array
@@ -58,6 +59,7 @@ class Spectrum:
     level: float
     most_below: float
     bands: tuple[Band, ...]
+    freedom: float
 
 
 def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
@@ -103,7 +105,7 @@ def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
         lowest = 0.0 if low == 0 else float(frequency[low] - 0.5 * step)
         bands.append(Band(lowest, float(frequency[high] + 0.5 * step), share))
     bands.sort(key=lambda band: -band.share)
-    return Spectrum(frequency, density, level, below, tuple(bands[:_MOST]))
+    return Spectrum(frequency, density, level, below, tuple(bands[:_MOST]), freedom)
 
 
 def tones_of(series: Sequence[Series], alpha: float) -> list[Tone]:

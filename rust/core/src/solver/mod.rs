@@ -52,6 +52,8 @@ const VALLEY: (usize, usize, f64) = (10, 40, 0.1);
 const DAMPED: f64 = 1e-6;
 /// Greatest shift of the reduced Hessian, in units of its diagonal, that is tried.
 const GREATEST_SHIFT: f64 = 1e8;
+/// Shifts of the exact system that rounding explains.
+const ROUNDED: [f64; 3] = [1e-12, 1e-10, 1e-8];
 
 /// One line of the iteration table.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -370,7 +372,7 @@ impl<'a> Run<'a> {
         if exact {
             self.count.hessian += 1;
             fine = nlp.hessian(&self.here.xi, 1.0, &self.lambda, &mut self.hessian).is_ok();
-            if !fine || !self.factorize()?.is_positive() {
+            if !fine || !(self.factorize()?.is_positive() || self.nearly_positive()) {
                 // Far from the end after all, or on a ridge.
                 self.gauss_newton()?;
             }
@@ -390,6 +392,20 @@ impl<'a> Run<'a> {
         self.regular(found)?;
         self.solve_with_bounds();
         Ok(self.promise())
+    }
+
+    /// Whether the exact system lacks no more than what rounding takes where the data hardly tell: then it is shifted
+    /// by that. Gauss-Newton steps could circle about such an optimum for long.
+    fn nearly_positive(&mut self) -> bool {
+        let before = self.shift;
+        for shift in ROUNDED {
+            self.shift = shift.max(before);
+            if self.kkt.finish(self.active.held(), self.shift).is_positive() {
+                return true;
+            }
+        }
+        self.shift = before;
+        false
     }
 
     /// The Gauss-Newton system, shifted until it is positive.

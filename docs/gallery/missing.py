@@ -27,7 +27,8 @@ def fly(name: str, size: float) -> ph.Experiment:
     """A record of the flown vehicle, with noise."""
     run = ph.Experiment(t, {"de": size * np.sign(np.sin(1.5 * t)) * np.sin(0.4 * t)}, name=name)
     path = ph.simulate(flown, {"Mq": -2.0, "Mde": -6.0, hidden: -2.0}, run)
-    return run.with_outputs({n: y + 0.004 * random.standard_normal(t.size) for n, y in path.outputs.items()})
+    noisy = {n: y + 0.004 * random.standard_normal(t.size) for n, y in path.outputs.items()}
+    return run.with_outputs(noisy)
 
 
 first, second = fly("first", 0.3), fly("second", 0.24)

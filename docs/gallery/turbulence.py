@@ -33,9 +33,10 @@ for k in range(n - 1):
     for i in range(steps):
         elevator = de_t[k] + (de_t[k + 1] - de_t[k]) * i / steps
         gust = 0.05 * np.sqrt(h / steps) * random.standard_normal()
-        x[k + 1] += h / steps * (A @ x[k + 1] + np.array([-6.0 * elevator, 0.0])) + np.array([gust, 0.0])
-outputs = {"q": x[:, 0] + 0.002 * random.standard_normal(n), "theta": x[:, 1] + 0.002 * random.standard_normal(n)}
-run = ph.Experiment(t, {"de": de_t}, outputs, name="gusts")
+        drift = A @ x[k + 1] + np.array([-6.0 * elevator, 0.0])
+        x[k + 1] += h / steps * drift + np.array([gust, 0.0])
+measured = x + 0.002 * random.standard_normal((n, 2))
+run = ph.Experiment(t, {"de": de_t}, {"q": measured[:, 0], "theta": measured[:, 1]}, name="gusts")
 
 # %%
 # The sensors are so good that it matters *when* between two samples the noise enters: ``parts=1``

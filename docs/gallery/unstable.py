@@ -29,7 +29,8 @@ blank = ph.Experiment(t, {"de": de_t}, name="run")
 path = ph.simulate(m, truth, blank, initial={"w": 0, "q": 0})
 random = np.random.default_rng(0)
 sigma = {"w": 0.05, "q": 0.002, "az": 0.05}
-run = blank.with_outputs({n: y + sigma[n] * random.standard_normal(t.size) for n, y in path.outputs.items()})
+noisy = {n: y + sigma[n] * random.standard_normal(t.size) for n, y in path.outputs.items()}
+run = blank.with_outputs(noisy)
 
 fit = ph.estimate(m, run)
 print(fit.parameters)

@@ -69,6 +69,15 @@ def test_a_saved_fit_is_gone_on_from(here: Path) -> None:
     assert "order 5" in json.loads(run("fit", "part.json", "run1.csv", "--json", "--order", 5).stdout)["transcription"]
 
 
+def test_a_fit_saved_as_hdf5_is_gone_on_from(here: Path) -> None:
+    pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    assert run("fit", "model.py", "run1.csv", "--order", 3, "--save", "fit.h5").exit_code == 0
+    done = run("fit", "fit.h5", "run1.csv", "--json")
+    assert done.exit_code == 0 and "order 3" in json.loads(done.stdout)["transcription"]
+    done = run("fit", "model.py", "run1.csv", "--save", "fit.mat")
+    assert done.exit_code == 2 and "ends in .json, .h5 or .hdf5" in done.output
+
+
 def test_interruption_prints_the_best_point(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Interrupting(bar.Progress):
         def __call__(self, line: ph.Iteration) -> None:

@@ -396,8 +396,10 @@ def test_more_parts_come_closer_to_noise_that_never_stops() -> None:
 
 def test_a_fit_is_saved_plotted_simulated_and_gone_on_from(gust: tuple[Experiment, Fit], tmp_path: Path) -> None:
     e, fit = gust
+    assert fit.experiments == (e,)
     fit.save(tmp_path / "fit.json")
     again = ph.load(tmp_path / "fit.json")
+    np.testing.assert_array_equal(again.experiments[0].output("w"), e.output("w"))
     assert again.transcription == fit.transcription and again.summary() == fit.summary()
     np.testing.assert_array_equal(again.records[0].state_std["w"], fit.records[0].state_std["w"])
     assert "filter error, process noise in w, q" in fit.summary()

@@ -252,7 +252,7 @@ PAYLOAD: dict[str, Any] = {
 def test_saved_payload_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "fit.json"
     io.save_fit_dict(path, PAYLOAD)
-    assert io.load_fit_dict(path) == PAYLOAD
+    assert io.load_fit_dict(path) == (PAYLOAD, io.VERSION)
     assert json.loads(path.read_text(encoding="utf-8"))["format"] == "phugoid-fit"
 
 
@@ -260,7 +260,7 @@ def test_arrays_keep_every_bit_and_nan_and_infinity() -> None:
     x = np.random.default_rng(0).standard_normal((3, 4))
     x[1, 2], x[0, 0], x[2, 3] = NAN, math.inf, -math.inf
     text = io.to_json({"x": x, "n": np.int64(3), "s": np.float64(NAN), "bounds": (-math.inf, 1.0)})
-    back = io.from_json(text)
+    back, _ = io.from_json(text)
     np.testing.assert_array_equal(io.to_array(back["x"]), x)
     assert back["x"][1][2] is None and back["n"] == 3 and back["s"] is None
     assert math.isnan(io.to_float(back["s"]))
@@ -303,7 +303,7 @@ def test_failed_save_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(os, "fsync", full_disk)
     with pytest.raises(DataError, match="No space left"):
         io.save_fit_dict(path, {"generation": 2})
-    assert io.load_fit_dict(path) == {"generation": 1}
+    assert io.load_fit_dict(path) == ({"generation": 1}, io.VERSION)
     assert [p.name for p in tmp_path.iterdir()] == ["fit.json"]
 
 

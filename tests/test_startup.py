@@ -7,7 +7,10 @@ import sys
 
 import pytest
 
-HEAVY = ("scipy", "matplotlib", "pandas", "rich", "sympy", "h5py", "pyarrow", "polars", "xarray", "pyulog", "pymavlink")
+HEAVY = (
+    "scipy", "matplotlib", "pandas", "rich", "sympy", "h5py", "pyarrow", "polars", "xarray", "pyulog", "pymavlink",
+    "control", "fmpy",
+)  # fmt: skip
 
 
 def loaded_after(code: str) -> list[str]:
@@ -44,6 +47,10 @@ def test_importing_stays_light() -> None:
         "simulate",
         "estimate",
         "result",
+        "saving",
+        "tabular",
+        "trim",
+        "export",
         "discrepancy.page",
     ],
 )

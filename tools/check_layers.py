@@ -19,8 +19,9 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
+    "_core", "errors", "tabular", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
     "filtering", "preprocess", "experiment", "multirate", "readers", "read", "transcription", "shooting",
+    "hdf5_file",
     "filter_error", "guess", "solvers", "progress", "records", "io", "figure_style", "match", "time_panels", "plot",
     "correlation_plot", "parameters_plot", "convergence_plot", "frequency_plot", "response", "mode_table",
     "state_space", "models", "modal_response", "sampled", "hankel", "modal_regression", "identified", "subspace",
@@ -28,13 +29,14 @@ PYTHON = [
     "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
+    "trim", "export", "saving",
     "biases", "held", "validate", "discrepancy", "residuals_plot", "remarks", "report_validation", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
 ]
 # fmt: on
-# Arrows back: `Fit.validate`, which estimates anew, `Fit.report`, and `Fit.plot_residuals`, which asks what a diagnosis
-# asks, are where people look for them. They are imported when called.
-BACK = {("result", "report"), ("result", "residuals_plot"), ("result", "validate")}
+# Arrows back: methods of `Fit` that stand where people look for them, such as `validate`, which estimates anew, and
+# `plot_residuals`, which asks what a diagnosis asks. They are imported when called.
+BACK = {("result", module) for module in ("export", "report", "residuals_plot", "saving", "validate")}
 
 Import = tuple[int, str]  # line, top-level module
 Finder = Callable[[Path, int], Iterator[Import]]  # of a file so many levels below the root

@@ -34,9 +34,11 @@ from .errors import (
 )
 from .estimate import estimate
 from .experiment import Experiment
+from .export import export_c, export_fmu
 from .filter_error import FilterError
 from .frequency import frequency_response
 from .integration import IntegrationError
+from .linear import linearise
 from .linear_fit import fit_linear
 from .match import Match, match
 from .mode_table import Mode, Modes
@@ -52,7 +54,8 @@ from .read import read
 from .records import Record
 from .refinement import Refinement
 from .response import FrequencyResponse
-from .result import Fit, load
+from .result import Fit
+from .saving import load
 from .shooting import MultipleShooting, SingleShooting
 from .simulate import simulate
 from .solvers import Ipopt, Iteration, Newton
@@ -85,6 +88,7 @@ from .symbols import (
     where,
 )
 from .transcription import Collocation
+from .trim import Trim, trim
 from .validation import Validation
 
 __all__ = [
@@ -141,6 +145,7 @@ __all__ = [
     "StateSpace",
     "StudentT",
     "Table",
+    "Trim",
     "Validation",
     "__version__",
     "acos",
@@ -154,9 +159,12 @@ __all__ = [
     "equation_error",
     "estimate",
     "exp",
+    "export_c",
+    "export_fmu",
     "fit_linear",
     "frequency_response",
     "from_sympy",
+    "linearise",
     "load",
     "log",
     "match",
@@ -181,5 +189,6 @@ __all__ = [
     "subspace",
     "tan",
     "tanh",
+    "trim",
     "where",
 ]

@@ -114,11 +114,12 @@ def estimate(
             start = start.as_start()
         # Of parameters that each experiment has its own, states are measured with biases: their path is a fit's.
         local = len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values())
+        ordinary = None
         if (transcription.output_error or local) and not isinstance(start, Fit):
             _, others = split(transcription, start or {})
             ordinary = estimate(model, experiments, noise=noise, start=others, progress=progress)
-            return filter_error(model, experiments, transcription, noise, start, progress, ordinary)
-        return filter_error(model, experiments, transcription, noise, start, progress)
+        fit = filter_error(model, experiments, transcription, noise, start, progress, ordinary)
+        return replace(fit, experiments=tuple(experiments))
 
     warm = start if isinstance(start, (Fit, EquationError)) else None
     given: Mapping[str, Any] = _given(start, noise)

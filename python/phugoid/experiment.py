@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from . import _core
 from .errors import DataError, listing
 from .preprocess import Columns, Preprocessing, Signal
+from .tabular import experiment_dataset, experiment_frame
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
 __all__ = ["Experiment", "FloatArray", "Interpolation", "Signal", "as_experiments"]
 
@@ -255,6 +260,23 @@ class Experiment(Preprocessing):
             units=self._units,
         )
         return other._sampled(self._signals, self._mesh_times)._after(self, f"outputs replaced: {', '.join(outputs)}")
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The channels by time (s), one column each.
+
+        An input that has samples of its own stands at their times, and there are rows for these too; NaN where a
+        channel has no sample. ``attrs`` holds name, units, interpolation and history. Raises DataError where an input
+        and an output of one name differ, MissingDependency without pandas.
+        """
+        return experiment_frame(self)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The channels over ``time`` (s), each with ``units`` and its ``role`` (input, output or channel) among its
+        attributes. An input that has samples of its own has an axis of its own, ``time_<input>``.
+
+        Raises DataError where an input and an output of one name differ, MissingDependency without xarray.
+        """
+        return experiment_dataset(self)
 
     def _after(self, before: Experiment, *steps: str) -> Experiment:
         """This record with the history of the one that it was made of, and what was done since."""

@@ -1,7 +1,7 @@
-"""Saved fits: JSON with a format name and a version, written so that a crash never leaves half a file.
+"""Saved fits as files: JSON, or HDF5 for much data; with a format name and a version, and never half a file.
 
 JSON has no NaN and no infinity: they are written as null and as ``"inf"`` or ``"-inf"``, which `to_float` and
-`to_array` read back. Floats keep every bit.
+`to_array` read back. Floats keep every bit. In HDF5 arrays are datasets, and the rest is the same JSON (`hdf5_file`).
 """
 
 from __future__ import annotations
@@ -9,19 +9,21 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
 from threading import get_ident
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import hdf5_file
 from .errors import DataError
 
 __all__ = [
     "FORMAT",
+    "SUFFIXES",
     "VERSION",
     "from_json",
     "load_fit_dict",
@@ -32,27 +34,33 @@ __all__ = [
 ]
 
 FORMAT = "phugoid-fit"
-VERSION = 1
+VERSION = 2
+"""1: without experiments and solution; 2: with them, and HDF5."""
+SUFFIXES = (".h5", ".hdf5")
+"""Of files that are written as HDF5."""
+
+_Place: TypeAlias = tuple[str | int, ...]
+_Keep: TypeAlias = Callable[[NDArray[Any], _Place], Any]
 
 
-def to_json(obj: Mapping[str, Any]) -> str:
+def to_json(obj: Mapping[str, Any], keep: _Keep | None = None) -> str:
     """JSON text of ``obj`` under the format's name and version.
 
-    Takes None, bool, int, float, str, numpy scalars and arrays, and mappings, lists and tuples of them.
-    Raises DataError for anything else, with its place.
+    Takes None, bool, int, float, str, numpy scalars and arrays, and mappings, lists and tuples of them; ``keep`` says
+    what to write for an array at a place, unless its numbers. Raises DataError for anything else, with its place.
 
     >>> to_json({"mesh": np.array([0.0, np.nan])})
-    '{"format": "phugoid-fit", "version": 1, "mesh": [0.0, null]}'
+    '{"format": "phugoid-fit", "version": 2, "mesh": [0.0, null]}'
     """
     for reserved in ("format", "version"):
         if reserved in obj:
             raise DataError(f"the key '{reserved}' belongs to the file format: choose another")
-    document = {"format": FORMAT, "version": VERSION, **_plain(obj, "")}
+    document = {"format": FORMAT, "version": VERSION, **_plain(obj, (), keep)}
     return json.dumps(document, ensure_ascii=False, allow_nan=False)
 
 
-def from_json(text: str, source: str = "the text") -> dict[str, Any]:
-    """The dictionary that `to_json` took, with arrays as lists.
+def from_json(text: str, source: str = "the text") -> tuple[dict[str, Any], int]:
+    """The dictionary that `to_json` took, with arrays as lists, and the version of the format.
 
     Raises DataError where ``text`` is cut short, is no JSON, is of another format, or comes from a newer
     version; ``source`` is how the message calls it.
@@ -73,39 +81,56 @@ def from_json(text: str, source: str = "the text") -> dict[str, Any]:
             f"{source}: has version {version} of the format, but this phugoid reads up to {VERSION}: "
             "install a newer phugoid"
         )
-    return dict(document)
+    return dict(document), version
 
 
-def save_fit_dict(path: str | PathLike[str], payload: Mapping[str, Any]) -> None:
-    """Writes ``to_json(payload)`` to ``path``, whole or not at all: the old file stays until then."""
-    text = to_json(payload)
+def save_fit_dict(
+    path: str | PathLike[str], payload: Mapping[str, Any], unit: Callable[[_Place], str] = lambda place: ""
+) -> None:
+    """Writes the payload to ``path``, whole or not at all: the old file stays until then.
+
+    The suffix says how: HDF5 for ``.h5`` and ``.hdf5``, with ``unit`` of the array at a place as an attribute; JSON
+    else. Raises DataError where the file cannot be written, MissingDependency for HDF5 without h5py.
+    """
     target = Path(path).resolve()  # through a link: the file is replaced, not the link
     if not target.parent.is_dir():
         raise DataError(f"{path}: cannot be saved, since there is no folder {target.parent}")
     temporary = target.with_name(f".{target.name}.{os.getpid()}-{get_ident()}.tmp")
     try:
-        with open(temporary, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+        if target.suffix.lower() in SUFFIXES:
+            with hdf5_file.Writer(temporary, unit) as file:
+                file.finish(to_json(payload, file.keep), FORMAT, VERSION)
+        else:
+            temporary.write_text(to_json(payload), encoding="utf-8")
+        with open(temporary, "rb+") as written:
+            os.fsync(written.fileno())
         os.replace(temporary, target)
     except OSError as error:
-        raise DataError(f"{path}: cannot be saved ({error.strerror})") from error
+        raise DataError(f"{path}: cannot be saved ({error.strerror or error})") from error
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def load_fit_dict(path: str | PathLike[str]) -> dict[str, Any]:
-    """The payload that `save_fit_dict` took; DataError for a missing or damaged file, or another format."""
+def load_fit_dict(path: str | PathLike[str]) -> tuple[dict[str, Any], int]:
+    """The payload that `save_fit_dict` took, whatever the suffix says, and the version of the format.
+
+    DataError for a missing or damaged file, or another format; MissingDependency for HDF5 without h5py.
+    """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        with open(path, "rb") as file:
+            binary = file.read(len(hdf5_file.MAGIC)) == hdf5_file.MAGIC
+        text = "" if binary else Path(path).read_text(encoding="utf-8")
     except FileNotFoundError:
         raise DataError(f"{path}: there is no such file") from None
     except UnicodeDecodeError:
-        raise DataError(f"{path}: is not a fit saved by phugoid (it is no text)") from None
+        raise DataError(f"{path}: is not a fit saved by phugoid, or is damaged (it is no text)") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-    return from_json(text, source=str(path))
+    if not binary:
+        return from_json(text, source=str(path))
+    with hdf5_file.Reader(path) as saved:
+        document, version = from_json(saved.text(FORMAT), source=str(path))
+        return saved.filled(document), version
 
 
 def to_float(value: Any) -> float:
@@ -122,9 +147,11 @@ def to_array(value: Any) -> NDArray[np.float64]:
     return np.array(value, dtype=np.float64)
 
 
-def _plain(value: Any, place: str) -> Any:
+def _plain(value: Any, place: _Place = (), keep: _Keep | None = None) -> Any:
     """``value`` in what JSON has: dict, list, str, bool, int, finite float, null."""
     if isinstance(value, np.ndarray):
+        if keep is not None and value.dtype.kind in "biuf":
+            return keep(value, place)
         if value.dtype.kind in "iuf" and np.isfinite(value).all():
             return value.tolist()
         value = value.tolist()
@@ -139,8 +166,12 @@ def _plain(value: Any, place: str) -> Any:
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
-                raise DataError(f"cannot save '{place}': its key {key!r} is not text")
-        return {key: _plain(item, f"{place}.{key}".lstrip(".")) for key, item in value.items()}
+                raise DataError(f"cannot save '{_name(place)}': its key {key!r} is not text")
+        return {key: _plain(item, (*place, key), keep) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item, f"{place}[{i}]") for i, item in enumerate(value)]
-    raise DataError(f"cannot save '{place}': a {type(value).__name__} has no place in JSON")
+        return [_plain(item, (*place, i), keep) for i, item in enumerate(value)]
+    raise DataError(f"cannot save '{_name(place)}': a {type(value).__name__} has no place in JSON")
+
+
+def _name(place: _Place) -> str:
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")

@@ -155,7 +155,7 @@ def _start(starts: Starts, index: int) -> dict[str, Any] | None:
 
 
 def _line(obj: Mapping[str, Any]) -> bytes:
-    return json.dumps(io._plain(obj, ""), ensure_ascii=False, allow_nan=False).encode() + b"\n"
+    return json.dumps(io._plain(obj), ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
 def _hash(data: bytes) -> str:

@@ -32,7 +32,7 @@ def linearise(
 
     ``parameters``  values by name of a model; of a fit instead of its own.
     ``at``          states, inputs and time at the point, by name: of a model that is not linear all that its
-                    derivatives depend on. That the point is an equilibrium is up to you.
+                    derivatives depend on. That the point is an equilibrium is up to you: `trim` finds one.
     ``experiment``  whose parameters to take, where experiments have their own.
 
     Raises ModelError for names that are not there, values that are missing, and models with delays, which no state
@@ -46,7 +46,7 @@ def linearise(
     jacobians = Jacobians(model, "linearise")
     numbers = jacobians.point(values, at)
     A, B, C, D = (jacobians.matrix(block, numbers) for block in "ABCD")
-    return StateSpace(A, B, C, D, inputs=jacobians.inputs, outputs=jacobians.outputs)
+    return StateSpace(A, B, C, D, inputs=jacobians.inputs, outputs=jacobians.outputs, states=jacobians.states)
 
 
 def model_response(

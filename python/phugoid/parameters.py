@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import ModelError, UnknownName, did_you_mean
+from .tabular import estimates_frame
+
+if TYPE_CHECKING:
+    import pandas
 
 __all__ = ["Estimate", "Estimates", "Parameter", "estimates_table", "plus_minus", "text_table"]
 
@@ -183,6 +187,11 @@ class Estimates(Mapping[str, Estimate]):
     def to_dict(self) -> dict[str, float]:
         """Name to value: what ``estimate(start=...)`` and ``simulate`` take."""
         return {name: float(e.value) for name, e in self._by_name.items()}
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A row an estimate, by name: value, std_error, relative_std_error, unit, start, lower and upper bound, fixed,
+        bounds_active ("lower", "upper" or ""). Raises MissingDependency without pandas."""
+        return estimates_frame(self._by_name.values())
 
     def __str__(self) -> str:
         return estimates_table(self._by_name.values())

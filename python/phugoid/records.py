@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .tabular import record_dataset, record_frame
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
 __all__ = ["Record"]
 
@@ -78,6 +85,23 @@ class Record:
         """
         present = {name: r[~np.isnan(r)] for name, r in self.residuals.items()}
         return {n: float(np.sqrt(np.mean(r**2))) if r.size else float("nan") for n, r in present.items()}
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The time histories by time (s), with columns ``("outputs", "q")``, ``("measured", "q")``, ...
+
+        An input that has samples of its own stands at their times, and there are rows for these too; NaN where a
+        channel has no sample. ``attrs`` holds name, units and interpolation. Raises MissingDependency without pandas.
+        """
+        return record_frame(self)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The time histories over ``time`` (s): ``input_de``, ``state_q``, ``output_q``, ``measured_q``,
+        ``residual_q``, ..., each with its unit as ``units`` among its attributes.
+
+        An input that has samples of its own has an axis of its own, ``time_de``. The path between the samples is in
+        ``mesh_t`` and ``mesh_states`` alone. Raises MissingDependency without xarray.
+        """
+        return record_dataset(self)
 
     def __repr__(self) -> str:
         def names(group: Mapping[str, _Array]) -> str:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _core, io, plot, summary
+from . import _core, plot, summary, tabular
 from ._core import Expr
 from .convergence_plot import plot_convergence
 from .correlation_plot import plot_correlation
-from .densities import PerExperiment, noise_from_dict
+from .densities import PerExperiment
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
 from .filter_error import FilterError
@@ -25,17 +26,19 @@ from .parameters import Estimate, Estimates
 from .parameters_plot import plot_parameters
 from .records import Record
 from .refinement import Refinement
-from .shooting import Transcription, from_dict, to_dict
+from .shooting import Transcription
 from .solvers import HINTS, Iteration, Solution
 from .transcription import Collocation
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from .validation import Validation
 
-__all__ = ["Fit", "load", "make_fit"]
+__all__ = ["Fit", "make_fit"]
 
 _Array = NDArray[np.float64]
 _Activity: TypeAlias = Literal["lower", "upper", "fixed"] | None  # of the bounds of a parameter
@@ -68,7 +71,7 @@ class Fit:
     warnings        what to beware of in the result, in words.
     covariance      (n, n) of the parameters in their order; NaN where there is none.
     refinement      what ``Collocation(refine=True)`` did.
-    experiments     the data it was fitted to; empty for a fit that was loaded from a file.
+    experiments     the data it was fitted to; empty for a fit of a file of version 1, which had none.
     """
 
     model: Model
@@ -268,9 +271,38 @@ class Fit:
 
         report(self, path, validation=validation, files=files, command=command)
 
+    def export_c(self, folder: str | os.PathLike[str], **options: Any) -> tuple[Path, Path]:
+        """Writes the model with the estimates as C source, a header and a source file; returns their paths. Options are
+        those of `phugoid.export_c`, which also says what there is in the files."""
+        from .export import export_c
+
+        return export_c(self, folder, **options)
+
+    def export_fmu(self, path: str | os.PathLike[str], **options: Any) -> Path:
+        """Writes the model with the estimates as a functional mock-up unit (FMI 2.0); returns its path. Options are
+        those of `phugoid.export_fmu`."""
+        from .export import export_fmu
+
+        return export_fmu(self, path, **options)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The parameters, a row each; see `Estimates.to_pandas`. Time histories: ``fit.records[0].to_pandas()``."""
+        return self.parameters.to_pandas()
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Time histories of all experiments, estimates and covariance, with units among the attributes.
+
+        Variables are those of `Record.to_xarray`. Several experiments are along ``experiment``, over the times of all
+        of them: NaN where one has no sample. Raises MissingDependency without xarray.
+        """
+        return tabular.fit_dataset(self)
+
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the fit to a versioned JSON file, which `load` reads."""
-        io.save_fit_dict(path, _payload(self))
+        """Writes the fit with its data to a versioned file, which `load` reads: HDF5 for ``.h5`` and ``.hdf5``, where
+        arrays are datasets with units (extra ``hdf5``); JSON else. Raises DataError where that cannot be done."""
+        from .saving import save
+
+        save(self, path)
 
     def __repr__(self) -> str:
         return (
@@ -500,88 +532,3 @@ def _defect_warning(model: Model, problem: _core.Problem, xi: _Array) -> list[st
                 "the state path is not a solution to that accuracy; tighten the solver's tolerance"
             )
     return found
-
-
-def _payload(fit: Fit) -> dict[str, Any]:
-    def estimates(group: Estimates) -> list[dict[str, Any]]:
-        return [{**vars(e), "bounds": list(e.bounds)} for e in group.values()]
-
-    return {
-        "model": fit.model.to_json(),
-        "noise": fit.noise.to_dict(),
-        "transcription": fit.transcription.to_dict()
-        if isinstance(fit.transcription, FilterError)
-        else to_dict(fit.transcription),
-        "parameters": estimates(fit.parameters),
-        "initial_states": {name: estimates(group) for name, group in fit.initial_states.items()},
-        "covariance": fit.covariance,
-        "log_likelihood": fit.log_likelihood,
-        "records": [vars(r) for r in fit.records],
-        "status": fit.status,
-        "message": fit.message,
-        "iterations": fit.iterations,
-        "time": fit.time,
-        "warnings": list(fit.warnings),
-        "history": [vars(line) for line in fit.history],
-        "refinement": fit.refinement.to_dict() if fit.refinement else None,
-    }
-
-
-def load(path: str | os.PathLike[str]) -> Fit:
-    """Reads a fit that `Fit.save` wrote. Raises DataError for a missing, damaged or newer file."""
-    saved = io.load_fit_dict(path)
-
-    def estimates(group: list[dict[str, Any]]) -> Estimates:
-        numbers = ("value", "std_error", "start")
-        return Estimates(
-            Estimate(
-                **{
-                    **e,
-                    **{k: io.to_float(e[k]) for k in numbers},
-                    "bounds": tuple(map(io.to_float, e["bounds"])),
-                }
-            )
-            for e in group
-        )
-
-    def record(saved: dict[str, Any]) -> Record:
-        groups = ("inputs", "outputs", "states", "measured", "residuals", "mesh_states")
-        added = ("state_std", "innovations", "innovation_std")  # by the filter-error method
-        each = {**{k: saved[k] for k in groups}, **{k: saved.get(k, {}) for k in added}}
-        arrays = {k: {n: io.to_array(v) for n, v in group.items()} for k, group in each.items()}
-        t, mesh_t = io.to_array(saved["t"]), io.to_array(saved["mesh_t"])
-        own = {n: (io.to_array(at), io.to_array(v)) for n, (at, v) in saved.get("input_samples", {}).items()}
-        kind = saved.get("interpolation", "linear")
-        return Record(
-            name=saved["name"],
-            units=saved["units"],
-            t=t,
-            mesh_t=mesh_t,
-            interpolation=kind,
-            input_samples=own,
-            **arrays,
-        )
-
-    def transcription(saved: dict[str, Any]) -> Transcription | FilterError:
-        return FilterError(**saved) if "states" in saved else from_dict(saved)
-
-    try:
-        return Fit(
-            model=Model.from_json(saved["model"]),
-            noise=noise_from_dict(saved["noise"]),
-            transcription=transcription(saved["transcription"]),
-            parameters=estimates(saved["parameters"]),
-            initial_states={name: estimates(group) for name, group in saved["initial_states"].items()},
-            covariance=io.to_array(saved["covariance"]),
-            log_likelihood=io.to_float(saved["log_likelihood"]),
-            records=[record(r) for r in saved["records"]],
-            status=saved["status"],
-            message=saved["message"],
-            iterations=saved["iterations"],
-            time=io.to_float(saved["time"]),
-            warnings=tuple(saved["warnings"]),
-            history=[Iteration(**line) for line in saved["history"]],
-            refinement=Refinement.from_dict(saved["refinement"]) if saved.get("refinement") else None,
-        )
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise DataError(f"{path}: is damaged ({type(error).__name__}: {error})") from error

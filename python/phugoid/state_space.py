@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import ModelError, listing
+from .errors import MissingDependency, ModelError, listing
 from .mode_table import Modes, table_of
 from .response import FrequencyResponse
 
@@ -37,6 +37,7 @@ class StateSpace:
     log_likelihood    of the outputs, each with white noise of the size of its residuals, without the constant
                       -N n_y/2 ln 2 pi: of `fit_linear`.
     warnings          what to beware of, in words.
+    states            names of the states; x, or x1, x2, ..., unless given.
 
     Raises ModelError for shapes that do not fit each other, and numbers that are not finite.
 
@@ -59,6 +60,7 @@ class StateSpace:
     residual_rms: Mapping[str, float] = field(default_factory=dict)
     log_likelihood: float | None = None
     warnings: tuple[str, ...] = ()
+    states: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         a, b, c = (_matrix(name, getattr(self, name)) for name in "ABC")
@@ -72,7 +74,7 @@ class StateSpace:
                 )
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        for kind, count, letter in (("inputs", m, "u"), ("outputs", p, "y")):
+        for kind, count, letter in (("states", n, "x"), ("inputs", m, "u"), ("outputs", p, "y")):
             names = tuple(getattr(self, kind)) or tuple(
                 [letter] if count == 1 else [f"{letter}{k + 1}" for k in range(count)]
             )
@@ -106,6 +108,23 @@ class StateSpace:
             self.A, self.B[:, k : k + 1], self.C[i : i + 1], self.D[i : i + 1, k : k + 1], frequencies
         )
         return FrequencyResponse(frequencies, response[:, 0, 0], u, y)
+
+    def to_control(self, name: str | None = None) -> Any:
+        """The system as a `control.StateSpace` of python-control, with the names of states, inputs and outputs.
+
+        A dot in a name becomes an underscore, since python-control takes none. Offsets and initial states are left
+        behind. Raises MissingDependency without python-control.
+        """
+        try:
+            import control
+        except ImportError as error:
+            raise MissingDependency(
+                f"to_control needs python-control ({error}): pip install phugoid[control]"
+            ) from error
+        kinds = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
+        names = {kind: [one.replace(".", "_") for one in group] for kind, group in kinds.items()}
+        more = {} if name is None else {"name": name}
+        return control.StateSpace(self.A, self.B, self.C, self.D, **names, **more)
 
     def __repr__(self) -> str:
         return f"<StateSpace: {self.order} states, inputs: {' '.join(self.inputs)}, outputs: {' '.join(self.outputs)}>"

@@ -13,7 +13,8 @@ import typer
 from ..discrepancy.diagnosis import Diagnosis
 from ..discrepancy.diagnosis import diagnose as find_missing
 from ..errors import OptionError
-from ..result import Fit, load
+from ..result import Fit
+from ..saving import load
 from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of

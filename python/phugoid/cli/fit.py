@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from ..errors import OptionError, PhugoidError
+from ..io import SUFFIXES
 from ..result import Fit
 from .data_files import Reading
 from .estimation import Estimation
@@ -52,7 +53,9 @@ def fit(
     inputs: InputsOption = None,
     outputs: OutputsOption = None,
     window: WindowOption = None,
-    save: Annotated[Path | None, typer.Option("--save", help="Writes the fit, for phugoid.load.")] = None,
+    save: Annotated[
+        Path | None, typer.Option("--save", help="Writes the fit, for phugoid.load: .json, or .h5 (HDF5).")
+    ] = None,
     plot: PlotOption = None,
     report: ReportOption = None,
     json: JsonOption = False,
@@ -60,8 +63,8 @@ def fit(
 ) -> None:
     """Estimate the parameters of a model from one data file or several."""
     with guard(debug):
-        if save is not None and save.suffix != ".json":
-            raise OptionError(f"--save {save}: a saved fit ends in .json")
+        if save is not None and save.suffix.lower() not in (".json", *SUFFIXES):
+            raise OptionError(f"--save {save}: a saved fit ends in .json, {' or '.join(SUFFIXES)}")
         check_targets([plot], [save, report])
         how = Estimation.of(order, start, fix, solver, iterations)
         reading = Reading.of(time, rename, inputs, outputs, window)

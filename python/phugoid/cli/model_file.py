@@ -12,9 +12,10 @@ from types import ModuleType
 from typing import Any
 
 from ..errors import DataError, ModelError, listing
-from ..io import FORMAT
+from ..io import FORMAT, SUFFIXES
 from ..model import Model
-from ..result import Fit, load
+from ..result import Fit
+from ..saving import load
 
 __all__ = ["load_model", "load_source"]
 
@@ -36,6 +37,8 @@ def load_source(source: str) -> Model | Fit:
     """
     file, name = _split(source)
     path = Path(file)
+    if path.suffix.lower() in SUFFIXES:
+        return load(path)
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -45,7 +48,7 @@ def load_source(source: str) -> Model | Fit:
     if path.suffix == ".json":
         return _saved(path, text)
     if path.suffix != ".py":
-        raise DataError(f"{path}: a model is a Python file (.py), or a saved model or fit (.json)")
+        raise DataError(f"{path}: a model is a Python file (.py), or a saved model or fit (.json, .h5)")
     names = _run(path, text)
     value = _named(path, names, name) if name else _only(path, names)
     return _made(path, value)

@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 ModelArgument: TypeAlias = Annotated[
-    str, typer.Argument(help="model.py, model.py:name, or a saved model or fit (.json).", metavar="MODEL")
+    str, typer.Argument(help="model.py, model.py:name, or a saved model or fit (.json, .h5).", metavar="MODEL")
 ]
 DataArgument: TypeAlias = Annotated[list[Path], typer.Argument(help="Data files, one record each.", metavar="DATA...")]
 TimeOption: TypeAlias = Annotated[str, typer.Option("--time", help="Column of time, in s.", metavar="NAME")]

@@ -14,7 +14,8 @@ from ..errors import ModelError, OptionError, listing
 from ..match import match
 from ..model import Model
 from ..records import Record
-from ..result import Fit, load
+from ..result import Fit
+from ..saving import load
 from ..simulate import simulate as integrate
 from .data_files import Reading
 from .guard import guard

@@ -1,0 +1,230 @@
+"""The text of a model in C."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .._core import Expr, __version__
+from ..jacobians import Jacobians
+from .contents import Contents
+from .graph import HELPERS, Graph, number
+from .tables import LOOKUP, definition
+
+__all__ = ["Code", "source"]
+
+_BREAK = "\n        "
+
+
+@dataclass(frozen=True)
+class Code:
+    """The text of a header and of its source, and the prefix of all their names."""
+
+    name: str
+    header: str
+    source: str
+
+
+def source(contents: Contents, name: str) -> Code:
+    """The header and the source of what is exported."""
+    return _Writer(contents, name).code()
+
+
+class _Writer:
+    def __init__(self, contents: Contents, name: str) -> None:
+        model = contents.model
+        self.contents, self.model, self.name, self.big = contents, model, name, name.upper()
+        outputs = {n: unit for n, _, unit, _ in model._core.outputs}
+        units = model.units
+        # Letter -> name and unit of each place.
+        self.vectors: dict[str, dict[str, str]] = {
+            "x": dict(model._core.states),
+            "u": dict(model._core.inputs),
+            "p": {n: units.get(n, "") for n in model.parameter_names},
+            "y": {n: outputs[n] or units.get(n, "") for n in model.output_names},
+        }
+        self.places: dict[str, tuple[str, int]] = {}
+        for letter in "xup":
+            self.places |= {n: (letter, k) for k, n in enumerate(self.vectors[letter])}
+        self.labels = {letter: _unique(group) for letter, group in self.vectors.items()}
+        self.graph = Graph()
+        known: dict[str, Any] = {}
+        self.quantities: dict[int, str] = {}
+        for n, e, *_ in model._core.quantities:
+            known[n] = e.substitute(known)
+        for e, label in zip(known.values(), _unique(known), strict=True):
+            self.quantities.setdefault(self.graph.add(Expr(e)), f"q_{label}")
+        by_state = {n: Expr(e.substitute(known)) for n, e, *_ in model._core.dynamics}
+        self.f = [by_state[n] for n in model.state_names]
+        self.g = [Expr(e) for e in model.output_expressions().values()]
+
+    def code(self) -> Code:
+        jacobians = Jacobians(self.model, "export")
+        entries = []
+        for block in "ABCD":
+            columns = jacobians.shapes[block][1]
+            for (i, k), e in jacobians.blocks[block].items():
+                entries.append((f"{block}[{i * columns + k}]", self.graph.add(Expr(e).simplify())))
+        functions = [
+            self._function("dynamics", ["dx"], [(f"dx[{i}]", self.graph.add(e)) for i, e in enumerate(self.f)]),
+            self._function("outputs", ["y"], [(f"y[{i}]", self.graph.add(e)) for i, e in enumerate(self.g)]),
+            self._function("jacobians", list("ABCD"), entries, {b: s[0] * s[1] for b, s in jacobians.shapes.items()}),
+            self._step(),
+        ]
+        title = "\n".join(f" * {_comment(line)}" for line in self._facts())
+        head = f"/*\n{title}\n */"
+        body = [head, f'#include "{self.name}.h"\n\n#include <math.h>', *self._data(), *self._shared(), *functions]
+        return Code(self.name, f"{head}\n{self._header()}", "\n\n".join(body) + "\n")
+
+    def _facts(self) -> list[str]:
+        return [f"{self.name}: written by phugoid {__version__}", *self.contents.facts, *self._late()]
+
+    def _late(self) -> list[str]:
+        delays = self.model.delays
+        lines = [f"{n} is {of}(t - {tau}): the caller delays it" for n, (of, tau) in delays.inputs.items()]
+        return lines + [f"{n} is measured late, by {tau}: here it is not" for n, tau in delays.outputs.items()]
+
+    def _shared(self) -> list[str]:
+        used = self.graph.used
+        found = [HELPERS[name] for name in HELPERS if name in used]
+        tables = [k for k in range(len(self.graph.tables)) if f"table {k}" in used]
+        if tables:
+            found += [LOOKUP, *(definition(k, self.graph.tables[k]) for k in tables)]
+        return found
+
+    def _function(
+        self,
+        what: str,
+        targets: Sequence[str],
+        roots: Sequence[tuple[str, int]],
+        zeros: Mapping[str, int] | None = None,
+    ) -> str:
+        used = self.graph.symbols(node for _, node in roots)
+        symbols, lines = {"time": "t"}, []
+        for name, (letter, k) in self.places.items():
+            if name in used:
+                symbols[name] = f"{letter}_{self.labels[letter][k]}"
+                unit = self.vectors[letter][name]
+                lines.append(
+                    f"const double {symbols[name]} = {letter}[{k}];" + (f" /* {_comment(unit)} */" if unit else "")
+                )
+        for block, size in (zeros or {}).items():
+            if size:
+                lines.append(f"for (k = 0; k < {size}; ++k) {block}[k] = 0.0;")
+        if any((zeros or {}).values()):
+            lines.insert(0, "int k;")
+        lines += self.graph.statements(roots, symbols, self.quantities)
+        unused = [a for a in ("t", "x", "u", "p") if not _uses(lines, a)]
+        set_here = {line.partition("[")[0] for line in lines} | {b for b, size in (zeros or {}).items() if size}
+        unused += [a for a in targets if a not in set_here]
+        lines += [f"(void){name};" for name in unused]
+        return f"{self._signature(what, targets)} {{\n" + "\n".join(f"    {line}" for line in lines) + "\n}"
+
+    def _signature(self, what: str, targets: Sequence[str]) -> str:
+        given = "double t, const double *x, const double *u, const double *p"
+        line = f"void {self.name}_{what}({given},"
+        return f"{line}{_BREAK if len(targets) > 1 else ' '}{', '.join(f'double *{t}' for t in targets)})"
+
+    def _step_signature(self) -> str:
+        given = "double t, double h, const double *u0, const double *u1"
+        return f"void {self.name}_step({given},{_BREAK}const double *p, double *x)"
+
+    def _step(self) -> str:
+        n_x, n_u = (max(len(self.vectors[letter]), 1) for letter in "xu")
+        move = f"for (i = 0; i < {self.big}_N_X; ++i)"
+        call = f"{self.name}_dynamics"
+        return f"""{self._step_signature()} {{
+    double a[{n_x}], b[{n_x}], c[{n_x}], d[{n_x}], at[{n_x}], u[{n_u}] = {{0.0}};
+    int i;
+    for (i = 0; i < {self.big}_N_U; ++i) u[i] = 0.5 * (u0[i] + u1[i]);
+    {call}(t, x, u0, p, a);
+    {move} at[i] = x[i] + 0.5 * h * a[i];
+    {call}(t + 0.5 * h, at, u, p, b);
+    {move} at[i] = x[i] + 0.5 * h * b[i];
+    {call}(t + 0.5 * h, at, u, p, c);
+    {move} at[i] = x[i] + h * c[i];
+    {call}(t + h, at, u1, p, d);
+    {move} x[i] += h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * c[i] + d[i]);
+}}"""
+
+    def _data(self) -> list[str]:
+        found = [self._numbers("p", self.contents.values), self._numbers("x0", self.contents.states)]
+        for letter, group in self.vectors.items():
+            for what, words in (("names", list(group)), ("units", list(group.values()))):
+                rows = ",\n".join(f"    {_string(word)}" for word in words) or "    0"
+                found.append(f"const char *const {self.name}_{letter}_{what}[{max(len(words), 1)}] = {{\n{rows}\n}};")
+        return found
+
+    def _numbers(self, what: str, values: Mapping[str, float]) -> str:
+        units = self.vectors["p" if what == "p" else "x"]
+        last = len(units) - 1
+        rows = "\n".join(
+            f"    {number(values[n])}{',' if k < last else ''} /* {_comment(f'{n}, {unit}' if unit else n)} */"
+            for k, (n, unit) in enumerate(units.items())
+        )
+        return f"const double {self.name}_{what}[{max(len(units), 1)}] = {{\n{rows or '    0.0'}\n}};"
+
+    def _header(self) -> str:
+        counts = "\n".join(f"#define {self.big}_N_{k.upper()} {len(group)}" for k, group in self.vectors.items())
+        places = []
+        for letter, group in self.vectors.items():
+            lines = [
+                f"#define {self.big}_{letter.upper()}_{label} {k}" + (f" /* {_comment(unit)} */" if unit else "")
+                for k, (label, unit) in enumerate(zip(self.labels[letter], group.values(), strict=True))
+            ]
+            if lines:
+                places.append("\n".join(lines))
+        sizes = {"p": "p", "x0": "x"}
+        data = [f"extern const double {self.name}_{k}[{max(len(self.vectors[v]), 1)}];" for k, v in sizes.items()]
+        for letter, group in self.vectors.items():
+            for what in ("names", "units"):
+                data.append(f"extern const char *const {self.name}_{letter}_{what}[{max(len(group), 1)}];")
+        functions = [
+            "/* dx = f(t, x, u, p), per s */",
+            f"{self._signature('dynamics', ['dx'])};",
+            "/* y = g(t, x, u, p) */",
+            f"{self._signature('outputs', ['y'])};",
+            "/* A = df/dx, B = df/du, C = dg/dx, D = dg/du, row by row */",
+            f"{self._signature('jacobians', list('ABCD'))};",
+            "/* x from t to t + h by one Runge-Kutta step of order 4; inputs run from u0 to u1 */",
+            f"{self._step_signature()};",
+        ]
+        parts = [
+            f"#ifndef {self.big}_H\n#define {self.big}_H",
+            '#ifdef __cplusplus\nextern "C" {\n#endif',
+            f"/* Numbers of states, inputs, parameters and outputs */\n{counts}",
+            "/* The place of each, and its unit */\n" + "\n\n".join(places),
+            "/* Parameters, states to begin with, names and units */\n" + "\n".join(data),
+            "\n".join(functions),
+            "#ifdef __cplusplus\n}\n#endif",
+            f"#endif /* {self.big}_H */",
+        ]
+        return "\n\n".join(parts) + "\n"
+
+
+def _uses(lines: Sequence[str], name: str) -> bool:
+    pattern = re.compile(rf"\b{name}\b(?!\w)")
+    return any(pattern.search(re.sub(r"/\*.*?\*/", "", line)) for line in lines)
+
+
+def _unique(names: Any) -> list[str]:
+    """Names as parts of identifiers in C, each another."""
+    found: list[str] = []
+    for name in names:
+        label = re.sub(r"\W+", "_", str(name), flags=re.ASCII) or "_"
+        while label in found:
+            label += "_"
+        found.append(label)
+    return found
+
+
+def _string(text: str) -> str:
+    """A literal in C; what is not ASCII as the bytes of UTF-8 in octal."""
+    shown = "".join(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode("utf-8"))
+    return f'"{shown}"'
+
+
+def _comment(text: str) -> str:
+    return text.replace("*/", "* /").replace("/*", "/ *").replace("\n", " ")

@@ -25,6 +25,8 @@ DOCS = ROOT / "docs"
 GALLERY = sorted((DOCS / "gallery").glob("*.py"))
 PAGES = [p for p in sorted(DOCS.rglob("*.md")) if "_build" not in p.parts and blocks(p)]
 EXAMPLES = ("hfb320", "unstable")
+# Packages beyond the package's own, without which a page is skipped.
+NEEDS = {"howto/files.md": ["pandas"], "howto/export.md": ["h5py", "pandas", "xarray"]}
 # What shells run on these pages besides phugoid: each is checked in another way.
 ELSEWHERE = {"pip", "make", "cargo", "python", "pre-commit"}
 
@@ -120,6 +122,12 @@ def modes(n: dict[str, Any]) -> None:
     assert not found[0].stable
 
 
+def exported(n: dict[str, Any]) -> None:
+    assert n["again"].parameters["CLa"].value == n["fit"].parameters["CLa"].value
+    assert n["header"].exists() and n["source"].exists()
+    assert abs(n["trim"].rates["q"]) < 1e-9
+
+
 # What has come out at the end of a page, beyond that it ran.
 CLAIMS: dict[str, Callable[[dict[str, Any]], None]] = {
     "start.md": started,
@@ -130,6 +138,7 @@ CLAIMS: dict[str, Callable[[dict[str, Any]], None]] = {
     "howto/convergence.md": converging,
     "howto/missing.md": missing,
     "howto/linear.md": modes,
+    "howto/export.md": exported,
 }
 
 
@@ -144,6 +153,8 @@ def test_code_runs(
 ) -> None:
     import matplotlib.pyplot as plt
 
+    for package in NEEDS.get(page.relative_to(DOCS).as_posix(), []):
+        pytest.importorskip(package)
     text = page.read_text(encoding="utf-8")
     for name in EXAMPLES:
         if f"$ phugoid example {name}" not in text:  # else the page writes them itself

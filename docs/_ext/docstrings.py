@@ -122,7 +122,7 @@ def process(app: Sphinx, what: str, name: str, thing: object, options: object, l
 RESULTS = {
     "Diagnosis", "EquationError", "Estimate", "Extension", "Finding", "Fit", "Gain", "IntegrationError", "Iteration",
     "Match", "Misfit", "Mode", "Modes", "Multistart", "Optimum", "Outcome", "Record", "Refinement", "Scored",
-    "Validation",
+    "Validation", "Trim",
 }  # fmt: skip
 _SHORT = [
     (

@@ -10,16 +10,16 @@ from the published optimum.
 import tempfile
 from pathlib import Path
 
-from typer.testing import CliRunner
-
 import phugoid as ph
 from phugoid.cli.app import app
 from phugoid.cli.model_file import load_model
 
+# As the command does: phugoid example hfb320
 folder = Path(tempfile.mkdtemp())
-CliRunner().invoke(app, ["example", "hfb320", "--out", str(folder)])
+app(["example", "hfb320", "--out", str(folder)], standalone_mode=False)
 model = load_model(str(folder / "hfb320.py"))
-record, other = ph.read(folder / "hfb320.csv"), ph.read(folder / "hfb320_other.csv")
+record = ph.read(folder / "hfb320.csv")
+other = ph.read(folder / "hfb320_other.csv")
 
 # %%
 # The model names its aerodynamic coefficients, so that candidates for what it misses can be sought

@@ -7,6 +7,7 @@ seven standard deviations and four initial states, all derivatives from 0. The r
 from the published optimum.
 """
 
+import contextlib
 import tempfile
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from phugoid.cli.model_file import load_model
 
 # As the command does: phugoid example hfb320
 folder = Path(tempfile.mkdtemp())
-app(["example", "hfb320", "--out", str(folder)], standalone_mode=False)
+with contextlib.redirect_stdout(None):
+    app(["example", "hfb320", "--out", str(folder)], standalone_mode=False)
 model = load_model(str(folder / "hfb320.py"))
 record = ph.read(folder / "hfb320.csv")
 other = ph.read(folder / "hfb320_other.csv")

@@ -144,6 +144,15 @@ def test_wrong_delays_are_refused() -> None:
         ph.estimate(model(late=100.0), record())
 
 
+def test_states_may_start_with_one_value_a_sample() -> None:
+    t = np.arange(0, 10, 0.1)
+    e = ph.Experiment(t, {"u": smooth(t.size)}, interpolation="cubic")
+    path = ph.simulate(model(), TRUTH, e, initial={"x": 0.1, "v": 0.0})
+    fit = ph.estimate(model(), e.with_outputs(path.outputs), noise=ph.Gaussian(SIGMA), start={**TRUTH, **path.states})
+    assert fit.converged and fit.iterations < 10
+    assert {n: fit.parameters[n].value for n in TRUTH} == pytest.approx(TRUTH, rel=1e-3)
+
+
 # ---------------------------------------------------------------- time stamps of their own
 
 

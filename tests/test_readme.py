@@ -61,7 +61,7 @@ def test_second_example_takes_several_runs_and_options(folder: Path) -> None:
     assert "sigma_az" not in fit.parameters
 
 
-def test_flights_with_biases_and_a_late_actuator() -> None:
+def test_flights_with_biases_and_a_late_actuator(capsys: pytest.CaptureFixture[str]) -> None:
     (block,) = (b for b in blocks() if "m.delay" in b)
     t = np.arange(0, 10, 0.05)
     de = 0.1 * np.sign(np.sin(1.5 * t))
@@ -81,6 +81,10 @@ def test_flights_with_biases_and_a_late_actuator() -> None:
     assert isinstance(fit, ph.Fit) and fit.converged
     for name, true in {**truth, "b[run1]": 0.02, "b[run2]": -0.01}.items():
         assert abs(fit.parameters[name].value - true) < 4 * fit.parameters[name].std_error, name
+    exec(next(b for b in blocks() if "fit.coloured" in b), names)
+    said = capsys.readouterr().out
+    assert "ratio" in said and "profile likelihood, complete" in said and "50 of 50 runs converged" in said
+    assert names["axes"].keys() == {"q", "theta"}  # type: ignore[attr-defined]
 
 
 def test_a_diagnosis_names_what_the_model_misses(

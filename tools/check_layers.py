@@ -24,19 +24,25 @@ PYTHON = [
     "hdf5_file",
     "filter_error", "guess", "solvers", "progress", "records", "io", "figure_style", "match", "time_panels", "plot",
     "correlation_plot", "parameters_plot", "convergence_plot", "frequency_plot", "response", "mode_table",
-    "state_space", "models", "modal_response", "sampled", "hankel", "modal_regression", "identified", "subspace",
-    "modal_blocks", "mode_places", "linear_fit", "empirical", "summary",
+    "inputs", "state_space", "models", "modal_response", "sampled", "hankel", "modal_regression", "identified",
+    "subspace", "modal_blocks", "mode_places", "linear_fit", "empirical", "summary",
     "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
     "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
     "trim", "export", "saving",
-    "biases", "held", "validate", "discrepancy", "residuals_plot", "remarks", "report_validation", "report",
-    "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "cli", "__init__", "__main__",
+    "biases", "held", "validate", "discrepancy", "residuals_plot", "remarks", "report_validation",
+    "planning", "reconstruction", "report",
+    "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "uncertainty", "cli",
+    "__init__", "__main__",
 ]
 # fmt: on
 # Arrows back: methods of `Fit` that stand where people look for them, such as `validate`, which estimates anew, and
-# `plot_residuals`, which asks what a diagnosis asks. They are imported when called.
-BACK = {("result", module) for module in ("export", "report", "residuals_plot", "saving", "validate")}
+# `plot_residuals`, which asks what a diagnosis asks; and a summary shows how far a fit may be trusted. They are
+# imported when called; `outcome` is a type only.
+BACK = {
+    *(("result", m) for m in ("export", "outcome", "report", "residuals_plot", "saving", "uncertainty", "validate")),
+    ("summary", "uncertainty"),
+}
 
 Import = tuple[int, str]  # line, top-level module
 Finder = Callable[[Path, int], Iterator[Import]]  # of a file so many levels below the root

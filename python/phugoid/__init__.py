@@ -11,7 +11,7 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
     print(fit.summary())
 """
 
-from . import models
+from . import inputs, models
 from ._core import Expr, __version__
 from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
@@ -50,7 +50,11 @@ from .noise import Gaussian, Sigma
 from .optima import Optimum
 from .outcome import Outcome
 from .parameters import Estimate, Parameter
+from .planning.optimum import optimal_plan
+from .planning.plan import Excursion, Plan, Plans
+from .planning.planned import plan, plans
 from .read import read
+from .reconstruction.reconstruct import Reconstruction, reconstruct
 from .records import Record
 from .refinement import Refinement
 from .response import FrequencyResponse
@@ -101,6 +105,7 @@ __all__ = [
     "EquationError",
     "Estimate",
     "EvaluationError",
+    "Excursion",
     "Experiment",
     "Expr",
     "Extension",
@@ -134,7 +139,10 @@ __all__ = [
     "PerOutput",
     "PhugoidError",
     "Place",
+    "Plan",
+    "Plans",
     "Points",
+    "Reconstruction",
     "Record",
     "Refinement",
     "SavitzkyGolay",
@@ -164,6 +172,7 @@ __all__ = [
     "fit_linear",
     "frequency_response",
     "from_sympy",
+    "inputs",
     "linearise",
     "load",
     "log",
@@ -175,7 +184,11 @@ __all__ = [
     "modes",
     "multirate",
     "multistart",
+    "optimal_plan",
+    "plan",
+    "plans",
     "read",
+    "reconstruct",
     "sign",
     "simulate",
     "sin",

@@ -74,7 +74,8 @@ def estimate_late(
     iterations, time, warnings = 0, 0.0, []
     for number in range(model.delays.passes):
         slim = at_delays(model, base, _REACH * interval)
-        fit = estimate(slim, [_moved(model, slim, e, base) for e in experiments], start=begin, **options)
+        moved = [_moved(model, slim, e, base) for e in experiments]
+        fit = estimate(slim, moved, start=_at(moved[0], experiments[0], model, begin), **options)
         iterations, time, begin = iterations + fit.iterations, time + fit.time, fit
         left = {name: fit.parameters[name].value - base[name] for name in names}
         errors = {name: fit.parameters[name].std_error for name in names}
@@ -109,6 +110,14 @@ def estimate_late(
         experiments=tuple(experiments),
         _moved=fit,
     )
+
+
+def _at(moved: Experiment, experiment: Experiment, model: Model, start: Any) -> Any:
+    """Start values of states that are given one a sample, at the samples of a moved record."""
+    if not isinstance(start, dict):
+        return start
+    given = {n: v for n, v in start.items() if n in model.state_names and np.shape(v) == experiment.t.shape}
+    return start | {n: np.interp(moved.t, experiment.t, v) for n, v in given.items()}
 
 
 def _restored(model: Model, record: Record, experiment: Experiment, base: Mapping[str, float]) -> Record:

@@ -200,15 +200,23 @@ class Estimates(Mapping[str, Estimate]):
         return f"Estimates({', '.join(map(repr, self._by_name.values()))})"
 
 
-def estimates_table(estimates: Iterable[Estimate], title: str = "parameter") -> str:
-    """Name, estimate, standard error (absolute, and in % of the value), unit and remark: one line each."""
+def estimates_table(
+    estimates: Iterable[Estimate], title: str = "parameter", coloured: Mapping[str, Estimate] | None = None
+) -> str:
+    """Name, estimate, standard error (absolute, and in % of the value), unit and remark: one line each.
+
+    ``coloured``: by name the same with standard errors corrected for coloured residuals, a column of their own.
+    """
     rows = []
     for e in estimates:
         value, std_error = _rounded(e.value, e.std_error)
         relative = 100.0 * e.relative_std_error
         percent = f"{relative:.3g}" if relative < 1000.0 else f"{relative:.1e}"
-        rows.append([e.name, value, std_error, percent if math.isfinite(relative) else "", e.unit, e.remark])
-    return text_table([title, "estimate", "std error", "in %", "unit", "remark"], rows, "lrrrll")
+        other = coloured[e.name].std_error if coloured and e.name in coloured else math.nan
+        corrected = _rounded(e.value, other)[1]
+        rows.append([e.name, value, std_error, percent if math.isfinite(relative) else "", corrected, e.unit, e.remark])
+    heads = [title, "estimate", "std error", "in %", "coloured", "unit", "remark"]
+    return text_table(heads, rows, "lrrrrll")
 
 
 def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str) -> str:

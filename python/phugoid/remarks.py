@@ -24,9 +24,12 @@ def remarks(fit: Any) -> list[str]:
     """The warnings of a `Fit`, and what its numbers give reason to doubt: a sentence each, none where all is well.
 
     Coloured residuals (p < 0.01 in the test of Ljung and Box, lag-1 correlation beyond 0.3), residuals with an offset,
-    parameters whose 95 % interval holds zero, pairs of estimates with a correlation beyond 0.95, estimates at a bound.
+    parameters whose 95 % interval holds zero, pairs of estimates with a correlation beyond 0.95, combinations that are
+    hardly determined, estimates at a bound.
     """
-    return [*map(_sentence, fit.warnings), *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit)]
+    correlation = getattr(fit, "correlation", None)
+    weak = [f"Weakly identified: {direction}." for direction in correlation.weak] if correlation is not None else []
+    return [*map(_sentence, fit.warnings), *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
 
 
 def _sentence(text: str) -> str:

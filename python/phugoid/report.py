@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from html import escape
@@ -16,11 +17,12 @@ from .discrepancy.mathml import equation
 from .discrepancy.provenance import facts, files_table, records_table, steps_of
 from .errors import DataError, OptionError
 from .match import match
-from .parameters import Estimate
+from .parameters import Estimate, Estimates
 from .parameters_plot import plot_parameters
 from .remarks import remarks
 from .report_validation import validation_section
 from .residuals_plot import plot_residuals
+from .summary import corrected
 
 __all__ = ["report"]
 
@@ -81,13 +83,14 @@ def _parameters(fit: Any) -> str:
     noise = fit.noise_parameters
     own = [e for e in fit.parameters.values() if e.name not in noise]
     text = (
-        "<p>Standard errors are Cramér-Rao bounds: the inverse of the information matrix. They take residuals for "
-        "white; where residuals are coloured (see the match) true errors are larger.</p>"
+        "<p>Standard errors (±) are Cramér-Rao bounds: the inverse of the information matrix. They take residuals for "
+        "white; those under <i>coloured</i> allow for residuals as coloured as they are.</p>"
     )
-    body = text + _estimates("parameter", own) if own else ""
+    coloured = corrected(fit, again=True)
+    body = text + _estimates("parameter", own, coloured) if own else ""
     of_noise = [e for e in fit.parameters.values() if e.name in noise]
     if of_noise:
-        body += "<h3>Noise</h3>" + _estimates("noise", of_noise)
+        body += "<h3>Noise</h3>" + _estimates("noise", of_noise, coloured)
     first = [[n, e.name, *_cells(e)] for n, group in fit.initial_states.items() for e in group.values()]
     heads = ["experiment", "state", "estimate ± std error", "unit", "in %", ""]
     body += details("Initial states", table(heads, first, "llrlrl"))
@@ -110,9 +113,12 @@ def _intervals(fit: Any) -> str:
     return shown
 
 
-def _estimates(head: str, estimates: list[Estimate]) -> str:
-    rows = [[e.name, *_cells(e)] for e in estimates]
-    return table([head, "estimate ± std error", "unit", "in %", ""], rows, "lrlrl")
+def _estimates(head: str, estimates: list[Estimate], coloured: Estimates | None) -> str:
+    rows = []
+    for e in estimates:
+        error = coloured[e.name].std_error if coloured else math.nan
+        rows.append([e.name, *_cells(e)[:3], f"{error:.2g}" if math.isfinite(error) else "", *_cells(e)[3:]])
+    return table([head, "estimate ± std error", "unit", "in %", "coloured", ""], rows, "lrlrrl")
 
 
 def _cells(e: Estimate) -> list[str]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -31,11 +32,19 @@ from .solvers import HINTS, Iteration, Solution
 from .transcription import Collocation
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     import pandas
     import xarray
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from .outcome import Outcome
+    from .uncertainty.bands import Bands
+    from .uncertainty.bootstrap import Bootstrap
+    from .uncertainty.coloured import Coloured
+    from .uncertainty.correlation import Correlation
+    from .uncertainty.profile import Profiles
     from .validation import Validation
 
 __all__ = ["Fit", "make_fit"]
@@ -167,8 +176,112 @@ class Fit:
             found.append(Estimate(name, e.evaluate(numbers), float(np.sqrt(variance))))
         return Estimates(found)
 
+    @cached_property
+    def coloured(self) -> Coloured:
+        """Standard errors corrected for coloured residuals: of parameters and initial states, by name; the covariance;
+        by how much they are larger than the plain ones.
+
+        The Cramér-Rao bounds in ``parameters`` take residuals for white; where they are coloured, as those of flight
+        records are, these bounds are optimistic (Maine & Iliff 1981; Morelli & Klein 1997). The noise of each output is
+        taken for an autoregressive process, also common to outputs, as `uncertainty.colour` says. A fit by shooting, or
+        one that was loaded from a file, is estimated again by collocation first.
+
+        Raises OptionError for a fit by the filter-error method.
+        """
+        from .uncertainty.coloured import coloured
+
+        return coloured(self)
+
+    @cached_property
+    def correlation(self) -> Correlation:
+        """Correlations of the estimates: ``fit.correlation["Cm0", "Cma"]``, ``.matrix`` (n, n), ``.pairs(0.9)``, and
+        ``.weak``: combinations that the data hardly determine."""
+        from .uncertainty.correlation import correlation_of
+
+        noise = self.noise_parameters
+        physical = [n for n in self.parameters if n not in noise]
+        return correlation_of(list(self.parameters), self.parameters.values_array, self.covariance, physical)
+
+    def profile(
+        self,
+        names: str | Iterable[str] | None = None,
+        *,
+        level: float = 0.95,
+        coloured: bool = False,
+        executor: Executor | None = None,
+        progress: bool | Callable[[Outcome], None] = False,
+    ) -> Profiles:
+        """Intervals by profile likelihood (Venzon & Moolgavkar 1988): each parameter is moved, all others estimated
+        anew, until twice the log-likelihood has dropped by chi-square's quantile. They follow a likelihood that is no
+        parabola, where standard errors do not.
+
+        ``names``: of parameters of the model (``"b[run1]"`` of one experiment's own); None: all that are free.
+        ``coloured``: the drop is made larger by what `coloured` finds, as for a composite likelihood (Chandler & Bate
+        2007); without it, intervals take residuals for white.
+        ``executor``, ``progress``: as of `multistart`; a task is one side of a parameter.
+
+        An interval ends at a bound where the likelihood is still high there, and is infinite where it stays high
+        however far one goes: ``.ends`` says so. Ctrl-C keeps the sides that are done.
+
+        Raises OptionError for names without a profile, a fit that has not converged, and process noise.
+        """
+        from .uncertainty.profile import profile
+
+        return profile(self, names, level=level, coloured=coloured, executor=executor, progress=progress)
+
+    def bootstrap(
+        self,
+        n: int = 200,
+        kind: Literal["parametric", "coloured", "block"] = "parametric",
+        *,
+        block: int | None = None,
+        seed: int = 0,
+        executor: Executor | None = None,
+        progress: bool | Callable[[Outcome], None] = False,
+    ) -> Bootstrap:
+        """Standard errors and intervals from estimates with data as they might have been (Efron & Tibshirani 1993):
+        the fitted model's outputs with other noise, where there were measurements.
+
+        ``kind``: "parametric" draws white noise from the fit's noise model; "coloured" Gaussian noise as coloured as
+        the residuals, also in common to outputs, as `coloured` finds it; "block" puts blocks of the residuals
+        themselves together, all channels at once, without reaching over gaps (Künsch 1989).
+        ``block``: samples of a block; None: from how long the noise remembers, a sixth of a record at most.
+        ``seed``: draw i has random numbers of its own, whatever n and executor.
+        ``executor``, ``progress``: as of `multistart`. Each run starts from this fit. Ctrl-C keeps those that are done.
+
+        Raises OptionError for options that cannot be right, a fit that has not converged, and process noise.
+        """
+        from .uncertainty.bootstrap import bootstrap
+
+        return bootstrap(self, n, kind, block=block, seed=seed, executor=executor, progress=progress)
+
+    def prediction_bands(
+        self,
+        experiment: str | int | Experiment | None = None,
+        *,
+        level: float = 0.95,
+        coloured: bool = True,
+        biases: Sequence[str] | None = None,
+        values: Mapping[str, float] | None = None,
+    ) -> Bands:
+        """Bands about the outputs: in which the true model's outputs lie, by the uncertainty of parameters and initial
+        states to first order, and in which a new measurement lies, with noise of its own.
+
+        ``experiment``: name or number of one of the fit; None: the only one; or another `Experiment`, of which initial
+        states and biases are found anew as `validate` does, with ``biases`` and ``values`` as there: their errors
+        follow those of the parameters.
+        ``coloured``: errors for coloured residuals, or else for white ones. Each band holds at each sample by itself.
+        ``.plot()`` draws them.
+
+        Raises OptionError, DataError or UnknownName for what is not there, and OptionError for process noise.
+        """
+        from .uncertainty.bands import prediction_bands
+
+        return prediction_bands(self, experiment, level=level, coloured=coloured, biases=biases, values=values)
+
     def summary(self) -> str:
-        """The fit as a plain-text table."""
+        """The fit as a plain-text table: of each parameter the Cramér-Rao standard error and, where the fit has its
+        data at hand, the one corrected for coloured residuals."""
         text = summary.fit_summary(self) + (f"\n\n{self.refinement.summary()}" if self.refinement else "")
         return text + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 

@@ -20,7 +20,7 @@ from .multirate import distinct
 from .records import Record
 from .result import Fit
 
-__all__ = ["simulate"]
+__all__ = ["first_values", "simulate"]
 
 _Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def simulate(
     model.check()
     data.check_for(model.input_names, [])
     values = _values(model, parameters, data.name)
-    x0 = _initial(model, values, parameters, data, initial or {})
+    x0 = first_values(model, values, parameters, data, initial or {})
     if model.delays:
         first = dict(zip(model.state_names, x0, strict=True))
         return simulated_late(simulate, model, values, data, initial=first, method=method, rtol=rtol)
@@ -206,9 +206,10 @@ def _values(model: Model, parameters: Mapping[str, Any] | Fit, experiment: str) 
     return {name: _finite(f"parameter '{name}'", given[found.get(name, name)]) for name in model.parameter_names}
 
 
-def _initial(
+def first_values(
     model: Model, values: Mapping[str, float], source: Any, data: Experiment, initial: Mapping[str, float]
-) -> Any:
+) -> _Array:
+    """States at the first sample (n_x,), as `simulate` takes them."""
     for name in initial:
         if name not in model.state_names:
             raise ModelError(f"simulate: initial '{name}' is no state.{did_you_mean(name, model.state_names)}")

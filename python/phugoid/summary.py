@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from .parameters import estimates_table, text_table
+from .errors import PhugoidError
+from .parameters import Estimates, estimates_table, text_table
 
-__all__ = ["fit_summary"]
+__all__ = ["corrected", "fit_summary"]
 
 
 def fit_summary(fit: Any) -> str:
@@ -29,13 +30,31 @@ def fit_summary(fit: Any) -> str:
     noise = [e for e in fit.parameters.values() if of_noise(e.name)]
     physical = [e for e in fit.parameters.values() if not of_noise(e.name)]
     parts = [_header(fit)]
+    coloured = corrected(fit) if getattr(fit, "experiments", ()) else None
     if physical:
-        parts.append(estimates_table(physical))
+        parts.append(estimates_table(physical, coloured=coloured))
     if noise:
-        parts.append(estimates_table(noise, title="noise"))
+        parts.append(estimates_table(noise, title="noise", coloured=coloured))
+    if coloured:
+        parts.append("std error: Cramér-Rao, for white residuals; coloured: for residuals as coloured as they are")
+    parts += getattr(getattr(fit, "correlation", None), "notes", ())
     if any(record.residuals for record in fit.records):
         parts.append(_match_table(fit, outputs))
     return "\n\n".join(parts)
+
+
+def corrected(fit: Any, again: bool = False) -> Estimates | None:
+    """The estimates with standard errors for coloured residuals; None where a fit has none, or where they take much
+    more time than the fit. ``again``: also where they need another estimation."""
+    from .uncertainty.tangents import cheap
+
+    if not cheap(fit, again):
+        return None
+    try:
+        found: Estimates = fit.coloured.parameters
+    except PhugoidError:  # what the page is of has its reasons
+        return None
+    return found if np.isfinite(found.std_errors_array).any() else None
 
 
 def _header(fit: Any) -> str:

@@ -24,7 +24,7 @@ from .result import Fit
 from .solvers import Newton
 from .validation import Validation
 
-__all__ = ["shared", "validate"]
+__all__ = ["found_anew", "shared", "validate"]
 
 # Records share samples where as many as this agree to the bit.
 _SHARED = 3
@@ -41,21 +41,8 @@ def validate(
     """What `Fit.validate` does; see there."""
     model, experiments = fit.model, as_experiments(other, "validate")
     limits = tolerances_by_output("validate", model.output_names, tolerances)
-    free = _free(fit, biases, {} if values is None else values)
-    held = _held(fit, free, {} if values is None else values)
-    mesh = mesh_for(fit, experiments)
-    noise, warnings = held_noise(fit)
-    if not fit.converged:
-        warnings = (f"the fit itself has not converged ({fit.status}): {fit.message or 'see its summary'}", *warnings)
-    for e in experiments:
-        warnings += _check(fit, e, free)
-
-    slim = held_model(model, held, free)
-    filtered = isinstance(mesh, FilterError)
-    # A regression on measured states is for parameters, and these are held.
-    solver = None if filtered else Newton(regression=False)
-    begin = _start(fit, slim, held, free)
-    found = estimate(slim, experiments, transcription=mesh, noise=noise, start=begin, solver=solver)
+    found, free, held, warnings = found_anew(fit, experiments, biases, {} if values is None else values)
+    noise, filtered = found.noise, isinstance(found.transcription, FilterError)
     records = [_predicted(r) for r in found.records] if filtered else found.records
     if not found.converged:
         warnings += (f"the initial states and biases were not found ({found.status}): {found.message}",)
@@ -83,6 +70,28 @@ def validate(
         warnings=(*warnings, *found.warnings),
         tolerances=limits,
     )
+
+
+def found_anew(
+    fit: Fit, experiments: Sequence[Experiment], biases: Any, values: Any
+) -> tuple[Fit, tuple[str, ...], dict[str, float], tuple[str, ...]]:
+    """The fit of initial states and biases alone to other experiments; which parameters are biases, the values of the
+    others, and what to beware of. Raises as `Fit.validate` does."""
+    free = _free(fit, biases, values)
+    held = _held(fit, free, values)
+    mesh = mesh_for(fit, experiments)
+    noise, warnings = held_noise(fit)
+    if not fit.converged:
+        warnings = (f"the fit itself has not converged ({fit.status}): {fit.message or 'see its summary'}", *warnings)
+    for e in experiments:
+        warnings += _check(fit, e, free)
+
+    slim = held_model(fit.model, held, free)
+    # A regression on measured states is for parameters, and these are held.
+    solver = None if isinstance(mesh, FilterError) else Newton(regression=False)
+    begin = _start(fit, slim, held, free)
+    found = estimate(slim, experiments, transcription=mesh, noise=noise, start=begin, solver=solver)
+    return found, free, held, warnings
 
 
 def _predicted(record: Record) -> Record:

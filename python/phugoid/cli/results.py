@@ -13,6 +13,7 @@ from ..errors import OptionError
 from ..match import Match, match
 from ..parameters import Estimates
 from ..result import Fit
+from ..summary import corrected
 
 __all__ = ["check_targets", "emit_json", "fit_facts", "match_facts", "save_figures"]
 
@@ -69,7 +70,7 @@ def fit_facts(fit: Fit) -> dict[str, Any]:
         "seconds": fit.time,
         "log_likelihood": fit.log_likelihood,
         "transcription": str(fit.transcription),
-        "parameters": _estimates(fit.parameters),
+        "parameters": _estimates(fit.parameters, corrected(fit)),
         "initial_states": {name: _estimates(group) for name, group in fit.initial_states.items()},
         "matches": match_facts({name: match(fit.records, name) for name in fit.model.output_names}),
         "experiments": [{"name": r.name, "samples": r.n} for r in fit.records],
@@ -83,9 +84,12 @@ def match_facts(matches: Mapping[str, Match]) -> dict[str, Any]:
     return {name: {key: getattr(m, key) for key in kept} for name, m in matches.items()}
 
 
-def _estimates(group: Estimates) -> dict[str, Any]:
+def _estimates(group: Estimates, coloured: Estimates | None = None) -> dict[str, Any]:
     kept = ("value", "std_error", "unit", "fixed", "bounds_active")
-    return {name: {key: getattr(e, key) for key in kept} for name, e in group.items()}
+    found = {name: {key: getattr(e, key) for key in kept} for name, e in group.items()}
+    for name, e in (coloured or {}).items():
+        found[name]["coloured_std_error"] = e.std_error
+    return found
 
 
 def _plain(value: Any) -> Any:

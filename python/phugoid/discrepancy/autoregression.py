@@ -49,23 +49,25 @@ class Autoregression:
 def burg(runs: Sequence[_Array]) -> Autoregression:
     """The AR models of residuals: ``runs`` are (n,) each, equally spaced and without a gap.
 
+    Runs (k, n) are k sequences that stand for the same samples: their squares are added, and samples count once.
+
     The order has the least BIC (Schwarz 1978), of those up to 12 and a tenth of the samples, as long as the lags are
     there for a quarter of the samples. What an order gains counts for the samples that have its lags: where there are
     gaps, few have long ones. The mean is not removed, for that of residuals should be zero.
     """
-    n = sum(run.size for run in runs)
-    power = sum(float(run @ run) for run in runs) / max(n, 1)
+    n = sum(run.shape[-1] for run in runs)
+    power = sum(_product(run, run) for run in runs) / max(n, 1)
     predictors, powers = [np.empty(0)], [power]
     forward, backward = list(runs), list(runs)
     best, bic, best_bic = 0, 0.0, 0.0
     for p in range(1, min(_LONGEST, n // _SAMPLES_EACH) + 1):
         # Runs that are shorter than the lags say nothing more.
-        pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True) if f.size > 1]
-        size = sum(float(f @ f + b @ b) for f, b in pairs)
-        count = sum(f.size for f, _ in pairs)
+        pairs = [(f[..., 1:], b[..., :-1]) for f, b in zip(forward, backward, strict=True) if f.shape[-1] > 1]
+        size = sum(_product(f, f) + _product(b, b) for f, b in pairs)
+        count = sum(f.shape[-1] for f, _ in pairs)
         if size <= 0.0 or count < max(n // _TATTERS, _PAIRS_EACH * p):
             break
-        k = float(np.clip(2.0 * sum(float(f @ b) for f, b in pairs) / size, -_EDGE, _EDGE))
+        k = float(np.clip(2.0 * sum(_product(f, b) for f, b in pairs) / size, -_EDGE, _EDGE))
         predictors.append(np.r_[predictors[-1] - k * predictors[-1][::-1], k])
         powers.append(powers[-1] * (1.0 - k * k))
         forward, backward = [f - k * b for f, b in pairs], [b - k * f for f, b in pairs]
@@ -75,3 +77,7 @@ def burg(runs: Sequence[_Array]) -> Autoregression:
         if abs(k) == _EDGE or powers[-1] <= _EXACT * power:  # as a constant and a pure sine are
             break
     return Autoregression(tuple(predictors[: best + 1]), np.array(powers[: best + 1]))
+
+
+def _product(a: _Array, b: _Array) -> float:
+    return float(a @ b) if a.ndim == 1 else float(np.einsum("ij,ij->", a, b))

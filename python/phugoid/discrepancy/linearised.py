@@ -182,6 +182,11 @@ class Linearised:
     @cached_property
     def moves(self) -> tuple[_Array, _Array]:
         """Tangents as they come: changes of the outputs (n_rows, k) in units of the noise, and of variables (n, k)."""
+        columns, answers = self.directions()
+        return columns, answers[: self._problem.n_theta].copy()
+
+    def directions(self) -> tuple[_Array, _Array]:
+        """As `moves`, with changes of the variables (n_theta + n_samples n_x, k): then of the states at all samples."""
         problem, held = self._problem, self._held()
         n_theta, n_x = problem.n_theta, problem.n_states
         wanted = [i for i in range(n_theta) if i not in held]
@@ -198,7 +203,7 @@ class Linearised:
         columns = self._outputs(answers).T / self.scale()[:, None]
         size = np.linalg.norm(columns, axis=0)
         kept = size > 0
-        return columns[:, kept] / size[kept], answers[kept, :n_theta].T / size[kept]
+        return columns[:, kept] / size[kept], answers[kept].T / size[kept]
 
     def _conditions(self, variables: Sequence[int]) -> _Array:
         """(k, n) combinations of variables that leave the conditions on the beginnings of the records met."""

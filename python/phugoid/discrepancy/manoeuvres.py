@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..inputs.steps import PATTERNS, multistep
+from ..inputs.steps import step as step_input
+from ..inputs.sweeps import sweep
 from .phrases import number, with_unit
 
 __all__ = ["KINDS", "SLOW", "Manoeuvre", "planned"]
@@ -23,14 +25,9 @@ SLOW = ("sine sweep", "slow ramp")
 # Steps: their lengths in units, and their heights.
 _THIRD = 1.0 / 3.0
 _PATTERNS = {
-    "doublet": ((1, 1.0), (1, -1.0)),
-    "3-2-1-1": ((3, 1.0), (2, -1.0), (1, 1.0), (1, -1.0)),
+    **{kind: PATTERNS[kind] for kind in ("doublet", "3-2-1-1")},
     # Small and large in one record: of nonlinear effects of which each has its own size.
-    "row of growing doublets": (
-        *((1, _THIRD), (1, -_THIRD), (1, 0.0)),
-        *((1, 2 * _THIRD), (1, -2 * _THIRD), (1, 0.0)),
-        *((1, 1.0), (1, -1.0)),
-    ),
+    "row of growing doublets": ((1,) * 8, (_THIRD, -_THIRD, 0.0, 2 * _THIRD, -2 * _THIRD, 0.0, 1.0, -1.0)),
 }
 # Of the time that there is: trim before anything moves, and the longest unit of a pattern.
 _LEAD, _LONGEST = 0.05, 0.1
@@ -74,7 +71,6 @@ def planned(name: str, unit: str, t: _Array, size: float) -> Iterator[Manoeuvre]
     """Manoeuvres of one size, (N,) equally spaced times ``t`` (s) long."""
     n, step = t.size, float(t[1] - t[0])
     lead = max(int(_LEAD * n), 1)
-    shape = np.zeros(n)
 
     def made(kind: str, pace: str, moves: _Array, done: int) -> Manoeuvre:
         return Manoeuvre(kind, name, size, unit, pace, size * moves, min(done, n))
@@ -82,27 +78,21 @@ def planned(name: str, unit: str, t: _Array, size: float) -> Iterator[Manoeuvre]
     longest = max(int(_LONGEST * n), _FEWEST)
     shortest = min(max(_FEWEST, n // 100), longest)
     units = sorted({round(k) for k in np.geomspace(shortest, longest, _LENGTHS).tolist()})
-    for kind, pattern in _PATTERNS.items():
+    begin = float(t[lead])
+    for kind, (lengths, heights) in _PATTERNS.items():
         for samples in units:
-            moves = shape.copy()
-            ends = lead + samples * np.cumsum([0, *(length for length, _ in pattern)])
-            for (a, b), (_, height) in zip(pairwise(ends.tolist()), pattern, strict=True):
-                moves[a:b] = height
-            if ends[-1] < n:
-                yield made(kind, f" with steps of {number(samples * step)} s", moves, int(ends[-1]) + samples)
-    moves = shape.copy()
-    moves[lead:] = 1.0
-    yield made("step", "", moves, lead + longest)
+            end, width = lead + samples * sum(lengths), samples * step
+            if end < n:
+                moves = multistep(t, 1.0, lengths, width=width, heights=heights, start=begin)
+                yield made(kind, f" with steps of {number(width)} s", moves, end + samples)
+    yield made("step", "", step_input(t, 1.0, start=begin), lead + longest)
     length = (n - 1 - lead) * step
     slowest, fastest = 2.0 / length, 1.0 / (_PERIOD * step)
-    since = np.maximum(t - t[lead], 0.0)
     for part in _ENDS if fastest > 2.0 * slowest else ():
         # Each octave takes as long as the others.
         highest = slowest * (fastest / slowest) ** part
-        rate = np.log(highest / slowest) / length
-        phase = 2.0 * np.pi * slowest * np.expm1(rate * since) / rate
         pace = f" from {number(slowest)} to {number(highest)} Hz within {number(length)} s"
-        yield made("sine sweep", pace, np.sin(phase), n)
+        yield made("sine sweep", pace, sweep(t, 1.0, band=(slowest, highest), start=begin), n)
     for part in _RISES:
         rise = max(int(part * n), 1)
         since_lead = np.arange(n) - lead

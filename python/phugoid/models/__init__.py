@@ -1,4 +1,5 @@
-"""Ready models of linear systems: the modal form, for structural dynamics, and general state spaces.
+"""Ready models: linear systems (the modal form, for structural dynamics, and general state spaces), and the kinematics
+of a flight (`flight_path`), which needs nothing of what follows.
 
 What a record of inputs and outputs tells of a linear system is its transfer function; states may be transformed at will
 (x -> T x), so of the n^2 + n (m + p) numbers in A, B and C (n states, m inputs, p outputs) n^2 are arbitrary. Each form
@@ -9,7 +10,8 @@ here fixes as many of them, or says that it does not. Start values come from num
 A parameter that is fixed by a form can be told in the fit by ``fixed``; all others are estimated.
 """
 
+from .flight_path import flight_path
 from .general import state_space
 from .modal import modal
 
-__all__ = ["modal", "state_space"]
+__all__ = ["flight_path", "modal", "state_space"]

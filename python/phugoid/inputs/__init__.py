@@ -1,0 +1,35 @@
+"""Inputs for manoeuvres that tell parameters: steps, multisines and sweeps, as arrays over a time grid.
+
+Each is the distance of an input from its trim, in the unit of ``amplitude``, at the times ``t`` (N,) in s; it is 0
+before ``start``, and where the manoeuvre is over. Add the trim, and make an experiment of it:
+
+>>> import numpy as np
+>>> from phugoid import Experiment, inputs
+>>> t = np.arange(0.0, 10.0, 0.02)
+>>> run = Experiment(t, {"de": -0.02 + inputs.three_two_one_one(t, 0.05, width=0.6, start=1.0)})
+
+``phugoid.plan`` says which standard errors an experiment would give.
+(V. Klein and E. A. Morelli, Aircraft System Identification, AIAA 2006, ch. 9; R. V. Jategaonkar, Flight Vehicle System
+Identification, 2nd ed., AIAA 2015, ch. 2.)
+"""
+
+from .multisines import multisine, multisines, peak_factor
+from .rates import rate_limited
+from .spectrum import spectrum, step_width
+from .steps import doublet, multistep, pulse, step, three_two_one_one
+from .sweeps import sweep
+
+__all__ = [
+    "doublet",
+    "multisine",
+    "multisines",
+    "multistep",
+    "peak_factor",
+    "pulse",
+    "rate_limited",
+    "spectrum",
+    "step",
+    "step_width",
+    "sweep",
+    "three_two_one_one",
+]

@@ -1,0 +1,141 @@
+"""Steps up and down: pulse, doublet, 3-2-1-1 and any other row of steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import OptionError
+from .grid import grid, number, placed
+from .rates import limited
+
+__all__ = ["PATTERNS", "doublet", "multistep", "pulse", "step", "three_two_one_one"]
+
+_Array = NDArray[np.float64]
+
+# Lengths of the steps in units, and their heights.
+PATTERNS: dict[str, tuple[tuple[int, ...], tuple[float, ...]]] = {
+    "doublet": ((1, 1), (1.0, -1.0)),
+    "3-2-1-1": ((3, 2, 1, 1), (1.0, -1.0, 1.0, -1.0)),
+    # The long first step lower, so that ups and downs cancel (3 * 2/3 - 2 + 1 - 1 = 0).
+    "balanced 3-2-1-1": ((3, 2, 1, 1), (2.0 / 3.0, -1.0, 1.0, -1.0)),
+}
+
+
+def multistep(
+    t: ArrayLike,
+    amplitude: float,
+    lengths: Sequence[float],
+    *,
+    width: float,
+    heights: Sequence[float] | None = None,
+    start: float | None = None,
+    rise: float | None = None,
+) -> _Array:
+    """A row of steps, each ``lengths[i] * width`` long, of height ``heights[i] * amplitude``.
+
+    t          (N,) times, s.
+    amplitude  unit of the input; its sign is that of the first step.
+    width      of a step of length 1, s.
+    heights    1, -1, 1, ... unless given.
+    start      s; the first time unless given.
+    rise       s that the actuator takes for a change by one amplitude: the rate is limited to amplitude/rise. None: the
+               step takes one interval between samples (an experiment's inputs are linear between samples).
+
+    Returns (N,), 0 before and after. Raises OptionError where the steps do not end within the times, or where one is
+    shorter than an interval between samples.
+
+    >>> multistep(np.arange(8.0), 2.0, (3, 2, 1), width=1.0, start=1.0)
+    array([ 0.,  2.,  2.,  2., -2., -2.,  2.,  0.])
+    """
+    return _steps("multistep", t, amplitude, lengths, heights, width, start, rise)
+
+
+def doublet(
+    t: ArrayLike, amplitude: float, *, width: float, start: float | None = None, rise: float | None = None
+) -> _Array:
+    """Up and down, ``width`` (s) each. Much of its energy is about 0.37/width Hz. For the rest see `multistep`."""
+    return _steps("doublet", t, amplitude, *PATTERNS["doublet"], width, start, rise)
+
+
+def three_two_one_one(
+    t: ArrayLike,
+    amplitude: float,
+    *,
+    width: float,
+    balanced: bool = False,
+    heights: Sequence[float] | None = None,
+    start: float | None = None,
+    rise: float | None = None,
+) -> _Array:
+    """The 3-2-1-1 of DLR: steps of 3, 2, 1 and 1 ``width`` (s), up and down; broader in frequency than a doublet.
+
+    ``balanced``: the first step is lower by a third, so that ups and downs cancel and the vehicle drifts less from its
+    trim. ``heights``: four of your own, such as (1.0, -0.9, 0.8, -0.8). For the rest see `multistep`.
+    (Jategaonkar, ch. 2; Klein and Morelli, ch. 9.)
+    """
+    lengths, usual = PATTERNS["balanced 3-2-1-1" if balanced else "3-2-1-1"]
+    if heights is not None and balanced:
+        raise OptionError("three_two_one_one: balanced says what the heights are; give one of the two")
+    return _steps("three_two_one_one", t, amplitude, lengths, usual if heights is None else heights, width, start, rise)
+
+
+def pulse(
+    t: ArrayLike, amplitude: float, *, width: float, start: float | None = None, rise: float | None = None
+) -> _Array:
+    """One step of ``width`` (s), and back. For the rest see `multistep`."""
+    return _steps("pulse", t, amplitude, (1,), (1.0,), width, start, rise)
+
+
+def step(t: ArrayLike, amplitude: float, *, start: float | None = None, rise: float | None = None) -> _Array:
+    """A step at ``start`` (s) that stays. For the rest see `multistep`."""
+    times = grid("step", t)
+    begin = times[0] if start is None else number("step", "start", start)
+    placed("step", times, begin, None)
+    height = number("step", "amplitude", amplitude)
+    return _risen("step", times, np.where(times >= begin - _slack(times), height, 0.0), height, rise)
+
+
+def _steps(
+    caller: str,
+    t: ArrayLike,
+    amplitude: float,
+    lengths: Sequence[float],
+    heights: Sequence[float] | None,
+    width: float,
+    start: float | None,
+    rise: float | None,
+) -> _Array:
+    times = grid(caller, t)
+    size = number(caller, "amplitude", amplitude)
+    unit = number(caller, "width", width, positive=True)
+    parts = [number(caller, f"lengths[{i}]", v, positive=True) for i, v in enumerate(lengths)]
+    if not parts:
+        raise OptionError(f"{caller}: lengths holds the lengths of the steps, such as (3, 2, 1, 1)")
+    given = [(-1.0) ** i for i in range(len(parts))] if heights is None else list(heights)
+    if len(given) != len(parts):
+        raise OptionError(f"{caller}: {len(given)} heights for {len(parts)} steps: give one each")
+    levels = np.array([number(caller, f"heights[{i}]", v) for i, v in enumerate(given)])
+    begin = times[0] if start is None else number(caller, "start", start)
+    ends = begin + unit * np.cumsum([0.0, *parts])
+    placed(caller, times, begin, float(ends[-1]))
+    if unit * min(parts) < np.diff(times).max() * (1.0 - 1e-6):
+        raise OptionError(
+            f"{caller}: the shortest step lasts {unit * min(parts):g} s, but the samples are up to "
+            f"{np.diff(times).max():g} s apart: give longer steps, or more samples"
+        )
+    # Times such as 0.1*k carry rounding: a step begins at the sample that it means.
+    which = np.searchsorted(ends, times + _slack(times), side="right")
+    return _risen(caller, times, size * np.array([0.0, *levels, 0.0])[which], size, rise)
+
+
+def _slack(t: _Array) -> float:
+    return 1e-6 * float(np.diff(t).min())
+
+
+def _risen(caller: str, t: _Array, u: _Array, size: float, rise: float | None) -> _Array:
+    if rise is None or size == 0.0:
+        return u
+    return limited(t, u, abs(size) / number(caller, "rise", rise, positive=True))

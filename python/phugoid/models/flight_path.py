@@ -1,0 +1,233 @@
+"""Flight-path reconstruction: the kinematics of a rigid body, driven by its accelerometers and gyros."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import OptionError, listing
+from ..model import Model
+from ..parameters import Parameter
+from ..symbols import atan2, sqrt
+from .kinematics import Vector, cross, in_plane, in_space, plus, rotation
+
+__all__ = ["flight_path"]
+
+_UNITS = {
+    "V": "m/s", "alpha": "rad", "beta": "rad", "phi": "rad", "theta": "rad", "psi": "rad", "h": "m",
+    "north": "m", "east": "m", "v_north": "m/s", "v_east": "m/s", "v_down": "m/s",
+}  # fmt: skip
+_INERTIAL = {"ax": "m/s²", "ay": "m/s²", "az": "m/s²", "p": "rad/s", "q": "rad/s", "r": "rad/s"}
+_GROUND = ("north", "east", "v_north", "v_east")
+_LONGITUDINAL = ("V", "alpha", "theta", "h")
+_LONGITUDINAL_INPUTS = ("ax", "az", "q")
+_LATE = 2.0  # s; pneumatic lines of small aircraft may take a second
+
+
+def flight_path(
+    outputs: str | Sequence[str] = ("V", "alpha", "beta", "phi", "theta"),
+    *,
+    longitudinal: bool = False,
+    biases: Collection[str] | None = None,
+    scales: Collection[str] | None = None,
+    late: Collection[str] = (),
+    accelerometer: Sequence[float] | None = None,
+    alpha_vane: Sequence[float] | None = None,
+    beta_vane: Sequence[float] | None = None,
+    flank: bool = False,
+    wind: Collection[str] | None = None,
+    per_experiment: Collection[str] = (),
+    gravity: float = 9.80665,
+    name: str = "flight path",
+) -> Model:
+    """The kinematic equations alone: whatever the aerodynamics are, sensors of one flight must agree with each other.
+
+    States are V (true airspeed, m/s), alpha, beta, phi, theta, and where outputs need them psi (all rad), h (m,
+    upwards), north and east (m). Inputs are what accelerometers and gyros read: specific forces ax, ay, az (m/s², along
+    the body's axes; at rest az = -9.81) and rates p, q, r (rad/s). With F = a + gravity in body axes,
+
+        V'     = Fx cos(alpha) cos(beta) + Fy sin(beta) + Fz sin(alpha) cos(beta)
+        alpha' = q - tan(beta) (p cos(alpha) + r sin(alpha)) + (Fz cos(alpha) - Fx sin(alpha))/(V cos(beta))
+        beta'  = p sin(alpha) - r cos(alpha) + (Fy cos(beta) - (Fx cos(alpha) + Fz sin(alpha)) sin(beta))/V
+
+    and the usual equations of Euler's angles and of the position. Wind is steady: it moves the air, and so the position
+    over ground alone. (Klein and Morelli, Aircraft System Identification, 2006, ch. 10; Jategaonkar, Flight Vehicle
+    System Identification, 2015, ch. 10.)
+
+    outputs        which of these the record has: V (always), alpha, beta, phi, theta, psi, h, north, east, v_north,
+                   v_east, v_down (speeds over ground, m/s). psi must not jump at ±180 deg: see `phugoid.reconstruct`,
+                   which unwraps it, or numpy.unwrap.
+    longitudinal   V, alpha, theta (and h) only, inputs ax, az, q: wings level, no sideslip.
+    biases         channels, inputs or outputs, with a bias ``b_<channel>``: measured = true + b. Unless given, those
+                   inertial sensors whose bias the outputs tell: ax by V, ay by beta, az by alpha or h, p by phi, q by
+                   theta, r by psi; and alpha where h or v_down tells the flight path. In steady flight biases of one
+                   axis look alike (b_ay and b_r; b_ax and an error of theta): manoeuvres tell them, standard errors how
+                   well.
+    scales         channels with a scale factor ``K_<channel>``: measured = K true + b. Unless given alpha and beta,
+                   where they are outputs: vanes and probes stand in air that the fuselage deflects.
+    late           outputs that are measured late, by ``tau_<output>`` (s, 0 to 2). `estimate` needs ``start={"V":
+                   ...}`` where V is.
+    accelerometer  (x, y, z) of the accelerometers from the centre of gravity (m; forward, right, down). Then the
+                   angular accelerations are inputs too: pdot, qdot, rdot (rad/s²).
+    alpha_vane, beta_vane  (x, y, z) of the vanes from the centre of gravity (m): they see the air that rotation adds.
+    flank          the sideslip sensor reads the flank angle atan(v/u), as a vane does; else asin(v/V).
+    wind           of "north", "east", "up" the components ``wind_<which>`` (m/s, where the air goes to) that are
+                   estimated, each experiment its own. Unless given north and east, where an output is over ground.
+    per_experiment biases that each experiment has its own of, by channel.
+    gravity        m/s².
+
+    Noise of the inertial sensors is taken as none: it goes into the states, as process noise would, and colours
+    residuals. Raises OptionError for channels that are not there, or options that do not go together.
+
+    >>> print(flight_path("V alpha theta", longitudinal=True, scales=()))
+    flight path
+      q_true = q - b_q
+      ax_true = ax - b_ax
+      az_true = az - b_az
+      Fx = ax_true - 9.80665*sin(theta)
+      Fz = az_true + 9.80665*cos(theta)
+      V' = Fx*cos(alpha) + Fz*sin(alpha)
+      alpha' = q_true + (Fz*cos(alpha) - Fx*sin(alpha))/V
+      theta' = q_true
+      V (measured) = V
+      alpha (measured) = alpha
+      theta (measured) = theta
+    """
+    measured = _names("outputs", outputs)
+    allowed = _LONGITUDINAL if longitudinal else tuple(_UNITS)
+    for n in measured:
+        if n not in allowed:
+            raise OptionError(f"flight_path: '{n}' is no output of it.{listing(n, allowed)}")
+    if "V" not in measured:
+        raise OptionError("flight_path: V, the true airspeed, must be among the outputs: without it nothing is told")
+    if longitudinal and (flank or beta_vane is not None or wind):
+        raise OptionError("flight_path: flank, beta_vane and wind are for the motion in six degrees of freedom")
+    inertial = _LONGITUDINAL_INPUTS if longitudinal else tuple(_INERTIAL)
+    known = {*inertial, *measured}
+    biased = _chosen("biases", biases, _told(measured, inertial), known)
+    scaled = _chosen("scales", scales, {"alpha", "beta"}.intersection(measured), known)
+    own = _chosen("per_experiment", per_experiment, set(), biased)
+    lagging = _chosen("late", late, set(), set(measured))
+    ground = [n for n in measured if n in _GROUND]
+    blowing = _winds(wind, bool(ground), measured)
+
+    m = Model(name)
+    needed = ["V", "alpha", *([] if longitudinal else ["beta", "phi"]), "theta"]
+    needed += ["psi"] if "psi" in measured or ground else []
+    needed += [n for n in ("h", "north", "east") if n in measured]
+    s = dict(zip(needed, m.states(**{n: _UNITS[n] for n in needed}), strict=True))
+    u = dict(zip(inertial, m.inputs(**{n: _INERTIAL[n] for n in inertial}), strict=True))
+    arm = _arm("accelerometer", accelerometer)
+    turning: Vector = (0.0, 0.0, 0.0)
+    if arm is not None:
+        names = ("qdot",) if longitudinal else ("pdot", "qdot", "rdot")
+        found = m.inputs(**dict.fromkeys(names, "rad/s²"))
+        turning = (0.0, found[0], 0.0) if longitudinal else (found[0], found[1], found[2])
+
+    def unit(channel: str) -> str:
+        return _INERTIAL[channel] if channel in _INERTIAL else _UNITS[channel]
+
+    # By channel, since the letters q and p are inputs, and alpha may be both state and output.
+    b = {
+        c: m.parameters(**{f"b_{c}": Parameter(unit=unit(c), per_experiment=c in own)})[0]
+        for c in (*inertial, *measured)
+        if c in biased
+    }
+    K = {
+        c: m.parameters(**{f"K_{c}": Parameter(1.0, bounds=(0.2, 5.0))})[0]
+        for c in (*inertial, *measured)
+        if c in scaled
+    }
+    air = {c: m.parameters(**{f"wind_{c}": Parameter(unit="m/s", per_experiment=True)})[0] for c in blowing}
+
+    def read(channel: str, true: Any) -> Any:
+        """What a sensor reads."""
+        value = K[channel] * true if channel in K else true
+        return value + b[channel] if channel in b else value
+
+    def true(channel: str) -> Any:
+        """What it means."""
+        value = u[channel] - b[channel] if channel in b else u[channel]
+        return value / K[channel] if channel in K else value
+
+    rates = {f"{c}_true": true(c) for c in inertial if c in "pqr"}
+    turn = dict(zip(rates, m.quantities(**rates), strict=True))
+    p, q, r = (turn.get(f"{c}_true", 0.0) for c in "pqr")
+    turning_rates: Vector = (p, q, r)
+    forces = dict(zip(("ax", "ay", "az"), (true(c) if c in u else 0.0 for c in ("ax", "ay", "az")), strict=True))
+    if arm is not None:
+        added = rotation(arm, turning_rates, turning)
+        forces = {c: forces[c] - more for c, more in zip(forces, added, strict=True)}
+    at_cg = {f"{c}_true": forces[c] for c in ("ax", "ay", "az") if c in inertial}
+    a = dict(zip(at_cg, m.quantities(**at_cg), strict=True))
+    body = in_plane(m, s, a, q, gravity) if longitudinal else in_space(m, s, a, turning_rates, gravity, air)
+    seen = dict(s)
+    for channel, position in (("alpha", _arm("alpha_vane", alpha_vane)), ("beta", _arm("beta_vane", beta_vane))):
+        if position is None and not (channel == "beta" and flank):
+            continue
+        x, y, z = position or (0.0, 0.0, 0.0)
+        uv, vv, wv = (plus(v, more) for v, more in zip(body, cross(turning_rates, (x, y, z)), strict=True))
+        if channel == "alpha":
+            seen["alpha"] = atan2(wv, uv)
+        else:
+            seen["beta"] = atan2(vv, uv if flank else sqrt(uv**2 + wv**2))
+    m.outputs(**{n: (read(n, seen[n]), _UNITS[n]) for n in measured})
+    for n in measured:
+        if n in lagging:
+            (tau,) = m.parameters(**{f"tau_{n}": Parameter(0.05, bounds=(0.0, _LATE), unit="s")})
+            m.sensor_delay(**{n: tau})
+    return m
+
+
+def _names(what: str, given: str | Collection[str]) -> list[str]:
+    names = given.replace(",", " ").split() if isinstance(given, str) else list(given)
+    if not all(isinstance(n, str) for n in names) or len(set(names)) < len(names):
+        raise OptionError(f"flight_path: {what} holds names of channels, each once, not {given!r}")
+    return names
+
+
+def _chosen(what: str, given: Collection[str] | None, usual: set[str], known: set[str]) -> set[str]:
+    if given is None:
+        return usual
+    names = _names(what, given)
+    for n in names:
+        if n not in known:
+            raise OptionError(f"flight_path: {what}: there is no such channel '{n}'.{listing(n, sorted(known))}")
+    return set(names)
+
+
+def _told(measured: Collection[str], inertial: Collection[str]) -> set[str]:
+    """Channels whose bias the others tell."""
+    path = {"h", "v_down"}.intersection(measured)
+    tells = {
+        "ax": {"V"}, "ay": {"beta"}, "az": {"alpha", *path}, "p": {"phi"}, "q": {"theta"}, "r": {"psi"},
+    }  # fmt: skip
+    found = {c for c in inertial if tells[c].intersection(measured)}
+    return found | ({"alpha"} if path and "alpha" in measured else set())
+
+
+def _winds(wind: Collection[str] | None, ground: bool, measured: Collection[str]) -> list[str]:
+    if wind is None:
+        return ["north", "east"] if ground else []
+    names = _names("wind", wind)
+    for n in names:
+        if n not in ("north", "east", "up"):
+            raise OptionError(f"flight_path: wind is of north, east, up, not '{n}'")
+    vertical = {"h", "v_down"}.intersection(measured)
+    if ({"north", "east"}.intersection(names) and not ground) or ("up" in names and not vertical):
+        raise OptionError("flight_path: wind shows only in outputs over ground: position, speed over ground, or height")
+    return names
+
+
+def _arm(what: str, given: Sequence[float] | None) -> tuple[float, float, float] | None:
+    if given is None:
+        return None
+    try:
+        x, y, z = (float(v) for v in given)
+    except (TypeError, ValueError):
+        raise OptionError(f"flight_path: {what} is its position (x, y, z) in m, not {given!r}") from None
+    if not np.isfinite([x, y, z]).all():
+        raise OptionError(f"flight_path: {what} is its position (x, y, z) in m, not {given!r}")
+    return x, y, z

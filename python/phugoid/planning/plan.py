@@ -1,0 +1,238 @@
+"""What planned manoeuvres would tell (`Plan`), and several side by side (`Plans`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import OptionError, UnknownName, did_you_mean
+from ..parameters import Estimates, text_table
+from ..records import Record
+from .information import Information, WeakDirection
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Criterion", "Excursion", "Plan", "Plans", "criterion_of"]
+
+_Array = NDArray[np.float64]
+Criterion: TypeAlias = Literal["D", "A", "worst"]
+
+# Correlations from here on are worth naming.
+_CORRELATED = 0.9
+
+
+@dataclass(frozen=True)
+class Excursion:
+    """How far a channel goes.
+
+    least, greatest  over the record, in ``unit``.
+    limit            (lower, upper) that was given, or None; ``when``: the first time beyond it, s, or None.
+    """
+
+    least: float
+    greatest: float
+    unit: str = ""
+    limit: tuple[float, float] | None = None
+    when: float | None = None
+
+    @property
+    def within(self) -> bool:
+        """Whether the limits are kept."""
+        return self.when is None
+
+    @property
+    def excess(self) -> float:
+        """How far beyond its limits, over half the distance between them (or the size of the only one); 0 within."""
+        if self.limit is None or self.within:
+            return 0.0
+        low, high = self.limit
+        room = 0.5 * (high - low) if np.isfinite(high - low) else max(abs(b) for b in self.limit if np.isfinite(b))
+        return max(low - self.least, self.greatest - high) / (room or 1.0)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan:
+    """What a planned manoeuvre would tell. All errors are Cramér-Rao bounds for white noise, first states free.
+
+    name         of the manoeuvre.
+    parameters   by name: the values that were assumed, and the standard error that an estimation would have. Infinite
+                 for a parameter that is not told, alone or in a combination; NaN for one that is fixed.
+    information  `Information` on the parameters that are estimated: matrix, covariance, correlation.
+    excursions   manoeuvre -> channel (inputs, states, outputs) -> `Excursion`.
+    records      what the model predicts, one for each record that is flown.
+    sizes        (n,) in which criteria measure errors: the sizes of the values, unless given. NaN where neither is
+                 there.
+    criteria     "D": geometric mean of relative errors along the axes of the confidence ellipsoid; "A": root of the
+                 mean of their squares; "worst": the greatest relative error of a parameter. Small is good, infinite is
+                 not told.
+    choice       what `optimal_plan` chose.
+    """
+
+    name: str
+    parameters: Estimates
+    information: Information
+    excursions: Mapping[str, Mapping[str, Excursion]]
+    records: Sequence[Record]
+    sizes: _Array
+    criteria: Mapping[Criterion, float]
+    sigmas: Mapping[str, float]
+    choice: Mapping[str, float] = field(default_factory=dict)
+    added: str = ""
+
+    @property
+    def weak(self) -> tuple[WeakDirection, ...]:
+        """The three combinations of parameters that are told least, worst first."""
+        return self.information.weak(np.where(np.isfinite(self.sizes), self.sizes, 1.0))
+
+    @property
+    def correlated(self) -> list[tuple[str, str, float]]:
+        """Pairs whose estimates would be correlated by 0.9 or more, worst first."""
+        found, names = self.information.correlation, list(self.information.names)
+        pairs = [(names[i], names[j], float(found[i, j])) for i in range(len(names)) for j in range(i)]
+        return sorted([p for p in pairs if abs(p[2]) >= _CORRELATED], key=lambda p: -abs(p[2]))
+
+    @property
+    def within_limits(self) -> bool:
+        """Whether every channel keeps its limits."""
+        return all(e.within for channels in self.excursions.values() for e in channels.values())
+
+    @property
+    def violations(self) -> tuple[str, ...]:
+        """What leaves its limits, in words."""
+        return tuple(
+            f"{channel} of '{run}' leaves {e.limit[0]:g} to {e.limit[1]:g} {e.unit}".rstrip()
+            + f" at {e.when:.3g} s: it goes from {e.least:.4g} to {e.greatest:.4g}"
+            for run, channels in self.excursions.items()
+            for channel, e in channels.items()
+            if e.limit is not None and e.when is not None
+        )
+
+    def summary(self) -> str:
+        """Tables of errors, weak directions, and how far the vehicle goes."""
+        rows = []
+        for e in self.parameters.values():
+            percent = 100.0 * e.relative_std_error
+            error = "not told" if np.isinf(e.std_error) else f"{e.std_error:.3g}" if e.std_error >= 0.0 else ""
+            rows.append([e.name, f"{e.value:.6g}", error, f"{percent:.3g}" if np.isfinite(percent) else "", e.unit])
+        rows = [[*row, e.remark] for row, e in zip(rows, self.parameters.values(), strict=True)]
+        title = f"Planned: {self.name}" + (f", {self.added}" if self.added else "")
+        length = ", ".join(f"{r.t[-1] - r.t[0]:g} s, {r.t.size} samples" for r in self.records)
+        text = [f"{title} ({length})"]
+        text += ["", text_table(["parameter", "assumed", "std error", "in %", "unit", "remark"], rows, "lrrrll")]
+        text += ["", "told least (unit vectors, parameters in units of their sizes):"]
+        text += [f"  {direction}" for direction in self.weak]
+        pairs = ", ".join(f"{a} and {b} {r:+.3f}" for a, b, r in self.correlated[:6])
+        text += [f"correlated: {pairs}"] if pairs else []
+        many = len(self.excursions) > 1
+        ranges = [
+            [f"{channel} [{run}]" if many else channel, f"{e.least:.4g}", f"{e.greatest:.4g}", e.unit, _limit(e)]
+            for run, channels in self.excursions.items()
+            for channel, e in channels.items()
+        ]
+        text += ["", text_table(["channel", "least", "greatest", "unit", "limit"], ranges, "lrrll")]
+        return "\n".join([*text, *(f"Limit: {v}" for v in self.violations)])
+
+    def plot(self) -> tuple[Figure, dict[str, Axes]]:
+        """Inputs and predicted outputs over time with their limits, and the predicted errors."""
+        return Plans({self.name: self}).plot()
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        worst = self.criteria["worst"]
+        told = "does not tell all parameters" if np.isinf(worst) else f"worst error {100 * worst:.3g} %"
+        return f"<Plan '{self.name}': {told}{'' if self.within_limits else ', leaves its limits'}>"
+
+
+def _limit(e: Excursion) -> str:
+    if e.limit is None:
+        return ""
+    return f"{e.limit[0]:g} to {e.limit[1]:g}" + ("" if e.within else f", left at {e.when:.3g} s")
+
+
+class Plans(Mapping[str, Plan]):
+    """Plans by name, in the order given; printed, a table of relative errors side by side."""
+
+    def __init__(self, plans: Mapping[str, Plan]) -> None:
+        self._plans = dict(plans)
+
+    def __getitem__(self, name: str) -> Plan:
+        try:
+            return self._plans[name]
+        except KeyError:
+            raise UnknownName(f"there is no plan '{name}'.{did_you_mean(str(name), self._plans)}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._plans)
+
+    def __len__(self) -> int:
+        return len(self._plans)
+
+    def best(self, criterion: Criterion = "D") -> Plan:
+        """The plan with the least ``criterion`` (see `Plan.criteria`) among those that keep their limits.
+
+        Raises OptionError where none does.
+        """
+        kind = criterion_of("best", criterion)
+        kept = [p for p in self._plans.values() if p.within_limits]
+        if not kept:
+            raise OptionError("best: no manoeuvre keeps its limits; .summary() says what leaves them, and by how much")
+        return min(kept, key=lambda p: p.criteria[kind])
+
+    def summary(self) -> str:
+        """Relative standard errors in % side by side, criteria, and which limits are left."""
+        plans = list(self._plans.values())
+        names = list(dict.fromkeys(n for p in plans for n in p.parameters))
+        rows = [[n, *(_percent(p, n) for p in plans)] for n in names]
+        for kind in get_args(Criterion):
+            label = {"D": "D (mean axis)", "A": "A (rms)", "worst": "worst"}[kind]
+            rows.append([label, *(_number(100.0 * p.criteria[kind]) for p in plans)])
+        rows.append(["limits kept", *("yes" if p.within_limits else "no" for p in plans)])
+        header = ["std error in %", *(p.name for p in plans)]
+        text = text_table(header, rows, "l" + "r" * len(plans))
+        if any("*" in cell for row in rows for cell in row[1:]):
+            text += "\n* of a parameter that is 0 and has no size: in its unit"
+        return "\n".join([text, *(f"{p.name}: {v}" for p in plans for v in p.violations)])
+
+    def plot(self) -> tuple[Figure, dict[str, Axes]]:
+        """Inputs and predicted outputs of all over time with their limits, and the predicted errors side by side."""
+        from .figure import plot_plans
+
+        return plot_plans(list(self._plans.values()))
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        return f"Plans({', '.join(map(repr, self._plans.values()))})"
+
+
+def relative_errors(plan: Plan) -> dict[str, float]:
+    """Standard errors of the estimated parameters in units of their sizes; NaN where there is no size."""
+    return dict(zip(plan.information.names, (plan.information.std_errors / plan.sizes).tolist(), strict=True))
+
+
+def _percent(plan: Plan, name: str) -> str:
+    error = plan.parameters[name].std_error if name in plan.parameters else np.nan
+    relative = relative_errors(plan).get(name, np.nan)
+    if np.isnan(relative) and np.isfinite(error):
+        return f"{error:.3g}*"
+    return _number(100.0 * relative)
+
+
+def _number(value: float) -> str:
+    return "not told" if np.isinf(value) else "" if np.isnan(value) else f"{value:.3g}"
+
+
+def criterion_of(caller: str, criterion: Any) -> Criterion:
+    if criterion not in get_args(Criterion):
+        raise OptionError(f"{caller}: criterion is one of {', '.join(get_args(Criterion))}, not {criterion!r}")
+    found: Criterion = criterion
+    return found

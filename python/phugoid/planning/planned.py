@@ -1,0 +1,235 @@
+"""From a model and planned inputs to what they would tell."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DataError, ModelError, OptionError, listing
+from ..experiment import Experiment, as_experiments
+from ..model import Model
+from ..parameters import Estimate, Estimates
+from ..records import Record
+from ..result import Fit
+from ..transcription import Collocation
+from .assumed import first_states, own_values, sigmas_of, source_of, value_of, values_of
+from .information import Information
+from .plan import Criterion, Excursion, Plan, Plans
+from .tangents import predicted, sensitivities
+
+__all__ = ["plan", "plans"]
+
+_Array = NDArray[np.float64]
+Limits = Mapping[str, float | tuple[float, float]]
+
+
+def plan(
+    source: Model | Fit,
+    manoeuvre: Experiment | Sequence[Experiment],
+    *,
+    values: Mapping[str, Any] | None = None,
+    noise: Mapping[str, float] | None = None,
+    initial: Mapping[str, float] | None = None,
+    limits: Limits | None = None,
+    after: Fit | None = None,
+    of: Collection[str] | None = None,
+    sizes: Mapping[str, float] | None = None,
+    transcription: Collocation | None = None,
+    name: str | None = None,
+) -> Plan:
+    """The standard errors that parameters would have after a manoeuvre that was not flown yet.
+
+    They are the Cramér-Rao bounds at the assumed values: of the information of the samples, with the first states of
+    each record free (see `tangents`). For a manoeuvre that is flown, and a model that is right, `estimate` gives the
+    same.
+
+    source     a model, with its ``values``; or a fit, whose values and noise are taken where not given.
+    manoeuvre  inputs over the times of the samples, ``Experiment(t, inputs={...})``, see `phugoid.inputs`; a list is
+               flown one after the other. Where it has a channel of an output, that output is missing where the channel
+               is NaN: so sensors of lower rates are said.
+    values     of parameters, by name; of those not named the model's starts, or the fit's.
+    noise      output -> standard deviation, in its unit. Flight records have coloured residuals: take three to five
+               times what the sensor's noise is, or expect errors so much larger than planned.
+    initial    states at the beginning; else the fit's for its first record, else 0 (as `simulate`).
+    limits     channel (input, state or output) -> greatest size, or (lower, upper): what the vehicle may do.
+    after      a fit of records that are there already: its information is added. Parameters that each experiment has
+               its own of do not take part.
+    of         the parameters that the criteria are about; all that are estimated unless given. The others are estimated
+               too.
+    sizes      parameter -> typical size, in which its error counts; the size of its value unless given.
+
+    Parameters that are fixed, and those at a bound, are taken as known; priors of the model count.
+    Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model cannot be
+    flown so.
+
+    >>> m = Model("roll")
+    >>> p, = m.states(p="rad/s")
+    >>> da, = m.inputs(da="rad")
+    >>> Lp, Lda = m.parameters(Lp=-2.0, Lda=10.0)
+    >>> m.dynamics(p=Lp*p + Lda*da)
+    >>> m.outputs(p=(p, "rad/s"))
+    >>> t = np.arange(0.0, 6.0, 0.05)
+    >>> from phugoid import inputs
+    >>> run = Experiment(t, {"da": inputs.doublet(t, 0.05, width=1.0, start=1.0)}, name="doublet")
+    >>> planned = plan(m, run, noise={"p": 0.01}, limits={"p": 0.3})
+    >>> planned.parameters["Lp"]
+    Lp = -2.00 ± 0.04
+    >>> planned.within_limits
+    True
+    """
+    runs = as_experiments(manoeuvre, "plan")
+    model, fit = source_of(source)
+    given = values_of(model, fit, runs, values)
+    sigmas = sigmas_of(model, fit, noise)
+    first = first_states(model, fit, initial)
+    if transcription is not None and not isinstance(transcription, Collocation):
+        raise OptionError(f"plan: transcription is a Collocation, not {transcription!r}")
+    mesh = transcription or Collocation()
+    flown = [predicted(model, run, own_values(model, given, run), first, sigmas, mesh) for run in runs]
+    records, fits = [r for r, _ in flown], [f for _, f in flown]
+    names, matrix = _together(model, fits)
+    added = ""
+    if after is not None:
+        matrix = matrix + _flown(model, names, after)
+        added = "after " + ", ".join(f"'{r.name}'" for r in after.records)
+    matrix = matrix + _priors(model, names, () if after is None else after.parameters)
+    information = Information(names, matrix)
+    # What is at a bound or fixed in each record is known.
+    first_fit = fits[0].parameters
+    errors = dict(zip(names, information.std_errors.tolist(), strict=True))
+    known = {n: p for n, p in model.declared_parameters.items() if n not in {x.partition("[")[0] for x in names}}
+    estimates = Estimates(
+        [
+            *(_estimate(model, n, value_of(given, n), errors[n]) for n in names),
+            *(
+                Estimate(n, value_of(given, n), unit=p.unit, fixed=p.fixed, bounds_active=first_fit[n].bounds_active)
+                for n, p in known.items()
+            ),
+        ]
+    )
+    measure = _sizes(estimates, names, sizes)
+    return Plan(
+        name=name or " + ".join(run.name for run in runs),
+        parameters=estimates,
+        information=information,
+        excursions={r.name: _excursions(r, limits or {}) for r in records},
+        records=records,
+        sizes=measure,
+        criteria=_criteria(information, measure, of),
+        sigmas=sigmas,
+        added=added,
+    )
+
+
+def plans(source: Model | Fit, manoeuvres: Mapping[str, Experiment | Sequence[Experiment]], **options: Any) -> Plans:
+    """`plan` for several manoeuvres, by name, side by side; with the same options."""
+    if not isinstance(manoeuvres, Mapping) or not manoeuvres:
+        raise DataError(f"plans: give the manoeuvres by name, as in {{'doublet': run1}}, not {manoeuvres!r}")
+    return Plans({str(n): plan(source, m, name=str(n), **options) for n, m in manoeuvres.items()})
+
+
+def _together(model: Model, fits: Sequence[Fit]) -> tuple[list[str], _Array]:
+    """Names and information of all records: each has its own of some parameters."""
+    local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
+    parts = []
+    for fit in fits:
+        names, J = sensitivities(fit)
+        run = fit.records[0].name
+        several = len(fits) > 1
+        parts.append(([f"{n}[{run}]" if several and n in local else n for n in names], J.T @ J))
+    names = list(dict.fromkeys(n for found, _ in parts for n in found))
+    matrix = np.zeros((len(names), len(names)))
+    for found, own in parts:
+        at = [names.index(n) for n in found]
+        matrix[np.ix_(at, at)] += own
+    return names, matrix
+
+
+def _flown(model: Model, names: Sequence[str], after: Any) -> _Array:
+    """Information of a fit about parameters, whatever else it estimated."""
+    if not isinstance(after, Fit):
+        raise OptionError(f"plan: after is a fit of records that are there, not a {type(after).__name__}")
+    theirs = list(after.parameters)
+    cov = after.covariance
+    # Of what each experiment has its own, those of other experiments say nothing.
+    local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
+    shared = [n for n in names if n in theirs and n not in local and np.isfinite(cov[theirs.index(n), theirs.index(n)])]
+    shared = [n for n in shared if cov[theirs.index(n), theirs.index(n)] > 0.0]
+    if not shared:
+        raise OptionError("plan: after: the fit shares no parameter that has a standard error with this model")
+    at = [theirs.index(n) for n in shared]
+    block = cov[np.ix_(at, at)]
+    scale = np.sqrt(np.diag(block))
+    matrix = np.zeros((len(names), len(names)))
+    own = [names.index(n) for n in shared]
+    matrix[np.ix_(own, own)] = np.linalg.pinv(block / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    return matrix
+
+
+def _priors(model: Model, names: Sequence[str], counted: Collection[str]) -> _Array:
+    """Information of Gaussian priors, but those that a fit has counted."""
+    declared = model.declared_parameters
+    each = [declared[n.partition("[")[0]].prior if n not in counted else None for n in names]
+    return np.diag([0.0 if prior is None else prior[1] ** -2 for prior in each])
+
+
+def _estimate(model: Model, name: str, value: float, error: float) -> Estimate:
+    p = model.declared_parameters[name.partition("[")[0]]
+    return Estimate(name, value, error, p.unit, p.start, p.bounds)
+
+
+def _sizes(estimates: Estimates, names: Sequence[str], sizes: Mapping[str, float] | None) -> _Array:
+    for n, s in (sizes or {}).items():
+        if n not in estimates:
+            raise ModelError(f"plan: sizes: '{n}' is no parameter.{listing(str(n), list(estimates))}")
+        if not 0.0 < s < np.inf:
+            raise OptionError(f"plan: the size of '{n}' is a positive number, not {s!r}")
+    found = np.array([(sizes or {}).get(n, abs(estimates[n].value)) for n in names])
+    return np.where(found > 0.0, found, np.nan)
+
+
+def _criteria(information: Information, sizes: _Array, of: Collection[str] | None) -> dict[Criterion, float]:
+    names = list(information.names)
+    for n in of or ():
+        if n not in names:
+            raise ModelError(f"plan: of: '{n}' is no parameter that is estimated.{listing(n, names)}")
+    chosen = [i for i, n in enumerate(names) if (of is None or n in of) and np.isfinite(sizes[i])]
+    if not chosen:
+        raise OptionError("plan: no parameter has a size in which its error counts: give sizes={'name': ...}")
+    block = information.covariance[np.ix_(chosen, chosen)] / np.outer(sizes[chosen], sizes[chosen])
+    if not np.isfinite(block).all():
+        return {"D": np.inf, "A": np.inf, "worst": np.inf}
+    variance = np.diag(block)
+    scale = np.sqrt(variance)
+    _, log_det = np.linalg.slogdet(block / np.outer(scale, scale))
+    log_det += 2.0 * np.log(scale).sum()
+    return {
+        "D": float(np.exp(0.5 * log_det / len(chosen))),
+        "A": float(np.sqrt(variance.mean())),
+        "worst": float(scale.max()),
+    }
+
+
+def _excursions(record: Record, limits: Limits) -> dict[str, Excursion]:
+    channels = {**record.inputs, **record.states, **record.outputs}
+    for n in limits:
+        if n not in channels:
+            raise ModelError(f"plan: limits: '{n}' is no input, state or output.{listing(str(n), list(channels))}")
+    found = {}
+    for n, v in channels.items():
+        bound = limits.get(n)
+        limit: tuple[float, float] | None = None
+        if bound is not None:
+            low, high = (-bound, bound) if isinstance(bound, (int, float)) else bound
+            if not low < high:
+                raise OptionError(f"plan: limits of '{n}' are a size, or (lower, upper), not {bound!r}")
+            limit = float(low), float(high)
+        # A limit that is an amplitude is reached, not left.
+        slack = 1e-9 * max((abs(b) for b in limit or () if np.isfinite(b)), default=0.0)
+        beyond = np.zeros(v.size, dtype=bool) if limit is None else (v < limit[0] - slack) | (v > limit[1] + slack)
+        when = float(record.t[np.argmax(beyond)]) if beyond.any() else None
+        found[n] = Excursion(float(v.min()), float(v.max()), record.units.get(n, ""), limit, when)
+    return found

@@ -1,0 +1,1 @@
+"""Flight-path reconstruction: sensors made to agree with kinematics, and the record that follows."""

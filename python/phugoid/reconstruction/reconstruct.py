@@ -1,0 +1,184 @@
+"""From a record of all sensors to their biases and scale factors, and to a record without them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..differentiate import SmoothingSpline
+from ..errors import ModelError, OptionError
+from ..estimate import estimate
+from ..experiment import Experiment, as_experiments
+from ..model import Model
+from ..models.flight_path import flight_path
+from ..parameters import plus_minus, text_table
+from ..result import Fit
+from .coloured import coloured_errors
+from .corrected import corrected
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Reconstruction", "reconstruct"]
+
+_TURNING = {"pdot": "p", "qdot": "q", "rdot": "r"}
+# Samples that differ by more than half a turn have jumped.
+_JUMP = np.pi
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Reconstruction:
+    """Sensors that agree with each other.
+
+    fit        of the model of the flight path: biases, scale factors, delays; states are the path.
+    runs       the records that it was fitted to.
+    corrected  the same records, corrected: specific forces at the centre of gravity and rates without bias, and V,
+               alpha, beta, phi, theta, ... as reconstructed; all other channels as they were. Each is one step's data
+               for the next: the forces and moments are functions of these.
+    """
+
+    fit: Fit
+    runs: tuple[Experiment, ...]
+
+    @cached_property
+    def corrected(self) -> tuple[Experiment, ...]:
+        """See the class."""
+        return tuple(corrected(self.fit, r, run) for r, run in zip(self.fit.records, self.runs, strict=True))
+
+    @cached_property
+    def coloured_errors(self) -> Mapping[str, float]:
+        """Standard errors that allow for the autocorrelation of the residuals, by parameter. Noise of the gyros and
+        accelerometers is integrated, and so residuals are never white: the standard errors of the fit are too small.
+        Where residuals drift over the whole record, these are so too."""
+        return coloured_errors(self.fit)
+
+    def summary(self) -> str:
+        """Sensor errors with both standard errors, and how well the path matches each output."""
+        rows = []
+        noise = self.fit.noise_parameters
+        for n, e in self.fit.parameters.items():
+            if n in noise:
+                continue
+            coloured = self.coloured_errors.get(n, np.nan)
+            text, _, white = plus_minus(e.value, coloured if np.isfinite(coloured) else e.std_error).partition(" ± ")
+            rows.append([n, text, f"{e.std_error:.2g}", white if np.isfinite(coloured) else "", e.unit, e.remark])
+        header = ["sensor error", "estimate", "std error, white noise", "coloured", "unit", "remark"]
+        status = self.fit.status if self.fit.converged else f"{self.fit.status}, {self.fit.message}"
+        lines = [f"Flight path of {', '.join(repr(r.name) for r in self.runs)}: {status}"]
+        lines += ["", text_table(header, rows, "lrrrll")]
+        units, match = self.fit.model.units, []
+        for r in self.fit.records:
+            for n, v in r.residuals.items():
+                size = float(np.sqrt(np.nanmean(v**2)))
+                match.append([n, f"{size:.3g}", units.get(n, ""), f"{_lag_one(v):.2f}", r.name])
+        titles = ["output", "RMS residual", "unit", "autocorrelation at lag 1", "record"]
+        lines += ["", text_table(titles, match, "lrlrl"), *(f"Warning: {w}" for w in self.fit.warnings)]
+        return "\n".join(lines)
+
+    def plot(self, record: int | str = 0) -> tuple[Figure, dict[str, Axes]]:
+        """Measured outputs and the reconstructed path."""
+        return self.fit.plot(record)
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        return f"<Reconstruction of {', '.join(repr(r.name) for r in self.runs)}: {self.fit.status}>"
+
+
+def reconstruct(
+    data: Experiment | Sequence[Experiment],
+    model: Model | str | Sequence[str] | None = None,
+    *,
+    start: Mapping[str, Any] | None = None,
+    noise: Any = None,
+    **options: Any,
+) -> Reconstruction:
+    """Finds biases, scale factors and delays of the sensors from the kinematic equations alone, and corrects the
+    record.
+
+    Needs no model of the aerodynamics, and so should come before one: an angle of attack that is late or scaled wrongly
+    shows here, and not as a derivative.
+
+    data     with the channels of `models.flight_path`: ax, ay, az (m/s²), p, q, r (rad/s), and outputs such as V (m/s),
+             alpha, beta, phi, theta, psi (rad), h (m). Several records share scale factors, delays and biases, but
+             those in the option ``per_experiment``.
+    model    a model of the flight path; or the names of its outputs, which is then made with ``options``, those of
+             `models.flight_path`. None takes the outputs that all records have.
+    start    values of parameters by name, as for `estimate`; None needs none.
+    noise    as for `estimate`.
+
+    psi is unwrapped where it jumps by a whole turn. With the accelerometers off the centre of gravity, angular
+    accelerations that are not in the record are those of smoothing splines through p, q and r.
+
+    Raises DataError, ModelError or OptionError for what cannot be right.
+    """
+    runs = as_experiments(data, "reconstruct")
+    if isinstance(model, Model):
+        if options:
+            raise OptionError(f"reconstruct: {', '.join(options)}: options make a model, but one was given")
+        made = model
+    else:
+        names = model if model is not None else _outputs(runs, bool(options.get("longitudinal")))
+        made = flight_path(names, **options)
+    if "V" not in made.state_names or "q_true" not in dict.fromkeys(n for n, *_ in made._core.quantities):
+        raise ModelError(f"reconstruct: '{made.name}' is no model of a flight path: make one with models.flight_path")
+    ready = [_turning(_unwrapped(run, made), made) for run in runs]
+    begin = dict(start or {})
+    if "V" in made.delays.outputs:
+        # What is late measures no state, and states that none measures start at 0: there is no angle of attack at rest.
+        begin.setdefault("V", float(np.nanmedian(np.concatenate([run.output("V") for run in ready]))))
+    fit = estimate(made, ready, start=begin, noise=noise)
+    return Reconstruction(fit, tuple(ready))
+
+
+def _outputs(runs: Sequence[Experiment], longitudinal: bool) -> list[str]:
+    usual = ("V", "alpha", "theta", "h") if longitudinal else ("V", "alpha", "beta", "phi", "theta", "psi", "h")
+    return [n for n in usual if all(n in {*r.outputs, *r.channels} for r in runs)]
+
+
+def _unwrapped(run: Experiment, model: Model) -> Experiment:
+    for n in ("psi", "phi"):
+        if n not in model.output_names:
+            continue
+        values = run.output(n)
+        there = np.isfinite(values)
+        if there.any() and np.abs(np.diff(values[there])).max(initial=0.0) > _JUMP:
+            whole = values.copy()
+            whole[there] = np.unwrap(values[there])
+            run = _with(run, {n: whole}, f"{n} unwrapped")
+    return run
+
+
+def _turning(run: Experiment, model: Model) -> Experiment:
+    """Angular accelerations, where the model needs them and the record has none."""
+    lacking = [n for n in _TURNING if n in model.input_names and n not in {*run.inputs, *run.channels}]
+    if not lacking:
+        return run
+    slopes = {n: SmoothingSpline().smooth(run.t, run.input(_TURNING[n]))[1] for n in lacking}
+    return _with(run, slopes, f"{', '.join(lacking)} from smoothing splines")
+
+
+def _with(run: Experiment, channels: Mapping[str, Any], step: str) -> Experiment:
+    """The record with more channels, or others in their place."""
+    outputs = {n: v for n, v in run.outputs.items() if n not in channels}
+    other = Experiment(
+        run.t,
+        run.inputs,
+        outputs,
+        run.name,
+        run.interpolation,
+        channels={**run.channels, **channels},
+        units=run.units,
+    )
+    return other._sampled(run._signals, run.mesh_times)._after(run, step)
+
+
+def _lag_one(residuals: Any) -> float:
+    e = residuals[np.isfinite(residuals)]
+    return float(e[1:] @ e[:-1] / (e @ e)) if e.size > 1 and e.any() else np.nan

@@ -1,0 +1,188 @@
+"""Bands about the outputs of a fit: how far the model may be off, and where another measurement may lie."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import NormalDist
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..discrepancy.linearised import Linearised, collocated
+from ..errors import DataError, OptionError, UnknownName, did_you_mean
+from ..experiment import Experiment
+from ..filter_error import FilterError
+from ..guess import spread
+from ..parameters import Estimates
+from ..records import Record
+from ..result import Fit
+from ..transcription import Collocation
+from ..validate import found_anew
+from .coloured import Colouring
+from .resample import Parametric
+from .tangents import Tangents, linearised
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Bands", "prediction_bands"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Bands:
+    """The result of `Fit.prediction_bands`, for one experiment of N samples.
+
+    record       time, inputs, model outputs, measurements.
+    level        of the bands, at each sample by itself.
+    std_errors   output -> (N,) of what the model says: by parameters and initial states.
+    model        output -> (low, high), each (N,), in which the true model's output lies.
+    measurement  output -> (low, high), each (N,), in which a new measurement lies, with noise of its own.
+    coloured     whether the errors are those for coloured residuals.
+    """
+
+    record: Record
+    level: float
+    std_errors: Mapping[str, _Array]
+    model: Mapping[str, tuple[_Array, _Array]]
+    measurement: Mapping[str, tuple[_Array, _Array]]
+    coloured: bool
+    _title: str = field(default="", repr=False)
+
+    def plot(self) -> tuple[Figure, dict[str, Axes]]:
+        """Each output with both bands. Returns the figure and its axes by name."""
+        from .bands_figure import plot_bands
+
+        return plot_bands(self, self._title)
+
+    def __repr__(self) -> str:
+        return f"<Bands of '{self.record.name}': {100 * self.level:g} %, {', '.join(self.model)}>"
+
+
+def prediction_bands(
+    fit: Fit,
+    experiment: str | int | Experiment | None = None,
+    *,
+    level: float = 0.95,
+    coloured: bool = True,
+    biases: Sequence[str] | None = None,
+    values: Mapping[str, float] | None = None,
+) -> Bands:
+    """What `Fit.prediction_bands` does; see there."""
+    if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
+        raise OptionError(f"prediction_bands: level is a number between 0 and 1, such as 0.95, not {level!r}")
+    if isinstance(experiment, Experiment):
+        record, errors, noise, e = *_elsewhere(fit, experiment, coloured, biases, values or {}), 0
+    else:
+        if biases is not None or values is not None:
+            raise OptionError("prediction_bands: biases and values are for an Experiment that the fit was not made on")
+        e = _which(fit, experiment)
+        record, noise = fit.records[e], Parametric.of(fit)
+        tangents = Tangents(linearised(fit, "prediction_bands"))
+        covariance = Colouring(tangents).covariance if coloured else tangents.inverse
+        errors = _errors(fit, tangents, covariance, e, record)
+    z = NormalDist().inv_cdf(0.5 + 0.5 * level)
+    model, measurement = {}, {}
+    for name, error in errors.items():
+        y, low, high = record.outputs[name], *noise.quantiles(e, name, 0.5 - 0.5 * level)
+        model[name] = (y - z * error, y + z * error)
+        # Of Gaussian noise this is exact.
+        measurement[name] = (y - np.hypot(z * error, low), y + np.hypot(z * error, high))
+    return Bands(record, float(level), errors, model, measurement, coloured, f"{fit.model.name}: {record.name}")
+
+
+def _which(fit: Fit, experiment: str | int | None) -> int:
+    names = [r.name for r in fit.records]
+    if experiment is None:
+        if len(names) > 1:
+            listed = ", ".join(f"'{n}'" for n in names)
+            raise DataError(f"prediction_bands: the fit has {len(names)} experiments ({listed}): say which")
+        return 0
+    if isinstance(experiment, str):
+        if experiment not in names:
+            raise UnknownName(f"there is no experiment '{experiment}'.{did_you_mean(experiment, names)}")
+        return names.index(experiment)
+    if not isinstance(experiment, (int, np.integer)) or not -len(names) <= experiment < len(names):
+        raise OptionError(
+            f"prediction_bands: experiment is a name, a number below {len(names)} or an Experiment, not {experiment!r}"
+        )
+    return int(experiment) % len(names)
+
+
+def _errors(fit: Fit, tangents: Tangents, covariance: _Array, e: int, record: Record) -> dict[str, _Array]:
+    """Output -> (N,) standard errors along a record."""
+    changes = tangents.outputs()[e]
+    variance = np.einsum("ytk,kl,ytl->yt", changes, covariance, changes)
+    times = tangents.linear.inner.records[e].t
+    found = {}
+    for name, line in zip(fit.model.output_names, np.sqrt(np.maximum(variance, 0.0)), strict=True):
+        late = fit.parameters[fit.model.delays.outputs[name]].value if name in fit.model.delays.outputs else 0.0
+        found[name] = np.where(np.isfinite(record.outputs[name]), np.interp(record.t - late, times, line), np.nan)
+    return found
+
+
+def _elsewhere(
+    fit: Fit, other: Experiment, coloured: bool, biases: Sequence[str] | None, values: Mapping[str, float]
+) -> tuple[Record, dict[str, _Array], Parametric]:
+    """Of an experiment that the fit was not made on: its initial states and biases are found anew, for parameters as
+    fitted, so the errors of the former follow those of the latter."""
+    if isinstance(fit.transcription, FilterError):
+        raise OptionError("prediction_bands: is not offered for fits with process noise (FilterError)")
+    found, free, held, _ = found_anew(fit, [other], biases, values)
+    if not found.converged:
+        raise DataError(
+            f"prediction_bands: initial states and biases of '{other.name}' were not found ({found.status}): "
+            f"{found.message}"
+        )
+    linear = Linearised(_opened(fit, collocated(found), held))
+    t = Tangents(linear)
+    own = [i for i, name in enumerate(t.names) if name.partition("[")[0] not in free]
+    labels = [t.names[i].partition("[")[0] for i in own]
+    moves = t.slopes[own, None] * t.moves[own, : t.k]
+    used = [
+        i for i, name in enumerate(labels) if name in fit.parameters and np.isfinite(fit.parameters[name].std_error)
+    ]
+    moves, labels = moves[used], [labels[i] for i in used]
+    names = list(fit.parameters)
+    at = [names.index(name) for name in labels]
+    given = (fit.coloured.covariance if coloured else fit.covariance)[np.ix_(at, at)]
+    # Coordinates are orthonormal in the outputs: the least change that has the parameters there is the refit of the
+    # rest, and what moves no parameter is what the noise of the new record moves.
+    back = np.linalg.pinv(moves, rcond=1e-9)
+    rest = np.eye(t.k) - back @ moves
+    noise = Colouring(t).spread if coloured else np.eye(t.k)
+    covariance = np.zeros((len(t.inverse), len(t.inverse)))
+    covariance[: t.k, : t.k] = back @ given @ back.T + rest @ noise @ rest.T
+    record = found.records[0]
+    return record, _errors(fit, t, covariance, 0, record), Parametric.of(found)
+
+
+def _opened(fit: Fit, found: Fit, held: Mapping[str, float]) -> Fit:
+    """A fit of initial states and biases alone as one of the whole model, where it is, so that parameters may move."""
+    inner, before = found._moved or found, fit._moved or fit
+    assert inner.solution is not None
+    model = before.model
+    spreads = {name: spread(inner.experiments, name) for name in model.output_names}
+    noise = inner.noise.resolve(model.output_names, spreads, inner.as_start(inner.noise))
+    assert isinstance(inner.transcription, Collocation)
+    problem = inner.transcription.problem(model, inner.experiments, noise)
+    by_name = {e.name.partition("[")[0]: e.value for e in inner.parameters.values()} | dict(held)
+    labels = [name for name, *_ in problem.estimands]
+    values = [by_name[label.partition("[")[0]] for label in labels]
+    xi = inner.solution.xi.copy()
+    xi[: len(values)] = problem.variables(values)
+    estimates = []
+    for label, value in zip(labels, values, strict=True):
+        base = label.partition("[")[0]
+        like = inner.parameters[base if base in inner.parameters else label]
+        fixed = base in fit.parameters and fit.parameters[base].fixed
+        active = fit.parameters[base].bounds_active if base in fit.parameters else None
+        estimates.append(replace(like, name=label, value=value, fixed=fixed, bounds_active=active, std_error=math.nan))
+    return replace(
+        inner, model=model, parameters=Estimates(estimates), solution=replace(inner.solution, xi=xi), _moved=None
+    )

@@ -1,0 +1,243 @@
+"""Standard errors for residuals as coloured as they are (Maine & Iliff 1981; Morelli & Klein 1997)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import EvaluationError
+from ..parameters import Estimates, plus_minus, text_table
+from ..result import Fit
+from .colour import Laid, Links, Process, common, fitted, links
+from .grids import grids_of
+from .tangents import Tangents, linearised
+
+__all__ = ["Coloured", "Colouring", "coloured"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Coloured:
+    """What `Fit.coloured` gives: a fit's standard errors, corrected for coloured residuals.
+
+    parameters      by name, with corrected standard errors; NaN where the fit has none, and for noise parameters of
+                    densities that are not Gaussian.
+    initial_states  experiment -> state -> estimate, with corrected standard errors.
+    covariance      (n, n) of the parameters in their order, corrected.
+    plain           (n,) standard errors of the fit, which take residuals for white.
+    autocorrelation  output -> (L,) of the noise, from lag 0 on, with fewer than 1 % left at the end.
+    times           output -> s, how long noise remembers: the sum of its autocorrelation at positive and negative
+                    lags times the step. White noise has its step.
+    """
+
+    parameters: Estimates
+    initial_states: Mapping[str, Estimates]
+    covariance: _Array
+    plain: _Array
+    autocorrelation: Mapping[str, _Array]
+    times: Mapping[str, float]
+
+    @property
+    def inflation(self) -> dict[str, float]:
+        """Name -> corrected over plain standard error; NaN where there is none."""
+        errors = self.parameters.std_errors_array
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return dict(zip(self.parameters, (errors / self.plain).tolist(), strict=True))
+
+    def summary(self) -> str:
+        """Both standard errors of each parameter, and how long the noise of each output remembers."""
+        rows = []
+        for (name, ratio), e, plain in zip(self.inflation.items(), self.parameters.values(), self.plain, strict=True):
+            error = "" if math.isnan(plain) else f"{plain:.2g}"
+            corrected = "" if math.isnan(e.std_error) else f"{e.std_error:.2g}"
+            ratio_text = "" if math.isnan(ratio) else f"{ratio:.2f}"
+            value = plus_minus(e.value, e.std_error).partition(" ± ")[0]
+            rows.append([name, value, error, corrected, ratio_text, e.unit])
+        heads = ["parameter", "estimate", "plain", "coloured", "ratio", "unit"]
+        noise = [
+            [n, f"{r[1] if r.size > 1 else 0.0:.2f}", f"{self.times[n]:.3g}"] for n, r in self.autocorrelation.items()
+        ]
+        return (
+            f"{text_table(heads, rows, 'lrrrrl')}\n\n{text_table(['noise of', 'lag-1', 'memory in s'], noise, 'lrr')}"
+        )
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        known = [r for r in self.inflation.values() if math.isfinite(r)]
+        return (
+            f"<Coloured: standard errors {min(known):.2f} to {max(known):.2f} times as large>"
+            if known
+            else "<Coloured>"
+        )
+
+
+class Colouring:
+    """The noise of a fit as it is, and what it does to estimates.
+
+    The estimate answers to noise by M^-1 sum_k S_k' R^-1 v_k, so that its covariance is
+
+        P = M^-1 [sum_k sum_l S_k' R^-1 C(k - l) R^-1 S_l] M^-1,
+
+    M the information, S sensitivities, C the autocovariance of the noise v (Morelli & Klein 1997, Eq. 21; *Aircraft
+    System Identification*, 2nd ed., Eq. 5.134). M is the exact one of the fit. In C stand the covariances of the
+    processes in `colour`, not sums of lagged products of residuals: those weighted by S add up to 0 at the optimum.
+
+    tangents   the space in which estimates scatter.
+    processes  one an output: of scores, in units of the fit's noise.
+    linked     correlations between channels.
+    spread      (k, k) covariance of the sums of scores along the tangents.
+    covariance  (k + j, k + j) of the coordinates, for noise as coloured as it is.
+    """
+
+    def __init__(self, tangents: Tangents) -> None:
+        self.tangents = t = tangents
+        linear, scores, k = t.linear, t.scores, t.k
+        self.grids = grids_of(linear)
+        # Where experiments have noise of their own, one process is that of all, each in its own size.
+        self.sizes = np.ones(linear.n_rows)
+        if scores.own:
+            for line in linear.rows:
+                for rows in line:
+                    self.sizes[rows] = (
+                        math.sqrt(float(np.mean(scores.values[rows] ** 2)) or 1.0) if rows.stop > rows.start else 1.0
+                    )
+        self.values = scores.values / self.sizes
+        columns = self._laid(t.basis * self.sizes[:, None])
+        self.processes = fitted(self.grids, self.values, scores.weighted(t.basis) / self.sizes[:, None])
+        self.linked: Links = links(self.grids, self.processes, self.values)
+        spread = common(self.linked, self.processes, columns)
+        for process, laid in zip(self.processes, columns, strict=True):
+            for a in laid:
+                spread += a.columns @ a.times(process).T
+        # Of the noise's own unknowns, on which these estimates hardly depend, the curvature serves.
+        middle = np.linalg.inv(t.inverse)
+        self.spread = _proper(0.5 * (spread + spread.T))
+        middle[:k, :k] = self.spread + t.priors[:k, :k]
+        middle[:k, k:] = middle[k:, :k] = 0.0
+        self.covariance = t.inverse @ middle @ t.inverse
+
+    def _laid(self, columns: _Array) -> list[list[Laid]]:
+        return [[Laid(g, columns) for g in line] for line in self.grids]
+
+    def spectral_root(self, members: Sequence[int], lags: int, size: int) -> NDArray[np.complex128]:
+        """(size // 2 + 1, n, n) roots of the spectral matrix of some outputs' noise, at the frequencies of
+        `numpy.fft.rfft`, with what they have in common."""
+        n, bins = len(members), size // 2 + 1
+        turn = 2j * np.pi * np.arange(bins) / size
+        matrix = np.zeros((bins, n, n), dtype=np.complex128)
+        responses = [
+            np.fft.rfft(self.processes[i].response(lags), size) * math.sqrt(self.processes[i].power) for i in members
+        ]
+        for a, i in enumerate(members):
+            matrix[:, a, a] = np.maximum(self.processes[i].spectrum(lags, size), 0.0)
+        for (i, j, lag), rho in self.linked.items():
+            if i in members and j in members:
+                a, b = members.index(i), members.index(j)
+                part = rho * np.exp(-turn * lag) * responses[a] * responses[b].conj()
+                matrix[:, a, b] += part
+                matrix[:, b, a] += part.conj()
+        values, vectors = np.linalg.eigh(matrix)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+
+    def lengthening(self, i: int, j: int, experiments: Sequence[int]) -> float:
+        """By how much the variance of a mean square or product of outputs i and j is greater than of white noise: the
+        mean over samples of sum_l rho_i(k - l) rho_j(k - l) (Bartlett 1946)."""
+        total = count = 0.0
+        for e in experiments:
+            g, h = self.grids[i][e], self.grids[j][e]
+            n = min(g.size, h.size)
+            if not n:
+                continue
+            a, b = self.processes[i].covariance(n), self.processes[j].covariance(n)
+            size = 1 << (2 * n - 1).bit_length()
+            pairs = np.fft.irfft(np.abs(np.fft.rfft(g.mask[:n] * h.mask[:n], size)) ** 2, size)[:n]
+            pairs[1:] *= 2.0
+            total += float(pairs @ (a * b)) / (a[0] * b[0] or 1.0)
+            count += float(np.sum(g.mask[:n] * h.mask[:n]))
+        return total / count if count else 1.0
+
+
+def _proper(matrix: _Array) -> _Array:
+    """Without what an estimated covariance has below 0."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def coloured(fit: Fit) -> Coloured:
+    """What `Fit.coloured` does; see there."""
+    try:
+        c = Colouring(Tangents(linearised(fit, "coloured")))
+    except np.linalg.LinAlgError as error:
+        raise EvaluationError(f"coloured: the fit cannot be linearised ({error})") from error
+    names = list(fit.parameters)
+    model = c.tangents.names
+    plain = fit.parameters.std_errors_array
+    scale = _noise_inflations(fit, c)
+    covariance = fit.covariance * np.outer(scale, scale)
+    at = [names.index(n) for n in model]
+    covariance[np.ix_(at, at)] = c.tangents.of_parameters(c.covariance)
+    lost = ~(np.diag(fit.covariance) > 0.0)
+    covariance[lost], covariance[:, lost] = np.nan, np.nan
+    with np.errstate(invalid="ignore"):
+        errors = np.where(np.isfinite(plain), np.sqrt(np.diag(covariance)), np.nan)
+    grid = [max(line, key=lambda g: g.size) for line in c.grids]
+    correlations = {n: _memory(p, g.size) for n, p, g in zip(fit.model.output_names, c.processes, grid, strict=True)}
+    steps = dict(zip(fit.model.output_names, (g.step for g in grid), strict=True))
+    return Coloured(
+        parameters=Estimates(
+            replace(e, std_error=float(s)) for e, s in zip(fit.parameters.values(), errors, strict=True)
+        ),
+        initial_states=_initial(fit, c),
+        covariance=covariance,
+        plain=plain,
+        autocorrelation=correlations,
+        times={n: steps[n] * (2.0 * float(r.sum()) - 1.0) for n, r in correlations.items()},
+    )
+
+
+def _memory(process: Process, most: int) -> _Array:
+    """Autocorrelation, as long as there is any."""
+    c = process.covariance(max(most, 1))
+    c = c / c[0] if c[0] > 0.0 else np.eye(1, c.size)[0]
+    return np.asarray(c[: int(np.flatnonzero(np.abs(c) >= 0.01)[-1]) + 2])
+
+
+def _initial(fit: Fit, c: Colouring) -> dict[str, Estimates]:
+    linear = c.tangents.linear
+    n_x, first, found = linear._problem.n_states, 0, {}
+    for record, at in zip(linear.inner.records, linear.sample_points, strict=True):
+        move = c.tangents.states[n_x * first : n_x * (first + 1)]
+        first += at.size
+        errors = np.sqrt(np.maximum(np.diag(move @ c.covariance @ move.T), 0.0))
+        found[record.name] = Estimates(
+            replace(e, std_error=float(s) if math.isfinite(e.std_error) else math.nan)
+            for e, s in zip(fit.initial_states[record.name].values(), errors, strict=True)
+        )
+    return found
+
+
+def _noise_inflations(fit: Fit, c: Colouring) -> _Array:
+    """(n,) by which standard errors of the noise's parameters grow; 1 for the model's."""
+    outputs, records = list(fit.model.output_names), [r.name for r in fit.records]
+    names = fit.noise_parameters
+    single = {f"sigma_{n}": (i, i) for i, n in enumerate(outputs)}
+    single |= {f"corr_{a}_{b}": (i, j) for i, a in enumerate(outputs) for j, b in enumerate(outputs)}
+    found = []
+    for name in fit.parameters:
+        base, _, own = name.partition("[")
+        if name not in names:
+            found.append(1.0)
+        elif c.tangents.scores.gaussian and base in single:
+            experiments = [records.index(own[:-1])] if own else range(len(records))
+            found.append(math.sqrt(c.lengthening(*single[base], experiments)))
+        else:
+            found.append(math.nan)
+    return np.array(found)

@@ -1,0 +1,219 @@
+"""Profile likelihood: how far one parameter can go, all others following, before the likelihood falls too low."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import OptionError, UnknownName, did_you_mean, listing
+from ..outcome import Outcome
+from ..parameters import text_table
+from ..result import Fit
+from .runs import common_to, run_all
+from .walk import End, Side, Sides
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Profile", "Profiles", "profile"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+# Log-likelihood by which another optimum is better.
+_BETTER = 1e-3
+_SAID: Mapping[str, str] = {
+    "found": "",
+    "bound": "at its bound",
+    "open": "no end: the likelihood stays above",
+    "failed": "not found: the solver did not converge beyond",
+    "missing": "interrupted",
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Profile:
+    """The profile likelihood of one parameter.
+
+    name       of the parameter; ``value`` its estimate, ``std_error`` the Cramér-Rao one, ``unit``.
+    interval   (low, high) of all values whose likelihood ratio is not rejected; -inf or inf where it has no end.
+    ends       what the ends are: "found"; "bound", where the interval ends at a bound of the parameter; "open", where
+               the likelihood does not fall low enough however far one goes; "failed", where the solver came no farther;
+               "missing", where the run was interrupted.
+    values     (k,) that were tried, in order, the estimate among them.
+    drops      (k,) by how much the log-likelihood is lower there, with all else estimated anew.
+    threshold  the drop at the ends: half of chi-square's quantile with one degree of freedom.
+    inflation  by how much the threshold's root was made larger for coloured residuals; 1 where it was not.
+    """
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+    interval: tuple[float, float]
+    ends: tuple[End, End]
+    values: _Array
+    drops: _Array
+    threshold: float
+    inflation: float = 1.0
+
+    @property
+    def remark(self) -> str:
+        """What is to be said of the ends, in words."""
+        sides = zip(("lower", "upper"), self.ends, strict=True)
+        return "; ".join(f"{side} end {_SAID[end]}" for side, end in sides if end != "found")
+
+    @property
+    def asymmetry(self) -> float:
+        """Upper over lower half of the interval: 1 where the likelihood is a parabola."""
+        low, high = self.interval
+        return (high - self.value) / (self.value - low) if self.value > low else math.nan
+
+    def __repr__(self) -> str:
+        low, high = self.interval
+        return f"<Profile of {self.name}: {low:.4g} to {high:.4g}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Profiles(Mapping[str, Profile]):
+    """The result of `Fit.profile`: name -> `Profile`.
+
+    level     of the intervals.
+    status    "complete", or "interrupted".
+    warnings  what to beware of, in words.
+    runs      estimations that it took.
+    time      s.
+    """
+
+    profiles: Mapping[str, Profile]
+    level: float
+    status: str
+    warnings: tuple[str, ...] = ()
+    runs: int = 0
+    time: float = 0.0
+
+    def __getitem__(self, name: str) -> Profile:
+        if name not in self.profiles:
+            raise UnknownName(f"there is no profile of '{name}'.{did_you_mean(str(name), self.profiles)}")
+        return self.profiles[name]
+
+    def __iter__(self) -> Any:
+        return iter(self.profiles)
+
+    def __len__(self) -> int:
+        return len(self.profiles)
+
+    def summary(self) -> str:
+        """A table: estimate, interval by profile, and what standard errors alone would say."""
+        z = NormalDist().inv_cdf(0.5 + 0.5 * self.level)
+        rows = []
+        for p in self.profiles.values():
+            reach = z * p.std_error * p.inflation
+            wald = [f"{p.value - reach:.5g}", f"{p.value + reach:.5g}"] if math.isfinite(reach) else ["", ""]
+            ends = [f"{end:.5g}" if not math.isnan(end) else "" for end in p.interval]
+            rows.append([p.name, f"{p.value:.5g}", *ends, *wald, p.unit, p.remark])
+        percent = f"{100 * self.level:g} %"
+        heads = ["parameter", "estimate", f"{percent} from", "to", "by std error", "to", "unit", "remark"]
+        lines = [f"profile likelihood, {self.status}: {self.runs} estimations in {self.time:.1f} s"]
+        if any(p.inflation != 1.0 for p in self.profiles.values()):
+            lines.append("the threshold allows for coloured residuals")
+        return "\n".join([*lines, "", text_table(heads, rows, "lrrrrrll"), *(f"\nWarning: {w}" for w in self.warnings)])
+
+    def plot(self, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+        """Log-likelihood over each parameter, with the parabola of its standard error and the interval.
+
+        Returns the figure and its axes by name. Raises UnknownName for a name without a profile.
+        """
+        from .profile_figure import plot_profiles
+
+        return plot_profiles([self[name] for name in (names or self.profiles)], self.level)
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        return f"<Profiles of {', '.join(self.profiles)}: {self.status}>"
+
+
+def profile(
+    fit: Fit,
+    names: str | Iterable[str] | None = None,
+    *,
+    level: float = 0.95,
+    coloured: bool = False,
+    executor: Executor | None = None,
+    progress: bool | Callable[[Outcome], None] = False,
+) -> Profiles:
+    """What `Fit.profile` does; see there."""
+    begin = time.perf_counter()
+    if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
+        raise OptionError(f"profile: level is a number between 0 and 1, such as 0.95, not {level!r}")
+    chosen = _chosen(fit, names)
+    inflation = {name: 1.0 for name in chosen}
+    if coloured:
+        ratios = fit.coloured.inflation
+        inflation = {name: ratios[name] if math.isfinite(ratios[name]) else 1.0 for name in chosen}
+    problem = Sides(**common_to(fit, "profile"))
+    root = NormalDist().inv_cdf(0.5 + 0.5 * level)
+    starts = [{"name": n, "side": side, "root": root * inflation[n]} for n in chosen for side in (-1, 1)]
+    runs = run_all(problem, starts, executor, progress, "profile")
+    found, better = {}, 0.0
+    for i, name in enumerate(chosen):
+        sides = [runs.outcomes.get(2 * i + k) for k in range(2)]
+        there = [s if isinstance(s, Side) else None for s in sides]
+        points = sorted([(fit.parameters[name].value, 0.0), *(p for s in there if s for p in s.points)])
+        better = max([better, *(s.better for s in there if s)])
+        e = fit.parameters[name]
+        found[name] = Profile(
+            name=name,
+            value=e.value,
+            std_error=e.std_error,
+            unit=e.unit,
+            interval=(there[0].end if there[0] else math.nan, there[1].end if there[1] else math.nan),
+            ends=(there[0].kind if there[0] else "missing", there[1].kind if there[1] else "missing"),
+            values=np.array([v for v, _ in points]),
+            drops=np.array([d for _, d in points]),
+            threshold=0.5 * (root * inflation[name]) ** 2,
+            inflation=inflation[name],
+        )
+    warnings = list(runs.warnings)
+    if better > _BETTER:
+        warnings.append(
+            f"with a parameter held elsewhere the log-likelihood is higher by {better:.3g}: the fit is not the best "
+            "optimum; see multistart"
+        )
+    return Profiles(
+        profiles=found,
+        level=float(level),
+        status="complete" if runs.complete else "interrupted",
+        warnings=tuple(warnings),
+        runs=sum(o.iterations for o in runs.outcomes.values()),
+        time=time.perf_counter() - begin,
+    )
+
+
+def _chosen(fit: Fit, names: Any) -> list[str]:
+    """Of which parameters. Raises OptionError for what has no profile."""
+    noise = fit.noise_parameters
+    free = [n for n, e in fit.parameters.items() if n not in noise and not e.fixed]
+    if names is None:
+        return free
+    asked = [names] if isinstance(names, str) else list(names)
+    for name in asked:
+        if name in free:
+            continue
+        if name in noise:
+            raise OptionError(f"profile: '{name}' belongs to the noise; profiles are of the model's parameters")
+        if name in fit.parameters:
+            raise OptionError(f"profile: '{name}' is fixed")
+        raise OptionError(f"profile: '{name}' is no parameter of the fit.{listing(str(name), free)}")
+    return list(dict.fromkeys(asked))

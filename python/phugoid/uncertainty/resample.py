@@ -1,0 +1,241 @@
+"""Data as they might have been: the model's outputs with other noise of the same kind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._core import Expr
+from ..densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+from ..discrepancy.linearised import dataset
+from ..errors import OptionError
+from ..noise import Gaussian, Noise
+from ..result import Fit
+from .coloured import Colouring
+from .tangents import Tangents, linearised
+
+__all__ = ["Coloured", "Parametric", "Resampler"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+# Points at which a density is tabulated, and how far out, in scales.
+_TABLE, _FAR = 4001, 1e4
+
+
+@dataclass(frozen=True, eq=False)
+class Resampler:
+    """What draws noise for all records of a fit: ``draw`` gives outputs by name, NaN where nothing was measured.
+
+    times   (N,) of each experiment, s.
+    model   experiment by experiment, output -> (N,) of the model.
+    there   where something was measured.
+    """
+
+    times: Sequence[_Array]
+    model: Sequence[Mapping[str, _Array]]
+    there: Sequence[Mapping[str, NDArray[np.bool_]]]
+
+    def noise(self, random: np.random.Generator, e: int) -> Mapping[str, _Array]:
+        """Output -> (N,)."""
+        raise NotImplementedError
+
+    def draw(self, random: np.random.Generator) -> list[dict[str, _Array]]:
+        """Outputs of all experiments."""
+        found = []
+        for e, (model, there) in enumerate(zip(self.model, self.there, strict=True)):
+            noise = self.noise(random, e)
+            found.append({n: np.where(there[n], y + noise[n], np.nan) for n, y in model.items()})
+        return found
+
+    @staticmethod
+    def parts(fit: Fit) -> dict[str, Any]:
+        """The fields that all have."""
+        names = fit.model.output_names
+        model = [{n: np.asarray(r.outputs[n]) for n in names} for r in fit.records]
+        there = [
+            {n: np.isfinite(e.output(n)) & np.isfinite(y[n]) for n in names}
+            for e, y in zip(dataset(fit), model, strict=True)
+        ]
+        return {"times": [r.t for r in fit.records], "model": model, "there": there}
+
+
+@dataclass(frozen=True, eq=False)
+class Parametric(Resampler):
+    """White noise as the fit has it: for each experiment a joint covariance, or of each output a scale and the
+    quantiles of its density at equal steps of probability."""
+
+    covariances: Sequence[_Array | None] = ()
+    tables: Sequence[Mapping[str, tuple[_Array, _Array]]] = ()
+
+    @classmethod
+    def of(cls, fit: Fit) -> Parametric:
+        """With the noise of a fit."""
+        noise = fit.noise.noise if isinstance(fit.noise, PerExperiment) else fit.noise
+        names, covariances, tables = fit.model.output_names, [], []
+        for record in fit.records:
+            value = _values(fit, record.name)
+            joint = isinstance(noise, Gaussian) and (noise.correlated or noise.covariance is not None)
+            covariances.append(_covariance(noise, names, value) if joint else None)
+            known = noise.known_sigmas(names)
+            tables.append(
+                {}
+                if joint
+                else {
+                    n: _table(
+                        noise._of(n) if isinstance(noise, PerOutput) else noise,
+                        n,
+                        known[n] if n in known else value[f"sigma_{n}"],
+                        value,
+                    )
+                    for n in names
+                }
+            )
+        return cls(**cls.parts(fit), covariances=covariances, tables=tables)
+
+    def noise(self, random: np.random.Generator, e: int) -> Mapping[str, _Array]:
+        n, names = self.times[e].size, list(self.model[e])
+        covariance = self.covariances[e]
+        if covariance is not None:
+            drawn = random.standard_normal((n, len(names))) @ np.linalg.cholesky(covariance).T
+            return dict(zip(names, drawn.T, strict=True))
+        found = {}
+        for name in names:
+            probability, quantile = self.tables[e][name]
+            if probability.size:
+                found[name] = np.interp(random.random(n), probability, quantile)
+            else:
+                found[name] = float(quantile[0]) * random.standard_normal(n)
+        return found
+
+    def quantiles(self, e: int, output: str, p: float) -> tuple[float, float]:
+        """How far below and above 0 the noise of an output goes, but for a part p on each side."""
+        covariance = self.covariances[e]
+        if covariance is None:
+            probability, quantile = self.tables[e][output]
+            if probability.size:
+                low, high = np.interp([p, 1.0 - p], probability, quantile).tolist()
+                return -low, high
+            sigma = float(quantile[0])
+        else:
+            sigma = math.sqrt(float(np.diag(covariance)[list(self.model[e]).index(output)]))
+        reach = sigma * NormalDist().inv_cdf(1.0 - p)
+        return reach, reach
+
+
+def _values(fit: Fit, experiment: str) -> dict[str, float]:
+    """Numbers of the noise, as they are in an experiment."""
+    found = {}
+    for name in fit.noise_parameters:
+        base, _, own = name.partition("[")
+        if not own or own[:-1] == experiment:
+            found[base] = fit.parameters[name].value
+    return found
+
+
+def _covariance(noise: Noise, names: Sequence[str], value: Mapping[str, float]) -> _Array:
+    assert isinstance(noise, Gaussian)
+    if noise.covariance is not None:
+        return noise.matrix(names)
+    sigma = np.array([value[f"sigma_{n}"] for n in names])
+    found = np.diag(sigma**2)
+    for i, a in enumerate(names):
+        for j, b in enumerate(names[i + 1 :], i + 1):
+            found[i, j] = found[j, i] = value[f"corr_{a}_{b}"] * sigma[i] * sigma[j]
+    return found
+
+
+def _table(kind: Noise, output: str, sigma: float, value: Mapping[str, float]) -> tuple[_Array, _Array]:
+    """Probabilities and quantiles of a density; of a Gaussian only its standard deviation."""
+    if isinstance(kind, Gaussian):
+        return np.empty(0), np.array([sigma])
+    e = np.sinh(np.linspace(-1.0, 1.0, _TABLE) * math.asinh(_FAR))
+    if isinstance(kind, StudentT):
+        known = kind._dof(output)
+        dof = value[f"dof_{output}"] if known is None else known
+        log = -0.5 * (dof + 1) * np.log1p(e**2 / dof)
+    elif isinstance(kind, Huber):
+        size = np.abs(e)
+        log = -np.where(size <= kind.k, 0.5 * e**2, kind.k * size - 0.5 * kind.k**2)
+    elif isinstance(kind, Laplace):
+        log = -np.sqrt(e**2 + kind.smoothing**2)
+    else:
+        assert isinstance(kind, Density)
+        numbers = {"sigma": sigma} | {
+            n: value.get(f"{n}_{output}", float(getattr(p, "start", math.nan))) for n, p in kind.parameters.items()
+        }
+        expression = Expr(kind.log_density)
+        known_to = {n: numbers[n] for n in expression.symbols if n != "residual"}
+        log = np.array([expression.evaluate({**known_to, "residual": r}) for r in (e * sigma).tolist()])
+    density = np.exp(log - log.max())
+    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(e)
+    total = np.r_[0.0, np.cumsum(steps)] / steps.sum()
+    kept = np.r_[True, np.diff(total) > 0.0]
+    return total[kept], sigma * e[kept]
+
+
+@dataclass(frozen=True, eq=False)
+class Coloured(Resampler):
+    """Noise as coloured as the residuals are, and as much in common to outputs: by its spectrum.
+
+    places  for each experiment, output -> (N,) points of an even grid.
+    roots   for each experiment, groups of outputs on one grid, the size of the transform, and (F, n, n) roots of the
+            spectral matrix; ``scale`` what makes it noise in the output's unit.
+    """
+
+    places: Sequence[Mapping[str, NDArray[np.intp]]] = ()
+    roots: Sequence[Sequence[tuple[Sequence[str], int, NDArray[np.complex128]]]] = ()
+    scale: Sequence[Mapping[str, float]] = ()
+
+    @classmethod
+    def of(cls, fit: Fit) -> Coloured:
+        """With the colour of a fit's residuals. Raises OptionError for noise that is not independent and Gaussian."""
+        c = Colouring(Tangents(linearised(fit, "bootstrap")))
+        scores = c.tangents.scores
+        if not scores.gaussian or scores._joint:
+            raise OptionError(
+                'bootstrap: kind="coloured" is for independent Gaussian noise; use kind="block", which needs no model '
+                "of the noise"
+            )
+        names, linear = list(fit.model.output_names), c.tangents.linear
+        places, roots = [], []
+        scale: list[dict[str, float]] = []
+        for e, record in enumerate(fit.records):
+            steps = [line[e].step for line in c.grids]
+            places.append(
+                {n: np.rint((record.t - record.t[0]) / s).astype(np.intp) for n, s in zip(names, steps, strict=True)}
+            )
+            groups = []
+            for step in dict.fromkeys(steps):
+                members = [i for i, s in enumerate(steps) if s == step]
+                whole = int(max(places[-1][names[i]][-1] for i in members)) + 1
+                size = 1 << (4 * whole - 1).bit_length()
+                groups.append(([names[i] for i in members], size, c.spectral_root(members, whole, size)))
+            roots.append(groups)
+            scale.append({})
+            for i, n in enumerate(names):
+                rows = linear.rows[i][e]
+                # A score is the residual over the variance, in units of the fit's scale.
+                ratio = (
+                    linear.residuals[rows]
+                    @ scores.values[rows]
+                    / max(float(scores.values[rows] @ scores.values[rows]), 1e-300)
+                )
+                scale[-1][n] = float(ratio * (c.sizes[rows][0] if rows.stop > rows.start else 1.0))
+        return cls(**cls.parts(fit), places=places, roots=roots, scale=scale)
+
+    def noise(self, random: np.random.Generator, e: int) -> Mapping[str, _Array]:
+        found = {}
+        for names, size, root in self.roots[e]:
+            bins = size // 2 + 1
+            drawn = random.standard_normal((bins, len(names), 2)) @ np.array([1.0, 1.0j]) * math.sqrt(0.5)
+            drawn[[0, -1]] = math.sqrt(2.0) * drawn[[0, -1]].real
+            series = np.fft.irfft(np.einsum("fij,fj->if", root, drawn), size) * math.sqrt(size)
+            for name, line in zip(names, series, strict=True):
+                found[name] = self.scale[e][name] * line[self.places[e][name]]
+        return found

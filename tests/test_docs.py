@@ -128,6 +128,21 @@ def exported(n: dict[str, Any]) -> None:
     assert abs(n["trim"].rates["q"]) < 1e-9
 
 
+def sure(n: dict[str, Any]) -> None:
+    assert 0.9 < n["fit"].coloured.inflation["CLa"] < 1.1  # the noise put in is white
+    low, high = n["profiles"]["CLa"].interval
+    assert low < 3.0904 < high
+
+
+def designed(n: dict[str, Any]) -> None:
+    best, others = n["best"], n["planned"]
+    assert best.within_limits and not others["3-2-1-1"].within_limits
+
+
+def agreeing(n: dict[str, Any]) -> None:
+    assert abs(n["path"].fit.parameters["b_ax"].value + 0.1208) < 4 * n["path"].coloured_errors["b_ax"]
+
+
 # What has come out at the end of a page, beyond that it ran.
 CLAIMS: dict[str, Callable[[dict[str, Any]], None]] = {
     "start.md": started,
@@ -138,6 +153,9 @@ CLAIMS: dict[str, Callable[[dict[str, Any]], None]] = {
     "howto/convergence.md": converging,
     "howto/missing.md": missing,
     "howto/linear.md": modes,
+    "howto/design.md": designed,
+    "howto/flight_path.md": agreeing,
+    "howto/uncertainty.md": sure,
     "howto/export.md": exported,
 }
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_case import run, write
+from cli_case import TRUTH, run, write
 
 import phugoid as ph
 
@@ -158,3 +158,13 @@ def test_a_misspelt_method_in_a_model_file_is_named(here: Path) -> None:
     (here / "typo.py").write_text("import phugoid as ph\nm = ph.Model('m')\nm.dinamics(x=1)\n")
     done = run("fit", "typo.py", "run1.csv")
     assert done.exit_code == 2 and "typo.py, line 3" in done.stderr and "Did you mean 'dynamics'?" in done.stderr
+
+
+def test_the_command_line_names_columns_of_a_file_without_header(here: Path) -> None:
+    table = (here / "run1.csv").read_text().partition("\n")[2]
+    (here / "raw.asc").write_text(table.replace(",", "  "))
+    done = run("fit", "model.py", "raw.asc")
+    assert done.exit_code == 2 and "--columns at the command line" in done.stderr
+    done = run("fit", "model.py", "raw.asc", "--columns", "t,u,x", "--save", "raw.json")
+    assert done.exit_code == 0, done.output
+    assert ph.load("raw.json").parameters["a"].value == pytest.approx(TRUTH["a"], rel=0.1)

@@ -25,6 +25,7 @@ class Reading:
     window: tuple[float, float] | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     convert: bool = False
+    columns: Sequence[str] | None = None
 
     @classmethod
     def of(
@@ -36,10 +37,12 @@ class Reading:
         window: str | None,
         units: Sequence[str] | None = None,
         convert: bool = False,
+        columns: str | None = None,
     ) -> Reading:
         """From the texts of the options."""
         told = pairs("--units", units)
-        return cls(time, pairs("--rename", rename), names(inputs), names(outputs), span(window), told, convert)
+        names_of = names(inputs), names(outputs)
+        return cls(time, pairs("--rename", rename), *names_of, span(window), told, convert, names(columns))
 
     def read(self, files: Sequence[Path]) -> list[Experiment]:
         """One record a file, each with a name of its own: the file's, with its folder where that is not enough."""
@@ -58,6 +61,7 @@ class Reading:
                 window=self.window,
                 units=self.units,
                 convert=self.convert,
+                columns=self.columns,
             )
             for file in files
         ]

@@ -21,6 +21,7 @@ from .fit import code_of
 from .guard import INTERRUPTED, NOT_CONVERGED, guard
 from .model_file import load_source
 from .options import (
+    ColumnsOption,
     ConvertOption,
     DebugOption,
     FixOption,
@@ -64,6 +65,7 @@ def diagnose(
     window: WindowOption = None,
     units: UnitsOption = None,
     convert: ConvertOption = False,
+    columns: ColumnsOption = None,
     report: ReportOption = None,
     json: JsonOption = False,
     debug: DebugOption = False,
@@ -75,7 +77,7 @@ def diagnose(
     with guard(debug):
         check_targets((), [report])
         how = Estimation.of(order, start, fix, solver, iterations)
-        reading = Reading.of(time, rename, inputs, outputs, window, units, convert)
+        reading = Reading.of(time, rename, inputs, outputs, window, units, convert, columns)
         base = _base(model, reading, data or [], fit, how)
         others = reading.read(validation) if validation else None
         if base.status not in ("converged", "acceptable"):

@@ -18,6 +18,7 @@ from .estimation import Estimation
 from .guard import INTERRUPTED, NOT_CONVERGED, guard
 from .model_file import load_source
 from .options import (
+    ColumnsOption,
     ConvertOption,
     DataArgument,
     DebugOption,
@@ -57,6 +58,7 @@ def fit(
     window: WindowOption = None,
     units: UnitsOption = None,
     convert: ConvertOption = False,
+    columns: ColumnsOption = None,
     save: Annotated[
         Path | None, typer.Option("--save", help="Writes the fit, for phugoid.load: .json, or .h5 (HDF5).")
     ] = None,
@@ -71,7 +73,7 @@ def fit(
             raise OptionError(f"--save {save}: a saved fit ends in .json, {' or '.join(SUFFIXES)}")
         check_targets([plot], [save, report])
         how = Estimation.of(order, start, fix, solver, iterations)
-        reading = Reading.of(time, rename, inputs, outputs, window, units, convert)
+        reading = Reading.of(time, rename, inputs, outputs, window, units, convert, columns)
         source = load_source(model)
         records = reading.read(data)
         # A saved fit is gone on from.

@@ -12,6 +12,7 @@ import typer
 from ..errors import OptionError
 
 __all__ = [
+    "ColumnsOption",
     "ConvertOption",
     "DataArgument",
     "DebugOption",
@@ -57,6 +58,10 @@ WindowOption: TypeAlias = Annotated[
 UnitsOption: TypeAlias = Annotated[
     list[str] | None,
     typer.Option("--units", help="Unit of a column, in place of what the file says.", metavar="NAME=UNIT"),
+]
+ColumnsOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option("--columns", help="Names of all columns in order, of a file without a header.", metavar="T,A,B"),
 ]
 ConvertOption: TypeAlias = Annotated[
     bool, typer.Option("--convert", help="Brings columns to SI: degrees to radians, knots to m/s, ...")

@@ -22,6 +22,7 @@ from .data_files import Reading
 from .guard import guard
 from .model_file import load_source
 from .options import (
+    ColumnsOption,
     ConvertOption,
     DebugOption,
     InputsOption,
@@ -57,6 +58,7 @@ def simulate(
     window: WindowOption = None,
     units: UnitsOption = None,
     convert: ConvertOption = False,
+    columns: ColumnsOption = None,
     out: Annotated[Path | None, typer.Option("--out", help="Writes the CSV here instead of on stdout.")] = None,
     json: JsonOption = False,
     debug: DebugOption = False,
@@ -66,7 +68,7 @@ def simulate(
         check_targets((), [out])
         source = load_source(model)
         described = source.model if isinstance(source, Fit) else source
-        (experiment,) = Reading.of(time, rename, inputs, outputs, window, units, convert).read([data])
+        (experiment,) = Reading.of(time, rename, inputs, outputs, window, units, convert, columns).read([data])
         fit, values = _parameters(described, source if isinstance(source, Fit) else None, parameters)
         first = _first(described, fit, experiment.name, numbers("--initial", initial))
         record = integrate(described, values, experiment, initial=first)

@@ -18,6 +18,7 @@ from .fit import code_of
 from .guard import NOT_CONVERGED, guard
 from .model_file import load_source
 from .options import (
+    ColumnsOption,
     ConvertOption,
     DataArgument,
     DebugOption,
@@ -65,6 +66,7 @@ def validate(
     window: WindowOption = None,
     units: UnitsOption = None,
     convert: ConvertOption = False,
+    columns: ColumnsOption = None,
     plot: PlotOption = None,
     json: JsonOption = False,
     debug: DebugOption = False,
@@ -74,7 +76,7 @@ def validate(
         check_targets([plot])
         limits = numbers("--tolerance", tolerance)
         how = Estimation.of(order, start, fix, solver, iterations)
-        reading = Reading.of(time, rename, inputs, outputs, window, units, convert)
+        reading = Reading.of(time, rename, inputs, outputs, window, units, convert, columns)
         source = load_source(model)
         if isinstance(source, Fit):
             if how.start or how.fixed:

@@ -76,7 +76,8 @@ def _parse(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> 
     else:
         raise DataError(
             f"{file}, line {content[0][0]}: a header is missing (the line holds numbers); "
-            f"name its {len(first)} columns with columns=[...]"
+            f"name its {len(first)} columns with columns=[...] "
+            "(--columns at the command line)"
         )
     headers = [header or f"column{j}" for j, header in enumerate(headers, start=1)]
     lines = [number for number, _ in content[start:]]

@@ -74,3 +74,22 @@ def test_times_of_unknown_unit_are_refused(tmp_path: Path) -> None:
                 ph.read(file)
     file.write_text("t [ms since 2020-01-01],x\n0,1\n1000,2\n")
     np.testing.assert_allclose(ph.read(file).t, [0.0, 1.0])
+
+
+def test_units_that_nobody_told_show_in_the_match(tmp_path: Path) -> None:
+    m = ph.Model("angle")
+    (theta,) = m.states(theta="rad")
+    (q,) = m.inputs(q="rad/s")
+    (bias,) = m.parameters(bias=0.0)
+    m.dynamics(theta=q + bias)
+    m.outputs(theta=theta)
+    noise = 0.01 * np.random.default_rng(0).standard_normal(T.size)
+    angle = np.sin(T) + noise
+    right = ph.estimate(m, ph.Experiment(T, {"q": np.cos(T)}, {"theta": angle}))
+    wrong = ph.estimate(m, ph.Experiment(T, {"q": np.rad2deg(np.cos(T))}, {"theta": angle}))
+    words = "A constant would match theta better than the model does"
+    assert words in wrong.summary() and words not in right.summary()
+    wrong.report(tmp_path / "wrong.html")
+    right.report(tmp_path / "right.html")
+    assert words in (tmp_path / "wrong.html").read_text(encoding="utf-8")
+    assert words not in (tmp_path / "right.html").read_text(encoding="utf-8")

@@ -13,13 +13,33 @@ from numpy.typing import NDArray
 from .errors import OptionError, UnknownName, did_you_mean, listing
 from .records import Record
 
-__all__ = ["Match", "match", "tolerances_by_output"]
+__all__ = ["Match", "match", "no_match", "tolerances_by_output"]
 
 _Array = NDArray[np.float64]
 _Piece = tuple[_Array, _Array, _Array]  # of one record where measured: times, measured, model
 
 # Most lags of the Ljung-Box test, and the part of the samples that they may be.
 _LAGS, _SHARE = 20, 0.2
+
+
+# R² below zero by no more than this is a channel that holds noise alone.
+_NO_BETTER = -0.01
+
+
+def no_match(r_squared: Mapping[str, float]) -> str:
+    """A sentence on the outputs whose R² is below 0, "" where there is none: data in other units are mostly the cause.
+
+    >>> no_match({"q": 0.98, "alpha": -1.28})
+    'A constant would match alpha better than the model does (R² below 0): look at its unit, its sign and its column.'
+    """
+    names = [name for name, value in r_squared.items() if value < _NO_BETTER]
+    whose, last = ("its", "its column") if len(names) == 1 else ("their", "their columns")
+    what = f"{whose} unit, {whose} sign" if len(names) == 1 else f"{whose} units, {whose} signs"
+    return (
+        f"A constant would match {', '.join(names)} better than the model does (R² below 0): look at {what} and {last}."
+        if names
+        else ""
+    )
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .correlation_plot import correlations
-from .match import match
+from .match import match, no_match
 
 __all__ = ["remarks"]
 
@@ -23,9 +23,9 @@ _OFFSET = 0.5  # part of the mean square that is an offset
 def remarks(fit: Any) -> list[str]:
     """The warnings of a `Fit`, and what its numbers give reason to doubt: a sentence each, none where all is well.
 
-    Coloured residuals (p < 0.01 in the test of Ljung and Box, lag-1 correlation beyond 0.3), residuals with an offset,
-    parameters whose 95 % interval holds zero, pairs of estimates with a correlation beyond 0.95, combinations that are
-    hardly determined, estimates at a bound.
+    Outputs that a constant would match better, coloured residuals (p < 0.01 in the test of Ljung and Box, lag-1
+    correlation beyond 0.3), residuals with an offset, parameters whose 95 % interval holds zero, pairs of estimates
+    with a correlation beyond 0.95, combinations that are hardly determined, estimates at a bound.
     """
     correlation = getattr(fit, "correlation", None)
     weak = [f"Weakly identified: {direction}." for direction in correlation.weak] if correlation is not None else []
@@ -42,8 +42,10 @@ def _of_residuals(fit: Any) -> list[str]:
         return []  # residuals of a smoothed path are coloured by nature
     found = []
     coloured, off = [], []
-    for name in fit.model.output_names:
-        m = match(fit.records, name)
+    matches = {name: match(fit.records, name) for name in fit.model.output_names}
+    if poor := no_match({name: m.r_squared for name, m in matches.items()}):
+        found.append(poor)
+    for name, m in matches.items():
         if m.whiteness < _WHITE and abs(m.lag_one) > _MUCH:
             coloured.append(f"{name} ({m.lag_one:.2f})")
         if m.bias > _OFFSET:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .errors import PhugoidError
+from .match import no_match
 from .parameters import Estimates, estimates_table, text_table
 
 __all__ = ["corrected", "fit_summary"]
@@ -79,6 +80,7 @@ def _header(fit: Any) -> str:
 def _match_table(fit: Any, outputs: list[str]) -> str:
     """Per output, over all experiments: σ, RMS of the residuals, R² = 1 - Σr²/Σ(z - mean z)², samples."""
     rows = []
+    explained: dict[str, float] = {}
     for name in outputs:
         pairs = [(r.measured[name], r.residuals[name]) for r in fit.records if name in r.residuals]
         measured = np.concatenate([m for m, _ in pairs]) if pairs else np.empty(0)
@@ -89,11 +91,14 @@ def _match_table(fit: Any, outputs: list[str]) -> str:
         if residual.size:
             scatter = float(np.sum((measured - measured.mean()) ** 2))
             rms = f"{math.sqrt(float(np.mean(residual**2))):.4g}"
-            r2 = f"{1.0 - float(np.sum(residual**2)) / scatter:.4f}" if scatter > 0.0 else ""
+            if scatter > 0.0:
+                explained[name] = 1.0 - float(np.sum(residual**2)) / scatter
+                r2 = f"{explained[name]:.4f}"
         sigma = fit.parameters.get(f"sigma_{name}")
         unit = next((r.units[name] for r in fit.records if name in r.units), "")
         rows.append([name, "" if sigma is None else f"{sigma.value:.4g}", rms, unit, r2, str(residual.size)])
-    return text_table(["output", "σ", "RMS residual", "unit", "R²", "samples"], rows, "lrrlrr")
+    table = text_table(["output", "σ", "RMS residual", "unit", "R²", "samples"], rows, "lrrlrr")
+    return "\n\n".join(filter(None, [table, no_match(explained)]))
 
 
 def _duration(seconds: float) -> str:

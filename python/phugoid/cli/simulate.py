@@ -80,8 +80,8 @@ def simulate(
         measured = {name: match(record, name) for name in record.measured}
         if json:
             facts = {"model": described.name, "record": record.name, "samples": record.n}
-            columns = {} if out is not None else {"columns": _columns(record)}
-            emit_json("simulate", {**facts, "matches": match_facts(measured), **columns}, written)
+            series = {} if out is not None else {"columns": _columns(record)}
+            emit_json("simulate", {**facts, "matches": match_facts(measured), **series}, written)
         elif out is None:
             _write(record, sys.stdout)
         else:

@@ -168,3 +168,19 @@ def test_the_command_line_names_columns_of_a_file_without_header(here: Path) -> 
     done = run("fit", "model.py", "raw.asc", "--columns", "t,u,x", "--save", "raw.json")
     assert done.exit_code == 0, done.output
     assert ph.load("raw.json").parameters["a"].value == pytest.approx(TRUTH["a"], rel=0.1)
+
+
+def test_a_variable_that_is_no_channel_says_why(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    m = ph.Model("lag")
+    (x,) = m.states(x="")
+    (u,) = m.inputs("u")
+    a, b = m.parameters("a b")
+    m.dynamics(x=a * x + b * u)
+    m.outputs(x=x)
+    for values, words in ((T[:-1], "it has 20 values, but its times 't' 21"), ("text", "it holds no numbers")):
+        savemat(tmp_path / "run1.mat", {"t": T, "u": np.sin(T), "x": values})
+        data = ph.read(tmp_path / "run1.mat")
+        for record in (data, data.window(0.0, 1.0)):
+            refuses(ph.DataError, f"no output 'x'. The file has it, but {words}", lambda r=record: ph.estimate(m, r))

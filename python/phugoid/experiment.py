@@ -83,6 +83,7 @@ class Experiment(Preprocessing):
         self._signals: dict[str, Signal] = {}
         self._mesh_times: FloatArray | None = None
         self._history: tuple[str, ...] = ()
+        self._left_out: Mapping[str, str] = {}  # of the file: name -> why it is no channel
         for channel, values in self._inputs.items():
             self._check_input(channel, values)
         for channel, values in self._outputs.items():
@@ -285,6 +286,7 @@ class Experiment(Preprocessing):
     def _after(self, before: Experiment, *steps: str) -> Experiment:
         """This record with the history of the one that it was made of, and what was done since."""
         self._history = (*before._history, *steps)
+        self._left_out = before._left_out
         return self
 
     def _times(self) -> tuple[str, FloatArray]:
@@ -351,6 +353,8 @@ class Experiment(Preprocessing):
                 f"{self._absent(kind, name)} It is there as an {other}: "
                 f"give it among the {kind}s too if the model uses it as an {kind}."
             )
+        if name in self._left_out:
+            raise DataError(f"{self._absent(kind, name)} The file has it, but it {self._left_out[name]}.")
         there = [*group, *self._channels]
         raise DataError(f"{self._absent(kind, name)}{listing(name, there)} Use .rename({{...}}) where names differ.")
 

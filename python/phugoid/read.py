@@ -135,6 +135,7 @@ def _one_rate(
         channels=data if open_ended else None,
         units=record.units(),
     )
+    experiment._left_out = record.left_out
     experiment._after(experiment, *record.history())
     return experiment if window is None else experiment.window(*window)
 

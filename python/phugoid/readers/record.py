@@ -26,7 +26,7 @@ class Record:
         self, source: Source, rename: Mapping[str, str], time: str, rate: float | None, units: Units, convert: bool
     ) -> None:
         self.where, self.name, self.rate = source.where, source.name, rate
-        self._left_out, self._time, self._units, self._convert = source.left_out, time, units, convert
+        self.left_out, self._time, self._units, self._convert = source.left_out, time, units, convert
         self._steps: dict[str, str] = {}
         self._labels: dict[str, str] = {}
         self._read: dict[str, FloatArray] = {}
@@ -48,8 +48,8 @@ class Record:
         for n in wanted or ():
             if n in self.available:
                 continue
-            if n in self._left_out:
-                raise DataError(f"{self.where}: '{n}' ({option}=...) {self._left_out[n]}")
+            if n in self.left_out:
+                raise DataError(f"{self.where}: '{n}' ({option}=...) {self.left_out[n]}")
             raise DataError(f"{self.where}: has no column '{n}' ({option}=...).{_listing(n, self.available)}")
 
     def clock(self, name: str) -> str:

@@ -15,7 +15,8 @@ class Declared(tuple[Expr, ...]):
 
     ``q = m.states(q="rad/s")`` lacks a comma; Python alone would tell of a sequence that cannot be multiplied.
 
-    >>> q = Declared([_core.Model("m").state("q", "rad/s")])
+    >>> import phugoid as ph
+    >>> q = ph.Model("m").states(q="rad/s")
     >>> 2 * q  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...

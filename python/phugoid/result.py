@@ -16,6 +16,7 @@ from . import _core, plot, summary, tabular
 from ._core import Expr
 from .convergence_plot import plot_convergence
 from .correlation_plot import plot_correlation
+from .correlations import correlation_matrix
 from .densities import PerExperiment
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
@@ -547,8 +548,7 @@ def _undetermined(names: Sequence[str]) -> str:
 def _confounded(names: Sequence[str], cov: _Array) -> list[str]:
     """Parameters of which the data determine a combination only: their correlation matrix is singular."""
     known = np.flatnonzero(np.diag(cov) > 0)
-    deviation = np.sqrt(np.diag(cov)[known])
-    correlation = cov[np.ix_(known, known)] / np.outer(deviation, deviation)
+    correlation = correlation_matrix(cov[np.ix_(known, known)])
     found = []
     for value, vector in zip(*_eigen(correlation), strict=True):
         if value < _SINGULAR:

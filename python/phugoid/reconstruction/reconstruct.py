@@ -15,7 +15,7 @@ from ..estimate import estimate
 from ..experiment import Experiment, as_experiments
 from ..model import Model
 from ..models.flight_path import flight_path
-from ..parameters import plus_minus, text_table
+from ..parameters import Estimate, plus_minus, text_table
 from ..result import Fit
 from ..summary import corrected as with_coloured_errors
 from .corrected import corrected
@@ -60,7 +60,8 @@ class Reconstruction:
     def summary(self) -> str:
         """Sensor errors with both standard errors, and how well the path matches each output."""
         rows = []
-        noise, coloured = self.fit.noise_parameters, with_coloured_errors(self.fit, again=True) or {}
+        noise = self.fit.noise_parameters
+        coloured: Mapping[str, Estimate] = with_coloured_errors(self.fit, again=True) or {}
         for n, e in self.fit.parameters.items():
             if n in noise:
                 continue

@@ -18,7 +18,8 @@ from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
 from .discrepancy.candidate import Candidate, Place
 from .discrepancy.candidates import candidates
 from .discrepancy.collection import Candidates
-from .discrepancy.diagnosis import Diagnosis, diagnose
+from .discrepancy.diagnose import diagnose
+from .discrepancy.diagnosis import Diagnosis
 from .discrepancy.extension import Extension, Gain
 from .discrepancy.finding import Finding, Scored
 from .discrepancy.misfit import Misfit, misfit

@@ -36,7 +36,7 @@ PYTHON = [
     "biases", "held", "validate", "discrepancy", "residuals_plot", "remarks", "report_validation",
     "planning", "reconstruction", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall",
-    "multistart_result", "multistart", "uncertainty", "cli",
+    "gathered", "multistart_result", "multistart", "uncertainty", "cli",
     "__init__", "__main__",
 ]
 # fmt: on

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import closing, nullcontext
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
 from .errors import ModelError, OptionError
 from .experiment import Experiment, as_experiments
+from .gathered import Watch, check_progress, gathered
 from .model import Model
 from .multistart_result import Multistart
 from .noise import KINDS, Noise
-from .outcome import Outcome, Problem
+from .outcome import Problem
 from .result import Fit
 from .shooting import MultipleShooting, SingleShooting, Transcription
 from .starts import Draw, Range, given, plain, uniform
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 
 __all__ = ["Multistart", "multistart"]
-
-Watch = Callable[[Outcome], None]
 
 
 def multistart(
@@ -94,8 +93,7 @@ def multistart(
         raise OptionError(f"multistart: n is a whole number from 1, not {n!r}")
     if not _whole(seed, 0):
         raise OptionError(f"multistart: seed is a whole number from 0, not {seed!r}")
-    if not isinstance(progress, bool) and not callable(progress):
-        raise OptionError(f"multistart: progress is True, False or a function, not {progress!r}")
+    check_progress("multistart", progress)
     if (ranges is None) == (starts is None):
         raise OptionError("multistart: give either ranges to draw from, or starts")
     if starts is None:
@@ -110,22 +108,12 @@ def multistart(
         known = book.outcomes if book else {}
         done = {index: outcome for index, outcome in known.items() if index < total}
         missing = ((i, plan(i)) for i in range(total) if i not in known)
-        with (
-            _watching(progress, problem.model.name, total, tuple(done.values())) as watch,
-            closing(crew.outcomes(missing)) as coming,
-        ):
-            try:
-                for outcome in coming:
-                    if book:
-                        book.append(outcome)
-                    done[outcome.index] = outcome
-                    watch(outcome)
-            except KeyboardInterrupt:
-                pass
+        keep = book.append if book else None
+        found = gathered(crew, missing, progress, problem.model.name, total, known=done, keep=keep, best=True)
     return Multistart(
-        outcomes=tuple(done[i] for i in sorted(done)),
+        outcomes=tuple(found.values()),
         n=total,
-        status="complete" if len(done) == total else "interrupted",
+        status="complete" if len(found) == total else "interrupted",
         problem=problem,
         warnings=crew.warnings,
         time=time.perf_counter() - begin,
@@ -150,31 +138,6 @@ def _problem(model: Any, data: Any, transcription: Any, noise: Any, start: Any, 
         raise OptionError(f"multistart: start holds values by name, or is a fit, not {start!r}")
     common = start.as_start() if isinstance(start, Fit) else start or {}
     return Problem(model, experiments, transcription, noise, solver, {n: plain(v) for n, v in common.items()})
-
-
-@contextmanager
-def _watching(progress: bool | Watch, title: str, total: int, done: Sequence[Outcome]) -> Iterator[Watch]:
-    """What to call with each outcome: nothing, our bar, or the user's own function."""
-    if callable(progress):
-        yield progress
-        return
-    if not progress:
-        yield lambda outcome: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    best = [o.log_likelihood for o in done if o.converged]
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, TextColumn("{task.fields[best]}"), console=Console(stderr=True)) as bar:
-        task = bar.add_task(title, total=total, completed=len(done), best="")
-
-        def advance(outcome: Outcome) -> None:
-            if outcome.converged:
-                best[:] = [max([*best, outcome.log_likelihood])]
-            bar.update(task, advance=1, best=f"best logL {best[0]:.3f}" if best else "")
-
-        yield advance
 
 
 def _whole(value: Any, least: int) -> bool:

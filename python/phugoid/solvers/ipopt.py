@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from .. import _core
 from ..errors import EvaluationError, OptionError
 from .cyipopt_module import load_cyipopt
 from .ipopt_callbacks import STATUS, Callbacks, interruptible
+from .limits import check_limits
 from .scaling import Scaling, scale_from_curvature, scale_from_data
 from .solution import HINTS, Iteration, Solution
 
@@ -49,13 +49,7 @@ class Ipopt:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        whole = isinstance(self.max_iterations, Integral) and not isinstance(self.max_iterations, bool)
-        if not whole or self.max_iterations < 0:
-            raise OptionError(f"Ipopt: max_iterations is a whole number from 0, not {self.max_iterations!r}")
-        if not isinstance(self.tolerance, Real) or not 0 < self.tolerance < 1:
-            raise OptionError(f"Ipopt: tolerance is a number between 0 and 1, not {self.tolerance!r}")
-        if self.time_limit is not None and not (isinstance(self.time_limit, Real) and self.time_limit > 0):
-            raise OptionError(f"Ipopt: time_limit is a positive number of seconds, not {self.time_limit!r}")
+        check_limits("Ipopt", self.max_iterations, self.tolerance, self.time_limit)
         if not isinstance(self.options, Mapping):
             raise OptionError(f"Ipopt: options are values by name, such as {{'tol': 1e-8}}, not {self.options!r}")
 

@@ -22,6 +22,7 @@ __all__ = [
     "ORANGE",
     "PURPLE",
     "RESIDUAL",
+    "RULE",
     "SERIES",
     "SPAN",
     "STATE",
@@ -45,6 +46,8 @@ INPUT = "#000000"
 RESIDUAL = "#4D4D4D"
 GREY = "#999999"
 BAND = "#DDDDDD"
+# Of lines that only mark a place.
+RULE = "#BBBBBB"
 # Paler than anything drawn on it.
 SPAN = "#F6D5A8"
 TOLERANCE, LIMIT = "#F0E442", "#A08A00"

@@ -18,13 +18,13 @@ export MPLBACKEND := Agg
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: help test test-rust test-python demo bench lint format develop clean
+.PHONY: help test test-rust test-python demo bench docs lint format develop clean
 
 help:
 	@echo "make test     all tests, Rust and Python       make demo     examples/hfb320.py, results in out/"
 	@echo "make lint     what CI checks besides tests     make bench    benchmarks against other packages"
 	@echo "make format   formats Rust and Python          make develop  installs the package for editing"
-	@echo "make clean    removes .venv, target and out"
+	@echo "make docs     the documentation, in out/docs   make clean    removes .venv, target and out"
 
 test: test-rust test-python
 
@@ -42,6 +42,11 @@ demo: $(VENV)/.package $(VENV)/.ipopt
 
 bench: $(VENV)/.package $(VENV)/.ipopt
 	$(py) benchmarks/compare.py
+
+# Runs the gallery as well; the tests run all code in the pages, and build them without.
+docs: $(VENV)/.package
+	$(py) -m sphinx -q -W --keep-going -d out/doctrees docs out/docs
+	@echo "out/docs/index.html"
 
 lint: $(VENV)/.package $(VENV)/.lint
 	$(py) tools/check_layers.py
@@ -62,7 +67,7 @@ develop: $(VENV)/.package $(VENV)/.lint
 	$(activate) maturin develop --release
 
 clean:
-	rm -rf $(VENV) target out
+	rm -rf $(VENV) target out docs/examples
 
 $(VENV)/.created:
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 10) and 'Python 3.10 or later is needed, see PYTHON in the Makefile')"

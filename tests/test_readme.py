@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
+import pages
 import pytest
 
 import phugoid as ph
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+README = pages.ROOT / "README.md"
 
 
 def blocks() -> list[str]:
-    return re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.S)
+    return [b.code for b in pages.blocks(README, "python")]
 
 
 @pytest.fixture
@@ -57,26 +57,8 @@ def test_second_example_takes_several_runs_and_options(folder: Path) -> None:
     exec(blocks()[1], names)
     fit = names["fit"]
     assert isinstance(fit, ph.Fit) and fit.converged
-    # And on from there: many starts.
-    exec(next(b for b in blocks() if "ph.multistart" in b), names)
-    many, best = names["many"], names["best"]
-    assert isinstance(many, ph.Multistart) and isinstance(best, ph.Fit)
-    assert best.converged and many.success_rate == 1.0
     assert [r.name for r in fit.records] == ["run1", "run2"]
     assert "sigma_az" not in fit.parameters
-
-
-def test_regression_example_starts_a_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names: dict[str, object] = {}
-    exec(blocks()[0], names)
-    data = names["data"]
-    assert isinstance(data, ph.Experiment)
-    names.update(run1=data.window(0, 7, name="run1"), run2=data.window(7.05, 12.5, name="run2"))
-    (block,) = (b for b in blocks() if "equation_error" in b)
-    exec(block, names)
-    regression, fit = names["regression"], names["fit"]
-    assert isinstance(regression, ph.EquationError) and isinstance(fit, ph.Fit) and fit.converged
-    assert "equation error" in capsys.readouterr().out
 
 
 def test_flights_with_biases_and_a_late_actuator(capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,11 +81,6 @@ def test_flights_with_biases_and_a_late_actuator(capsys: pytest.CaptureFixture[s
     assert isinstance(fit, ph.Fit) and fit.converged
     for name, true in {**truth, "b[run1]": 0.02, "b[run2]": -0.01}.items():
         assert abs(fit.parameters[name].value - true) < 4 * fit.parameters[name].std_error, name
-    exec(next(b for b in blocks() if "fit.validate" in b), names)
-    check = names["check"]
-    assert isinstance(check, ph.Validation) and check.converged
-    assert abs(check.freed["b"].value - 0.03) < 4 * check.freed["b"].std_error
-    assert "within ±0.035 rad/s" in capsys.readouterr().out
     exec(next(b for b in blocks() if "fit.coloured" in b), names)
     said = capsys.readouterr().out
     assert "ratio" in said and "profile likelihood, complete" in said and "50 of 50 runs converged" in said
@@ -138,13 +115,3 @@ def test_a_diagnosis_names_what_the_model_misses(
     printed = capsys.readouterr().out
     assert "The model misses" in printed and "q':q|q|" in printed and damping in printed
     assert (tmp_path / "missing.html").exists()
-
-
-def test_noise_models_are_noise_of_three_outputs() -> None:
-    lines = [line for line in next(b for b in blocks() if "StudentT" in b).splitlines() if line.startswith("ph.")]
-    assert len(lines) == 8
-    outputs, spread = ["w", "q", "az"], dict.fromkeys(["w", "q", "az"], 1.0)
-    for line in lines:
-        models = eval(f"({line.split('  #')[0]},)", {"ph": ph, "R": np.eye(3)})
-        for noise in models[0] if isinstance(models[0], tuple) else models:
-            noise.resolve(outputs, spread, {})

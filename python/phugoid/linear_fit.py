@@ -29,7 +29,9 @@ _Array: TypeAlias = NDArray[np.float64]
 # An iteration that gains less log-likelihood than this is the last; and, while modes are moved, than this.
 _GAIN, _ROUGH = 1e-7, 1e-3
 # A mode has found a better place where the log-likelihood rises by this. So many places of a mode are tried.
-_BETTER, _PLACES = 0.5, 2
+_BETTER, _PLACES = 0.5, 4
+# A search that gains less than this part of what it lacks is given up.
+_REACH = 0.02
 # Damping of the first step, as a part of the greatest singular value squared; and how often a step is damped more.
 _DAMPING, _TRIALS = 1e-9, 15
 # Eigenvalues stay below so many Nyquist frequencies. A mode that grows with a damping ratio up to this is reflected.
@@ -135,8 +137,8 @@ class _Task:
         rms = np.maximum(found.rms, np.finfo(np.float64).tiny)
         return _Point(blocks, found, -float(self.samples @ (np.log(rms) + 0.5)))
 
-    def search(self, point: _Point, least: float) -> _Point:
-        """Levenberg-Marquardt steps, each better, until one gains less than ``least``."""
+    def search(self, point: _Point, least: float, goal: float = -np.inf) -> _Point:
+        """Levenberg-Marquardt steps, each better, until one gains less than ``least``, or ``goal`` is out of reach."""
         damping = _DAMPING
         for _ in range(self.max_iterations):
             J, q = self._projected(point)
@@ -163,7 +165,7 @@ class _Task:
             self.number += 1
             if self.watch:
                 self.watch(Iteration(self.number, point.log_likelihood, 0.0, gain, 1.0, trials))
-            if gain < least:
+            if gain < max(least, _REACH * (goal - point.log_likelihood)):
                 break
         return point
 
@@ -177,7 +179,7 @@ class _Task:
                 rest = self.point(point.blocks.without(int(k)))
                 places = best_places(self.records, rest.blocks, rest.regression, self.direct, self.offset)
                 for block in places[:_PLACES]:
-                    there = self.search(self.point(rest.blocks.joined(block)), _ROUGH)
+                    there = self.search(self.point(rest.blocks.joined(block)), _ROUGH, point.log_likelihood)
                     if there.log_likelihood > point.log_likelihood + _BETTER:
                         point, left = there, moves
                         break

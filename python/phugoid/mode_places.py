@@ -7,9 +7,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .hankel import triangle
 from .modal_blocks import Blocks
-from .modal_regression import Layout, Regression, rows
+from .modal_regression import Regression, rows
 from .sampled import Sampled
 
 __all__ = ["best_places"]
@@ -18,51 +17,69 @@ _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
 
 # Natural frequencies tried, from this part of the lowest of the others to this multiple of the highest (but no higher
-# than this part of the Nyquist frequency); and damping ratios.
-_FREQUENCIES, _BELOW, _ABOVE, _NYQUIST = 25, 0.6, 1.3, 0.8
-_DAMPING = (0.01, 0.1, 0.6)
+# than this part of the Nyquist frequency).
+_BELOW, _ABOVE, _NYQUIST = 0.6, 1.3, 0.8
+# Damping ratios, each with the ratio of frequencies that lie next to each other: a resonance must not fall between.
+_DAMPING = ((0.01, 1.02), (0.03, 1.06), (0.1, 1.2), (0.6, 1.5))
+# Places that differ by less than this part lead to the same end: the better one stands for both.
+_APART = 0.15
+# Places whose responses are held at once; directions below this part of the greatest are none.
+_AT_ONCE, _RANK = 32, 1e-10
 
 
 def best_places(
-    records: Sampled,
-    blocks: Blocks,
-    found: Regression,
-    direct: tuple[bool, ...],
-    offset: bool,
+    records: Sampled, blocks: Blocks, found: Regression, direct: tuple[bool, ...], offset: bool
 ) -> list[Blocks]:
-    """Pairs, one a `Blocks`, in the order of how much they would lower the weighted sum of squares.
+    """Pairs, one a `Blocks`, that differ, in the order of how much they would lower the weighted sum of squares.
 
-    All are judged from one orthogonal factorisation of each output of each experiment: what the modes that are there
-    cannot do anew with other B. Of several outputs C of the new mode is the direction in which these answer most.
+    What the modes that are there can do with another B, in each experiment and output by itself, is projected out of
+    the outputs and of the response of each new mode; first states of the new mode are left out. Of several outputs C
+    of the new mode is the direction in which these answer most.
     """
     places = _grid(records, blocks)
+    m, p = len(records.inputs), len(records.outputs)
+    # Normal equations of each place and output: two unknowns for each input.
+    squares, sides = np.zeros((places.size, p, 2 * m, 2 * m)), np.zeros((places.size, p, 2 * m))
     values, C, _ = blocks.modal()
-    layout = Layout(values.imag != 0.0, len(records.inputs), direct, offset, len(records.runs))
-    m = len(records.inputs)
-    width = 2 * m  # columns of a place: two for each input
-    gains = np.zeros(places.size)
-    residues = np.zeros((places.size, len(records.outputs), m), dtype=np.complex128)
-    for j, name in enumerate(records.outputs):
-        tall = []
-        for e, driven in enumerate(records.driven):
-            run = driven.run
-            columns = np.empty((places.size, m, 2, run.n))
-            for k, xi in enumerate(driven.forced(places)):
-                columns[:, k, 0], columns[:, k, 1] = xi.real, -xi.imag
-            motion, modes = driven.free(values), driven.forced(values)
+    for driven in records.driven:
+        motion, modes = driven.free(values), driven.forced(values)
+        bases = []
+        for j, name in enumerate(records.outputs):
+            z = driven.run.output(name)
             seen = driven.u if direct[j] else driven.u[:0]
-            more = columns.reshape(-1, run.n)
-            R = triangle(rows(C[j], layout.paired, motion, modes, seen, run.output(name), offset, more))
-            wide = np.zeros((R.shape[0], layout.total + len(more) + 1))
-            wide[:, [*layout.columns(e, j), *range(layout.total, wide.shape[1])]] = R / found.rms[j]
-            tall.append(wide)
-        whole = triangle(tall)[layout.total :, layout.total :]
-        for i in range(places.size):
-            own = whole[:, i * width : (i + 1) * width]
-            b, _, _, _ = np.linalg.lstsq(own, whole[:, -1], rcond=1e-10)
-            gains[i] += np.sum(whole[:, -1] ** 2) - np.sum((whole[:, -1] - own @ b) ** 2)
+            columns = list(rows(C[j], values.imag != 0.0, motion, modes, seen, z, offset))
+            there = np.isfinite(z)
+            q = _basis(np.vstack(columns)[:, :-1])
+            r = z[there] - q @ (q.T @ z[there])
+            bases.append((there, q, r / found.rms[j] ** 2))
+        for a in range(0, places.size, _AT_ONCE):
+            some = slice(a, min(a + _AT_ONCE, places.size))
+            responses = np.stack(driven.forced(places[some]), axis=1)  # (places, m, N)
+            parts = np.stack([responses.real, -responses.imag], axis=2).reshape(-1, 2 * m, driven.run.n)
+            for j, (there, q, r) in enumerate(bases):
+                new = parts[:, :, there]
+                inside = new @ q
+                squares[some, j] += (new @ new.mT - inside @ inside.mT) / found.rms[j] ** 2
+                sides[some, j] += new @ r
+    gains = np.zeros(places.size)
+    residues = np.zeros((places.size, p, m), dtype=np.complex128)
+    for i in range(places.size):
+        for j in range(p):
+            b = np.linalg.lstsq(squares[i, j], sides[i, j], rcond=_RANK)[0]
+            gains[i] += b @ sides[i, j]
             residues[i, j] = b[0::2] + 1j * b[1::2]
-    return [_block(places[i], residues[i], blocks.units) for i in np.argsort(-gains)]
+    chosen: list[int] = []
+    for i in np.argsort(-gains):
+        if all(abs(places[i] - places[k]) > _APART * abs(places[k]) for k in chosen):
+            chosen.append(int(i))
+    return [_block(places[i], residues[i], blocks.units) for i in chosen]
+
+
+def _basis(columns: _Array) -> _Array:
+    """Orthonormal columns of the same span."""
+    size = np.linalg.norm(columns, axis=0)
+    q, s, _ = np.linalg.svd(columns / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    return np.asarray(q[:, s > _RANK * s[0]])
 
 
 def _grid(records: Sampled, blocks: Blocks) -> _Complex:
@@ -73,8 +90,12 @@ def _grid(records: Sampled, blocks: Blocks) -> _Complex:
     slowest = 2.0 * np.pi * records.rate / max(records.lengths)
     low = max(_BELOW * size.min(), slowest) if size.size else slowest
     high = min(_ABOVE * size.max(), _NYQUIST * nyquist) if size.size else _NYQUIST * nyquist
-    w = np.geomspace(min(low, 0.5 * high), high, _FREQUENCIES)
-    return np.array([each * (-z + 1j * np.sqrt(1.0 - z * z)) for each in w for z in _DAMPING])
+    low = min(low, 0.5 * high)
+    found = []
+    for z, ratio in _DAMPING:
+        frequencies = np.geomspace(low, high, max(2, round(np.log(high / low) / np.log(ratio))))
+        found += [w * (-z + 1j * np.sqrt(1.0 - z * z)) for w in frequencies]
+    return np.array(found)
 
 
 def _block(value: complex, residue: _Complex, units: _Array) -> Blocks:

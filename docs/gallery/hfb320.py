@@ -1,0 +1,42 @@
+"""
+A business jet from zero
+========================
+
+The longitudinal motion of the HFB-320 Hansa Jet, as in the paper: eleven derivatives, four biases,
+seven standard deviations and four initial states, all derivatives from 0. The record is simulated
+from the published optimum.
+"""
+
+import contextlib
+import tempfile
+from pathlib import Path
+
+import phugoid as ph
+from phugoid.cli.app import app
+from phugoid.cli.model_file import load_model
+
+# As the command does: phugoid example hfb320
+folder = Path(tempfile.mkdtemp())
+with contextlib.redirect_stdout(None):
+    app(["example", "hfb320", "--out", str(folder)], standalone_mode=False)
+model = load_model(str(folder / "hfb320.py"))
+record = ph.read(folder / "hfb320.csv")
+other = ph.read(folder / "hfb320_other.csv")
+
+# %%
+# The model names its aerodynamic coefficients, so that candidates for what it misses can be sought
+# in them:
+
+print(model)
+
+# %%
+
+fit = ph.estimate(model, record)
+print(fit.parameters)
+figure, axes = fit.plot()
+
+# %%
+# The fit predicts another manoeuvre, with only initial states and biases found anew:
+
+check = fit.validate(other, tolerances={"q": 0.006, "alpha": 0.006})
+figure, axes = check.plot(channels=["alpha", "q", "az"])

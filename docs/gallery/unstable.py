@@ -1,0 +1,38 @@
+"""
+An unstable aircraft
+====================
+
+Output error by single shooting needs a simulation that stays near the data, which an unstable
+aircraft does not. With collocation there is nothing to stay near: the states are unknowns, and
+start as measured.
+"""
+
+import numpy as np
+
+import phugoid as ph
+
+m = ph.Model("unstable aircraft, short period")
+w, q = m.states(w="m/s", q="rad/s")
+(de,) = m.inputs(de="rad")
+Zw, Zq, Zde, Mw, Mq, Mde = m.parameters("Zw Zq Zde Mw Mq Mde")
+U0 = 44.5695  # m/s
+m.dynamics(w=Zw * w + (U0 + Zq) * q + Zde * de, q=Mw * w + Mq * q + Mde * de)
+m.outputs(w=w, q=q, az=(Zw * w + Zq * q + Zde * de, "m/s²"))
+
+# %%
+# Six seconds with a small doublet, in which the motion runs away, and noise:
+
+truth = {"Zw": -1.4249, "Zq": -1.4768, "Zde": -6.2632, "Mw": 0.2163, "Mq": -3.7067, "Mde": -12.784}
+t = np.arange(0, 6, 0.02)
+de_t = 0.01 * (((t > 0.3) & (t < 0.8)) * 1.0 - ((t > 0.8) & (t < 1.4)))
+blank = ph.Experiment(t, {"de": de_t}, name="run")
+path = ph.simulate(m, truth, blank, initial={"w": 0, "q": 0})
+random = np.random.default_rng(0)
+sigma = {"w": 0.05, "q": 0.002, "az": 0.05}
+noisy = {n: y + sigma[n] * random.standard_normal(t.size) for n, y in path.outputs.items()}
+run = blank.with_outputs(noisy)
+
+fit = ph.estimate(m, run)
+print(fit.parameters)
+print(ph.modes(fit))
+figure, axes = fit.plot()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .correlations import correlation_matrix
 from .errors import DataError, UnknownName, listing
-from .figure_style import STYLE, WIDTH, plain
+from .figure_style import STYLE, WIDTH, headline, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,7 +68,7 @@ def plot_correlation(fit: Any, names: Sequence[str] | None = None) -> tuple[Figu
         scale.tick_params(labelsize=6.5, length=2.0, pad=1.5)
         scale.set_xlabel("correlation", fontsize=7.0, labelpad=1.0)
         title = f"{fit.model.name}: correlation of the estimates"
-        figure.text(0.1 / width, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
+        headline(figure, 0.1 / width, title)
     return figure, {"correlation": axis, "scale": scale}
 
 

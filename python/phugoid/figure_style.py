@@ -30,6 +30,7 @@ __all__ = [
     "TOLERANCE",
     "WIDTH",
     "figure_of",
+    "headline",
     "labelled",
     "plain",
     "squared",
@@ -83,6 +84,11 @@ def figure_of(axis: Axes) -> Figure:
         parent = parent.figure
     figure: Figure = parent
     return figure
+
+
+def headline(figure: Figure, left: float, text: str) -> None:
+    """The title of a figure that is laid out by hand: at its top, from ``left``, a part of its width, on."""
+    figure.text(left, 1.0 - 0.08 / figure.get_figheight(), plain(text), ha="left", va="top", fontsize=9.5)
 
 
 def labelled(name: str, units: Mapping[str, str]) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .figure_style import GREY, INPUT, MEASURED, ORANGE, PURPLE, RULE, STATE, STYLE, WIDTH, figure_of, plain
+from .figure_style import GREY, INPUT, MEASURED, ORANGE, PURPLE, RULE, STATE, STYLE, WIDTH, figure_of, headline
 from .optima import LOG_LIKELIHOOD, Optimum
 from .outcome import Outcome
 
@@ -65,7 +65,7 @@ def plot_waterfall(
             axes["not converged"] = above
             _draw_failures(above, counts, rank)
         axis.set_xlabel("starts, best first")
-        figure.text(left / WIDTH, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
+        headline(figure, left / WIDTH, title)
     return figure, axes
 
 

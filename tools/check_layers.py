@@ -19,7 +19,8 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "tabular", "symbols", "parameters", "noise", "densities", "rebuilt", "delayed", "model",
+    "_core", "errors", "tabular", "symbols", "parameters", "noise", "densities", "noise_kinds",
+    "rebuilt", "delayed", "model",
     "filtering", "checked", "channelwise",
     "preprocess", "experiment", "multirate", "readers", "read", "transcription", "shooting",
     "hdf5_file",
@@ -28,7 +29,8 @@ PYTHON = [
     "correlation_plot", "parameters_plot", "convergence_plot", "frequency_plot", "response", "mode_table",
     "inputs", "state_space", "models", "modal_response", "sampled", "hankel", "modal_regression", "identified",
     "subspace", "modal_blocks", "mode_places", "linear_fit", "empirical", "summary",
-    "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
+    "validation", "differentiate", "regression", "equations", "equation_error_result",
+    "equation_error", "integration", "refinement",
     "result", "fitted",
     "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",

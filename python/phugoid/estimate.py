@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from . import _core
 from .checked import moves
-from .equation_error import EquationError
+from .equation_error_result import EquationError
 from .errors import ModelError, OptionError
 from .experiment import Experiment, as_experiments
 from .filter_error import FilterError

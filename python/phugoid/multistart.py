@@ -73,6 +73,7 @@ def multistart(
     Raises ModelError, DataError or OptionError for what cannot be right, whatever the start, and DataError for a
     journal of another problem.
 
+    >>> import numpy as np
     >>> m = Model("known by its square")
     >>> (x,) = m.states("x")
     >>> (a,) = m.parameters("a")

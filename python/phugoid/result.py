@@ -16,13 +16,13 @@ from . import plot, summary, tabular
 from ._core import Expr
 from .convergence_plot import plot_convergence
 from .correlation_plot import plot_correlation
-from .densities import PerExperiment
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .experiment import Experiment
 from .filter_error import FilterError
 from .integration import IntegrationError, integration_error
 from .model import Model
 from .noise import Noise
+from .noise_kinds import PerExperiment
 from .parameters import Estimate, Estimates
 from .parameters_plot import plot_parameters
 from .records import Record

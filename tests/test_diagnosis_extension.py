@@ -130,7 +130,8 @@ def test_page(diagnosis: ph.Diagnosis, tmp_path: Path) -> None:
     diagnosis.report(path)
     text = path.read_text(encoding="utf-8")
     shown = re.sub(r"base64,[^']*", "", text)
-    assert shown.count("<img") == 4 and not re.search(r"\b(nan|inf)\b", shown)
+    # One a channel of the misfit, ranking, gain, findings.
+    assert shown.count("<img") == len(diagnosis.misfit.worst[:3]) + 3 and not re.search(r"\b(nan|inf)\b", shown)
     for f in diagnosis.findings:
         assert f.cause in text
     assert "The new equations" in text and "The gain" in text

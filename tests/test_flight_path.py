@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 import phugoid as ph
-from phugoid.reconstruction.coloured import coloured_errors
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 import flight_path as example
@@ -236,9 +235,9 @@ def test_coloured_errors_are_the_scatter_where_those_for_white_noise_are_not() -
         fit = ph.estimate(m, run.with_outputs({"x": y + e}))
         found.append([fit.parameters[n].value for n in "abc"])
         white.append([fit.parameters[n].std_error for n in "abc"])
-        coloured.append([coloured_errors(fit)[n] for n in "abc"])
+        coloured.append([fit.coloured.parameters[n].std_error for n in "abc"])
     scatter = np.std(found, axis=0, ddof=1)
-    # 80 samples: a standard deviation is known to 8 %; the window takes some of the colour.
+    # 80 samples: a standard deviation is known to 8 %.
     assert np.mean(coloured, axis=0) / scatter == pytest.approx(1.0, abs=0.25)
     assert (np.mean(white, axis=0) / scatter).min() < 0.5
 

@@ -13,12 +13,13 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 
 from . import inputs, models
 from ._core import Expr, __version__
-from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+from .densities import Density, Huber, Laplace, StudentT
 from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
 from .discrepancy.candidate import Candidate, Place
 from .discrepancy.candidates import candidates
 from .discrepancy.collection import Candidates
-from .discrepancy.diagnosis import Diagnosis, diagnose
+from .discrepancy.diagnose import diagnose
+from .discrepancy.diagnosis import Diagnosis
 from .discrepancy.extension import Extension, Gain
 from .discrepancy.finding import Finding, Scored
 from .discrepancy.misfit import Misfit, misfit
@@ -47,6 +48,7 @@ from .modes import modes
 from .multirate import multirate
 from .multistart import Multistart, multistart
 from .noise import Gaussian, Sigma
+from .noise_kinds import PerExperiment, PerOutput
 from .optima import Optimum
 from .outcome import Outcome
 from .parameters import Estimate, Parameter

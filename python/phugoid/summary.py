@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .errors import PhugoidError
+from .match import match
 from .parameters import Estimates, estimates_table, text_table
 
 __all__ = ["corrected", "fit_summary"]
@@ -77,22 +78,15 @@ def _header(fit: Any) -> str:
 
 
 def _match_table(fit: Any, outputs: list[str]) -> str:
-    """Per output, over all experiments: σ, RMS of the residuals, R² = 1 - Σr²/Σ(z - mean z)², samples."""
+    """Per output, over all experiments: σ, RMS of the residuals, R² about the mean of each experiment, samples."""
     rows = []
     for name in outputs:
-        pairs = [(r.measured[name], r.residuals[name]) for r in fit.records if name in r.residuals]
-        measured = np.concatenate([m for m, _ in pairs]) if pairs else np.empty(0)
-        residual = np.concatenate([r for _, r in pairs]) if pairs else np.empty(0)
-        present = ~np.isnan(residual)
-        measured, residual = measured[present], residual[present]
-        rms = r2 = ""
-        if residual.size:
-            scatter = float(np.sum((measured - measured.mean()) ** 2))
-            rms = f"{math.sqrt(float(np.mean(residual**2))):.4g}"
-            r2 = f"{1.0 - float(np.sum(residual**2)) / scatter:.4f}" if scatter > 0.0 else ""
+        m = match([r for r in fit.records if name in r.residuals], name)
         sigma = fit.parameters.get(f"sigma_{name}")
-        unit = next((r.units[name] for r in fit.records if name in r.units), "")
-        rows.append([name, "" if sigma is None else f"{sigma.value:.4g}", rms, unit, r2, str(residual.size)])
+        numbers = (f"{m.rms:.4g}" if m.samples else "", f"{m.r_squared:.4f}" if math.isfinite(m.r_squared) else "")
+        rows.append(
+            [name, "" if sigma is None else f"{sigma.value:.4g}", numbers[0], m.unit, numbers[1], str(m.samples)]
+        )
     return text_table(["output", "σ", "RMS residual", "unit", "R²", "samples"], rows, "lrrlrr")
 
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter, lsim
+from linear_case import run
 
 import phugoid as ph
 from phugoid.modal_blocks import Blocks
 from phugoid.modal_regression import regression
 from phugoid.sampled import Sampled
 from phugoid.state_space import modal_parts
-
-RATE = 50.0
 
 
 def system(poles: tuple[complex, ...], m: int = 1, p: int = 1, seed: int = 1) -> ph.StateSpace:
@@ -27,24 +25,10 @@ def system(poles: tuple[complex, ...], m: int = 1, p: int = 1, seed: int = 1) ->
     return ph.StateSpace(A, random.normal(size=(n, m)), random.normal(size=(p, n)))
 
 
-def run(
-    truth: ph.StateSpace, n: int = 1500, noise: float = 0.05, seed: int = 0, name: str = "run", offset: float = 0.0
-) -> ph.Experiment:
-    """Inputs linear between samples; noise in parts of the outputs."""
-    random = np.random.default_rng(seed)
-    t = np.arange(n) / RATE
-    u = lfilter(*butter(2, 0.6), random.normal(size=(len(truth.inputs), n)))
-    x0 = 0.3 * random.normal(size=truth.order)
-    _, y, _ = lsim((truth.A, truth.B, truth.C, truth.D), u.T, t, X0=x0)
-    y = y.reshape(n, -1).T
-    y = y + noise * y.std(axis=1, keepdims=True) * random.normal(size=y.shape) + offset
-    return ph.Experiment(t, dict(zip(truth.inputs, u, strict=True)), dict(zip(truth.outputs, y, strict=True)), name)
-
-
 def test_it_finds_what_estimate_finds() -> None:
     """The same likelihood by collocation, from there in a few steps, and the truth within its standard errors."""
     truth = system((-0.3 + 6.0j, -0.5 + 14.0j))
-    data = run(truth)
+    data = run(truth, noise=0.05)
     found = ph.fit_linear(ph.subspace(data, 4, feedthrough=False), data, offset=False)
     fit = ph.estimate(ph.models.modal(start=found), data, transcription=ph.Collocation(order=6))
     assert fit.converged and fit.iterations <= 6

@@ -66,7 +66,7 @@ def records() -> list[ph.Experiment]:
     return [measured(flown())]
 
 
-def reconstruct(runs: list[ph.Experiment]) -> ph.Reconstruction:
+def reconstruct(runs: list[ph.Experiment]) -> ph.results.Reconstruction:
     """Air data share their errors; biases are each record's own."""
     options = {"late": ("V", "alpha", "beta"), "per_experiment": INERTIAL if len(runs) > 1 else ()}
     return ph.reconstruct(runs, OUTPUTS, **options)
@@ -102,7 +102,7 @@ def main() -> None:
     print(f"\nWritten: {out / 'flight_path.png'}")
 
 
-def figure(path: ph.Reconstruction, runs: list[ph.Experiment]):  # type: ignore[no-untyped-def]
+def figure(path: ph.results.Reconstruction, runs: list[ph.Experiment]):  # type: ignore[no-untyped-def]
     """What was measured and the path, and how they differ; alpha also as it was."""
     import matplotlib
 

@@ -80,7 +80,7 @@ def test_a_fit_saved_as_hdf5_is_gone_on_from(here: Path) -> None:
 
 def test_interruption_prints_the_best_point(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Interrupting(bar.Progress):
-        def __call__(self, line: ph.Iteration) -> None:
+        def __call__(self, line: ph.results.Iteration) -> None:
             if line.number == 1:
                 raise KeyboardInterrupt
 

@@ -152,7 +152,7 @@ def test_ctrl_c_gives_the_best_so_far() -> None:
     truth = system((-0.3 + 6.0j, -0.5 + 14.0j))
     seen: list[float] = []
 
-    def watch(line: ph.Iteration) -> None:
+    def watch(line: ph.results.Iteration) -> None:
         seen.append(line.log_likelihood)
         if len(seen) == 2:
             raise KeyboardInterrupt

@@ -38,7 +38,7 @@ PYTHON = [
     "biases", "held", "validate", "discrepancy", "residuals_plot", "remarks", "report_validation",
     "planning", "reconstruction", "report",
     "outcome", "optima", "starts", "journal", "workers", "waterfall",
-    "gathered", "multistart_result", "multistart", "uncertainty", "cli",
+    "gathered", "multistart_result", "multistart", "uncertainty", "results", "cli",
     "__init__", "__main__",
 ]
 # fmt: on

@@ -121,7 +121,7 @@ def measure(name, make, case, options, starts):
 
 
 def all_at_once(case, starts):
-    """The paper's experiment as a user runs it, on two processes: the `ph.Multistart`."""
+    """The paper's experiment as a user runs it, on two processes: the `ph.results.Multistart`."""
     from phugoid_model import experiment, model
 
     import phugoid as ph

@@ -109,7 +109,7 @@ def estimate(runs: ph.Experiment | list[ph.Experiment]) -> ph.Fit:
     return ph.estimate(model(), runs, start=ph.estimate(model(vane=False), runs))
 
 
-def validate(fit: ph.Fit, run: ph.Experiment) -> ph.Validation:
+def validate(fit: ph.Fit, run: ph.Experiment) -> ph.results.Validation:
     """The derivatives of a fit on another record: only trim, bias and the first states are found anew."""
     return fit.validate(run, biases=TRIM)
 
@@ -150,7 +150,7 @@ def main() -> None:
     print(f"\nWritten: {out / 'attas.png'}")
 
 
-def figure(checks: list[ph.Validation], both: ph.Fit):  # type: ignore[no-untyped-def]
+def figure(checks: list[ph.results.Validation], both: ph.Fit):  # type: ignore[no-untyped-def]
     """Measurements, the fit of both records, and the prediction from the other one."""
     import matplotlib
 

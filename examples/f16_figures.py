@@ -35,7 +35,7 @@ def response(run: ph.Experiment, fit: ph.Fit, outputs: Sequence[str], force: str
     return drawn
 
 
-def time(linear: ph.Record, nonlinear: ph.Record, outputs: Sequence[str]):  # type: ignore[no-untyped-def]
+def time(linear: ph.results.Record, nonlinear: ph.results.Record, outputs: Sequence[str]):  # type: ignore[no-untyped-def]
     """A portion of measurements and model, and the residuals of both models."""
     plt = _pyplot()
     drawn, axes = plt.subplots(2 * len(outputs), 1, figsize=(7.2, 8.5), sharex=True, layout="constrained")
@@ -59,11 +59,11 @@ def time(linear: ph.Record, nonlinear: ph.Record, outputs: Sequence[str]):  # ty
 
 
 def residual(  # type: ignore[no-untyped-def]
-    linear: ph.Record,
-    nonlinear: ph.Record,
+    linear: ph.results.Record,
+    nonlinear: ph.results.Record,
     outputs: Sequence[str],
-    spectra: Callable[[ph.Record, str], Any],
-    by_amplitude: Callable[[ph.Record, str], list[tuple[float, float, float]]],
+    spectra: Callable[[ph.results.Record, str], Any],
+    by_amplitude: Callable[[ph.results.Record, str], list[tuple[float, float, float]]],
 ):
     """Spectra of signal, of what repeats in the residuals, and of noise; and residuals over the envelope."""
     plt = _pyplot()

@@ -97,7 +97,7 @@ def as_fit(begin: ph.StateSpace, run: ph.Experiment) -> ph.Fit:
     return ph.estimate(ph.models.modal(start=begin), run, solver=ph.Newton(max_iterations=0, regression=False))
 
 
-def fractions(check: ph.Validation) -> dict[str, float]:
+def fractions(check: ph.results.Validation) -> dict[str, float]:
     """Output -> root mean square of the residuals over that of the signal; first states were free."""
     (record,) = check.records
     return {n: rms(record.residuals[n]) / rms(record.measured[n]) for n in OUTPUTS}
@@ -116,7 +116,7 @@ class Spectra:
     noise    of one period: standard deviation of the signal's from period to period.
     """
 
-    def __init__(self, record: ph.Record, output: str) -> None:
+    def __init__(self, record: ph.results.Record, output: str) -> None:
         n = PERIOD // KEEP
         f = np.fft.rfftfreq(n, KEEP / RATE)
         lines = (f >= BANDS[0]) & (f <= BANDS[-1])
@@ -144,7 +144,7 @@ def near_the_mode(values: np.ndarray) -> np.ndarray:
     return np.asarray(2.0 * np.fft.ifft(spectrum))
 
 
-def by_amplitude(record: ph.Record, output: str) -> list[tuple[float, float, float]]:
+def by_amplitude(record: ph.results.Record, output: str) -> list[tuple[float, float, float]]:
     """By quarters of the time, the quietest first: envelope, residual and phase, near the mode.
 
     RMS of the envelope and of the residual's in m/s²; by how much the measurement is ahead of the model, in degrees.
@@ -165,7 +165,7 @@ def softening(fit: ph.Fit, run: ph.Experiment, terms: tuple[str, ...]) -> ph.Fit
     return ph.estimate(model, run, start=fit, transcription=ph.Collocation(order=4))
 
 
-def diagnose(run: ph.Experiment) -> ph.Diagnosis:
+def diagnose(run: ph.Experiment) -> ph.results.Diagnosis:
     """What `ph.diagnose` says of two periods, validated on a third: of the six modes in the band, 2,070 candidates."""
     two = periods(run, 1, 3)
     begin = ph.subspace(two, 12, offset=False, stable=True)
@@ -173,7 +173,7 @@ def diagnose(run: ph.Experiment) -> ph.Diagnosis:
     return ph.diagnose(fit, validation=periods(run, 5, 6))
 
 
-def table(rows: Mapping[str, tuple[ph.Validation, ph.Validation]]) -> str:
+def table(rows: Mapping[str, tuple[ph.results.Validation, ph.results.Validation]]) -> str:
     """Residuals as fractions of the signal."""
     text = f"{'residual RMS over signal RMS, %':44s}" + "".join(f"{n:>15s}" for n in OUTPUTS)
     for name, checks in rows.items():
@@ -182,7 +182,7 @@ def table(rows: Mapping[str, tuple[ph.Validation, ph.Validation]]) -> str:
     return text
 
 
-def words(record: ph.Record) -> str:
+def words(record: ph.results.Record) -> str:
     """Where, in frequency and amplitude, the model fails."""
     lines = ["where the linear model fails: residual that repeats (noise of a period), % of the signal in the band"]
     lines.append(f"{'Hz':>12s}" + "".join(f"{n:>22s}" for n in OUTPUTS) + "   share of the residual's power")

@@ -5,15 +5,15 @@ agree. From two ATTAS records (elevator 3-2-1-1s of opposite signs) `phugoid.rec
 sensors, of each record its own, and scale factors and a delay of the air data, which both share. The corrected records
 then go into a plain regression of the short period.
 
-What it finds on the real records (standard errors allow for coloured residuals; those for white noise are a fifth of
+What it finds on the real records (standard errors allow for coloured residuals; those for white noise are a third of
 them or less):
 
-    Both vanes are late, alpha by 0.105 ± 0.003 s and beta by 0.116 ± 0.010 s, and airspeed by 0.42 ± 0.04 s, as
-    pressure lines are. alpha is scaled by 0.922 ± 0.005, beta by 0.98 ± 0.02.
+    Both vanes are late, alpha by 0.105 ± 0.003 s and beta by 0.116 ± 0.011 s, and airspeed by 0.42 ± 0.06 s, as
+    pressure lines are. alpha is scaled by 0.922 ± 0.006, beta by 0.98 ± 0.02.
     The aerodynamic model of `attas.py` says the same of alpha from the other side: with an exact delay 0.113 ± 0.004 s
     and 0.919 ± 0.009. (Its own delay, of first order, makes that 0.115 s and 0.90: not alike to so many digits.)
     Gyros are off by 0.001 to 0.003 rad/s, accelerometers by 0.01 to 0.09 m/s^2. The bias of q differs from record to
-    record by 2e-4 rad/s, four times its standard error: what drifts is no constant.
+    record by 2e-4 rad/s, three times its standard error: what drifts is no constant.
     Altitude does not follow the flight path: in the manoeuvre it is off by up to 10 m, downwards where the angle of
     attack is large, as it is where that changes the static pressure. So altitude is left out, and with it a bias of
     alpha, which nothing else would tell.
@@ -66,7 +66,7 @@ def records() -> list[ph.Experiment]:
     return [measured(flown())]
 
 
-def reconstruct(runs: list[ph.Experiment]) -> ph.Reconstruction:
+def reconstruct(runs: list[ph.Experiment]) -> ph.results.Reconstruction:
     """Air data share their errors; biases are each record's own."""
     options = {"late": ("V", "alpha", "beta"), "per_experiment": INERTIAL if len(runs) > 1 else ()}
     return ph.reconstruct(runs, OUTPUTS, **options)
@@ -102,7 +102,7 @@ def main() -> None:
     print(f"\nWritten: {out / 'flight_path.png'}")
 
 
-def figure(path: ph.Reconstruction, runs: list[ph.Experiment]):  # type: ignore[no-untyped-def]
+def figure(path: ph.results.Reconstruction, runs: list[ph.Experiment]):  # type: ignore[no-untyped-def]
     """What was measured and the path, and how they differ; alpha also as it was."""
     import matplotlib
 

@@ -50,7 +50,7 @@ def aircraft() -> ph.Model:
     return m
 
 
-def flown() -> ph.Record:
+def flown() -> ph.results.Record:
     """An elevator 3-2-1-1, and some aileron and rudder."""
     controls = {
         "de": inputs.three_two_one_one(T, -0.044, width=0.7, start=3.0, rise=0.2),
@@ -60,7 +60,9 @@ def flown() -> ph.Record:
     return ph.simulate(aircraft(), DERIVATIVES, ph.Experiment(T, controls), initial={"u": V0, "psi": 0.25})
 
 
-def measured(truth: ph.Record, seed: int | None = 0, inertial_noise: bool = True, name: str = "twin") -> ph.Experiment:
+def measured(
+    truth: ph.results.Record, seed: int | None = 0, inertial_noise: bool = True, name: str = "twin"
+) -> ph.Experiment:
     """What the sensors read. Without a seed there is no noise."""
     s, rng = truth.states, np.random.default_rng(seed)
     V = np.sqrt(s["u"] ** 2 + s["v"] ** 2 + s["w"] ** 2)

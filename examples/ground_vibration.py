@@ -67,7 +67,7 @@ def response_error(fit: ph.Fit, record: Twin) -> tuple[np.ndarray, np.ndarray]:
     return found.magnitude_db - truth.magnitude_db, apart / errors
 
 
-def compare(fit: ph.Fit, record: Twin) -> list[tuple[ph.Mode, float, float]]:
+def compare(fit: ph.Fit, record: Twin) -> list[tuple[ph.results.Mode, float, float]]:
     """For each lightly damped mode of the truth the one found, and its errors in frequency and damping in standard
     errors."""
     found = [mode for mode in ph.modes(fit) if mode.oscillates]

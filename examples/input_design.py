@@ -79,7 +79,7 @@ def sines(da: float, dr: float) -> ph.Experiment:
     return ph.Experiment(T, {"da": da * SINES["da"], "dr": dr * SINES["dr"]}, name="multisines")
 
 
-def planned() -> ph.Plans:
+def planned() -> ph.results.Plans:
     """Each manoeuvre at its best amplitudes."""
     bounds = {"da": (0.5 * DEG, 5.0 * DEG), "dr": (0.5 * DEG, 5.0 * DEG)}
     found = {}
@@ -89,10 +89,10 @@ def planned() -> ph.Plans:
             return sines(da, dr) if kind == "multisines" else steps(kind, da, dr)
 
         found[kind] = ph.optimal_plan(model(), make, bounds, generations=8, noise=NOISE, limits=LIMITS)
-    return ph.Plans(found)
+    return ph.results.Plans(found)
 
 
-def scatter(plan: ph.Plan, seeds: int) -> dict[str, float]:
+def scatter(plan: ph.results.Plan, seeds: int) -> dict[str, float]:
     """Standard deviation of estimates from simulated flights over what the plan said."""
     (record,) = plan.records
     rng = np.random.default_rng(1)

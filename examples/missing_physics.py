@@ -41,7 +41,7 @@ class Walk:
     """The fit of the model as it was, and its diagnosis."""
 
     fit: ph.Fit
-    diagnosis: ph.Diagnosis
+    diagnosis: ph.results.Diagnosis
 
 
 def truth() -> ph.Model:
@@ -84,7 +84,7 @@ def walk(data: ph.Experiment, validation: ph.Experiment | None, progress: bool =
     return Walk(fit, ph.diagnose(fit, validation=validation, progress=progress))
 
 
-def compare(w: Walk, extended: ph.Extension) -> str:
+def compare(w: Walk, extended: ph.results.Extension) -> str:
     """Derivatives before and after beside those that the twin was made with."""
     lines = [f"{'':5s}{'as it was':>19s}{'extended':>19s}{'truth':>10s}"]
     for name, true in hfb320.PUBLISHED.items():

@@ -53,7 +53,9 @@ def record(seed: int = 0, n: int = 601) -> ph.Experiment:
     return ph.Experiment(t, {"de": -0.03 + 0.05 * u / u.std()}, name="run")
 
 
-def along(m: ph.Model, values: dict[str, float], r: ph.Record, t: np.ndarray | None = None) -> ph.Points:
+def along(
+    m: ph.Model, values: dict[str, float], r: ph.results.Record, t: np.ndarray | None = None
+) -> ph.results.Points:
     """Points along a simulated path: all that the model has names for, evaluated independently of the library."""
     inputs = dict(r.inputs)
     names = [name for name, *_ in m._core.quantities]
@@ -67,18 +69,18 @@ def along(m: ph.Model, values: dict[str, float], r: ph.Record, t: np.ndarray | N
     rates = dict(zip(m.state_names, f, strict=True)) | {n: np.gradient(u, r.t) for n, u in inputs.items()}
     slopes = {name: np.gradient(v, r.t) for name, v in r.outputs.items()}
     everything = {**r.states, **inputs, **dict(zip(names, y, strict=True))}
-    return ph.Points(r.name, r.t, everything, rates, dict(r.outputs), slopes)
+    return ph.results.Points(r.name, r.t, everything, rates, dict(r.outputs), slopes)
 
 
 @pytest.fixture(scope="module")
-def path() -> ph.Points:
+def path() -> ph.results.Points:
     m = pitch()
     r = ph.simulate(m, TRUTH, record(), initial={"alpha": 0.04, "q": 0.0})
     return along(m, TRUTH, r)
 
 
 @pytest.fixture(scope="module")
-def library(path: ph.Points) -> ph.Candidates:
+def library(path: ph.results.Points) -> ph.results.Candidates:
     return ph.candidates(pitch(), points=[path])
 
 
@@ -148,15 +150,15 @@ def test_state_equations_that_hold_parameters_are_places() -> None:
     assert "q':alpha*q" in every and "alpha':alpha^2" in every and "q':alpha*q" not in ph.candidates(pitch())
 
 
-def test_scales_are_those_of_the_record(path: ph.Points, library: ph.Candidates) -> None:
+def test_scales_are_those_of_the_record(path: ph.results.Points, library: ph.results.Candidates) -> None:
     trim = trim_of([path])
     assert trim["de"] == pytest.approx(-0.03, abs=0.02) and trim["q"] == 0.0
     assert "Cm:sign(q)" in library
     still = {**path.values, "de": np.full(path.n, -0.03)}
-    calm = ph.Points("calm", path.t, still, path.rates, path.outputs, path.output_rates)
+    calm = ph.results.Points("calm", path.t, still, path.rates, path.outputs, path.output_rates)
     assert not any(re.search(r"\bde\b|_de", name) for name in ph.candidates(pitch(), points=[calm]).names)
     one_sided = {**path.values, "q": np.abs(path.values["q"])}
-    climb = ph.Points("climb", path.t, one_sided, path.rates, path.outputs, path.output_rates)
+    climb = ph.results.Points("climb", path.t, one_sided, path.rates, path.outputs, path.output_rates)
     assert "Cm:sign(q)" not in ph.candidates(pitch(), points=[climb])
     assert ph.candidates(pitch()).on([path]).names == library.names
     frequencies = np.array([shape["Cm_frequency"] for shape in library["Cm:periodic"].shapes])
@@ -164,7 +166,7 @@ def test_scales_are_those_of_the_record(path: ph.Points, library: ph.Candidates)
     assert np.diff(frequencies).max() <= np.pi / 30 + 1e-12 and frequencies.size <= 200
 
 
-def test_a_collection_is_read_by_number_name_and_pattern(library: ph.Candidates) -> None:
+def test_a_collection_is_read_by_number_name_and_pattern(library: ph.results.Candidates) -> None:
     assert library[0] is library[library[0].name] and len(library[:5]) == 5
     assert library["Cm:alpha*q"] in library and "Cm:alpha*q" in library
     assert library.only("Cm:alpha*q").names == ("Cm:alpha*q",)  # its star is no wild card
@@ -183,7 +185,7 @@ def test_a_collection_is_read_by_number_name_and_pattern(library: ph.Candidates)
 
 
 def right_sides(
-    m: ph.Model, theta: dict[str, float], p: ph.Points, more: dict[str, np.ndarray]
+    m: ph.Model, theta: dict[str, float], p: ph.results.Points, more: dict[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
     """State derivatives and outputs of a model along points, with further states and late inputs put in."""
     evaluator = _core.Evaluator(m._core)
@@ -196,7 +198,7 @@ def right_sides(
     return found | {name: row for name, row in zip(m.output_names, y, strict=True)}
 
 
-def test_signals_are_what_extensions_add(path: ph.Points, library: ph.Candidates) -> None:
+def test_signals_are_what_extensions_add(path: ph.results.Points, library: ph.results.Candidates) -> None:
     """Of every candidate: the change of all right-hand sides along the path is its signal, through its place."""
     m, p = pitch(), path
     base = right_sides(m, TRUTH, p, {})
@@ -237,7 +239,7 @@ def test_signals_are_what_extensions_add(path: ph.Points, library: ph.Candidates
     assert checked > 60
 
 
-def test_lags_and_late_outputs_along_a_path_are_those_of_a_simulation(library: ph.Candidates) -> None:
+def test_lags_and_late_outputs_along_a_path_are_those_of_a_simulation(library: ph.results.Candidates) -> None:
     """Independently: extended models, integrated."""
     m, fine = pitch(), record(n=121)
     first = {"alpha": 0.04, "q": 0.0}
@@ -301,7 +303,7 @@ EFFECTS = {
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_what_was_put_in_is_estimated(name: str, library: ph.Candidates) -> None:
+def test_what_was_put_in_is_estimated(name: str, library: ph.results.Candidates) -> None:
     """From the base model's truth and, as a scan gives them, the nearest shape of the grid and rough coefficients."""
     c, true = library[name], EFFECTS[name]
     model, empty = c.extended(pitch()), record(3)
@@ -359,13 +361,13 @@ CHAIN_VALUES = {
 }
 
 
-def chained(library: ph.Candidates, m: ph.Model) -> ph.Model:
+def chained(library: ph.results.Candidates, m: ph.Model) -> ph.Model:
     for c in sorted((library[name] for name in CHAIN), key=lambda c: c.stage):
         m = c.extended(m)
     return m
 
 
-def test_effects_compose_in_the_order_of_their_stages(library: ph.Candidates) -> None:
+def test_effects_compose_in_the_order_of_their_stages(library: ph.results.Candidates) -> None:
     """The input is late, lags, saturates, and has a dead-band, in that order; the lever arm sees the whole equation."""
     m, empty = chained(library, pitch()), record()
     m.check()
@@ -394,7 +396,7 @@ def test_effects_compose_in_the_order_of_their_stages(library: ph.Candidates) ->
     assert r.outputs["az"][2:] == pytest.approx(r.states["az_sensor"][:-2], abs=1e-6)
 
 
-def test_extensions_are_saved_and_printed_like_any_model(library: ph.Candidates, tmp_path: Path) -> None:
+def test_extensions_are_saved_and_printed_like_any_model(library: ph.results.Candidates, tmp_path: Path) -> None:
     m = chained(library, pitch())
     m.save(tmp_path / "model.json")
     again = ph.Model.load(tmp_path / "model.json")
@@ -405,7 +407,7 @@ def test_extensions_are_saved_and_printed_like_any_model(library: ph.Candidates,
         assert ph.Model.from_json(extended.to_json()).to_json() == extended.to_json(), c.name
 
 
-def test_extending_leaves_the_model_as_it_was(library: ph.Candidates) -> None:
+def test_extending_leaves_the_model_as_it_was(library: ph.results.Candidates) -> None:
     m = pitch()
     before = m.to_json()
     for c in library:
@@ -413,7 +415,7 @@ def test_extending_leaves_the_model_as_it_was(library: ph.Candidates) -> None:
     assert m.to_json() == before
 
 
-def test_two_effects_together_are_estimated(library: ph.Candidates) -> None:
+def test_two_effects_together_are_estimated(library: ph.results.Candidates) -> None:
     names, true = ("Cm:alpha^2", "de:delay"), {"Cm_alpha2": 9.0, "tau_de": 0.09}
     model = pitch()
     for name in names:
@@ -428,7 +430,7 @@ def test_two_effects_together_are_estimated(library: ph.Candidates) -> None:
         assert abs(e.value - value) < 4 * e.std_error and e.std_error < 0.1 * value
 
 
-def test_the_library_of_an_extended_model_does_not_doubt_its_extensions(path: ph.Points) -> None:
+def test_the_library_of_an_extended_model_does_not_doubt_its_extensions(path: ph.results.Points) -> None:
     base = pitch()
     library = ph.candidates(base, points=[path])
     m = base
@@ -436,7 +438,7 @@ def test_the_library_of_an_extended_model_does_not_doubt_its_extensions(path: ph
         m = library[name].extended(m)
     again = ph.candidates(m, base=base)
     assert "Cm:de^2" in again and again["Cm:de^2"].variables == ("de_delayed",)  # type: ignore[attr-defined]
-    assert again["de:deadband"].place == ph.Place("input", "de_delayed")
+    assert again["de:deadband"].place == ph.results.Place("input", "de_delayed")
     assert "de:delay" not in again and not any("alpha_lag" in name for name in again.names)
     # One more of the same kind gets parameters of its own.
     assert again["Cm:lag_alpha"].coefficients == ("Cm_lag_alpha_2",)
@@ -489,7 +491,9 @@ def test_terms_that_cannot_be_are_refused(terms: dict[str, object], message: str
         ph.candidates(pitch(), terms={key: read(text) for key, text in terms.items()})
 
 
-def test_wrong_options_and_wrong_extensions_are_refused(library: ph.Candidates, path: ph.Points) -> None:
+def test_wrong_options_and_wrong_extensions_are_refused(
+    library: ph.results.Candidates, path: ph.results.Points
+) -> None:
     m = pitch()
     with pytest.raises(ph.OptionError, match="there is no family 'cubes'. Did you mean 'cube'"):
         ph.candidates(m, leave_out=["cubes"])

@@ -80,7 +80,7 @@ def test_a_fit_saved_as_hdf5_is_gone_on_from(here: Path) -> None:
 
 def test_interruption_prints_the_best_point(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Interrupting(bar.Progress):
-        def __call__(self, line: ph.Iteration) -> None:
+        def __call__(self, line: ph.results.Iteration) -> None:
             if line.number == 1:
                 raise KeyboardInterrupt
 
@@ -131,6 +131,28 @@ def test_bad_input_is_a_line_and_exit_code_2(here: Path, args: list[str], words:
     done = run("fit", *args)
     assert done.exit_code == 2 and words in done.stderr, done.output
     assert "Traceback" not in done.output and done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["--time", "zz"], "run1.csv: has no time column 'zz'. There are: t, u, x. Give --time NAME."),
+        (["--inputs", "zz"], "has no column 'zz' (--inputs)."),
+        (["--outputs", "zz"], "has no column 'zz' (--outputs)."),
+        (["--rename", "zz=u"], "--rename: there is no column 'zz'"),
+        (["word.csv"], "leave the column out by naming --inputs A,B and --outputs A,B"),
+    ],
+)
+def test_errors_of_the_data_name_the_options_of_the_command(here: Path, args: list[str], words: str) -> None:
+    (here / "word.csv").write_text("t,u,x\n0,1,2\n1,one,2\n2,1,2\n")
+    result = run("fit", "model.py", "run1.csv", *args)
+    assert result.exit_code == 2
+    assert (
+        words in result.stderr
+        and "=[" not in result.stderr
+        and "=..." not in result.stderr
+        and "='" not in result.stderr
+    )
 
 
 def test_debug_shows_the_traceback(here: Path) -> None:

@@ -58,13 +58,13 @@ EMPTY = [
 ]
 
 
-def diagnosed(case: Case) -> ph.Diagnosis:
+def diagnosed(case: Case) -> ph.results.Diagnosis:
     fit = ph.estimate(case.model, case.data)
     assert fit.converged
     return ph.diagnose(fit, validation=case.validation)
 
 
-def names(finding: ph.Finding) -> tuple[str, ...]:
+def names(finding: ph.results.Finding) -> tuple[str, ...]:
     return (finding.cause, *finding.aliases)[:NAMES] if finding.cause else ()
 
 

@@ -128,7 +128,7 @@ def test_its_own_record_in_another_guise(which: str, tmp_path: Path) -> None:
         ph.diagnose(given, validation=e)
 
 
-def elsewhere() -> ph.Candidates:
+def elsewhere() -> ph.results.Candidates:
     """Candidates of a model that has a torque too, of other states."""
     m = ph.Model("other servo")
     a, b = m.states("a", "b")

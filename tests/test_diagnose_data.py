@@ -37,13 +37,13 @@ def servo_fit() -> ph.Fit:
 
 
 @functools.cache
-def expected() -> ph.Diagnosis:
+def expected() -> ph.results.Diagnosis:
     d = ph.diagnose(servo_fit(), validation=servo(FRICTION).validation)
     assert causes(d) == [FRICTION]
     return d
 
 
-def causes(d: ph.Diagnosis) -> list[str]:
+def causes(d: ph.results.Diagnosis) -> list[str]:
     return [f.cause for f in d.findings]
 
 
@@ -160,7 +160,7 @@ LATE = {"alpha:delay", "alpha:lag"}
 
 
 @functools.cache
-def first_attas(vane: bool) -> ph.Diagnosis:
+def first_attas(vane: bool) -> ph.results.Diagnosis:
     first, second = attas.records()
     fit = attas.estimate(first) if vane else ph.estimate(attas.model(vane=False), first)
     return ph.diagnose(fit, validation=second)

@@ -31,7 +31,7 @@ def fit(case: Case) -> ph.Fit:
 
 
 @pytest.fixture(scope="module")
-def diagnosis(case: Case, fit: ph.Fit) -> ph.Diagnosis:
+def diagnosis(case: Case, fit: ph.Fit) -> ph.results.Diagnosis:
     return ph.diagnose(fit, validation=case.validation)
 
 
@@ -41,7 +41,9 @@ def _close() -> Iterator[None]:
     plt.close("all")
 
 
-def test_the_extended_model_is_a_model_like_any_other(diagnosis: ph.Diagnosis, case: Case, tmp_path: Path) -> None:
+def test_the_extended_model_is_a_model_like_any_other(
+    diagnosis: ph.results.Diagnosis, case: Case, tmp_path: Path
+) -> None:
     ext = diagnosis.extend()
     assert ext is diagnosis.extend()  # worked out once
     assert ext.added == tuple(f.cause for f in diagnosis.findings)
@@ -61,7 +63,7 @@ def test_the_extended_model_is_a_model_like_any_other(diagnosis: ph.Diagnosis, c
 
 
 def test_the_extended_fit_is_saved_and_validated_like_any_other(
-    diagnosis: ph.Diagnosis, case: Case, tmp_path: Path
+    diagnosis: ph.results.Diagnosis, case: Case, tmp_path: Path
 ) -> None:
     ext = diagnosis.extend()
     assert ext.fit.converged
@@ -72,13 +74,13 @@ def test_the_extended_fit_is_saved_and_validated_like_any_other(
     assert after - before > 0.5 * ext.gain.held_out
 
 
-def test_the_truth_lies_near_what_is_estimated(diagnosis: ph.Diagnosis, case: Case) -> None:
+def test_the_truth_lies_near_what_is_estimated(diagnosis: ph.results.Diagnosis, case: Case) -> None:
     for f in diagnosis.findings:
         true = case.coefficients[f.cause]
         assert abs(f.coefficient - true) < 4 * f.std_error < abs(true)
 
 
-def test_the_gain_is_what_both_fits_say(diagnosis: ph.Diagnosis, fit: ph.Fit, case: Case) -> None:
+def test_the_gain_is_what_both_fits_say(diagnosis: ph.results.Diagnosis, fit: ph.Fit, case: Case) -> None:
     ext = diagnosis.extend()
     gain, new = ext.gain, len(ext.model.parameter_names) - len(fit.model.parameter_names)
     white = ext.fit.log_likelihood - fit.log_likelihood
@@ -95,7 +97,7 @@ def test_the_gain_is_what_both_fits_say(diagnosis: ph.Diagnosis, fit: ph.Fit, ca
         assert gain.change(name) < 0 and gain.change(name, held_out=True) < 0
 
 
-def test_the_ranking_is_complete_and_in_order(diagnosis: ph.Diagnosis, case: Case) -> None:
+def test_the_ranking_is_complete_and_in_order(diagnosis: ph.results.Diagnosis, case: Case) -> None:
     values = [s.ranking for s in diagnosis.ranking]
     assert values == sorted(values, reverse=True)
     names = [s.name for s in diagnosis.ranking]
@@ -106,7 +108,7 @@ def test_the_ranking_is_complete_and_in_order(diagnosis: ph.Diagnosis, case: Cas
     assert best.explanation and best.estimate and best.ranking > diagnosis.threshold
 
 
-def test_words(diagnosis: ph.Diagnosis) -> None:
+def test_words(diagnosis: ph.results.Diagnosis) -> None:
     text = diagnosis.summary()
     assert str(diagnosis) == text and "nan" not in text and "inf" not in text
     for f in diagnosis.findings:
@@ -118,19 +120,20 @@ def test_words(diagnosis: ph.Diagnosis) -> None:
     assert max(map(len, text.split("\n"))) <= 110
 
 
-def test_figures(diagnosis: ph.Diagnosis) -> None:
+def test_figures(diagnosis: ph.results.Diagnosis) -> None:
     figures = diagnosis.plot()
     assert len(figures) == 4  # misfit, ranking, findings, gain
     labels = [t.get_text() for t in figures[1].axes[0].get_yticklabels()]
     assert diagnosis.ranking[0].name in labels
 
 
-def test_page(diagnosis: ph.Diagnosis, tmp_path: Path) -> None:
+def test_page(diagnosis: ph.results.Diagnosis, tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     diagnosis.report(path)
     text = path.read_text(encoding="utf-8")
     shown = re.sub(r"base64,[^']*", "", text)
-    assert shown.count("<img") == 4 and not re.search(r"\b(nan|inf)\b", shown)
+    # One a channel of the misfit, ranking, gain, findings.
+    assert shown.count("<img") == len(diagnosis.misfit.worst[:3]) + 3 and not re.search(r"\b(nan|inf)\b", shown)
     for f in diagnosis.findings:
         assert f.cause in text
     assert "The new equations" in text and "The gain" in text
@@ -158,7 +161,7 @@ def test_progress_is_told(fit: ph.Fit, capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize("when", ["at once", "in the first round", "in the second round"])
-def test_ctrl_c_leaves_what_was_found(when: str, fit: ph.Fit, diagnosis: ph.Diagnosis, tmp_path: Path) -> None:
+def test_ctrl_c_leaves_what_was_found(when: str, fit: ph.Fit, diagnosis: ph.results.Diagnosis, tmp_path: Path) -> None:
     progress, told = stopped_at(0)
     ph.diagnose(fit, progress=progress)
     second = next(i for i, t in enumerate(told) if t.startswith("scanning all candidates beside"))

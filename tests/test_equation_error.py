@@ -46,7 +46,7 @@ def record(sigma: float = 0.0, seed: int = 0, u: np.ndarray = U, name: str = "ru
     return e.with_outputs({n: y + sigma * y.std() * rng.standard_normal(t.size) for n, y in clean.items()})
 
 
-def values(result: ph.EquationError) -> dict[str, float]:
+def values(result: ph.results.EquationError) -> dict[str, float]:
     return result.parameters.to_dict()
 
 

@@ -36,7 +36,7 @@ def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def expected() -> ph.Record:
+def expected() -> ph.results.Record:
     return ph.simulate(hfb320.model(), hfb320.PUBLISHED, hfb320.twin(), initial=START)
 
 
@@ -73,7 +73,7 @@ def test_the_unit_is_valid(unit: Path) -> None:
     assert [d.name for d in accelerometer.dependencies] == ["T", "state.V", "state.alpha"]
 
 
-def test_co_simulation(unit: Path, expected: ph.Record, tmp_path: Path) -> None:
+def test_co_simulation(unit: Path, expected: ph.results.Record, tmp_path: Path) -> None:
     """With inputs that run linearly over each step, as those of the record do."""
     data = hfb320.twin()
     u = np.array([data.input("de"), data.input("T")]).T
@@ -96,7 +96,7 @@ def test_co_simulation(unit: Path, expected: ph.Record, tmp_path: Path) -> None:
     one.freeInstance()
 
 
-def test_model_exchange(unit: Path, expected: ph.Record, tmp_path: Path) -> None:
+def test_model_exchange(unit: Path, expected: ph.results.Record, tmp_path: Path) -> None:
     """The unit's derivatives with an integrator from elsewhere."""
     from scipy.integrate import solve_ivp
 

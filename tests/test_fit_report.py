@@ -90,15 +90,14 @@ def test_page_of_a_saved_fit_is_the_same(fit: ph.Fit, tmp_path: Path) -> None:
 def test_page_says_in_words_what_to_beware_of(fit: ph.Fit) -> None:
     said = remarks(fit)
     assert [w for w in fit.warnings if not any(w in text for text in said)] == []
-    quiet = SimpleNamespace(**{f.name: getattr(fit, f.name) for f in dataclasses.fields(fit)})
-    quiet.warnings, quiet.noise_parameters = (), fit.noise_parameters
+    quiet = dataclasses.replace(fit, warnings=())
     rng = np.random.default_rng(3)
     record = fit.records[0]
 
     def with_residuals(r: np.ndarray) -> list[str]:
         z = record.outputs["x"] + r
-        quiet.records = [dataclasses.replace(record, measured={"x": z}, residuals={"x": r})]
-        return remarks(quiet)
+        records = [dataclasses.replace(record, measured={"x": z}, residuals={"x": r})]
+        return remarks(dataclasses.replace(quiet, records=records))
 
     white = 0.01 * rng.standard_normal(record.n)
     assert not any("white" in text or "offset" in text for text in with_residuals(white))
@@ -113,8 +112,8 @@ def test_page_says_in_words_what_to_beware_of(fit: ph.Fit) -> None:
         Estimate("c", 2.0, 0.1),
         Estimate("d", 0.0, np.nan, bounds=(0, 1), bounds_active="lower"),
     ]
-    quiet.parameters, quiet.noise_parameters = Estimates(estimates), set()
-    quiet.covariance = np.array([[1, 0.1, -0.97, 0], [0.1, 1, 0, 0], [-0.97, 0, 1, 0], [0, 0, 0, np.nan]])
+    covariance = np.array([[1, 0.1, -0.97, 0], [0.1, 1, 0, 0], [-0.97, 0, 1, 0], [0, 0, 0, np.nan]])
+    quiet = dataclasses.replace(quiet, parameters=Estimates(estimates), covariance=covariance)
     text = " ".join(with_residuals(white))
     assert "interval of b holds zero" in text and "d lies at its lower bound" in text
     assert "a with c (−0.97)" in text and "b with" not in text

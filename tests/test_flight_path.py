@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 import phugoid as ph
-from phugoid.reconstruction.coloured import coloured_errors
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 import flight_path as example
@@ -24,11 +23,11 @@ Channels = dict[str, NDArray[np.float64]]
 
 
 @pytest.fixture(scope="module")
-def truth() -> ph.Record:
+def truth() -> ph.results.Record:
     return twin.flown()
 
 
-def true_channels(truth: ph.Record) -> Channels:
+def true_channels(truth: ph.results.Record) -> Channels:
     """Without any error, each from its definition."""
     s = truth.states
     V = np.sqrt(s["u"] ** 2 + s["v"] ** 2 + s["w"] ** 2)
@@ -36,7 +35,7 @@ def true_channels(truth: ph.Record) -> Channels:
     return {**{n: s[n] for n in ("p", "q", "r", "phi", "theta", "psi")}, **truth.outputs, **air}
 
 
-def over_ground(truth: ph.Record) -> NDArray[np.float64]:
+def over_ground(truth: ph.results.Record) -> NDArray[np.float64]:
     """(3, N) speeds of the body north, east and down, in calm air."""
     from scipy.spatial.transform import Rotation
 
@@ -49,7 +48,7 @@ def values(fit: ph.Fit) -> dict[str, float]:
     return {n: e.value for n, e in fit.parameters.items() if n not in fit.noise_parameters}
 
 
-def test_without_noise_the_errors_are_found_to_many_digits(truth: ph.Record) -> None:
+def test_without_noise_the_errors_are_found_to_many_digits(truth: ph.results.Record) -> None:
     c = true_channels(truth)
     read = {n: v + twin.ERRORS.get(f"b_{n}", 0.0) for n, v in c.items()}
     read |= {n: twin.ERRORS[f"K_{n}"] * c[n] for n in ("alpha", "beta")}
@@ -59,7 +58,7 @@ def test_without_noise_the_errors_are_found_to_many_digits(truth: ph.Record) -> 
     assert {n: found[n] for n in expected} == pytest.approx(expected, rel=2e-3, abs=2e-6)
 
 
-def test_known_errors_are_found_within_three_standard_errors(truth: ph.Record) -> None:
+def test_known_errors_are_found_within_three_standard_errors(truth: ph.results.Record) -> None:
     path = ph.reconstruct(twin.measured(truth, 0, inertial_noise=False), OUTPUTS, late=LATE)
     assert path.fit.converged
     for n, e in twin.ERRORS.items():
@@ -70,7 +69,7 @@ def test_known_errors_are_found_within_three_standard_errors(truth: ph.Record) -
         assert found.std_error < 0.02 * abs(e) + 0.001
 
 
-def test_noise_of_inertial_sensors_adds_its_mean(truth: ph.Record) -> None:
+def test_noise_of_inertial_sensors_adds_its_mean(truth: ph.results.Record) -> None:
     path = ph.reconstruct(twin.measured(truth, 2), OUTPUTS, late=LATE)
     for n, e in twin.ERRORS.items():
         mean = twin.INERTIAL.get(n.removeprefix("b_"), 0.0) / np.sqrt(truth.t.size)
@@ -79,7 +78,7 @@ def test_noise_of_inertial_sensors_adds_its_mean(truth: ph.Record) -> None:
         assert abs(path.fit.parameters[n].value - e) < 3 * error + slack, n
 
 
-def test_the_corrected_record_is_the_truth_and_keeps_the_rest(truth: ph.Record) -> None:
+def test_the_corrected_record_is_the_truth_and_keeps_the_rest(truth: ph.results.Record) -> None:
     run = twin.measured(truth, 0)
     (right,) = ph.reconstruct(run, OUTPUTS, late=LATE).corrected
     c = true_channels(truth)
@@ -99,7 +98,7 @@ def test_the_corrected_record_is_the_truth_and_keeps_the_rest(truth: ph.Record) 
     assert abs(raw - twin.DERIVATIVES["Mq"]) > 0.2
 
 
-def test_sensors_off_the_centre_of_gravity(truth: ph.Record) -> None:
+def test_sensors_off_the_centre_of_gravity(truth: ph.results.Record) -> None:
     c = true_channels(truth)
     rates = np.array([c[n] for n in "pqr"]).T
     turning = accelerations(truth)
@@ -129,14 +128,14 @@ def test_sensors_off_the_centre_of_gravity(truth: ph.Record) -> None:
     assert again.runs[0].history == ("pdot, qdot, rdot from smoothing splines",)
 
 
-def accelerations(truth: ph.Record) -> NDArray[np.float64]:
+def accelerations(truth: ph.results.Record) -> NDArray[np.float64]:
     """(N, 3) of the rates, by a spline through them: steps of the controls are ramps of 0.2 s."""
     from scipy.interpolate import CubicSpline
 
     return np.array([CubicSpline(truth.t, truth.states[n])(truth.t, 1) for n in "pqr"]).T
 
 
-def test_wind_height_and_speeds_over_ground(truth: ph.Record) -> None:
+def test_wind_height_and_speeds_over_ground(truth: ph.results.Record) -> None:
     from scipy.integrate import cumulative_trapezoid
 
     c = true_channels(truth)
@@ -196,7 +195,7 @@ def test_the_longitudinal_motion_alone() -> None:
     assert path.corrected[0].channels["az"] == pytest.approx(az_in, abs=1e-3)
 
 
-def test_a_heading_that_jumps_is_unwrapped(truth: ph.Record) -> None:
+def test_a_heading_that_jumps_is_unwrapped(truth: ph.results.Record) -> None:
     run = twin.measured(truth, 0)
     turned = {**run.channels, "psi": (run.channels["psi"] + 2.9 + np.pi) % (2 * np.pi) - np.pi}
     assert np.ptp(turned["psi"]) > 6
@@ -206,7 +205,7 @@ def test_a_heading_that_jumps_is_unwrapped(truth: ph.Record) -> None:
     assert values(jumped.fit) == pytest.approx(values(straight.fit), rel=1e-4)
 
 
-def test_several_records_share_what_is_not_their_own(truth: ph.Record) -> None:
+def test_several_records_share_what_is_not_their_own(truth: ph.results.Record) -> None:
     runs = [twin.measured(truth, seed, name=name) for seed, name in ((0, "a"), (1, "b"))]
     path = ph.reconstruct(runs, OUTPUTS, per_experiment=("q",))
     found = values(path.fit)
@@ -236,9 +235,9 @@ def test_coloured_errors_are_the_scatter_where_those_for_white_noise_are_not() -
         fit = ph.estimate(m, run.with_outputs({"x": y + e}))
         found.append([fit.parameters[n].value for n in "abc"])
         white.append([fit.parameters[n].std_error for n in "abc"])
-        coloured.append([coloured_errors(fit)[n] for n in "abc"])
+        coloured.append([fit.coloured.parameters[n].std_error for n in "abc"])
     scatter = np.std(found, axis=0, ddof=1)
-    # 80 samples: a standard deviation is known to 8 %; the window takes some of the colour.
+    # 80 samples: a standard deviation is known to 8 %.
     assert np.mean(coloured, axis=0) / scatter == pytest.approx(1.0, abs=0.25)
     assert (np.mean(white, axis=0) / scatter).min() < 0.5
 
@@ -253,7 +252,7 @@ def test_biases_that_nothing_tells_are_left_out_unless_asked_for() -> None:
     assert "wind_north" in ph.models.flight_path("V v_north v_east").parameter_names
 
 
-def test_it_is_saved_and_loaded(truth: ph.Record, tmp_path: Path) -> None:
+def test_it_is_saved_and_loaded(truth: ph.results.Record, tmp_path: Path) -> None:
     path = ph.reconstruct(twin.measured(truth, 0).window(0.0, 12.0), OUTPUTS)
     path.fit.save(tmp_path / "fit.json")
     assert values(ph.load(tmp_path / "fit.json")) == values(path.fit)
@@ -300,7 +299,7 @@ def test_what_cannot_be_is_refused_in_words(options: dict[str, Any], says: str) 
         ph.models.flight_path(**options)
 
 
-def test_reconstruct_refuses_other_models_and_double_options(truth: ph.Record) -> None:
+def test_reconstruct_refuses_other_models_and_double_options(truth: ph.results.Record) -> None:
     run = twin.measured(truth, 0)
     with pytest.raises(ph.ModelError, match="'twin' is no model of a flight path"):
         ph.reconstruct(run, twin.aircraft())

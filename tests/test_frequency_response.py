@@ -47,7 +47,7 @@ def multisine(periods: int, length: int = 500, noise: float = 0.02) -> ph.Experi
     return ph.Experiment(np.arange(u.size) / RATE, {"u": u}, {"y": y}, name="sines")
 
 
-def relative(found: ph.FrequencyResponse) -> np.ndarray:
+def relative(found: ph.results.FrequencyResponse) -> np.ndarray:
     return np.abs(found.response / true(found.frequencies_hz) - 1.0)
 
 
@@ -192,9 +192,9 @@ def test_a_response_checks_its_arrays() -> None:
         {"coherence": np.ones(3)},
     ):
         with pytest.raises(ph.DataError, match="frequency response u to y"):
-            ph.FrequencyResponse(**{"frequencies_hz": f, "response": g, "input": "u", "output": "y", **wrong})
+            ph.results.FrequencyResponse(**{"frequencies_hz": f, "response": g, "input": "u", "output": "y", **wrong})
     with pytest.raises(ValueError, match="read-only"):
-        ph.FrequencyResponse(f, g, "u", "y").response[0] = 0
+        ph.results.FrequencyResponse(f, g, "u", "y").response[0] = 0
 
 
 # The figure
@@ -203,7 +203,7 @@ def test_a_response_checks_its_arrays() -> None:
 def test_the_figure_shows_points_and_lines_in_dB() -> None:
     got = ph.frequency_response(multisine(4), "u", "y", period=500)
     f = np.linspace(0.5, 30, 400)
-    model = ph.FrequencyResponse(f, true(f), "u", "y", "model")
+    model = ph.results.FrequencyResponse(f, true(f), "u", "y", "model")
     figure, axes = got.plot(model, phase=True, coherence=True)
     assert list(axes) == ["magnitude", "phase", "coherence"]
     lines = {line.get_label(): line for line in axes["magnitude"].get_lines()}
@@ -219,7 +219,7 @@ def test_the_figure_shows_points_and_lines_in_dB() -> None:
 
 def test_no_line_bridges_frequencies_that_are_not_there() -> None:
     f = np.r_[1.0:5.0:0.1, 9.0:12.0:0.1]
-    figure, axes = ph.FrequencyResponse(f, np.ones(f.size), "u", "y", "e").plot()
+    figure, axes = ph.results.FrequencyResponse(f, np.ones(f.size), "u", "y", "e").plot()
     (line,) = axes["magnitude"].get_lines()
     assert np.isnan(line.get_ydata()).sum() == 1
     matplotlib.pyplot.close(figure)
@@ -227,7 +227,7 @@ def test_no_line_bridges_frequencies_that_are_not_there() -> None:
 
 def test_figures_of_what_does_not_belong_together_are_refused() -> None:
     f, g = np.array([1.0, 2.0]), np.array([1.0, 1j])
-    one, other = ph.FrequencyResponse(f, g, "u", "y", "a"), ph.FrequencyResponse(f, g, "u", "z", "b")
+    one, other = ph.results.FrequencyResponse(f, g, "u", "y", "a"), ph.results.FrequencyResponse(f, g, "u", "z", "b")
     with pytest.raises(ph.DataError, match="'b' is the response of z to u, and 'a' that of y to u"):
         plot_frequency_response(one, other)
     with pytest.raises(ph.DataError, match="'a' has no coherence"):

@@ -13,7 +13,8 @@ from hidden.effect import Part
 from hidden.flow import Flow
 
 import phugoid as ph
-from phugoid import Record, maximum, minimum, sin, tanh
+from phugoid import maximum, minimum, sin, tanh
+from phugoid.results import Record
 
 each_system = pytest.mark.parametrize("system", list(SYSTEMS))
 

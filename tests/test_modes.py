@@ -26,7 +26,7 @@ def run(seed: int = 0, n: int = 500) -> ph.Experiment:
     return ph.Experiment(t, {"u": u}, {"y": y + 0.02 * random.normal(size=n)})
 
 
-def errors(modes: ph.Modes) -> np.ndarray:
+def errors(modes: ph.results.Modes) -> np.ndarray:
     return np.array([[m.frequency.std_error, m.damping.std_error, m.time_constant.std_error] for m in modes])
 
 

@@ -48,7 +48,7 @@ def measured(m: ph.Model, run: ph.Experiment, rng: np.random.Generator | None, *
     return run.with_outputs(noisy)
 
 
-def errors(of: ph.Plan | ph.Fit) -> dict[str, float]:
+def errors(of: ph.results.Plan | ph.Fit) -> dict[str, float]:
     return {n: e.std_error for n, e in of.parameters.items() if not n.startswith("sigma")}
 
 

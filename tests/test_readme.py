@@ -109,7 +109,7 @@ def test_a_diagnosis_names_what_the_model_misses(
     exec(block[block.index("fit =") :], names)
     exec(next(b for b in blocks() if "ph.diagnose" in b), names)
     extended = names["extended"]
-    assert isinstance(extended, ph.Extension) and extended.added == ("q':q|q|",)
+    assert isinstance(extended, ph.results.Extension) and extended.added == ("q':q|q|",)
     assert extended.gain.held_out > 10
     assert abs(extended.fit.parameters[damping].value + 2.0) < 4 * extended.fit.parameters[damping].std_error
     printed = capsys.readouterr().out

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from linear_case import RATE, run
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, lsim
 
 import phugoid as ph
 
-RATE = 50.0
 POLES = (-0.3 + 6.0j, -0.5 + 14.0j, -0.9 + 25.0j)
 
 
@@ -22,20 +22,6 @@ def system(poles: tuple[complex, ...] = POLES, m: int = 2, p: int = 2, D: float 
     for k, pole in enumerate(poles):
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
     return ph.StateSpace(A, random.normal(size=(n, m)), random.normal(size=(p, n)), D * random.normal(size=(p, m)))
-
-
-def run(
-    truth: ph.StateSpace, n: int = 2000, noise: float = 0.02, seed: int = 0, name: str = "run", offset: float = 0.0
-) -> ph.Experiment:
-    """Inputs linear between samples; noise in parts of the outputs."""
-    random = np.random.default_rng(seed)
-    t = np.arange(n) / RATE
-    u = lfilter(*butter(2, 0.6), random.normal(size=(len(truth.inputs), n)))
-    x0 = 0.3 * random.normal(size=truth.order)
-    _, y, _ = lsim((truth.A, truth.B, truth.C, truth.D), u.T, t, X0=x0)
-    y = y.reshape(n, -1).T
-    y = y + noise * y.std(axis=1, keepdims=True) * random.normal(size=y.shape) + offset
-    return ph.Experiment(t, dict(zip(truth.inputs, u, strict=True)), dict(zip(truth.outputs, y, strict=True)), name)
 
 
 def distance(found: ph.StateSpace, truth: ph.StateSpace) -> float:

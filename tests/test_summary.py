@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from phugoid.errors import ModelError, UnknownName
+from phugoid.match import match
 from phugoid.parameters import Estimate, Estimates, Parameter, text_table
 from phugoid.records import Record
 from phugoid.summary import fit_summary
@@ -198,6 +200,23 @@ def test_summary_counts_over_all_experiments() -> None:
     assert lines[4] == "  data            2 experiments, 10 samples, 18 mesh points"
     # Mean square of 0.1 and 0.3 over 8 samples.
     assert lines[-2].split()[:3] == ["q", "0.1", f"{math.sqrt((0.01 + 0.09) / 2):.4g}"]
+
+
+def test_summary_and_match_have_the_same_r2_where_records_lie_apart() -> None:
+    low, high = record("a"), record("b")
+    high = replace(
+        high,
+        outputs={n: v + 5.0 for n, v in high.outputs.items()},
+        measured={n: v + 5.0 for n, v in high.measured.items()},
+    )
+    table = fit_summary(fit([low, high])).splitlines()[-2:]
+    # About the mean of each record: what differs from one to the other makes no match look good.
+    assert [line.split()[-2] for line in table] == [
+        line.split()[-2] for line in fit_summary(fit([low])).splitlines()[-2:]
+    ]
+    assert [float(line.split()[-2]) for line in table] == [
+        pytest.approx(match([low, high], name).r_squared, abs=1e-4) for name in ("q", "az")
+    ]
 
 
 def test_summary_of_a_constant_output_has_no_r2() -> None:

@@ -23,11 +23,11 @@ def model() -> ph.Model:
 
 
 @pytest.fixture(scope="module")
-def level(model: ph.Model) -> ph.Trim:
+def level(model: ph.Model) -> ph.results.Trim:
     return ph.trim(model, hfb320.PUBLISHED, at=LEVEL)
 
 
-def test_derivatives_vanish_at_the_trim(model: ph.Model, level: ph.Trim) -> None:
+def test_derivatives_vanish_at_the_trim(model: ph.Model, level: ph.results.Trim) -> None:
     assert level.found == ("alpha", "theta", "q", "de") and level.warnings == ()
     assert {n: level[n] for n in LEVEL} == LEVEL
     assert level["q"] == 0.0 and 0.0 < level["alpha"] < 0.2 and level["de"] < 0.0
@@ -36,7 +36,7 @@ def test_derivatives_vanish_at_the_trim(model: ph.Model, level: ph.Trim) -> None
     assert "held" in str(level) and "m/s²" in str(level)
 
 
-def test_a_simulation_stays_at_the_trim(model: ph.Model, level: ph.Trim) -> None:
+def test_a_simulation_stays_at_the_trim(model: ph.Model, level: ph.results.Trim) -> None:
     t = np.linspace(0, 20, 41)
     e = ph.Experiment(t, {n: np.full(t.size, v) for n, v in level.inputs.items()})
     path = ph.simulate(model, hfb320.PUBLISHED, e, initial=level.states)
@@ -46,7 +46,7 @@ def test_a_simulation_stays_at_the_trim(model: ph.Model, level: ph.Trim) -> None
         np.testing.assert_allclose(path.outputs[name], value, rtol=1e-7, atol=1e-9)
 
 
-def test_hfb_320_has_a_phugoid_and_a_short_period(model: ph.Model, level: ph.Trim) -> None:
+def test_hfb_320_has_a_phugoid_and_a_short_period(model: ph.Model, level: ph.results.Trim) -> None:
     """The phugoid against Lanchester: sqrt(2) g / V."""
     linear = ph.linearise(model, hfb320.PUBLISHED, at=level)
     slow, fast = linear.modes
@@ -56,7 +56,7 @@ def test_hfb_320_has_a_phugoid_and_a_short_period(model: ph.Model, level: ph.Tri
     assert float(fast.frequency) > 10 * float(slow.frequency)
 
 
-def test_the_linear_model_is_that_of_small_steps(model: ph.Model, level: ph.Trim) -> None:
+def test_the_linear_model_is_that_of_small_steps(model: ph.Model, level: ph.results.Trim) -> None:
     """Columns of A and B against the nonlinear equations a little away, by central differences."""
     linear = ph.linearise(model, hfb320.PUBLISHED, at=level)
     evaluator = ph._core.Evaluator(model._core)
@@ -75,7 +75,7 @@ def test_the_linear_model_is_that_of_small_steps(model: ph.Model, level: ph.Trim
                 np.testing.assert_allclose((high - low) / (2 * h), column, rtol=1e-5, atol=1e-7)
 
 
-def test_python_control_agrees_on_the_modes(model: ph.Model, level: ph.Trim) -> None:
+def test_python_control_agrees_on_the_modes(model: ph.Model, level: ph.results.Trim) -> None:
     control = pytest.importorskip("control", reason="needs python-control")
     linear = ph.linearise(model, hfb320.PUBLISHED, at=level)
     system = linear.to_control("hfb")

@@ -66,7 +66,7 @@ def fit() -> ph.Fit:
 
 
 @pytest.fixture(scope="module")
-def trials(true_fit: ph.Fit) -> list[ph.Validation]:
+def trials(true_fit: ph.Fit) -> list[ph.results.Validation]:
     found = [true_fit.validate(record(seed)) for seed in range(30)]
     assert all(v.converged and not v.warnings for v in found)
     return found
@@ -81,20 +81,20 @@ def _close() -> Iterator[None]:
 # What is held, and what is found anew
 
 
-def test_chi_square_of_the_true_model_is_chi_square(trials: list[ph.Validation]) -> None:
+def test_chi_square_of_the_true_model_is_chi_square(trials: list[ph.results.Validation]) -> None:
     assert {v.degrees_of_freedom for v in trials} == {2 * 120 - 3}
     total, freedom = sum(v.chi_square for v in trials), sum(v.degrees_of_freedom for v in trials)
     assert 1e-4 < chi2.cdf(total, freedom) < 1 - 1e-4
     assert kstest([v.chi_square for v in trials], chi2(2 * 120 - 3).cdf).pvalue > 1e-3
 
 
-def test_log_likelihood_is_that_of_the_chi_square(trials: list[ph.Validation]) -> None:
+def test_log_likelihood_is_that_of_the_chi_square(trials: list[ph.results.Validation]) -> None:
     for v in trials:
         by_hand = -0.5 * v.chi_square - 120 * sum(math.log(s) for s in SIGMA.values())
         assert v.log_likelihood == pytest.approx(by_hand, abs=1e-8)
 
 
-def test_standard_errors_cover_the_truth(trials: list[ph.Validation]) -> None:
+def test_standard_errors_cover_the_truth(trials: list[ph.results.Validation]) -> None:
     """Initial states and bias: squares of the errors in units of the standard error, and 95 % intervals."""
     for name, truth in {**FIRST, "b": TRUTH["b"]}.items():
         each = [v.freed[name] if name == "b" else v.initial_states["other"][name] for v in trials]

@@ -19,20 +19,26 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "tabular", "symbols", "declared", "parameters", "noise", "densities", "rebuilt", "delayed",
-    "model", "filtering", "preprocess", "experiment", "multirate", "readers", "read", "unit_check", "transcription",
-    "shooting", "hdf5_file",
+    "_core", "errors", "tabular", "symbols", "declared", "parameters", "noise", "densities", "noise_kinds",
+    "rebuilt", "delayed", "model",
+    "filtering", "checked", "channelwise",
+    "preprocess", "experiment", "multirate", "readers", "read", "unit_check", "transcription", "shooting",
+    "hdf5_file",
     "filter_error", "guess", "solvers", "progress", "records", "io", "figure_style", "match", "time_panels", "plot",
+    "correlations",
     "correlation_plot", "parameters_plot", "convergence_plot", "frequency_plot", "response", "mode_table",
     "inputs", "state_space", "models", "modal_response", "sampled", "hankel", "modal_regression", "identified",
     "subspace", "modal_blocks", "mode_places", "linear_fit", "empirical", "summary",
-    "validation", "differentiate", "regression", "equations", "equation_error", "integration", "refinement",
-    "result", "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
+    "validation", "differentiate", "regression", "equations", "equation_error_result",
+    "equation_error", "integration", "refinement",
+    "result", "fitted",
+    "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
     "jacobians", "gauge", "linear", "frequency", "modes",
     "trim", "export", "saving",
     "biases", "held", "validate", "discrepancy", "residuals_plot", "remarks", "report_validation",
     "planning", "reconstruction", "report",
-    "outcome", "optima", "starts", "journal", "workers", "waterfall", "multistart", "uncertainty", "cli",
+    "outcome", "optima", "starts", "journal", "workers", "waterfall",
+    "gathered", "multistart_result", "multistart", "uncertainty", "results", "cli",
     "__init__", "__main__",
 ]
 # fmt: on

@@ -11,19 +11,14 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
     print(fit.summary())
 """
 
-from . import inputs, models
+from . import inputs, models, results
 from ._core import Expr, __version__
-from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+from .densities import Density, Huber, Laplace, StudentT
 from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
-from .discrepancy.candidate import Candidate, Place
 from .discrepancy.candidates import candidates
-from .discrepancy.collection import Candidates
-from .discrepancy.diagnosis import Diagnosis, diagnose
-from .discrepancy.extension import Extension, Gain
-from .discrepancy.finding import Finding, Scored
-from .discrepancy.misfit import Misfit, misfit
-from .discrepancy.points import Points
-from .equation_error import EquationError, equation_error
+from .discrepancy.diagnose import diagnose
+from .discrepancy.misfit import misfit
+from .equation_error import equation_error
 from .errors import (
     DataError,
     EvaluationError,
@@ -37,32 +32,25 @@ from .experiment import Experiment
 from .export import export_c, export_fmu
 from .filter_error import FilterError
 from .frequency import frequency_response
-from .integration import IntegrationError
 from .linear import linearise
 from .linear_fit import fit_linear
-from .match import Match, match
-from .mode_table import Mode, Modes
+from .match import match
 from .model import Model
 from .modes import modes
 from .multirate import multirate
-from .multistart import Multistart, multistart
+from .multistart import multistart
 from .noise import Gaussian, Sigma
-from .optima import Optimum
-from .outcome import Outcome
-from .parameters import Estimate, Parameter
+from .noise_kinds import PerExperiment, PerOutput
+from .parameters import Parameter
 from .planning.optimum import optimal_plan
-from .planning.plan import Excursion, Plan, Plans
 from .planning.planned import plan, plans
 from .read import read
-from .reconstruction.reconstruct import Reconstruction, reconstruct
-from .records import Record
-from .refinement import Refinement
-from .response import FrequencyResponse
+from .reconstruction.reconstruct import reconstruct
 from .result import Fit
 from .saving import load
 from .shooting import MultipleShooting, SingleShooting
 from .simulate import simulate
-from .solvers import Ipopt, Iteration, Newton
+from .solvers import Ipopt, Newton
 from .state_space import StateSpace
 from .subspace import subspace
 from .symbols import (
@@ -92,69 +80,39 @@ from .symbols import (
     where,
 )
 from .transcription import Collocation
-from .trim import Trim, trim
-from .validation import Validation
+from .trim import trim
 
 __all__ = [
-    "Candidate",
-    "Candidates",
     "Collocation",
     "DataError",
     "Density",
-    "Diagnosis",
-    "EquationError",
-    "Estimate",
     "EvaluationError",
-    "Excursion",
     "Experiment",
     "Expr",
-    "Extension",
     "FilterError",
-    "Finding",
     "Fit",
     "FourierSmoothing",
-    "FrequencyResponse",
-    "Gain",
     "Gaussian",
     "Huber",
-    "IntegrationError",
     "Ipopt",
-    "Iteration",
     "Laplace",
-    "Match",
-    "Misfit",
     "MissingDependency",
-    "Mode",
     "Model",
     "ModelError",
-    "Modes",
     "MultipleShooting",
-    "Multistart",
     "Newton",
-    "Optimum",
     "OptionError",
-    "Outcome",
     "Parameter",
     "PerExperiment",
     "PerOutput",
     "PhugoidError",
-    "Place",
-    "Plan",
-    "Plans",
-    "Points",
-    "Reconstruction",
-    "Record",
-    "Refinement",
     "SavitzkyGolay",
-    "Scored",
     "Sigma",
     "SingleShooting",
     "SmoothingSpline",
     "StateSpace",
     "StudentT",
     "Table",
-    "Trim",
-    "Validation",
     "__version__",
     "acos",
     "asin",
@@ -189,6 +147,7 @@ __all__ = [
     "plans",
     "read",
     "reconstruct",
+    "results",
     "sign",
     "simulate",
     "sin",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import DataError
-from .figure_style import MEASURED, MODEL, RESIDUAL, STATE, STYLE, WIDTH, plain
+from .figure_style import MEASURED, MODEL, RESIDUAL, RULE, STATE, STYLE, WIDTH, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,7 +77,7 @@ def plot_convergence(fit: Any) -> tuple[Figure, dict[str, Axes]]:
                 axis.yaxis.set_major_locator(LogLocator(numticks=6))
                 axis.yaxis.set_minor_formatter(NullFormatter())
             for place in anew:
-                axis.axvline(place, color="#BBBBBB", linewidth=0.8, linestyle="--", zorder=0.5)
+                axis.axvline(place, color=RULE, linewidth=0.8, linestyle="--", zorder=0.5)
         for axis in panels[1]:
             axis.set_xlabel("iteration")
         status = f"{fit.model.name}: {fit.status} after {fit.iterations} iterations, {fit.time:.2g} s"

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .correlations import correlation_matrix
 from .errors import DataError, UnknownName, listing
-from .figure_style import STYLE, WIDTH, plain
+from .figure_style import STYLE, WIDTH, headline, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["correlations", "plot_correlation"]
+__all__ = ["plot_correlation"]
 
 _Array = NDArray[np.float64]
 
@@ -26,21 +27,6 @@ _BAR, _BAR_LENGTH = 0.13, 2.0
 _LETTER = 0.58  # mean width of a letter, in units of the font's size
 _SMALLEST = 4.5  # points; a value smaller than this is left out
 _STRONG = 0.9  # written bold
-
-
-def correlations(names: Sequence[str], covariance: _Array) -> tuple[list[str], _Array]:
-    """The names that have a variance (k), and their correlation matrix (k, k).
-
-    covariance  (n, n) in the order of ``names`` (n); NaN or 0 on the diagonal where nothing was estimated.
-
-    >>> correlations(["a", "fixed", "b"], np.array([[4.0, 0, 1], [0, np.nan, 0], [1, 0, 1]]))
-    (['a', 'b'], array([[1. , 0.5],
-           [0.5, 1. ]]))
-    """
-    there = np.flatnonzero(np.diag(covariance) > 0.0)
-    deviation = np.sqrt(np.diag(covariance)[there])
-    found = covariance[np.ix_(there, there)] / np.outer(deviation, deviation)
-    return [names[int(i)] for i in there], np.asarray(np.clip(found, -1.0, 1.0))
 
 
 def plot_correlation(fit: Any, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
@@ -58,9 +44,9 @@ def plot_correlation(fit: Any, names: Sequence[str] | None = None) -> tuple[Figu
     from matplotlib import pyplot as plt
     from matplotlib import rc_context
 
-    known, matrix = correlations(list(fit.parameters), np.asarray(fit.covariance))
-    shown = _chosen(fit, known, names)
-    order = [known.index(name) for name in shown]
+    every, matrix = list(fit.parameters), correlation_matrix(np.asarray(fit.covariance))
+    shown = _chosen(fit, [name for name, own in zip(every, np.diag(matrix), strict=True) if np.isfinite(own)], names)
+    order = [every.index(name) for name in shown]
     matrix = matrix[np.ix_(order, order)]
     n = len(shown)
     below = max(map(len, shown[:-1])) * 7.0 * _LETTER / 72.0
@@ -82,7 +68,7 @@ def plot_correlation(fit: Any, names: Sequence[str] | None = None) -> tuple[Figu
         scale.tick_params(labelsize=6.5, length=2.0, pad=1.5)
         scale.set_xlabel("correlation", fontsize=7.0, labelpad=1.0)
         title = f"{fit.model.name}: correlation of the estimates"
-        figure.text(0.1 / width, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
+        headline(figure, 0.1 / width, title)
     return figure, {"correlation": axis, "scale": scale}
 
 

@@ -10,19 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _core
-from .equation_error import EquationError
+from .checked import moves
+from .equation_error_result import EquationError
 from .errors import ModelError, OptionError
-from .experiment import Experiment, as_experiments, moves
+from .experiment import Experiment, as_experiments
 from .filter_error import FilterError
 from .filter_fit import filter_error
 from .filter_variables import split
+from .fitted import make_fit
 from .guess import check_names, measured_states, parameter_start, spread, state_start
 from .late import estimate_late
 from .model import Model
 from .noise import KINDS, Noise
 from .progress import Progress
 from .refine import refined
-from .result import Fit, make_fit
+from .result import Fit
 from .shooting import MultipleShooting, SingleShooting, Transcription
 from .solvers import Ipopt, Iteration, Newton, Solution
 from .transcription import Collocation

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _core
+from . import _core, checked
+from .channelwise import Columns, Signal
+from .checked import FloatArray
 from .errors import DataError, listing
-from .preprocess import Columns, Preprocessing, Signal
+from .preprocess import Preprocessing
 from .tabular import experiment_dataset, experiment_frame
 
 if TYPE_CHECKING:
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Experiment", "FloatArray", "Interpolation", "Signal", "as_experiments"]
 
-FloatArray = NDArray[np.float64]
 Interpolation = Literal["linear", "cubic"]
 
 
@@ -71,23 +72,19 @@ class Experiment(Preprocessing):
                 f"experiment '{self._name}': interpolation '{interpolation}' is not known; take 'linear' or 'cubic'"
             )
         self._interpolation: Interpolation = interpolation
-        self._t = self._checked_time(t)
-        self._inputs = self._columns(inputs, "input")
-        self._outputs = self._columns(outputs, "output")
-        self._channels = self._columns(channels, "channel")
-        if not isinstance(units, (Mapping, type(None))) or not all(isinstance(u, str) for u in (units or {}).values()):
-            raise DataError(
-                f"experiment '{self._name}': units are texts by name, such as {{'q': 'rad/s'}}, not {units!r}"
-            )
-        self._units = dict(units or {})
+        self._t = checked.times(self._name, t)
+        self._inputs = checked.columns(self._name, "input", inputs, self._t)
+        self._outputs = checked.columns(self._name, "output", outputs, self._t)
+        self._channels = checked.columns(self._name, "channel", channels, self._t)
+        self._units = checked.units(self._name, units)
         self._signals: dict[str, Signal] = {}
         self._mesh_times: FloatArray | None = None
         self._history: tuple[str, ...] = ()
         self._left_out: Mapping[str, str] = {}  # of the file: name -> why it is no channel
         for channel, values in self._inputs.items():
-            self._check_input(channel, values)
+            checked.check_input(checked.where(self._name, "input", channel), values, self._t)
         for channel, values in self._outputs.items():
-            self._check_output(channel, values)
+            checked.check_output(checked.where(self._name, "output", channel), values, self._t)
 
     @property
     def name(self) -> str:
@@ -183,17 +180,18 @@ class Experiment(Preprocessing):
         changes is refused, since its σ cannot be estimated, unless it is in ``known_sigma``.
         """
         for name in model_inputs:
-            self._check_input(name, self.input(name))
+            where = checked.where(self._name, "input", name)
+            checked.check_input(where, self.input(name), self._t)
             if name in self._signals:
-                self._check_input(name, self._signals[name][1], self._signals[name][0])
+                checked.check_input(where, self._signals[name][1], self._signals[name][0])
         for name in model_outputs:
-            values = self.output(name)
-            self._check_output(name, values)
-            if name not in known_sigma and not moves(values):
+            values, where = self.output(name), checked.where(self._name, "output", name)
+            checked.check_output(where, values, self._t)
+            if name not in known_sigma and not checked.moves(values):
                 present = values[~np.isnan(values)]
                 what = f"is {present[0]:g} throughout" if present.size > 1 else "has a single sample"
                 raise DataError(
-                    f"{self._where('output', name)}: {what} (zero variance), so its σ cannot be estimated; "
+                    f"{where}: {what} (zero variance), so its σ cannot be estimated; "
                     "remove the output from the model or give its σ as known"
                 )
 
@@ -334,9 +332,6 @@ class Experiment(Preprocessing):
         for values in (self._t, *self._inputs.values(), *self._outputs.values(), *self._channels.values()):
             values.setflags(write=False)
 
-    def _where(self, kind: str, channel: str) -> str:
-        return f"experiment '{self._name}', {kind} '{channel}'"
-
     def _absent(self, kind: str, channel: str) -> str:
         return f"experiment '{self._name}' has no {kind} '{channel}'."
 
@@ -358,73 +353,9 @@ class Experiment(Preprocessing):
         there = [*group, *self._channels]
         raise DataError(f"{self._absent(kind, name)}{listing(name, there)} Use .rename({{...}}) where names differ.")
 
-    def _checked_time(self, t: ArrayLike) -> FloatArray:
-        where = f"experiment '{self._name}', time"
-        time = real(t, where)
-        if time.ndim != 1:
-            raise DataError(f"{where}: has shape {time.shape}; give one value per sample (1-D)")
-        if time.size < 2:
-            raise DataError(f"{where}: has {time.size} sample(s); at least 2 are needed")
-        bad = np.flatnonzero(~np.isfinite(time))
-        if bad.size:
-            raise DataError(f"{where}: sample {bad[0]} is {time[bad[0]]}: drop samples without a time")
-        bad = np.flatnonzero(np.diff(time) <= 0.0)
-        if bad.size:
-            i = int(bad[0]) + 1
-            raise DataError(
-                f"{where}: sample {i} ({float(time[i])!r} s) does not come after sample {i - 1} "
-                f"({float(time[i - 1])!r} s); time must increase strictly: "
-                "sort the record or drop repeated samples"
-            )
-        return time
-
-    def _columns(self, group: Mapping[str, ArrayLike] | None, kind: str) -> dict[str, FloatArray]:
-        if group is None:
-            return {}
-        if not isinstance(group, Mapping):
-            raise DataError(
-                f"experiment '{self._name}': {kind}s must be a mapping of names to arrays, "
-                f"such as {{'q': q}}, but is a {type(group).__name__}"
-            )
-        columns = {}
-        for channel, values in group.items():
-            where = self._where(kind, channel)
-            column = real(values, where, self._t)
-            if column.ndim != 1:
-                raise DataError(f"{where}: has shape {column.shape}; give one value per sample (1-D)")
-            if column.size != self.n:
-                raise DataError(f"{where}: has {column.size} values, but time has {self.n}")
-            columns[str(channel)] = column
-        return columns
-
-    def _check_input(self, channel: str, values: FloatArray, times: FloatArray | None = None) -> None:
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            sample = _sample(bad[0], self._t if times is None else times)
-            raise DataError(
-                f"{self._where('input', channel)}: {sample} is {values[bad[0]]}"
-                f"{f' (and {bad.size - 1} more)' if bad.size > 1 else ''}; "
-                "inputs may not have missing values: fill or cut"
-            )
-
-    def _check_output(self, channel: str, values: FloatArray) -> None:
-        where = self._where("output", channel)
-        bad = np.flatnonzero(np.isinf(values))
-        if bad.size:
-            sample = _sample(bad[0], self._t)
-            raise DataError(f"{where}: {sample} is {values[bad[0]]}; mark a missing sample with NaN")
-        if np.isnan(values).all():
-            raise DataError(f"{where}: is NaN throughout; remove the output from model and data")
-
 
 def _between(times: FloatArray, t: FloatArray) -> NDArray[np.bool_]:
     return np.asarray((times >= t[0]) & (times <= t[-1]))
-
-
-def moves(values: FloatArray) -> bool:
-    """Whether the samples that are there differ by more than rounding."""
-    present = values[np.isfinite(values)]
-    return bool(present.size) and bool(np.ptp(present) > 4.0 * np.finfo(np.float64).eps * np.abs(present).max())
 
 
 def as_experiments(data: Any, caller: str) -> list[Experiment]:
@@ -443,46 +374,3 @@ def as_experiments(data: Any, caller: str) -> list[Experiment]:
         twice = next(n for n in names if names.count(n) > 1)
         raise DataError(f"{caller}: two experiments are called '{twice}'; give each a name of its own")
     return runs
-
-
-def _sample(i: int | np.intp, t: FloatArray | None) -> str:
-    return f"sample {i}" if t is None or i >= t.size else f"sample {i} (t = {t[i]:.6g} s)"
-
-
-def real(values: ArrayLike, where: str, t: FloatArray | None = None) -> FloatArray:
-    """A read-only float64 copy of any shape; None, pandas' NA and masked samples become NaN."""
-    if isinstance(values, np.ma.MaskedArray):
-        # np.asarray would drop the mask and let the junk beneath pass for data.
-        values = np.ma.filled(values.astype(np.float64), np.nan)
-    try:
-        raw = np.asarray(values)
-    except ValueError as error:
-        raise DataError(f"{where}: is no array of numbers ({error})") from None
-    if raw.dtype.kind == "O":
-        numbers = [_scalar(value, i, where, t) for i, value in enumerate(raw.flat)]
-        raw = np.array(numbers, dtype=np.float64).reshape(raw.shape)
-    if raw.dtype.kind not in "biuf":
-        advice = {
-            "c": "holds complex numbers: give real ones",
-            "U": "holds text: convert it to numbers",
-            "S": "holds text: convert it to numbers",
-            "M": "holds dates: give seconds, such as (t - t[0]) / np.timedelta64(1, 's')",
-            "m": "holds time differences: give seconds, such as t / np.timedelta64(1, 's')",
-        }
-        raise DataError(f"{where}: {advice.get(raw.dtype.kind, f'has type {raw.dtype}: give numbers')}")
-    result = np.array(raw, dtype=np.float64)
-    result.setflags(write=False)
-    return result
-
-
-def _scalar(value: Any, i: int, where: str, t: FloatArray | None) -> float:
-    # pandas' NA is known by its type's name: importing pandas only to compare would be dear.
-    if value is None or type(value).__name__ in ("NAType", "NaTType"):
-        return float("nan")
-    # float() would drop the imaginary part of numpy's complex numbers.
-    if not isinstance(value, (str, complex, np.complexfloating)):
-        try:
-            return float(value)
-        except (TypeError, ValueError):
-            pass
-    raise DataError(f"{where}: {_sample(i, t)} is {value!r}, which is not a real number")

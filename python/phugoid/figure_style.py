@@ -22,6 +22,7 @@ __all__ = [
     "ORANGE",
     "PURPLE",
     "RESIDUAL",
+    "RULE",
     "SERIES",
     "SPAN",
     "STATE",
@@ -29,6 +30,7 @@ __all__ = [
     "TOLERANCE",
     "WIDTH",
     "figure_of",
+    "headline",
     "labelled",
     "plain",
     "squared",
@@ -45,6 +47,8 @@ INPUT = "#000000"
 RESIDUAL = "#4D4D4D"
 GREY = "#999999"
 BAND = "#DDDDDD"
+# Of lines that only mark a place.
+RULE = "#BBBBBB"
 # Paler than anything drawn on it.
 SPAN = "#F6D5A8"
 TOLERANCE, LIMIT = "#F0E442", "#A08A00"
@@ -80,6 +84,11 @@ def figure_of(axis: Axes) -> Figure:
         parent = parent.figure
     figure: Figure = parent
     return figure
+
+
+def headline(figure: Figure, left: float, text: str) -> None:
+    """The title of a figure that is laid out by hand: at its top, from ``left``, a part of its width, on."""
+    figure.text(left, 1.0 - 0.08 / figure.get_figheight(), plain(text), ha="left", va="top", fontsize=9.5)
 
 
 def labelled(name: str, units: Mapping[str, str]) -> str:

@@ -9,7 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import DataError
-from .figure_style import BAND, MEASURED, MODEL, ORANGE, PURPLE, RESIDUAL, STATE, STYLE, WIDTH, figure_of, plain
+from .figure_style import (
+    BAND,
+    MEASURED,
+    MODEL,
+    ORANGE,
+    PURPLE,
+    RESIDUAL,
+    STATE,
+    STYLE,
+    WIDTH,
+    figure_of,
+    headline,
+    plain,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,7 +123,7 @@ def _layout(wanted: list[str], rows: int) -> dict[str, Axes]:
 def _finish(figure: Figure, magnitude: Axes, title: str) -> None:
     height = float(figure.get_size_inches()[1])
     left = _LEFT / WIDTH
-    figure.text(left, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
+    headline(figure, left, title)
     handles, labels = magnitude.get_legend_handles_labels()
     figure.legend(
         handles,

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _core
-from .densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+from .densities import Density, Huber, Laplace, StudentT
 from .errors import OptionError
 from .experiment import Experiment
 from .filter_error import FilterError
 from .model import Model
 from .noise import Gaussian, Noise
+from .noise_kinds import PerExperiment, PerOutput
 from .parameters import Estimates, Parameter
 from .rebuilt import rebuilt
 from .result import Fit

@@ -13,6 +13,7 @@ from . import _core
 from ._core import Expr
 from .equations import Equation, Evaluation
 from .errors import EvaluationError
+from .figure_style import LIMIT, SERIES, plain
 from .guess import measured_states
 from .model import Model
 from .records import Record
@@ -64,13 +65,16 @@ class IntegrationError:
 
     def plot(self, axes: Axes, tolerance: float | None = None) -> None:
         """Relative errors over time, on a logarithmic scale, into axes of your own."""
-        for name, e in self.relative.items():
-            axes.stairs(np.maximum(e, 1e-300), self.edges, label=name, linewidth=0.9, baseline=None)
+        for i, (name, e) in enumerate(self.relative.items()):
+            colour = SERIES[i % len(SERIES)][0]
+            axes.stairs(
+                np.maximum(e, 1e-300), self.edges, label=plain(name), color=colour, linewidth=0.9, baseline=None
+            )
         axes.set_yscale("log")
         largest = float(self.worst.max())
         axes.set_ylim(max(1e-8 * largest, 1e-14), 3.0 * max(largest, tolerance or 0.0))
         if tolerance is not None:
-            axes.axhline(tolerance, color="0.3", linestyle="--", linewidth=0.8, label="tolerance")
+            axes.axhline(tolerance, color=LIMIT, linestyle="--", linewidth=0.8, label="tolerance")
         axes.set_xlabel("time, s")
         axes.set_ylabel("error of a segment / noise")
         axes.legend(fontsize="small", frameon=False, ncols=3)

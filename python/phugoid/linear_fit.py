@@ -44,7 +44,7 @@ def fit_linear(
     *,
     feedthrough: bool | Collection[str] | None = None,
     offset: bool = True,
-    moves: int = 3,
+    moves: int | None = None,
     max_iterations: int = 200,
     progress: bool | Callable[[Iteration], None] = False,
 ) -> StateSpace:
@@ -58,14 +58,15 @@ def fit_linear(
     little (heavily damped, or near each other) do no harm. A mode is the two coefficients of s^2 + a s + b: a pair
     becomes two real eigenvalues, or the other way round, where that fits better. Responses to inputs are exact.
 
-    Local optima are left by moving modes: each of the ``moves`` that the fit would miss least is taken away and put
-    where it fits best, and the search goes on from there if that is better.
+    Local optima are left by moving modes: one after another, that which the fit would miss least first, is taken away
+    and put to the places where it would fit best; where a search from there ends higher, all begins anew.
 
     ``system``      where to start: what `subspace` found, (A, B, C), or `linearise` of a model. Only its eigenvalues,
                     which must be distinct, and its C count. Names of inputs and outputs are those of the data.
     ``data``        one experiment or several, of one sampling rate. Samples of outputs may be missing.
     ``feedthrough`` whether inputs act on outputs at once: on all, or on those named. None: where ``system`` has it.
     ``offset``      a constant in each output of each experiment, such as a sensor's bias or the trim.
+    ``moves``       how many modes are tried before that ends: None for all, 0 for none.
     ``max_iterations``  in each search.
     ``progress``    True prints the iterations; a function is called with each (its ``defect`` is 0, ``dual`` the gain).
 
@@ -78,7 +79,8 @@ def fit_linear(
     Raises DataError for channels that are not there and uneven sampling, ModelError for a system that is none or has
     eigenvalues that cannot be told apart, OptionError for options out of range.
     """
-    for name, value, least in (("moves", moves, 0), ("max_iterations", max_iterations, 1)):
+    most = np.iinfo(np.int64).max if moves is None else moves
+    for name, value, least in (("moves", most, 0), ("max_iterations", max_iterations, 1)):
         if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
             raise OptionError(f"fit_linear: {name} is a whole number from {least}, not {value!r}")
     if not isinstance(progress, bool) and not callable(progress):
@@ -94,7 +96,7 @@ def fit_linear(
     with Progress.of(progress, "linear system") as watch:
         task.watch = watch
         try:
-            task.search(task.moved(task.search(found, _ROUGH), moves), _GAIN)
+            task.search(task.moved(task.search(found, _ROUGH), most), _GAIN)
         except KeyboardInterrupt:
             warnings = ("interrupted: this is the best system so far, not the optimum",)
     found = task.best or found
@@ -170,20 +172,20 @@ class _Task:
         return point
 
     def moved(self, point: _Point, moves: int) -> _Point:
-        """Puts modes that the fit would miss least where they fit best, as long as that is better."""
-        left = moves
-        while left:
-            left = 0
-            missed = [self.point(point.blocks.without(k)).log_likelihood for k in range(len(point.blocks))]
-            for k in np.argsort(missed)[: -moves - 1 : -1] if len(point.blocks) > 1 else ():
+        """Puts pairs that the fit would miss least where they fit best, as long as that is better."""
+        better = moves > 0 and len(point.blocks) > 1
+        while better:
+            better = False
+            missed = [self.point(point.blocks.without(k)).log_likelihood for k in range(len(point.blocks.pairs))]
+            for k in np.argsort(missed)[::-1][:moves]:
                 rest = self.point(point.blocks.without(int(k)))
                 places = best_places(self.records, rest.blocks, rest.regression, self.direct, self.offset)
                 for block in places[:_PLACES]:
                     there = self.search(self.point(rest.blocks.joined(block)), _ROUGH, point.log_likelihood)
                     if there.log_likelihood > point.log_likelihood + _BETTER:
-                        point, left = there, moves
+                        point, better = there, True
                         break
-                if left:
+                if better:
                     break
         return point
 

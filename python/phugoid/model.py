@@ -13,9 +13,9 @@ from . import _core
 from ._core import Expr
 from .declared import Declared
 from .delayed import Delays, at_delays
-from .densities import PerOutput, noise_from_dict
 from .errors import DataError, ModelError, did_you_mean
 from .noise import KINDS, Gaussian, Noise, Sigma
+from .noise_kinds import PerOutput, noise_from_dict
 from .parameters import Parameter
 
 __all__ = ["Model"]

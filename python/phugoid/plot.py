@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from .errors import DataError, UnknownName, did_you_mean
-from .figure_style import STYLE, WIDTH, figure_of, plain
+from .figure_style import STYLE, WIDTH, figure_of, headline
 from .match import tolerances_by_output
 from .records import Record
 from .time_panels import draw_channel, draw_residual
@@ -202,7 +202,7 @@ def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
     next(iter(panels.values())).margins(x=0.01)
     height = float(figure.get_size_inches()[1])
     left = _LEFT / WIDTH
-    figure.text(left, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
+    headline(figure, left, title)
     order = [
         name for name in ("measured", "tolerance", "model", "state", "input", "residual", "±2σ") if name in handles
     ]

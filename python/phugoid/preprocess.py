@@ -6,8 +6,7 @@ Each step gives a new record, and adds one sentence to its ``history``.
 from __future__ import annotations
 
 import warnings
-from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
 from typing import Literal, TypeAlias, TypeVar
@@ -15,69 +14,33 @@ from typing import Literal, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import DataError, OptionError, listing
+from .channelwise import Channelled, Signal, mapped, through, through_butterworth
+from .errors import DataError, OptionError
 from .filtering import (
-    Kind,
     anti_alias,
-    butterworth,
     even_rate,
-    filtered,
     number,
     polyphase,
     power_above,
-    settling,
     whole_from,
 )
 
 __all__ = ["Preprocessing", "Signal"]
 
 _Array: TypeAlias = NDArray[np.float64]
-Signal: TypeAlias = tuple[_Array, _Array, float, int]
-"""An input sampled at times of its own: times (s), samples, delay (s), order of the derivative taken."""
-Columns: TypeAlias = Mapping[str, Mapping[str, _Array]]
-"""Group ("input", "output" or "channel") -> name -> (N,)."""
-_Step: TypeAlias = Callable[[str, _Array, _Array], _Array]
-"""How messages call the channel, its times (s), its values -> new values at these times."""
 _Self = TypeVar("_Self", bound="Preprocessing")
 
 # More than this part of a channel's power above the new Nyquist frequency is worth a warning.
 _RELEVANT = 0.01
 
 
-class Preprocessing:
-    """The steps; what they need of a record is abstract.
+class Preprocessing(Channelled):
+    """The steps.
 
     Filters are linear. The same one on all inputs and outputs leaves the dynamics of a **linear** model as they are,
     since filters commute with it: y = G u means F y = G F u. This is not so for a nonlinear model: its outputs answer
     to the whole input, not to its pass-band; filter such records only to drop what lies far above the motion.
     """
-
-    @abstractmethod
-    def _columns_of(self) -> Columns:
-        """The columns by group."""
-
-    @abstractmethod
-    def _signals_of(self) -> Mapping[str, Signal]:
-        """Inputs that have samples of their own."""
-
-    @abstractmethod
-    def _times(self) -> tuple[str, _Array]:
-        """Name of the record and the times of its samples, (N,)."""
-
-    @abstractmethod
-    def _between(self, signal: Signal) -> _Array:
-        """An input's own samples interpolated at the times of the record."""
-
-    @abstractmethod
-    def _stepped(
-        self: _Self,
-        step: str,
-        columns: Columns,
-        signals: Mapping[str, Signal],
-        t: _Array | None = None,
-        cubic: bool = False,
-    ) -> _Self:
-        """The same record with other columns and signals, at other times where given, and the step's sentence."""
 
     def band_pass(
         self: _Self,
@@ -106,7 +69,9 @@ class Preprocessing:
         if low >= high:
             raise OptionError(f"band_pass: low ({low:g} Hz) must lie below high ({high:g} Hz)")
         what = f"band-pass {low:g} to {high:g} Hz, Butterworth of order {order} twice (high-pass, low-pass)"
-        return _filter(self, "band_pass", [("highpass", low), ("lowpass", high)], order, channels, zero_phase, what)
+        return through_butterworth(
+            self, "band_pass", [("highpass", low), ("lowpass", high)], order, channels, zero_phase, what
+        )
 
     def low_pass(
         self: _Self, corner: float, order: int = 5, channels: Sequence[str] | None = None, zero_phase: bool = False
@@ -114,7 +79,7 @@ class Preprocessing:
         """Keeps what lies below ``corner`` (Hz, where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
         corner = number(corner, "low_pass: the corner frequency (Hz)")
         what = f"low-pass {corner:g} Hz, Butterworth of order {order}"
-        return _filter(self, "low_pass", [("lowpass", corner)], order, channels, zero_phase, what)
+        return through_butterworth(self, "low_pass", [("lowpass", corner)], order, channels, zero_phase, what)
 
     def high_pass(
         self: _Self, corner: float, order: int = 5, channels: Sequence[str] | None = None, zero_phase: bool = False
@@ -122,7 +87,7 @@ class Preprocessing:
         """Keeps what lies above ``corner`` (Hz, where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
         corner = number(corner, "high_pass: the corner frequency (Hz)")
         what = f"high-pass {corner:g} Hz, Butterworth of order {order}"
-        return _filter(self, "high_pass", [("highpass", corner)], order, channels, zero_phase, what)
+        return through_butterworth(self, "high_pass", [("highpass", corner)], order, channels, zero_phase, what)
 
     def detrend(
         self: _Self, kind: Literal["constant", "linear"] = "constant", channels: Sequence[str] | None = None
@@ -146,7 +111,7 @@ class Preprocessing:
             return np.asarray(values - trend(t))
 
         removed = "mean" if kind == "constant" else "straight line"
-        return _mapped(self, "detrend", channels, step, lambda: f"{removed} removed")
+        return mapped(self, "detrend", channels, step, lambda: f"{removed} removed")
 
     def decimate(self: _Self, factor: int, inputs: int | None = None, *, filter: bool = False) -> _Self:
         """Keeps every ``factor``-th sample.
@@ -181,7 +146,7 @@ class Preprocessing:
         if filter:
             edge = 0.4 * rate / factor
             what = f"anti-alias low-pass {edge:g} Hz, Chebyshev of order 8"
-            return _through(self, "decimate", partial(anti_alias, edge), None, False, what).decimate(factor, inputs)
+            return through(self, "decimate", partial(anti_alias, edge), None, False, what).decimate(factor, inputs)
         signals = dict(self._signals_of())
         columns: dict[str, dict[str, _Array]] = {}
         aliased = []
@@ -276,111 +241,3 @@ class Preprocessing:
             raise DataError(f"experiment '{name}': upsample_inputs finds no inputs")
         step = f"inputs upsampled by {factor}, band-limited, cubic splines between: {', '.join(dict.fromkeys(done))}"
         return self._stepped(step, columns, signals, cubic=True)
-
-
-def _mapped(record: _Self, method: str, channels: Sequence[str] | None, step: _Step, said: Callable[[], str]) -> _Self:
-    """Each of the channels by itself through ``step``; an input with samples of its own at these.
-
-    ``said`` gives the sentence for the history, once all is done.
-    """
-    columns = record._columns_of()
-    present = list(dict.fromkeys(channel for group in columns.values() for channel in group))
-    name, t = record._times()
-    chosen = _chosen(name, method, channels, present)
-    signals = dict(record._signals_of())
-    made: dict[str, dict[str, _Array]] = {kind: dict(group) for kind, group in columns.items()}
-    for kind, group in columns.items():
-        for channel, values in group.items():
-            if channel not in chosen:
-                continue
-            where = f"experiment '{name}', {kind} '{channel}'"
-            if kind != "output" and channel in signals:
-                own, at_own, delay, derivative = record._signals_of()[channel]
-                signals[channel] = own, step(where, own, at_own), delay, derivative
-                made[kind][channel] = record._between(signals[channel])
-            else:
-                made[kind][channel] = step(where, t, values)
-    return record._stepped(f"{said()}: {', '.join(n for n in present if n in chosen)}", made, signals)
-
-
-def _chosen(name: str, method: str, channels: Sequence[str] | None, present: Sequence[str]) -> Collection[str]:
-    if channels is None:
-        if not present:
-            raise DataError(f"{method}: experiment '{name}' has no channels")
-        return present
-    if isinstance(channels, str):
-        raise DataError(f"{method}: channels='{channels}' is text: give a list, such as channels=['{channels}']")
-    if not channels:
-        raise DataError(f"{method}: channels is empty; leave it away for all")
-    for channel in channels:
-        if channel not in present:
-            raise DataError(f"{method}: experiment '{name}' has no channel '{channel}'.{listing(channel, present)}")
-    return channels
-
-
-def _filter(
-    record: _Self,
-    method: str,
-    kinds: list[tuple[Kind, float]],
-    order: int,
-    channels: Sequence[str] | None,
-    zero_phase: bool,
-    what: str,
-) -> _Self:
-    """Butterworth filters in cascade."""
-    order = whole_from(1, order, f"{method}: order")
-
-    def sections(rate: float) -> _Array:
-        highest = max(corner for _, corner in kinds)
-        if highest >= 0.5 * rate * (1.0 - 1e-9):
-            raise OptionError(
-                f"{method}: {highest:g} Hz is not below the Nyquist frequency {0.5 * rate:g} Hz of a record sampled "
-                f"at {rate:g} Hz"
-            )
-        return butterworth(kinds, order, rate)
-
-    return _through(record, method, sections, channels, zero_phase, what)
-
-
-def _through(
-    record: _Self,
-    method: str,
-    sections: Callable[[float], _Array],
-    channels: Sequence[str] | None,
-    zero_phase: bool,
-    what: str,
-) -> _Self:
-    """The channels through a filter, which is made for the rate of each."""
-    rates: dict[str, float] = {}
-    times: list[float] = []  # s, in which the filter settles
-
-    def step(where: str, t: _Array, values: _Array) -> _Array:
-        rate = even_rate(t, values, where, method)
-        sos = sections(rate)
-        wait, length = settling(sos, rate), (values.size - 1) / rate
-        # sosfiltfilt continues the record by so much at either end.
-        beyond = 3 * (2 * len(sos) + 1) if zero_phase else 0
-        if wait > length or values.size <= beyond:
-            raise DataError(
-                f"{where}: the record is {length:.3g} s long ({values.size} samples), but this filter needs "
-                f"{max(wait, beyond / rate):.3g} s to settle: take a longer record, a wider band or a lower order, "
-                "or .detrend in place of a slow high-pass"
-            )
-        rates[where] = rate
-        times.append(wait)
-        return filtered(sos, values, zero_phase)
-
-    def said() -> str:
-        how = "zero phase (forward and backward)" if zero_phase else f"causal, settles in {max(times):.2g} s"
-        return f"{what}, {how}"
-
-    done = _mapped(record, method, channels, step, said)
-    slowest, fastest = min(rates, key=rates.__getitem__), max(rates, key=rates.__getitem__)
-    if rates[fastest] > 1.001 * rates[slowest]:
-        warnings.warn(
-            f"{slowest} is sampled at {rates[slowest]:g} Hz and {fastest} at {rates[fastest]:g} Hz: digital filters of "
-            "two rates differ towards the lower Nyquist frequency, and so would the dynamics; filter before .decimate",
-            UserWarning,
-            stacklevel=4,
-        )
-    return done

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import numpy as np
-
-from .correlation_plot import correlations
 from .match import match, no_match
 
 __all__ = ["remarks"]
@@ -27,8 +24,7 @@ def remarks(fit: Any) -> list[str]:
     correlation beyond 0.3), residuals with an offset, parameters whose 95 % interval holds zero, pairs of estimates
     with a correlation beyond 0.95, combinations that are hardly determined, estimates at a bound.
     """
-    correlation = getattr(fit, "correlation", None)
-    weak = [f"Weakly identified: {direction}." for direction in correlation.weak] if correlation is not None else []
+    weak = [f"Weakly identified: {direction}." for direction in fit.correlation.weak]
     return [*map(_sentence, fit.warnings), *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
 
 
@@ -78,18 +74,11 @@ def _of_estimates(fit: Any) -> list[str]:
 
 
 def _of_pairs(fit: Any) -> list[str]:
-    names, matrix = correlations(list(fit.parameters), np.asarray(fit.covariance))
-    pairs = [
-        (abs(matrix[i, j]), f"{names[j]} with {names[i]} ({_signed(matrix[i, j])})")
-        for i in range(len(names))
-        for j in range(i)
-        if abs(matrix[i, j]) > _TOGETHER
-    ]
+    pairs = [f"{a} with {b} ({_signed(rho)})" for a, b, rho in fit.correlation.pairs(_TOGETHER)]
     if not pairs:
         return []
-    ordered = [text for _, text in sorted(pairs, reverse=True)]
     return [
-        f"Estimates that go together: {_listed(ordered)}. The data tell a combination of them better than each alone."
+        f"Estimates that go together: {_listed(pairs)}. The data tell a combination of them better than each alone."
     ]
 
 

@@ -13,7 +13,20 @@ from .discrepancy.autocorrelation import autocorrelation_of
 from .discrepancy.series import Series, channel_series
 from .discrepancy.spectrum import spectrum_of
 from .errors import DataError, UnknownName, listing
-from .figure_style import BAND, GREY, INPUT, MEASURED, RESIDUAL, STYLE, WIDTH, labelled, plain, squared, with_gaps
+from .figure_style import (
+    BAND,
+    GREY,
+    INPUT,
+    MEASURED,
+    RESIDUAL,
+    STYLE,
+    WIDTH,
+    headline,
+    labelled,
+    plain,
+    squared,
+    with_gaps,
+)
 from .plot import choose_record, sigmas_of
 from .records import Record
 
@@ -204,7 +217,7 @@ def _finish(
     from matplotlib.patches import Patch
 
     left = _LEFT / WIDTH
-    figure.text(left, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
+    headline(figure, left, title)
     handles: list[Any] = [
         Line2D([], [], color=RESIDUAL, linewidth=0.8, label=f"measured − {'predicted' if predicted else 'model'}"),
         Patch(color=BAND, label="±2σ"),

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import io
-from .densities import noise_from_dict
 from .errors import DataError
 from .experiment import Experiment, Signal
 from .filter_error import FilterError
 from .model import Model
+from .noise_kinds import noise_from_dict
 from .parameters import Estimate, Estimates
 from .records import Record
 from .refinement import Refinement

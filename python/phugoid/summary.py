@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .errors import PhugoidError
-from .match import no_match
+from .match import match, no_match
 from .parameters import Estimates, estimates_table, text_table
 
 __all__ = ["corrected", "fit_summary"]
@@ -78,25 +78,17 @@ def _header(fit: Any) -> str:
 
 
 def _match_table(fit: Any, outputs: list[str]) -> str:
-    """Per output, over all experiments: σ, RMS of the residuals, R² = 1 - Σr²/Σ(z - mean z)², samples."""
+    """Per output, over all experiments: σ, RMS of the residuals, R² about the mean of each experiment, samples."""
     rows = []
     explained: dict[str, float] = {}
     for name in outputs:
-        pairs = [(r.measured[name], r.residuals[name]) for r in fit.records if name in r.residuals]
-        measured = np.concatenate([m for m, _ in pairs]) if pairs else np.empty(0)
-        residual = np.concatenate([r for _, r in pairs]) if pairs else np.empty(0)
-        present = ~np.isnan(residual)
-        measured, residual = measured[present], residual[present]
-        rms = r2 = ""
-        if residual.size:
-            scatter = float(np.sum((measured - measured.mean()) ** 2))
-            rms = f"{math.sqrt(float(np.mean(residual**2))):.4g}"
-            if scatter > 0.0:
-                explained[name] = 1.0 - float(np.sum(residual**2)) / scatter
-                r2 = f"{explained[name]:.4f}"
+        m = match([r for r in fit.records if name in r.residuals], name)
         sigma = fit.parameters.get(f"sigma_{name}")
-        unit = next((r.units[name] for r in fit.records if name in r.units), "")
-        rows.append([name, "" if sigma is None else f"{sigma.value:.4g}", rms, unit, r2, str(residual.size)])
+        numbers = (f"{m.rms:.4g}" if m.samples else "", f"{m.r_squared:.4f}" if math.isfinite(m.r_squared) else "")
+        explained[name] = m.r_squared
+        rows.append(
+            [name, "" if sigma is None else f"{sigma.value:.4g}", numbers[0], m.unit, numbers[1], str(m.samples)]
+        )
     table = text_table(["output", "σ", "RMS residual", "unit", "R²", "samples"], rows, "lrrlrr")
     return "\n\n".join(filter(None, [table, no_match(explained)]))
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .figure_style import INPUT, MEASURED, ORANGE, PURPLE, STATE, STYLE, WIDTH, figure_of, plain
+from .figure_style import GREY, INPUT, MEASURED, ORANGE, PURPLE, RULE, STATE, STYLE, WIDTH, figure_of, headline
 from .optima import LOG_LIKELIHOOD, Optimum
 from .outcome import Outcome
 
@@ -22,7 +22,7 @@ __all__ = ["plot_waterfall"]
 # Neighbours differ in shape as well, for grey prints.
 _BEST = (MEASURED, "o")
 _OTHERS = ((ORANGE, "s"), (STATE, "^"), (PURPLE, "D"))
-_SINGLE = ("#7F7F7F", ".")
+_SINGLE = (GREY, ".")
 _FAILED = (INPUT, "x")
 
 # Inches.
@@ -65,7 +65,7 @@ def plot_waterfall(
             axes["not converged"] = above
             _draw_failures(above, counts, rank)
         axis.set_xlabel("starts, best first")
-        figure.text(left / WIDTH, 1.0 - 0.08 / height, plain(title), ha="left", va="top", fontsize=9.5)
+        headline(figure, left / WIDTH, title)
     return figure, axes
 
 
@@ -91,7 +91,7 @@ def _draw_optima(axis: Axes, outcomes: Sequence[Outcome], optima: Sequence[Optim
     _scale([best - o.log_likelihood for o in optima], axis)
     axis.set_xlim(0.5 - 0.01 * len(outcomes), 0.5 + 1.01 * len(outcomes))
     _label_counts(axis, plateaus)
-    axis.axhline(0.0, color="#BBBBBB", linewidth=0.5, zorder=0)
+    axis.axhline(0.0, color=RULE, linewidth=0.5, zorder=0)
     if not optima:
         axis.text(0.5, 0.5, "no start converged", transform=axis.transAxes, ha="center", va="center")
     return rank

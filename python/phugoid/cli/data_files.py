@@ -6,12 +6,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import OptionError
+from ..errors import DataError, OptionError
 from ..experiment import Experiment
 from ..read import read
 from .options import names, pairs, span
 
 __all__ = ["Reading"]
+
+# Options of `read` as its errors call them, and as the command does; it has no rate.
+_CALLED = {
+    ", or for even sampling rate=... in Hz": "",
+    "time='...'": "--time NAME",
+    "inputs=[...]": "--inputs A,B",
+    "outputs=[...]": "--outputs A,B",
+    "(inputs=...)": "(--inputs)",
+    "(outputs=...)": "(--outputs)",
+    ": rename: ": ": --rename: ",
+    " ([] for none)": "",
+}
 
 
 @dataclass(frozen=True)
@@ -50,18 +62,24 @@ class Reading:
         if twice:
             raise OptionError(f"{twice[0]} is given twice")
         stems = [f.stem for f in files]
-        return [
-            read(
+        return [self._record(f, str(f) if stems.count(f.stem) > 1 else None) for f in files]
+
+    def _record(self, file: Path, name: str | None) -> Experiment:
+        try:
+            return read(
                 file,
                 time=self.time,
                 inputs=self.inputs,
                 outputs=self.outputs,
                 rename=self.rename,
-                name=str(file) if stems.count(file.stem) > 1 else None,
+                name=name,
                 window=self.window,
                 units=self.units,
                 convert=self.convert,
                 columns=self.columns,
             )
-            for file in files
-        ]
+        except DataError as error:
+            text = str(error)
+            for option, called in _CALLED.items():
+                text = text.replace(option, called)
+            raise DataError(text) from error

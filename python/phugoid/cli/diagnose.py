@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
+from ..discrepancy.diagnose import diagnose as find_missing
 from ..discrepancy.diagnosis import Diagnosis
-from ..discrepancy.diagnosis import diagnose as find_missing
 from ..errors import OptionError
 from ..result import Fit
 from ..saving import load

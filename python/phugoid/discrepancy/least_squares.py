@@ -123,13 +123,15 @@ class Whitened:
         return np.asarray(c - (c @ self.basis) @ self.basis.T)
 
 
-def own_whitening(linear: Linearised, start: Whitening | None = None) -> Whitened:
-    """The fit seen through the filter that is the likeliest together with it, from that of its own residuals or
-    another."""
-    rows = linear.structure
-    best = Whitened(linear, start or Whitening.of(linear.residuals, rows))
+def own_whitening(linear: Linearised) -> Whitened:
+    """The fit seen through the filter that is the likeliest together with it, from that of its own residuals."""
+    return climbed(Whitened(linear, Whitening.of(linear.residuals, linear.structure)))
+
+
+def climbed(best: Whitened) -> Whitened:
+    """Through filters of what is left, one after another, as long as they are likelier."""
     for _ in range(_ROUNDS):
-        following = Whitened(linear, Whitening.of(best.residuals, rows))
+        following = Whitened(best.linear, Whitening.of(best.residuals, best.linear.structure))
         if following.merit <= best.merit:
             break
         best = following

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from .._core import Expr
 from ..model import Model
 from ..symbols import smooth_abs
-from .along import evaluated, lagged, late, of
+from .along import evaluated, late
+from .channel_effects import Delay, Lag, Scale, channel
 from .effect import Effect, Extension, place_range
 from .points import Points
-from .sensors import SCALE
-from .timing import delay_bounds, delay_grid, lag_bounds, lag_grid, longest_delay, longest_lag
 
 __all__ = ["DeadBand", "InputBias", "InputDelay", "InputLag", "InputScale", "Saturation"]
 
@@ -27,22 +26,16 @@ _CORNER = 0.003
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class InputScale(Effect):
+class InputScale(Scale):
     """u becomes (1 + k) u."""
 
     stage: int = 1
-
-    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        return of(points.values, self.place.name, points, "input")[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = Extension(model, self, start)
         k = extension.parameter(self.coefficients[0])
         extension.replace_input(self.place.name, (1 + k) * Expr.symbol(self.place.name))
         return extension.model()
-
-    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        return {self.coefficients[0]: (-SCALE, SCALE)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -142,52 +135,30 @@ class Saturation(_Limited):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class InputLag(Effect):
+class InputLag(Lag):
     """A first-order actuator: tau z' + z = u, from a steady start, and z acts."""
 
     stage: int = 3
 
-    def grid(self) -> Iterable[float]:
-        return lag_grid(self.scales)
-
-    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        u = of(points.values, self.place.name, points, "input")
-        return (lagged(points.t, u, shape[self.shape_names[0]]) - u)[np.newaxis]
-
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = Extension(model, self, start)
-        (name,) = self.shape_names
-        tau = extension.parameter(name, self.shapes[len(self.shapes) // 3][name], **lag_bounds(self.scales))
-        u = Expr.symbol(self.place.name)
-        unit = model.units.get(self.place.name, "")
-        lag = extension.state(f"{self.place.name}_lag", unit, lambda z: (u - z) / tau, u)
-        extension.replace_input(self.place.name, lag)
+        name = self.place.name
+        extension.replace_input(name, self.follower(extension, f"{name}_lag", Expr.symbol(name)))
         return extension.model()
-
-    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        return {self.shape_names[0]: (0.0, longest_lag(points))}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class InputDelay(Effect):
+class InputDelay(Delay):
     """The input acts late; before its first sample it is taken as constant."""
 
     stage: int = 4
 
-    def grid(self) -> Iterable[float]:
-        return delay_grid(self.scales)
-
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        u = of(points.values, self.place.name, points, "input")
+        u = channel(self, points)
         return (late(points.t, u, shape[self.shape_names[0]]) - u)[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         extension = Extension(model, self, start)
-        (name,) = self.shape_names
-        extension.parameter(name, **delay_bounds(self.scales))
-        late = extension.late_input(self.place.name, name)
-        extension.replace_input(self.place.name, late)
+        name = self.place.name
+        extension.replace_input(name, extension.late_input(name, self.delay(extension)))
         return extension.model()
-
-    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
-        return {self.shape_names[0]: (0.0, longest_delay(points))}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -99,11 +100,9 @@ def modal(
         m.states(*([f"x_{label}a", f"x_{label}b"] if k < modes else [f"x_{label}"]))
     force = m.inputs(*u)
     parts: list[list[Expr | float]] = [[] for _ in y]
+    form = _Form(m, first, force, y, scale, stable, parts)
     for k, label in enumerate(labels):
-        if k < modes:
-            _oscillator(m, label, first, k, force, y, scale, stable, parts)
-        else:
-            _lag(m, label, first, k, force, y, scale, stable, parts)
+        (form.oscillator if k < modes else form.lag)(k, label)
     add_feedthrough(m, "modal", feedthrough, system, force, y, parts)
     add_outputs(m, y, parts, bias)
     return m
@@ -161,65 +160,57 @@ class _Default(_Start):
         self.held = [0] * (modes + reals)
 
 
-def _sigma(start: float, stable: bool) -> Parameter:
-    return Parameter(-abs(start), bounds=(-np.inf, 0.0), unit="1/s") if stable else Parameter(start, unit="1/s")
+@dataclass(frozen=True)
+class _Form:
+    """Adds modes to a model, and what they show of themselves to the outputs, ``parts``."""
 
+    model: Model
+    start: _Start
+    force: Sequence[Expr]
+    outputs: Sequence[str]
+    scale: Scale
+    stable: bool
+    parts: list[list[Expr | float]]
 
-def _oscillator(
-    m: Model,
-    label: str,
-    start: _Start,
-    k: int,
-    force: Sequence[Expr],
-    outputs: Sequence[str],
-    scale: Scale,
-    stable: bool,
-    parts: list[list[Expr | float]],
-) -> None:
-    xa, xb = Expr.symbol(f"x_{label}a"), Expr.symbol(f"x_{label}b")
-    sigma, omega = m.parameters(
-        **{
-            f"sigma_{label}": _sigma(start.pole[k].real, stable),
-            f"omega_{label}": Parameter(start.pole[k].imag, unit="rad/s"),
-        }
-    )
-    a, b = sigma * xa + omega * xb, sigma * xb - omega * xa
-    for i, u in enumerate(force):
-        held = scale == "fixed" and i == start.held[k]
-        value = start.b[k, i]
-        if len(force) == 1:
-            a += m.parameters(**{f"b_{label}": Parameter(value.real, fixed=held)})[0] * u
-            continue
-        a += m.parameters(**{f"b_{label}a_{u}": Parameter(value.real, fixed=held)})[0] * u
-        if not held:
-            b += m.parameters(**{f"b_{label}b_{u}": Parameter(value.imag)})[0] * u
-    m.dynamics(**{f"x_{label}a": a, f"x_{label}b": b})
-    for j, output in enumerate(outputs):
-        prefix = f"c_{output}_" if len(outputs) > 1 else "c_"
-        ca, cb = m.parameters(
-            **{f"{prefix}{label}a": float(start.c[k, j].real), f"{prefix}{label}b": float(-start.c[k, j].imag)}
-        )
-        parts[j] += [ca * xa, cb * xb]
+    def oscillator(self, k: int, label: str) -> None:
+        m, (b_start, c_start) = self.model, (self.start.b[k], self.start.c[k])
+        xa, xb = Expr.symbol(f"x_{label}a"), Expr.symbol(f"x_{label}b")
+        sigma = self._sigma(k, label)
+        (omega,) = m.parameters(**{f"omega_{label}": Parameter(self.start.pole[k].imag, unit="rad/s")})
+        a, b = sigma * xa + omega * xb, sigma * xb - omega * xa
+        for i, u in enumerate(self.force):
+            held = self._held(k, i)
+            if len(self.force) == 1:
+                a += m.parameters(**{f"b_{label}": Parameter(b_start[i].real, fixed=held)})[0] * u
+                continue
+            a += m.parameters(**{f"b_{label}a_{u}": Parameter(b_start[i].real, fixed=held)})[0] * u
+            if not held:
+                b += m.parameters(**{f"b_{label}b_{u}": Parameter(b_start[i].imag)})[0] * u
+        m.dynamics(**{f"x_{label}a": a, f"x_{label}b": b})
+        for j, shown in enumerate(self.parts):
+            c = self._seen(j, label)
+            ca, cb = m.parameters(**{f"{c}a": float(c_start[j].real), f"{c}b": float(-c_start[j].imag)})
+            shown += [ca * xa, cb * xb]
 
+    def lag(self, k: int, label: str) -> None:
+        m, x = self.model, Expr.symbol(f"x_{label}")
+        right = self._sigma(k, label) * x
+        for i, u in enumerate(self.force):
+            named = f"b_{label}_{u}" if len(self.force) > 1 else f"b_{label}"
+            right += m.parameters(**{named: Parameter(self.start.b[k, i].real, fixed=self._held(k, i))})[0] * u
+        m.dynamics(**{f"x_{label}": right})
+        for j, shown in enumerate(self.parts):
+            shown.append(m.parameters(**{self._seen(j, label): float(self.start.c[k, j].real)})[0] * x)
 
-def _lag(
-    m: Model,
-    label: str,
-    start: _Start,
-    k: int,
-    force: Sequence[Expr],
-    outputs: Sequence[str],
-    scale: Scale,
-    stable: bool,
-    parts: list[list[Expr | float]],
-) -> None:
-    x = Expr.symbol(f"x_{label}")
-    right = m.parameters(**{f"sigma_{label}": _sigma(start.pole[k].real, stable)})[0] * x
-    for i, u in enumerate(force):
-        held = scale == "fixed" and i == start.held[k]
-        named = f"b_{label}_{u}" if len(force) > 1 else f"b_{label}"
-        right += m.parameters(**{named: Parameter(start.b[k, i].real, fixed=held)})[0] * u
-    m.dynamics(**{f"x_{label}": right})
-    for j, output in enumerate(outputs):
-        named = f"c_{output}_{label}" if len(outputs) > 1 else f"c_{label}"
-        parts[j].append(m.parameters(**{named: float(start.c[k, j].real)})[0] * x)
+    def _sigma(self, k: int, label: str) -> Expr:
+        value = self.start.pole[k].real
+        free = Parameter(value, unit="1/s")
+        stable = Parameter(-abs(value), bounds=(-np.inf, 0.0), unit="1/s")
+        return self.model.parameters(**{f"sigma_{label}": stable if self.stable else free})[0]
+
+    def _held(self, k: int, i: int) -> bool:
+        return self.scale == "fixed" and i == self.start.held[k]
+
+    def _seen(self, j: int, label: str) -> str:
+        """The name of what multiplies the mode in output j."""
+        return f"c_{self.outputs[j]}_{label}" if len(self.outputs) > 1 else f"c_{label}"

@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..correlations import correlation_matrix
+
 __all__ = ["Information", "WeakDirection"]
 
 _Array = NDArray[np.float64]
@@ -74,9 +76,7 @@ class Information:
     @property
     def correlation(self) -> _Array:
         """(n, n), NaN for what is not told."""
-        error = self.std_errors
-        known = np.where(np.isfinite(error), error, np.nan)
-        return np.asarray(self.covariance / np.outer(known, known))
+        return correlation_matrix(self.covariance)
 
     def weak(self, sizes: _Array, n: int = 3) -> tuple[WeakDirection, ...]:
         """The directions that are told least, worst first, parameters in units of ``sizes`` (n,)."""

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ..checked import FloatArray, real
 from ..errors import DataError, did_you_mean
-from ..experiment import FloatArray, real
 from .source import Source
 from .units import convert as converted
 from .units import si

@@ -15,9 +15,9 @@ from ..estimate import estimate
 from ..experiment import Experiment, as_experiments
 from ..model import Model
 from ..models.flight_path import flight_path
-from ..parameters import plus_minus, text_table
+from ..parameters import Estimate, plus_minus, text_table
 from ..result import Fit
-from .coloured import coloured_errors
+from ..summary import corrected as with_coloured_errors
 from .corrected import corrected
 
 if TYPE_CHECKING:
@@ -52,21 +52,22 @@ class Reconstruction:
 
     @cached_property
     def coloured_errors(self) -> Mapping[str, float]:
-        """Standard errors that allow for the autocorrelation of the residuals, by parameter. Noise of the gyros and
-        accelerometers is integrated, and so residuals are never white: the standard errors of the fit are too small.
-        Where residuals drift over the whole record, these are so too."""
-        return coloured_errors(self.fit)
+        """Standard errors for residuals as coloured as they are, by parameter: those of `Fit.coloured`. Noise of the
+        gyros and accelerometers is integrated, and so residuals are never white: the standard errors of the fit are too
+        small. Where residuals drift over the whole record, these are so too."""
+        return {n: e.std_error for n, e in self.fit.coloured.parameters.items()}
 
     def summary(self) -> str:
         """Sensor errors with both standard errors, and how well the path matches each output."""
         rows = []
         noise = self.fit.noise_parameters
+        coloured: Mapping[str, Estimate] = with_coloured_errors(self.fit, again=True) or {}
         for n, e in self.fit.parameters.items():
             if n in noise:
                 continue
-            coloured = self.coloured_errors.get(n, np.nan)
-            text, _, white = plus_minus(e.value, coloured if np.isfinite(coloured) else e.std_error).partition(" ± ")
-            rows.append([n, text, f"{e.std_error:.2g}", white if np.isfinite(coloured) else "", e.unit, e.remark])
+            error = coloured[n].std_error if n in coloured else np.nan
+            text, _, shown = plus_minus(e.value, error if np.isfinite(error) else e.std_error).partition(" ± ")
+            rows.append([n, text, f"{e.std_error:.2g}", shown if np.isfinite(error) else "", e.unit, e.remark])
         header = ["sensor error", "estimate", "std error, white noise", "coloured", "unit", "remark"]
         status = self.fit.status if self.fit.converged else f"{self.fit.status}, {self.fit.message}"
         lines = [f"Flight path of {', '.join(repr(r.name) for r in self.runs)}: {status}"]

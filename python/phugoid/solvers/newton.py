@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from numbers import Integral, Real
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
 from ..errors import OptionError
+from .limits import check_limits
 from .solution import Iteration, Solution
 
 __all__ = ["Newton"]
@@ -39,14 +39,7 @@ class Newton:
     gauss_newton: bool = True
 
     def __post_init__(self) -> None:
-        whole = isinstance(self.max_iterations, Integral) and not isinstance(self.max_iterations, bool)
-        if not whole or self.max_iterations < 0:
-            raise OptionError(f"Newton: max_iterations is a whole number from 0, not {self.max_iterations!r}")
-        if not isinstance(self.tolerance, Real) or not 0 < self.tolerance < 1:
-            raise OptionError(f"Newton: tolerance is a number between 0 and 1, not {self.tolerance!r}")
-        limit = self.time_limit
-        if limit is not None and not (isinstance(limit, Real) and 0 < limit < float("inf")):
-            raise OptionError(f"Newton: time_limit is a positive number of seconds, not {limit!r}")
+        check_limits("Newton", self.max_iterations, self.tolerance, self.time_limit)
         if self.regression not in (None, True, False):
             raise OptionError(f"Newton: regression is True, False or None, not {self.regression!r}")
 

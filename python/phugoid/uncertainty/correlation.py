@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..correlations import correlation_matrix
 from ..errors import UnknownName, did_you_mean
 
 __all__ = ["Correlation", "WeakDirection", "correlation_of"]
@@ -114,12 +115,10 @@ _SHOWN = 5
 
 def correlation_of(names: Sequence[str], values: _Array, covariance: _Array, physical: Sequence[str]) -> Correlation:
     """From the covariance (n, n) of estimates; ``physical`` are those among which weak directions are looked for."""
-    variance = np.diag(covariance)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        deviation = np.sqrt(np.where(variance > 0.0, variance, np.nan))
-        matrix = np.clip(covariance / np.outer(deviation, deviation), -1.0, 1.0)
-    known = [i for i, name in enumerate(names) if name in physical and np.isfinite(deviation[i])]
-    weak = _weak([names[i] for i in known], values[known], deviation[known], matrix[np.ix_(known, known)])
+    matrix = correlation_matrix(covariance)
+    known = [i for i, name in enumerate(names) if name in physical and np.isfinite(matrix[i, i])]
+    deviation = np.sqrt(np.diag(covariance)[known])
+    weak = _weak([names[i] for i in known], values[known], deviation, matrix[np.ix_(known, known)])
     return Correlation(tuple(names), matrix, tuple(weak))
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from ..discrepancy.linearised import dataset
 from ..errors import OptionError
 from ..filter_error import FilterError
+from ..gathered import Watch, check_progress, gathered
 from ..outcome import Outcome, Problem
 from ..result import Fit
 from ..solvers import Newton
@@ -17,7 +17,6 @@ from ..workers import Crew
 
 __all__ = ["NEAR", "Runs", "common_to", "run_all"]
 
-Watch = Callable[[Outcome], None]
 
 NEAR = Newton(regression=False)
 """The solver: the path is known, so there is no need of a regression on measured states."""
@@ -58,34 +57,7 @@ def run_all(
     caller: str,
 ) -> Runs:
     """Runs all starts; Ctrl-C ends it with what is there."""
-    if not isinstance(progress, bool) and not callable(progress):
-        raise OptionError(f"{caller}: progress is True, False or a function, not {progress!r}")
+    check_progress(caller, progress)
     crew = Crew(executor, problem)
-    done: dict[int, Outcome] = {}
-    title = f"{problem.model.name}: {caller}"
-    with _watching(progress, title, len(starts)) as watch, closing(crew.outcomes(enumerate(starts))) as coming:
-        try:
-            for outcome in coming:
-                done[outcome.index] = outcome
-                watch(outcome)
-        except KeyboardInterrupt:
-            pass
-    return Runs({i: done[i] for i in sorted(done)}, len(done) == len(starts), crew.warnings)
-
-
-@contextmanager
-def _watching(progress: bool | Watch, title: str, total: int) -> Iterator[Watch]:
-    """What to call with each outcome: nothing, a bar, or the user's own function."""
-    if callable(progress):
-        yield progress
-        return
-    if not progress:
-        yield lambda outcome: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(title, total=total)
-        yield lambda outcome: bar.update(task, advance=1)
+    done = gathered(crew, enumerate(starts), progress, f"{problem.model.name}: {caller}", len(starts))
+    return Runs(done, len(done) == len(starts), crew.warnings)

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._core import Expr
-from ..densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+from ..densities import Density, Huber, Laplace, StudentT
 from ..discrepancy.linearised import Linearised
 from ..noise import Gaussian, Noise
+from ..noise_kinds import PerExperiment, PerOutput
 
 __all__ = ["Scores"]
 

@@ -16,6 +16,19 @@ pub enum Grid {
     Edges(Vec<f64>),
 }
 
+impl Grid {
+    /// The grid of each experiment: one for all, or one each.
+    pub(crate) fn for_each(grids: &[Grid], experiments: usize) -> Result<impl Iterator<Item = &Grid>, Error> {
+        let count = grids.len();
+        if count != 1 && count != experiments {
+            return Err(Error::Option(format!(
+                "{count} grids for {experiments} experiments; give one, or one each"
+            )));
+        }
+        Ok((0..experiments).map(move |e| &grids[e.min(count - 1)]))
+    }
+}
+
 /// A Lobatto rule with its integration matrix.
 #[derive(Clone, Debug)]
 pub struct Rule {

@@ -13,22 +13,28 @@
 //! system is factorised once, and variables are held and released in its small dense border.
 
 mod bounds;
+mod end;
+mod iteration;
 mod normal;
 mod point;
 mod search;
 mod settings;
+mod solution;
 mod start;
 mod status;
+mod step;
 mod units;
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
+pub use iteration::{Control, Iteration};
 pub use point::Evaluations;
 pub use settings::Settings;
+pub use solution::Solution;
 pub use status::Status;
 pub use units::state_units;
 
-use crate::linalg::{Curvature, KktSolver, kkt_for};
+use crate::linalg::{KktSolver, kkt_for};
 use crate::nlp::{Nlp, NotFinite, Reach};
 use bounds::Active;
 use point::Point;
@@ -41,79 +47,8 @@ const TENFOLD: f64 = 10.0;
 const NEAR: f64 = 10.0;
 /// Standard deviations have settled when the residuals ask for changes below this part of them.
 const SETTLED: f64 = 0.1;
-/// Size at which an unknown has grown without limit.
-const ENDLESS: f64 = 1e15;
-/// An end that meets this instead of the tolerance is acceptable, again a distance in standard errors.
-const CLOSE: f64 = 1e-3;
-/// Steps that need damping, among so many, and together gain less than this in log-likelihood: a valley without
-/// an end in sight.
-const VALLEY: (usize, usize, f64) = (10, 40, 0.1);
 /// A shift above this is damping; below, it only makes a singular system regular.
 const DAMPED: f64 = 1e-6;
-/// Greatest shift of the reduced Hessian, in units of its diagonal, that is tried.
-const GREATEST_SHIFT: f64 = 1e8;
-/// Shifts of the exact system that rounding explains.
-const ROUNDED: [f64; 3] = [1e-12, 1e-10, 1e-8];
-
-/// One line of the iteration table.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Iteration {
-    /// From 0, the start.
-    pub number: usize,
-    /// φ: minus the log-likelihood, priors included.
-    pub objective: f64,
-    /// Largest defect in units of its state.
-    pub defect: f64,
-    /// What the next step promises to gain in log-likelihood, and defects to pretend: half the square of
-    /// the distance from the optimum in standard errors. Infinite where there is no next step.
-    pub promise: f64,
-    /// Length of the step taken, 1 for a full one.
-    pub step: f64,
-    /// Points tried on the way.
-    pub trials: usize,
-    /// Shift of the reduced Hessian.
-    pub shift: f64,
-    /// Whether the Hessian was exact.
-    pub exact: bool,
-}
-
-/// Whether to go on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Control {
-    /// On.
-    Continue,
-    /// The best point so far is the result.
-    Stop,
-}
-
-/// Where a run ended.
-#[derive(Clone, Debug)]
-pub struct Solution {
-    /// Variables.
-    pub xi: Vec<f64>,
-    /// Multipliers of the constraints.
-    pub multipliers: Vec<f64>,
-    /// How it ended.
-    pub status: Status,
-    /// The status's hint, with names.
-    pub message: String,
-    /// φ there.
-    pub objective: f64,
-    /// Largest defect in units of its state.
-    pub defect: f64,
-    /// Number of iterations.
-    pub iterations: usize,
-    /// How often what was evaluated.
-    pub evaluations: Evaluations,
-    /// Counted floating-point operations of one factorisation.
-    pub flops: u64,
-    /// Time spent.
-    pub time: Duration,
-    /// Units of the states.
-    pub units: Vec<f64>,
-    /// The table.
-    pub history: Vec<Iteration>,
-}
 
 /// Minimises from `start`. `watch` sees each iteration and may end the run.
 ///
@@ -196,19 +131,6 @@ struct Run<'a> {
     count: Evaluations,
     history: Vec<Iteration>,
     detail: String,
-}
-
-/// What a step promises.
-#[derive(Clone, Copy, Debug)]
-struct Promise {
-    /// ∇φᵀd
-    slope: f64,
-    /// dᵀHd
-    curvature: f64,
-    /// Gain in φ if all goes as the model says, and what defects may pretend: distance from the end.
-    gain: f64,
-    /// What rounding leaves of that.
-    floor: f64,
 }
 
 impl<'a> Run<'a> {
@@ -321,7 +243,6 @@ impl<'a> Run<'a> {
             }
             if promise.gain < NEAR && self.crawls() {
                 self.detail = self.farthest_names();
-                self.go_back_if_better();
                 return Ok(Status::Acceptable);
             }
             let searched = self.search(&promise);
@@ -355,114 +276,6 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Derivatives at the present point, the Newton system, and its solution.
-    fn newton_step(&mut self) -> Result<Promise, Status> {
-        let nlp = self.nlp;
-        self.count.gradient += 1;
-        self.count.jacobian += 1;
-        let mut fine = nlp.gradient(&self.here.xi, &mut self.gradient).is_ok();
-        fine &= nlp.jacobian(&self.here.xi, &mut self.jacobian).is_ok();
-        if !fine {
-            return Err(self.not_finite());
-        }
-        let exact = self.near;
-        self.bent = exact;
-        self.kkt.set_refinement(exact);
-        self.kkt.set_hurry(self.watchdog.on_trust());
-        if exact {
-            self.count.hessian += 1;
-            fine = nlp.hessian(&self.here.xi, 1.0, &self.lambda, &mut self.hessian).is_ok();
-            if !fine || !(self.factorize()?.is_positive() || self.nearly_positive()) {
-                // Far from the end after all, or on a ridge.
-                self.gauss_newton()?;
-            }
-        } else {
-            self.gauss_newton()?;
-        }
-        self.solve_with_bounds();
-        Ok(self.promise())
-    }
-
-    /// The step of the system at hand with no more shift than it needs to be positive.
-    fn undamped(&mut self) -> Result<Promise, Status> {
-        let found = self.kkt.finish(self.active.held(), 0.0);
-        if self.bent && !found.is_positive() {
-            return self.newton_step();
-        }
-        self.regular(found)?;
-        self.solve_with_bounds();
-        Ok(self.promise())
-    }
-
-    /// Whether the exact system lacks no more than what rounding takes where the data hardly tell: then it is shifted
-    /// by that. Gauss-Newton steps could circle about such an optimum for long.
-    fn nearly_positive(&mut self) -> bool {
-        let before = self.shift;
-        for shift in ROUNDED {
-            self.shift = shift.max(before);
-            if self.kkt.finish(self.active.held(), self.shift).is_positive() {
-                return true;
-            }
-        }
-        self.shift = before;
-        false
-    }
-
-    /// The Gauss-Newton system, shifted until it is positive.
-    fn gauss_newton(&mut self) -> Result<(), Status> {
-        self.count.gauss_newton += 1;
-        self.bent = false;
-        if self.nlp.gauss_newton(&self.here.xi, 1.0, &mut self.hessian).is_err() {
-            return Err(self.not_finite());
-        }
-        let found = self.factorize()?;
-        self.regular(found)
-    }
-
-    fn regular(&mut self, mut found: Curvature) -> Result<(), Status> {
-        while !found.is_positive() {
-            self.shift = (self.shift * 100.0).max(1e-10);
-            if self.shift > GREATEST_SHIFT {
-                return Err(Status::Failed);
-            }
-            found = self.kkt.finish(self.active.held(), self.shift);
-        }
-        Ok(())
-    }
-
-    /// A derivative is not finite at a point where the functions are. At the start that is an error.
-    fn not_finite(&mut self) -> Status {
-        if !self.history.is_empty() {
-            self.detail =
-                self.nlp.explain(&self.here.xi).unwrap_or_else(|| "a derivative is not finite".into());
-        }
-        Status::Failed
-    }
-
-    fn factorize(&mut self) -> Result<Curvature, Status> {
-        self.count.factorizations += 1;
-        if let Err(singular) = self.kkt.factorize(&self.hessian, &self.jacobian) {
-            self.detail = format!("the {} depends on others", self.nlp.constraint_name(singular.row));
-            return Err(Status::Infeasible);
-        }
-        let profiled = if self.near { 0..0 } else { self.nlp.profiled() };
-        self.active.begin(&self.here.xi, &self.bounds, &self.gradient, profiled);
-        Ok(self.kkt.finish(self.active.held(), self.shift))
-    }
-
-    /// What the step promises.
-    fn promise(&self) -> Promise {
-        let slope: f64 = self.gradient.iter().zip(&self.d).map(|(g, d)| g * d).sum();
-        let pull: f64 = self.next_lambda.iter().zip(&self.here.c).map(|(l, c)| l * c).sum();
-        let pretended: f64 = self.next_lambda.iter().zip(&self.here.c).map(|(l, c)| (l * c).abs()).sum();
-        // H d = −∇φ − Aᵀλ − z, and A d = −c.
-        let curvature = -slope + pull - self.active.pull(&self.d);
-        let border = self.nlp.chains().map_or(0, |c| c.border);
-        let own = self.here.xi[border..].iter();
-        let sizes: f64 = self.next_lambda.iter().zip(own).map(|(l, x)| (l * x).abs()).sum();
-        Promise { slope, curvature, gain: 0.5 * slope.abs() + pretended, floor: 8.0 * f64::EPSILON * sizes }
-    }
-
     /// Standard deviations from the residuals, after a step; whether they had settled before. They only come
     /// down after a full step: at the end of a part of one, states do not follow their equations, and small
     /// residuals mean nothing.
@@ -481,121 +294,5 @@ impl<'a> Run<'a> {
         // It was finite, and can only come down.
         let _ = self.here.evaluate_objective(self.nlp, &mut self.count);
         change < SETTLED
-    }
-
-    /// Whether a parameter has grown without limit.
-    fn grown(&mut self) -> bool {
-        let border = self.nlp.chains().map_or(self.here.xi.len(), |c| c.border);
-        let own = self.nlp.profiled();
-        let far = (0..border).find(|i| !own.contains(i) && self.here.xi[*i].abs() > ENDLESS);
-        if let Some(i) = far {
-            self.detail = format!("{} = {:.1e}", self.nlp.variable_name(i), self.here.xi[i]);
-        }
-        far.is_some()
-    }
-
-    fn take_last_step(&mut self) {
-        self.trial.step(&self.here.xi, 1.0, &self.d, &self.bounds);
-        if self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_ok()
-            && self.trial.objective <= self.here.objective + 1e-6
-        {
-            self.here.copy(&self.trial);
-            self.lambda.copy_from_slice(&self.next_lambda);
-        }
-    }
-
-    /// Nothing is left to gain: is it an optimum?
-    fn verdict(&mut self) -> Status {
-        if self.shift > 0.0 {
-            let found = self.kkt.finish(self.active.held(), 0.0);
-            if !found.is_positive() {
-                self.detail = self.weak_names();
-                return if found.negative > 0 { Status::Failed } else { Status::Unidentifiable };
-            }
-        }
-        Status::Converged
-    }
-
-    /// Whether steps have become short because the likelihood hardly tells where to go.
-    fn crawls(&self) -> bool {
-        // Steps on trust may come between.
-        let (count, among, least) = VALLEY;
-        let damped = |line: &Iteration| line.shift > DAMPED && line.step > 0.0;
-        let mut recent = self.history.iter().enumerate().rev().take(among).filter(|(_, line)| damped(line));
-        let before = recent.nth(count - 1).and_then(|(first, _)| first.checked_sub(1));
-        before.is_some_and(|k| (self.history[k].objective - self.here.objective).abs() < least)
-    }
-
-    /// Names of the parameters that the step changes most.
-    fn farthest_names(&self) -> String {
-        let border = self.nlp.chains().map_or(0, |c| c.border);
-        let part = |i: &usize| self.d[*i].abs() / self.here.xi[*i].abs().max(1e-3);
-        let mut order: Vec<usize> = (0..border).collect();
-        order.sort_by(|a, b| part(b).total_cmp(&part(a)));
-        let names: Vec<String> = order.iter().take(6).map(|&i| self.nlp.variable_name(i)).collect();
-        format!("the data hardly determine {}", names.join(", "))
-    }
-
-    /// Names of the variables in directions without curvature.
-    fn weak_names(&self) -> String {
-        let name = |direction: &Vec<(usize, f64)>| {
-            let most = direction.first().map_or(0.0, |x| x.1.abs());
-            let mut part: Vec<usize> =
-                direction.iter().filter(|x| x.1.abs() > 0.1 * most).map(|x| x.0).collect();
-            part.sort_unstable();
-            part.iter().take(6).map(|&i| self.nlp.variable_name(i)).collect::<Vec<_>>().join(", ")
-        };
-        self.kkt.weak_directions().iter().map(name).collect::<Vec<_>>().join("; ")
-    }
-
-    /// No step helped: try a shorter, safer direction; give up when these are spent.
-    fn stuck(&mut self, promise: &Promise) -> Option<Status> {
-        if promise.gain <= CLOSE.powi(2) + promise.floor {
-            return Some(if self.shift == 0.0 { Status::Acceptable } else { self.verdict() });
-        }
-        if self.near && self.settings.gauss_newton {
-            self.near = false;
-            return None;
-        }
-        self.shift = (self.shift * 100.0).max(1e-4);
-        if self.shift > GREATEST_SHIFT {
-            let infeasible = self.here.worst > 1e-6;
-            return Some(if infeasible { Status::Infeasible } else { Status::Failed });
-        }
-        None
-    }
-
-    fn finish(mut self, status: Status) -> Solution {
-        if matches!(status, Status::IterationLimit | Status::TimeLimit | Status::Interrupted) {
-            // The best point so far, not the last that was tried on trust.
-            self.go_back_if_better();
-        }
-        let mut message = status.hint().to_owned();
-        if matches!(status, Status::Infeasible | Status::Failed) && self.detail.is_empty() {
-            self.detail = self.worst_defect();
-        }
-        if !self.detail.is_empty() {
-            message = format!("{message} ({})", self.detail);
-        }
-        Solution {
-            iterations: self.history.last().map_or(0, |l| l.number),
-            flops: self.kkt.flops(),
-            xi: self.here.xi,
-            multipliers: self.lambda,
-            status,
-            message,
-            objective: self.here.objective,
-            defect: self.here.worst,
-            evaluations: self.count,
-            time: self.began.elapsed(),
-            units: self.units.states,
-            history: self.history,
-        }
-    }
-
-    fn worst_defect(&self) -> String {
-        let worst = self.here.c.iter().zip(self.units.each()).map(|(c, u)| c.abs() / u).enumerate();
-        let Some((i, _)) = worst.max_by(|a, b| a.1.total_cmp(&b.1)) else { return String::new() };
-        format!("the largest is the {}: {:.2e}", self.nlp.constraint_name(i), self.here.c[i])
     }
 }

@@ -1,7 +1,8 @@
 //! The line search on the ℓ₁ merit function, with second-order corrections.
 
 use super::point::Point;
-use super::{NEAR, Promise, Run};
+use super::step::Promise;
+use super::{NEAR, Run};
 
 /// Part of the promised decrease that must come true (Armijo).
 const ARMIJO: f64 = 1e-4;

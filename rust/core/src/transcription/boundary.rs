@@ -7,7 +7,7 @@ use crate::condition::{Condition, End};
 use crate::experiment::Experiment;
 use crate::expr::graph::Id;
 use crate::model::Model;
-use crate::nlp::{self, Structure};
+use crate::nlp::{self, NotFinite, Structure};
 use crate::tape::{Arguments, Function, LANE_MULTIPLE, Tape, Workspace};
 
 /// The k conditions of each experiment, c(x(t₀), x(t_f), θ) = 0.
@@ -30,6 +30,15 @@ pub(super) struct Boundary {
 pub(super) type Places<'a> = (&'a Layout, &'a Estimands);
 
 impl Boundary {
+    /// Evaluates what there is of conditions.
+    pub fn evaluate<'a>(
+        of: Option<&Boundary>,
+        places: Places<'a>,
+        work: impl FnOnce(&Boundary, Places<'a>) -> bool,
+    ) -> Result<(), NotFinite> {
+        if of.is_none_or(|boundary| work(boundary, places)) { Ok(()) } else { Err(NotFinite) }
+    }
+
     /// The conditions of a model, if there are any. `ends` holds for each experiment its last point, counted from
     /// its first, and the times of both.
     pub fn new(

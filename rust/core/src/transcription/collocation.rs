@@ -3,11 +3,10 @@
 use std::collections::BTreeMap;
 use std::ops::{Deref, Range};
 
-use super::boundary::Boundary;
+use super::boundary::{Boundary, Places};
 use super::chunk::Chunk;
 use super::defects::{self, Dynamics};
 use super::disjoint::Disjoint;
-use super::estimands::Estimands;
 use super::layout::{Layout, Place};
 use super::objective::{Objective, add};
 use super::posed::{OfExperiment, Posed};
@@ -208,9 +207,8 @@ impl Collocation {
     }
 
     /// Evaluates what there is of boundary conditions.
-    fn at_ends(&self, work: impl FnOnce(&Boundary, (&Layout, &Estimands)) -> bool) -> Result<(), NotFinite> {
-        let Some(boundary) = &self.boundary else { return Ok(()) };
-        if work(boundary, (&self.layout, &self.estimands)) { Ok(()) } else { Err(NotFinite) }
+    fn at_ends(&self, work: impl FnOnce(&Boundary, Places<'_>) -> bool) -> Result<(), NotFinite> {
+        Boundary::evaluate(self.boundary.as_ref(), (&self.layout, &self.estimands), work)
     }
 
     /// The change of all constraints when slopes b are added to f: −h Σ_j C[j,k] b_j (Eq. oem_coll_cxdot).
@@ -249,15 +247,8 @@ impl Collocation {
 }
 
 fn meshes(experiments: &[Experiment], settings: &Settings) -> Result<Vec<Mesh>, Error> {
-    let count = settings.grid.len();
-    if count != 1 && count != experiments.len() {
-        return Err(Error::Option(format!(
-            "{count} grids for {} experiments; give one, or one each",
-            experiments.len()
-        )));
-    }
-    let grid = |e: usize| &settings.grid[e.min(count - 1)];
-    experiments.iter().enumerate().map(|(e, x)| Mesh::new(settings.order, grid(e), &x.t)).collect()
+    let grids = Grid::for_each(&settings.grid, experiments.len())?;
+    experiments.iter().zip(grids).map(|(x, grid)| Mesh::new(settings.order, grid, &x.t)).collect()
 }
 
 impl Nlp for Collocation {

@@ -10,7 +10,7 @@ use crate::tape::BLOCK;
 /// Calls a method of a group for its number of lanes.
 macro_rules! by_width {
     ($group:expr, $call:ident ( $($arg:expr),* )) => {
-        if $group.width == 1 { $call::<1>($($arg),*) } else { $call::<{ super::group::WIDE }>($($arg),*) }
+        if $group.width == 1 { $call::<1>($($arg),*) } else { $call::<{ $crate::transcription::group::WIDE }>($($arg),*) }
     };
 }
 

@@ -13,48 +13,18 @@
 
 use std::ops::Range;
 
+use super::chain::ChainPlan;
 use super::dense::axpy;
-use super::part::{Along, Piece};
-use super::plan::{ChainPlan, Run, Shape};
+use super::form::{Form, Side};
+use super::piece::{Along, Piece};
 use super::products::Products;
+use super::run::Run;
+use super::shape::Shape;
 use crate::simd::kernel;
 use crate::tape::lanes::all_finite;
 
 /// Greatest sensitivity of the end of a group to its start, in units of the states.
 pub(super) const GROWTH: f64 = 100.0;
-
-/// A quadratic function ½vᵀQv of v = (a, b, θ), with n constraints C_a a + C_b b + C_θ θ = c.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Form {
-    /// n × (2n + dynamic), row-major.
-    pub c: Vec<f64>,
-    /// (2n + B)², row-major.
-    pub q: Vec<f64>,
-}
-
-/// The right-hand side of a form, and the solution.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Side {
-    /// c (n).
-    pub c: Vec<f64>,
-    /// What stands right of Q v + Cᵀ multiplier (2n + B).
-    pub p: Vec<f64>,
-    /// Multiplier of the constraint (n), after the solution is known.
-    pub multiplier: Vec<f64>,
-}
-
-impl Form {
-    pub fn new(shape: &Shape) -> Form {
-        let f = shape.form();
-        Form { c: vec![0.0; shape.n * (shape.n + shape.used())], q: vec![0.0; f * f] }
-    }
-}
-
-impl Side {
-    pub fn new(shape: &Shape) -> Side {
-        Side { c: vec![0.0; shape.n], p: vec![0.0; shape.form()], multiplier: vec![0.0; shape.n] }
-    }
-}
 
 /// Consecutive segments of a chain, with all that their elimination keeps.
 #[derive(Clone, Debug)]
@@ -76,8 +46,6 @@ pub(super) struct Group {
     cross: Vec<f64>,
     /// Segments before which the growth passed the limit, at the last factorisation.
     pub splits: Vec<usize>,
-    /// Largest entry of X at the last factorisation.
-    pub growth: f64,
 }
 
 /// What a group needs from outside.
@@ -110,7 +78,6 @@ impl Group {
             lambda: vec![0.0; rows],
             cross: vec![0.0; shape.coupled.len()],
             splits: Vec::new(),
-            growth: 0.0,
             segments,
         }
     }
@@ -124,50 +91,20 @@ impl Group {
         jacobian: &[f64],
     ) -> Result<(), usize> {
         self.splits.clear();
-        self.growth = 0.0;
         factorize(self, context, products, hessian, jacobian)?;
-        self.make_form(context.shape, products);
+        self.form.put_together(context.shape, &self.pieces, products);
         Ok(())
     }
 
     /// Calls `each` for all entries of the Hessian that are not zero: the first own variable of their point
     /// in the chain, `None` for the chain's first point, what they are, and their values.
+    #[inline]
     pub fn curvature(&self, context: &Context<'_>, mut each: impl FnMut(Option<usize>, &Run, &[f64])) {
         let n = context.shape.n;
         for (panel, start) in panels(&self.segments).zip(&self.starts) {
             let own = panel.checked_sub(1).map(|s| context.plan.row(s, n));
             for (run, values) in Run::with(context.plan.runs(panel), &self.values[*start..]) {
                 each(own.map(|row| row + run.point as usize * n), run, values);
-            }
-        }
-    }
-
-    /// Puts together the form from what the points have added up.
-    fn make_form(&mut self, shape: &Shape, products: &Products) {
-        let (n, f) = (shape.n, shape.form());
-        let columns = n + shape.used();
-        self.form.c.fill(0.0);
-        for (part, piece) in shape.parts.iter().zip(&self.pieces) {
-            for (&i, z) in part.states.iter().zip(piece.z.chunks_exact(part.width)) {
-                let row = &mut self.form.c[i * columns..(i + 1) * columns];
-                let (states, theta) = z.split_at(part.states.len());
-                part.states.iter().zip(states).for_each(|(&j, z)| row[j] = -z);
-                part.dynamic.iter().zip(theta).for_each(|(&j, z)| row[2 * n + j] = -z);
-                row[n + i] = 1.0;
-            }
-        }
-        let q = &mut self.form.q;
-        q.fill(0.0);
-        let place = |v: usize| if v < n { v } else { 2 * n + shape.dynamic[v - n] };
-        for (i, v) in shape.columns() {
-            let v = place(v);
-            for (j, w) in shape.columns() {
-                q[v * f + place(w)] += products.square(i, j);
-            }
-            for (c, &b) in shape.coupled.iter().enumerate() {
-                let value = products.cross(shape, i, c);
-                q[v * f + 2 * n + b] += value;
-                q[(2 * n + b) * f + v] += value;
             }
         }
     }
@@ -232,7 +169,6 @@ kernel! {
             }
             let own = bend(s + 1, &mut g.values);
             products.add(shape, plan.runs(s + 1), &g.values[own], &g.pieces, |piece| &piece.next);
-            g.growth = g.growth.max(growth);
             if growth > GROWTH && s + 1 < g.segments.end {
                 g.splits.push(s + 1);
                 restart(shape, &mut g.pieces);
@@ -253,26 +189,15 @@ kernel! {
     fn reduce(g: &mut Group, context: &Context<'_>, p: &[f64], q: &[f64], first: &[f64]) {
         let (shape, plan) = (context.shape, context.plan);
         let n = shape.n;
-        let along = Along { shape, plan, segments: &g.segments, row: g.row };
+        let segments = g.segments.clone();
+        let along = Along { shape, plan, segments: &segments, row: g.row };
         for (part, piece) in shape.parts.iter().zip(&mut g.pieces) {
             piece.forward(part, along, q, &mut g.y, &mut g.side.c);
         }
         // Backwards: what the own points leave on the states before them, and on θ.
         g.side.p.fill(0.0);
         g.cross.fill(0.0);
-        g.lambda.copy_from_slice(&p[g.row..g.row + g.y.len()]);
-        let own = usize::from(g.segments.start == 0);
-        for (panel, start) in panels(&g.segments).zip(&g.starts).skip(own) {
-            let row = plan.row(panel - 1, n) - g.row;
-            for (run, values) in Run::with(plan.runs(panel), &g.values[*start..]) {
-                let point = row + run.point as usize * n;
-                if run.coupled {
-                    axpy::<0>(&mut g.cross[run.others()], -g.y[point + run.state as usize], values);
-                } else {
-                    less_curvature(run, values, &g.y[point..point + n], &mut g.lambda[point..point + n]);
-                }
-            }
-        }
+        pull(g, plan, n, p, |cross, values, y, _| axpy::<0>(cross, -y, values));
         let (ends, theta) = g.side.p.split_at_mut(2 * n);
         for (part, piece) in shape.parts.iter().zip(&mut g.pieces) {
             piece.backward(part, along, &g.lambda);
@@ -285,6 +210,32 @@ kernel! {
         }
         for (x, &b) in g.cross.iter().zip(&shape.coupled) {
             theta[b] += x;
+        }
+    }
+}
+
+/// v = p − H y of the own points, in place of their multipliers. What couples with the border is left to `across`:
+/// its part of the border, the values, and y and v of the state.
+#[inline(always)]
+fn pull(
+    g: &mut Group,
+    plan: &ChainPlan,
+    n: usize,
+    p: &[f64],
+    across: impl Fn(&mut [f64], &[f64], f64, &mut f64),
+) {
+    g.lambda.copy_from_slice(&p[g.row..g.row + g.y.len()]);
+    let own = usize::from(g.segments.start == 0);
+    for (panel, start) in panels(&g.segments).zip(&g.starts).skip(own) {
+        let row = plan.row(panel - 1, n) - g.row;
+        for (run, values) in Run::with(plan.runs(panel), &g.values[*start..]) {
+            let point = row + run.point as usize * n;
+            if run.coupled {
+                let state = point + run.state as usize;
+                across(&mut g.cross[run.others()], values, g.y[state], &mut g.lambda[state]);
+            } else {
+                less_curvature(run, values, &g.y[point..point + n], &mut g.lambda[point..point + n]);
+            }
         }
     }
 }
@@ -305,7 +256,8 @@ kernel! {
     fn expand(g: &mut Group, context: &Context<'_>, a: &[f64], theta: &[f64], p: &[f64]) {
         let (shape, plan) = (context.shape, context.plan);
         let n = shape.n;
-        let along = Along { shape, plan, segments: &g.segments, row: g.row };
+        let segments = g.segments.clone();
+        let along = Along { shape, plan, segments: &segments, row: g.row };
         for (x, &b) in g.cross.iter_mut().zip(&shape.coupled) {
             *x = theta[b];
         }
@@ -313,20 +265,9 @@ kernel! {
         for (part, piece) in shape.parts.iter().zip(&mut g.pieces) {
             piece.expand(part, along, a, theta, &mut g.y);
         }
-        g.lambda.copy_from_slice(&p[g.row..g.row + g.y.len()]);
-        let own = usize::from(g.segments.start == 0);
-        for (panel, start) in panels(&g.segments).zip(&g.starts).skip(own) {
-            let row = plan.row(panel - 1, n) - g.row;
-            for (run, values) in Run::with(plan.runs(panel), &g.values[*start..]) {
-                let point = row + run.point as usize * n;
-                if run.coupled {
-                    let pulled = values.iter().zip(&g.cross[run.others()]).map(|(v, x)| v * x);
-                    g.lambda[point + run.state as usize] -= pulled.sum::<f64>();
-                } else {
-                    less_curvature(run, values, &g.y[point..point + n], &mut g.lambda[point..point + n]);
-                }
-            }
-        }
+        pull(g, plan, n, p, |cross, values, _, v| {
+            *v -= values.iter().zip(cross).map(|(value, x)| value * *x).sum::<f64>();
+        });
         for (part, piece) in shape.parts.iter().zip(&mut g.pieces) {
             piece.multipliers(part, along, &g.side.multiplier, &mut g.lambda);
         }

@@ -6,8 +6,8 @@
 //! (S. J. Wright, "Stable parallel algorithms for two-point boundary value problems", 1992).
 
 use super::dense::triangularise;
-use super::group::{Form, Side};
-use super::plan::Shape;
+use super::form::{Form, Side};
+use super::shape::Shape;
 
 /// Two forms merged into one.
 #[derive(Clone, Debug)]

@@ -1,379 +1,120 @@
-//! One part of a group's equations: eliminated segment by segment, and solved with.
+//! Parts that the dynamics fall into.
 
 use std::ops::Range;
 
-use super::dense::{axpy, copy_rows, dot, for_vectors, sum_rows};
-use super::plan::{ChainPlan, Part, PartPlan, Shape};
+use super::items::Items;
+use super::places::Places;
+use super::shape::{Shape, positions};
+use crate::nlp::Structure;
 
-/// A part of a group, with all that its elimination keeps.
+/// States that no others enter: a system that falls apart, like one of modes, is eliminated part by part.
+///
+/// Only the Hessian couples parts, through outputs that depend on several.
 #[derive(Clone, Debug)]
-pub(super) struct Piece {
-    /// E: a row of sensitivities for each own row.
-    e: Vec<f64>,
-    /// LU of M: a row of d for each own row, reciprocals of the pivots on the diagonal.
-    lu: Vec<f64>,
-    pivots: Vec<u16>,
-    /// Where a segment is eliminated.
-    panel: Vec<f64>,
-    /// Sensitivities of the last state, and of the own points of the last segment.
-    pub z: Vec<f64>,
-    pub next: Vec<f64>,
-    /// 0 for the columns of states, 1 for those of θ.
-    mask: Vec<f64>,
-    /// What a solution starts from: states and θ, padded.
-    start: Vec<f64>,
-    /// What later points leave on the states before them, and on θ.
-    pub bent: Vec<f64>,
-    v: Vec<f64>,
+pub(super) struct Part {
+    /// In ascending order.
+    pub states: Vec<usize>,
+    /// Places in [`Shape::dynamic`] of what enters their equations.
+    pub dynamic: Vec<usize>,
+    /// Length of a row of sensitivities to (first states of a group, dynamic border) of the part, padded.
+    pub width: usize,
+    /// Where these columns start in a row of all parts.
+    pub first: usize,
+    /// Columns of [H Z, K], from the part's own on, that are not zero in its rows: whole vectors.
+    pub meets: Vec<Range<usize>>,
 }
 
-/// What all pieces of a group share: its segments, and the own row of its first.
-#[derive(Clone, Copy)]
-pub(super) struct Along<'a> {
-    pub shape: &'a Shape,
-    pub plan: &'a ChainPlan,
-    pub segments: &'a Range<usize>,
-    pub row: usize,
-}
+impl Part {
+    /// Length of a row of sensitivities without the padding.
+    pub fn used(&self) -> usize {
+        self.states.len() + self.dynamic.len()
+    }
 
-impl Along<'_> {
-    /// Points before a segment, within the group.
+    /// Rows of a segment with so many points.
+    pub fn rows(&self, points: usize) -> usize {
+        points * self.states.len()
+    }
+
+    /// Where, in the panel of a segment with d own core rows, stands what M is solved for.
+    pub fn right(d: usize) -> usize {
+        d.next_multiple_of(8)
+    }
+
+    /// Length of a row of the panel of a segment with so many core points: M, then what it is solved for.
+    pub fn panel(&self, points: usize) -> usize {
+        Part::right(self.rows(points)) + self.width
+    }
+
+    /// Among the rows of a segment, all states together, that of a row of the part.
     #[inline(always)]
-    fn point(&self, s: usize) -> usize {
-        self.plan.point(s) - self.plan.point(self.segments.start)
-    }
-
-    /// Own rows of a segment, within the group.
-    #[inline(always)]
-    pub fn rows(&self, s: usize) -> Range<usize> {
-        let n = self.shape.n;
-        self.point(s) * n..self.point(s + 1) * n
-    }
-
-    /// Those of a part, numbered through.
-    #[inline(always)]
-    fn part_rows(&self, part: &Part, s: usize) -> Range<usize> {
-        let own = part.states.len();
-        self.point(s) * own..self.point(s + 1) * own
+    pub fn row(&self, own: usize, n: usize) -> usize {
+        own / self.states.len() * n + self.states[own % self.states.len()]
     }
 }
 
-impl Piece {
-    pub fn new(part: &Part, points: usize, segments: usize, total: usize, most: usize) -> Piece {
-        let (n, d) = (part.states.len(), part.rows(points));
-        Piece {
-            e: vec![0.0; total * n * part.width],
-            lu: vec![0.0; total * n * d],
-            pivots: vec![0; segments * d],
-            panel: vec![0.0; most * n * part.panel(points)],
-            z: vec![0.0; n * part.width],
-            next: vec![0.0; most * n * part.width],
-            mask: (0..part.width).map(|j| f64::from(u8::from(j >= n))).collect(),
-            start: vec![0.0; part.width],
-            bent: vec![0.0; part.width],
-            v: vec![0.0; most * n],
-        }
-    }
+/// A part along a chain.
+#[derive(Clone, Debug)]
+pub(super) struct PartPlan {
+    pub jacobian: Items,
+    /// What the rows of a panel are multiplied by, 1/unit of each state, and its columns: the unit of own
+    /// states, then −unit of states before, −1 for θ.
+    pub rows: Vec<f64>,
+    pub columns: Vec<f64>,
+    /// For each row of a segment its state in the part, and its place among the segment's own rows.
+    pub place: Vec<(u32, u32)>,
+}
 
-    /// Sensitivities at the start of a group: [I 0].
-    #[inline(always)]
-    pub fn restart(&mut self, part: &Part) {
-        self.z.fill(0.0);
-        (0..part.states.len()).for_each(|i| self.z[i * part.width + i] = 1.0);
-    }
-
-    /// Eliminates a segment, the i-th of the group, and follows the sensitivities; a row of the part that
-    /// depends on others where that cannot be.
-    #[inline(always)]
-    pub fn factorize(
-        &mut self,
-        part: &Part,
-        plan: &PartPlan,
-        along: Along<'_>,
-        (i, s): (usize, usize),
-        jacobian: &[f64],
-    ) -> Result<(), usize> {
-        let (n, width, d) = (part.states.len(), part.width, part.rows(along.plan.chain.points));
-        let own = along.part_rows(part, s);
-        let (rows, length) = (own.len(), plan.columns.len());
-        let panel = &mut self.panel[..rows * length];
-        panel.fill(0.0);
-        for (entry, place) in plan.jacobian.of(s) {
-            panel[place] += jacobian[entry];
-        }
-        for point in panel.chunks_exact_mut(n * length) {
-            for (row, unit) in point.chunks_exact_mut(length).zip(&plan.rows) {
-                for (x, c) in row.iter_mut().zip(&plan.columns) {
-                    *x *= unit * c;
-                }
-            }
-        }
-        let pivots = &mut self.pivots[i * d..(i + 1) * d];
-        let e = &mut self.e[own.start * width..own.end * width];
-        let lu = &mut self.lu[own.start * d..own.end * d];
-        for_vectors!(length / 8, eliminate(panel, d, width, lu, pivots))?;
-        for_vectors!(width / 8, copy_rows(e, width, &panel[length - width..], length));
-        // Sensitivities of the own points: Y = E_x Z + [0 E_θ].
-        let next = &mut self.next[..rows * width];
-        for_vectors!(width / 8, follow(n, width, e, &self.z, &self.mask, next));
-        self.z.copy_from_slice(&next[(d - n) * width..d * width]);
-        Ok(())
-    }
-
-    /// Largest sensitivity of the last state to the start of the group.
-    #[inline(always)]
-    pub fn growth(&self, part: &Part) -> f64 {
-        let mut growth = 0.0;
-        for row in self.z.chunks_exact(part.width) {
-            let own = &row[..part.states.len()];
-            own.iter().for_each(|x| growth = if x.abs() > growth { x.abs() } else { growth });
-        }
-        growth
-    }
-
-    /// Particular solution: the own variables for right-hand sides q of the chain's rows and a start of zero.
-    #[inline(always)]
-    pub fn forward(&mut self, part: &Part, along: Along<'_>, q: &[f64], y: &mut [f64], at_end: &mut [f64]) {
-        let (n, width, d) = (part.states.len(), part.width, part.rows(along.plan.chain.points));
-        self.start.fill(0.0);
-        for (i, s) in along.segments.clone().enumerate() {
-            let (all, own) = (along.rows(s), along.part_rows(part, s));
-            let v = &mut self.v[..own.len()];
-            gather(&part.states, along.shape.n, &q[along.row + all.start..along.row + all.end], v);
-            let (e, m) = (&self.e[own.start * width..], &self.lu[own.start * d..own.end * d]);
-            solve(m, own.len(), d, &self.pivots[i * d..(i + 1) * d], v);
-            for (y, e) in v.iter_mut().zip(e.chunks_exact(width)) {
-                for (e, x) in e[..n].iter().zip(&self.start) {
-                    *y = e.mul_add(*x, *y);
-                }
-            }
-            self.start[..n].copy_from_slice(&v[d - n..d]);
-            scatter(&part.states, along.shape.n, v, &mut y[all]);
-        }
-        part.states.iter().zip(&self.start).for_each(|(&s, x)| at_end[s] = *x);
-    }
-
-    /// Backwards: what v on the own variables leaves on the start of the group and on θ, in `bent`.
-    #[inline(always)]
-    pub fn backward(&mut self, part: &Part, along: Along<'_>, all_v: &[f64]) {
-        let (n, width, d) = (part.states.len(), part.width, part.rows(along.plan.chain.points));
-        self.bent.fill(0.0);
-        for s in along.segments.clone().rev() {
-            let own = along.part_rows(part, s);
-            let v = &mut self.v[..own.len()];
-            gather(&part.states, along.shape.n, &all_v[along.rows(s)], v);
-            v[d - n..d].iter_mut().zip(&self.bent).for_each(|(v, x)| *v += x);
-            self.bent[..n].fill(0.0);
-            let e = &self.e[own.start * width..];
-            for (v, e) in v.iter().zip(e.chunks_exact(width)) {
-                axpy::<0>(&mut self.bent, *v, e);
-            }
-        }
-    }
-
-    /// Adds to a particular solution what the group's start and θ make of it.
-    #[inline(always)]
-    pub fn expand(&mut self, part: &Part, along: Along<'_>, a: &[f64], theta: &[f64], y: &mut [f64]) {
-        let (n, width, d) = (part.states.len(), part.width, part.rows(along.plan.chain.points));
-        self.start.fill(0.0);
-        self.start.iter_mut().zip(&part.states).for_each(|(x, &s)| *x = a[s]);
-        for (x, &p) in self.start[n..].iter_mut().zip(&part.dynamic) {
-            *x = theta[along.shape.dynamic[p]];
-        }
-        for s in along.segments.clone() {
-            let (all, own) = (along.rows(s), along.part_rows(part, s));
-            let v = &mut self.v[..own.len()];
-            let e = &self.e[own.start * width..];
-            for (v, e) in v.iter_mut().zip(e.chunks_exact(width)) {
-                *v = dot(e, &self.start);
-            }
-            self.start[..n].copy_from_slice(&v[d - n..d]);
-            if n == along.shape.n {
-                y[all].iter_mut().zip(&*v).for_each(|(y, v)| *y += v);
-                continue;
-            }
-            for (y, v) in y[all].chunks_exact_mut(along.shape.n).zip(v.chunks_exact(n)) {
-                part.states.iter().zip(v).for_each(|(&s, v)| y[s] += v);
-            }
-        }
-    }
-
-    /// Multipliers of the own rows, in place of v on the own variables, from that of the group's end.
-    #[inline(always)]
-    pub fn multipliers(&mut self, part: &Part, along: Along<'_>, at_end: &[f64], all_v: &mut [f64]) {
-        let (n, width, d) = (part.states.len(), part.width, part.rows(along.plan.chain.points));
-        self.bent.iter_mut().zip(&part.states).for_each(|(b, &s)| *b = at_end[s]);
-        for (i, s) in along.segments.clone().enumerate().rev() {
-            let (all, own) = (along.rows(s), along.part_rows(part, s));
-            let v = &mut self.v[..own.len()];
-            gather(&part.states, along.shape.n, &all_v[all.clone()], v);
-            v[d - n..d].iter_mut().zip(&self.bent).for_each(|(v, x)| *v += x);
-            self.bent[..n].fill(0.0);
-            let (e, m) = (&self.e[own.start * width..], &self.lu[own.start * d..own.end * d]);
-            for (v, e) in v.iter().zip(e.chunks_exact(width)) {
-                for (b, e) in self.bent[..n].iter_mut().zip(e) {
-                    *b = v.mul_add(*e, *b);
-                }
-            }
-            solve_transposed(m, own.len(), d, &self.pivots[i * d..(i + 1) * d], v);
-            scatter(&part.states, along.shape.n, v, &mut all_v[all]);
-        }
+impl PartPlan {
+    pub fn new(part: &Part, (points, most): (usize, usize), jacobian: Items, units: &[f64]) -> PartPlan {
+        let own: Vec<f64> = part.states.iter().map(|&s| units[s]).collect();
+        let (n, d) = (own.len(), part.rows(points));
+        let right = Part::right(d);
+        let mut columns = vec![0.0; part.panel(points)];
+        columns[..d].iter_mut().zip(own.iter().cycle()).for_each(|(c, u)| *c = *u);
+        columns[right..right + n].iter_mut().zip(&own).for_each(|(c, u)| *c = -u);
+        columns[right + n..right + part.used()].fill(-1.0);
+        let place = (0..part.rows(most)).map(|i| ((i % n) as u32, part.row(i, units.len()) as u32)).collect();
+        PartPlan { jacobian, place, rows: own.iter().map(|u| 1.0 / u).collect(), columns }
     }
 }
 
-/// The rows of some states among all of them.
-#[inline(always)]
-fn gather(states: &[usize], n: usize, from: &[f64], to: &mut [f64]) {
-    if states.len() == n {
-        return to.copy_from_slice(from);
-    }
-    for (to, from) in to.chunks_exact_mut(states.len()).zip(from.chunks_exact(n)) {
-        to.iter_mut().zip(states).for_each(|(t, &s)| *t = from[s]);
-    }
-}
-
-/// And back.
-#[inline(always)]
-fn scatter(states: &[usize], n: usize, from: &[f64], to: &mut [f64]) {
-    if states.len() == n {
-        return to.copy_from_slice(from);
-    }
-    for (to, from) in to.chunks_exact_mut(n).zip(from.chunks_exact(states.len())) {
-        from.iter().zip(states).for_each(|(f, &s)| to[s] = *f);
-    }
-}
-
-/// Y = E_x Z + [0 E_θ], row by row.
-#[inline(always)]
-fn follow<const V: usize>(n: usize, width: usize, e: &[f64], z: &[f64], mask: &[f64], next: &mut [f64]) {
-    for (y, e) in next.chunks_exact_mut(width).zip(e.chunks_exact(width)) {
-        sum_rows::<V>(y, (mask, e), &e[..n], z, width);
-    }
-}
-
-#[inline(always)]
-fn larger(x: f64, i: usize, best: &mut usize, size: &mut f64) {
-    if x.abs() > *size {
-        (*best, *size) = (i, x.abs());
-    }
-}
-
-/// Row and size of the largest entry of the first column. Kept out of the kernel: for a handful of rows
-/// the compiler makes thousands of vector instructions of it.
-#[inline(never)]
-fn first_pivot(panel: &[f64], length: usize, d: usize) -> (usize, f64) {
-    let (mut best, mut size) = (0, 0.0);
-    for i in 0..d {
-        larger(panel[i * length], i, &mut best, &mut size);
-    }
-    (best, size)
-}
-
-/// Exchanges the first entries of two rows. Rare, and kept out of the kernel for the same reason.
-#[cold]
-#[inline(never)]
-fn exchange(a: &mut [f64], stride: usize, count: usize, k: usize, i: usize) {
-    let (low, high) = a.split_at_mut(i * stride);
-    low[k * stride..k * stride + count].swap_with_slice(&mut high[..count]);
-}
-
-/// LU with row exchanges of the first d of `rows` rows of M, the rows after them (ties) eliminated
-/// along; then M⁻¹ e in place of e, in a panel of rows [M, e]. The column that has no pivot where M is
-/// singular.
-#[inline(always)]
-fn eliminate<const V: usize>(
-    panel: &mut [f64],
-    d: usize,
-    width: usize,
-    lu: &mut [f64],
-    pivots: &mut [u16],
-) -> Result<(), usize> {
-    let first = d.next_multiple_of(8);
-    let length = first + width;
-    // The largest entry of the column to come is found while rows are eliminated.
-    let (mut best, mut size) = first_pivot(panel, length, d);
-    for k in 0..d {
-        pivots[k] = best as u16;
-        if !(size > 1e-280 && size.is_finite()) {
-            return Err(k);
+/// The parts that the dynamics fall into: sets of states that no entry of the Jacobian joins.
+pub(super) fn parts(shape: &Shape, places: &Places, jacobian: &Structure) -> Vec<Part> {
+    let n = shape.n;
+    let of_row = |t: usize| {
+        let row = places.rows[jacobian.rows[t] as usize];
+        row.is_own().then(|| row.index as usize % n)
+    };
+    // Each state points to one of its part, the first of them to itself.
+    let mut to: Vec<usize> = (0..n).collect();
+    let root = |to: &[usize], mut i: usize| {
+        while to[i] != i {
+            i = to[i];
         }
-        if best != k {
-            exchange(panel, length, length, k, best);
-            exchange(lu, d, k, k, best);
-        }
-        let (above, below) = panel.split_at_mut((k + 1) * length);
-        let pivot_row = &above[k * length..];
-        let inverse = 1.0 / pivot_row[k];
-        let (lu_above, lu_below) = lu.split_at_mut((k + 1) * d);
-        let u = &mut lu_above[k * d..];
-        u[k] = inverse;
-        u[k + 1..].copy_from_slice(&pivot_row[k + 1..d]);
-        // Left of the pivot the row is zero: whole vectors may be taken, and all of few.
-        let skipped = if V > 0 { 0 } else { k & !7 };
-        let from = &pivot_row[skipped..];
-        (best, size) = (k + 1, 0.0);
-        let mut i = k;
-        for (to, lu) in below.chunks_exact_mut(length).zip(lu_below.chunks_exact_mut(d)) {
-            let l = to[k] * inverse;
-            lu[k] = l;
-            axpy::<V>(&mut to[skipped..], -l, from);
-            i += 1;
-            if i < d {
-                larger(to[k + 1], i, &mut best, &mut size);
-            }
+        i
+    };
+    for (t, &column) in jacobian.columns.iter().enumerate().filter(|(_, c)| **c as usize >= shape.border) {
+        if let Some(i) = of_row(t) {
+            let (a, b) = (root(&to, i), root(&to, places.variables[column as usize].index as usize % n));
+            to[a.max(b)] = a.min(b);
         }
     }
-    for k in (0..d).rev() {
-        let inverse = lu[k * d + k];
-        panel[k * length + first..(k + 1) * length].iter_mut().for_each(|x| *x *= inverse);
-        let skipped = if V > 0 { 0 } else { first };
-        let (above, row) = panel.split_at_mut(k * length);
-        for (to, lu) in above.chunks_exact_mut(length).zip(lu.chunks_exact(d)) {
-            axpy::<V>(&mut to[skipped..], -lu[k], &row[skipped..length]);
+    let roots: Vec<usize> = (0..n).map(|i| root(&to, i)).collect();
+    let place = positions(&shape.dynamic, shape.border, 0);
+    let mut enters = vec![false; n * shape.dynamic.len()];
+    for (t, &column) in jacobian.columns.iter().enumerate().filter(|(_, c)| (**c as usize) < shape.border) {
+        if let Some(i) = of_row(t) {
+            enters[roots[i] * shape.dynamic.len() + place[column as usize]] = true;
         }
     }
-    Ok(())
-}
-
-/// y = M⁻¹ y, ties along.
-#[inline(always)]
-fn solve(m: &[f64], rows: usize, d: usize, pivots: &[u16], y: &mut [f64]) {
-    for (k, &pivot) in pivots.iter().enumerate() {
-        y.swap(k, pivot as usize);
-    }
-    for k in 0..d {
-        let yk = y[k];
-        for i in k + 1..rows {
-            y[i] = (-m[i * d + k]).mul_add(yk, y[i]);
-        }
-    }
-    for k in (0..d).rev() {
-        y[k] *= m[k * d + k];
-        let yk = y[k];
-        for i in 0..k {
-            y[i] = (-m[i * d + k]).mul_add(yk, y[i]);
-        }
-    }
-}
-
-/// v = M⁻ᵀ v, ties along.
-#[inline(always)]
-fn solve_transposed(m: &[f64], rows: usize, d: usize, pivots: &[u16], v: &mut [f64]) {
-    for k in 0..d {
-        v[k] *= m[k * d + k];
-        let vk = v[k];
-        for j in k + 1..d {
-            v[j] = (-m[k * d + j]).mul_add(vk, v[j]);
-        }
-    }
-    for k in (0..d).rev() {
-        let mut sum = v[k];
-        for i in k + 1..rows {
-            sum = (-m[i * d + k]).mul_add(v[i], sum);
-        }
-        v[k] = sum;
-    }
-    for (k, &pivot) in pivots.iter().enumerate().rev() {
-        v.swap(k, pivot as usize);
-    }
+    let mut first = 0;
+    let part = |root: usize| {
+        let states: Vec<usize> = (0..n).filter(|&i| roots[i] == root).collect();
+        let count = shape.dynamic.len();
+        let dynamic: Vec<usize> = (0..count).filter(|d| enters[root * count + d]).collect();
+        let width = (states.len() + dynamic.len()).next_multiple_of(8);
+        first += width;
+        Part { states, dynamic, width, first: first - width, meets: Vec::new() }
+    };
+    (0..n).filter(|&i| roots[i] == i).map(part).collect()
 }

@@ -5,8 +5,10 @@
 //! then products of slim matrices add them all, their blocks in registers.
 
 use super::dense::{axpy, for_vectors};
-use super::part::Piece;
-use super::plan::{Part, Run, Shape};
+use super::part::Part;
+use super::piece::Piece;
+use super::run::Run;
+use super::shape::Shape;
 
 /// Rows of a part that are collected: two matrices of as many rows of some 30 columns stay in the first cache.
 const ROWS: usize = 64;

@@ -1,18 +1,16 @@
-//! The top: what is left of each chain are its two ends; then one dense border.
+//! The top: what is left of each chain are its two ends.
 //!
 //! n constraints C_a a + C_b b + C_θ θ = c, and boundary conditions beside them, leave n or fewer of the 2n
 //! end states free: (a, b) = Z₂ u + Y θ + y, by an orthogonal decomposition of [C_a C_b]ᵀ. The reduced
 //! Hessian in (u of every chain, θ) is small and dense; its inertia is that of the whole.
 
-use nalgebra::{DMatrix, SymmetricEigen};
+use nalgebra::DMatrix;
 
+use super::border::{TINY, directions, scale_of};
 use super::dense::{backward, cholesky, forward, triangularise};
-use super::group::{Form, Side};
-use super::plan::Shape;
+use super::form::{Form, Side};
+use super::shape::Shape;
 use crate::linalg::Curvature;
-
-/// Pivots of the reduced Hessian, its diagonal scaled to 1, at or below this are no curvature.
-const TINY: f64 = 1e-13;
 
 /// The top of one chain.
 #[derive(Clone, Debug)]
@@ -286,101 +284,4 @@ impl Top {
             }
         }
     }
-}
-
-/// The dense border, factorised.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Border {
-    l: Vec<f64>,
-    scale: Vec<f64>,
-}
-
-impl Border {
-    /// Factorises a B × B matrix, with `shift` times the diagonal `of` added and some variables held.
-    pub fn factorize(
-        &mut self,
-        s: &[f64],
-        of: &[f64],
-        held: &[bool],
-        shift: f64,
-        weak: &mut Vec<Vec<(usize, f64)>>,
-    ) -> Curvature {
-        let b = of.len();
-        self.scale.clear();
-        self.scale.extend(of.iter().map(|d| scale_of(*d)));
-        self.fill(s, held, shift);
-        if cholesky(&mut self.l, b, TINY).is_ok() {
-            return Curvature::default();
-        }
-        self.fill(s, held, shift);
-        let (found, vectors) = directions(&self.l, b);
-        for v in vectors {
-            let mut part: Vec<(usize, f64)> = v.iter().copied().enumerate().collect();
-            part.sort_by(|x, y| y.1.abs().total_cmp(&x.1.abs()));
-            weak.push(part);
-        }
-        found
-    }
-
-    /// The matrix with a diagonal near 1, the shift added, and identity rows for what is held.
-    fn fill(&mut self, s: &[f64], held: &[bool], shift: f64) {
-        let b = self.scale.len();
-        self.l.clear();
-        self.l.extend_from_slice(s);
-        for i in 0..b {
-            for j in 0..b {
-                let l = &mut self.l[i * b + j];
-                *l *= self.scale[i] * self.scale[j];
-                if held[i] || held[j] {
-                    *l = f64::from(u8::from(i == j));
-                }
-            }
-            if !held[i] {
-                self.l[i * b + i] += shift;
-            }
-        }
-    }
-
-    /// Solves in place.
-    pub fn solve(&self, p: &mut [f64]) {
-        let b = p.len();
-        p.iter_mut().zip(&self.scale).for_each(|(p, s)| *p *= s);
-        forward(&self.l, b, p);
-        backward(&self.l, b, p);
-        p.iter_mut().zip(&self.scale).for_each(|(p, s)| *p *= s);
-    }
-}
-
-/// What scales a diagonal entry to 1; 1 where there is none.
-fn scale_of(diagonal: f64) -> f64 {
-    let size = diagonal.abs();
-    if size > 1e-290 && size.is_finite() { 1.0 / size.sqrt() } else { 1.0 }
-}
-
-/// Inertia of a symmetric matrix, and the directions in which it has no positive curvature.
-fn directions(a: &[f64], n: usize) -> (Curvature, Vec<Vec<f64>>) {
-    if a.iter().any(|x| !x.is_finite()) {
-        return (Curvature { negative: 0, zero: n }, Vec::new());
-    }
-    let eigen = SymmetricEigen::new(DMatrix::from_row_slice(n, n, a));
-    let size = eigen.eigenvalues.amax().max(1.0);
-    let mut found = Curvature::default();
-    let mut vectors = Vec::new();
-    for (k, value) in eigen.eigenvalues.iter().enumerate() {
-        if *value < -TINY * size {
-            found.negative += 1;
-        } else if *value <= 4.0 * TINY * size {
-            found.zero += 1;
-        } else {
-            continue;
-        }
-        vectors.push(eigen.eigenvectors.column(k).iter().copied().collect());
-    }
-    // Cholesky said no: at least one is not positive.
-    if found == Curvature::default() {
-        found.zero = 1;
-        let least = eigen.eigenvalues.imin();
-        vectors.push(eigen.eigenvectors.column(least).iter().copied().collect());
-    }
-    (found, vectors)
 }

@@ -1,0 +1,210 @@
+"""Finds what a fitted model is missing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from typing import Any
+
+import numpy as np
+
+from ..errors import DataError, OptionError
+from ..experiment import Experiment, as_experiments
+from ..filter_error import FilterError
+from ..result import Fit
+from ..validate import shared
+from .candidate import Candidate
+from .candidates import candidates as library
+from .collection import Candidates
+from .diagnosis import Diagnosis
+from .findings import finding_of, ranking_of
+from .linearised import collocated
+from .misfit import misfit
+from .refit import Refit
+from .scan import Scan
+from .search import MOST, Found, Search
+
+__all__ = ["diagnose"]
+
+
+# Samples that every output is to have, and rows for each unknown: fewer do not tell noise from misfit.
+_FEWEST, _EACH = 40, 5
+# Of an output's spread: a residual below it is rounding.
+_EXACT = 1e-9
+
+
+def diagnose(
+    fit: Fit,
+    candidates: Candidates | Sequence[Candidate] | Mapping[str, Any] | None = None,
+    validation: Experiment | Sequence[Experiment] | None = None,
+    *,
+    progress: bool | Callable[[str], None] = False,
+) -> Diagnosis:
+    """What a fitted model is missing: shows the misfit, names its causes, measures what each gains.
+
+    Every candidate is scored from one linearisation of the fit, the best are fitted, and one is accepted where the gain
+    in likelihood, with noise as coloured as the residuals are, is more than chance gives among so many, and where it
+    predicts data that were held out. Then again, until nothing significant is left.
+
+    ``candidates``: those of `candidates` for the model unless given; or terms of your own that are added to these, as
+    in ``{"Cm": [alpha*q**2]}``.
+    ``validation``: other records of the same vehicle; with only first states and sensor biases free they measure the
+    gain. Without any, blocks of the records are left out in turn.
+    ``progress``: True shows what is done; a function is called with it. Ctrl-C ends the search with what was found.
+
+    Raises DataError for a fit that has not converged, that is exact, or of too short a record, and for a validation
+    record without the channels; OptionError and ModelError for candidates that cannot be.
+    """
+    started = time.perf_counter()
+    _check(fit)
+    others = _validation(fit, validation)
+    base = Refit((), collocated(fit))
+    _check_size(base)
+    listed = _candidates(fit, candidates, base)
+    with _shown(progress) as watch:
+        search = Search(base, listed, others, watch)
+        final, interrupted = base, False
+        found: list[Found] = []
+        try:
+            # Now, while what the search needs next is at hand.
+            ranking = tuple(ranking_of(search, search.scan(base)))
+        except KeyboardInterrupt:
+            interrupted = True
+        else:
+            final, found, interrupted = search.run()
+        findings = tuple(finding_of(search, final, f) for f in found)
+    scan = search.scan(base)
+    if interrupted and not final.candidates:
+        ranking = tuple(ranking_of(search, scan))
+    notes = (*_notes(scan, final, listed, others if not search.notes else (), interrupted), *search.notes)
+    return Diagnosis(
+        fit=fit,
+        misfit=misfit(fit),
+        findings=findings,
+        ranking=ranking,
+        threshold=search.threshold(),
+        notes=notes,
+        seconds=time.perf_counter() - started,
+        _search=search,
+        _final=final,
+    )
+
+
+def _check(fit: Any) -> None:
+    if not isinstance(fit, Fit):
+        raise OptionError(f"diagnose: the first argument is a fit, as estimate gives it, not {type(fit).__name__}")
+    if isinstance(fit.transcription, FilterError):
+        raise OptionError(
+            "diagnose: a fit with process noise explains every misfit by it; estimate without FilterError and "
+            "diagnose that"
+        )
+    if fit.status not in ("converged", "acceptable"):
+        raise DataError(
+            f"diagnose: the fit ended as '{fit.status}': {fit.message}. What is missing shows at an optimum only: "
+            "mend the fit first"
+        )
+    for name in fit.model.output_names:
+        measured = np.concatenate([r.measured[name] for r in fit.records])
+        residual = np.concatenate([r.residuals[name] for r in fit.records])
+        there = np.isfinite(measured) & np.isfinite(residual)
+        spread = float(np.std(measured[there])) if there.any() else 0.0
+        if float(np.sqrt(np.mean(residual[there] ** 2))) <= _EXACT * max(spread, 1e-300):
+            raise DataError(
+                f"diagnose: the residuals of output '{name}' are all zero: the data are those of the model itself, and "
+                "there is no noise that a misfit could be measured against"
+            )
+
+
+def _check_size(base: Refit) -> None:
+    linear = base.linear
+    for name, count in zip(linear.model.output_names, linear.counts, strict=True):
+        if count < _FEWEST:
+            raise DataError(
+                f"diagnose: output '{name}' has {count} samples, too few to tell noise from misfit ({_FEWEST})"
+            )
+    unknowns = linear.tangents.shape[1]
+    if linear.n_rows < _EACH * unknowns:
+        raise DataError(
+            f"diagnose: the record is too short: {linear.n_rows} measurements for {unknowns} unknowns leave nothing to "
+            f"judge a misfit by (at least {_EACH} for each)"
+        )
+
+
+def _validation(fit: Fit, given: Any) -> Sequence[Experiment]:
+    if given is None:
+        return ()
+    others = as_experiments(given, "diagnose: validation")
+    for e in others:
+        e.check_for(fit.model.input_names, fit.model.output_names, fit.model.output_names)
+        if any(shared(fit.model, record, e) == e.n == record.n for record in fit.records):
+            raise DataError(
+                f"diagnose: the validation record '{e.name}' is one that the fit was made on: give another, or none"
+            )
+    return others
+
+
+def _candidates(fit: Fit, given: Any, base: Refit) -> list[Candidate]:
+    points = base.linear.points
+    if given is None or isinstance(given, Mapping):
+        return list(library(fit.model, points=points, terms=given))
+    if isinstance(given, Candidates):
+        given = given.on(points)
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise OptionError(f"diagnose: candidates holds Candidates, or terms by place, not {given!r}")
+    listed = list(given)
+    places = base.linear.places
+    for c in listed:
+        if not isinstance(c, Candidate):
+            raise OptionError(
+                f"diagnose: candidates holds {c!r}, which is no Candidate: make them by ph.candidates(model)"
+            )
+        if c.place not in places:
+            raise OptionError(
+                f"diagnose: candidate '{c.name}' acts on {c.place.kind} '{c.place.name}', which the model has not"
+            )
+    names = [c.name for c in listed]
+    twice = [n for n in dict.fromkeys(names) if names.count(n) > 1]
+    if twice:
+        raise OptionError(f"diagnose: candidate '{twice[0]}' is there twice")
+    return listed
+
+
+def _shown(progress: Any) -> Any:
+    """A context that gives what to call with each step."""
+    if callable(progress):
+        return nullcontext(progress)
+    if not progress:
+        return nullcontext(lambda _: None)
+    return _Status()
+
+
+class _Status:
+    def __enter__(self) -> Callable[[str], None]:
+        from rich.console import Console  # not at import: it takes its time
+
+        self._status = Console(stderr=True).status("diagnose")
+        self._status.__enter__()
+        return lambda text: self._status.update(text)
+
+    def __exit__(self, *error: Any) -> None:
+        self._status.__exit__(*error)
+
+
+def _notes(
+    scan: Scan, final: Refit, listed: Sequence[Candidate], others: Sequence[Experiment], interrupted: bool
+) -> tuple[str, ...]:
+    notes = [f"{len(listed)} candidates, {len(scan.effects)} with their shapes, were scanned."]
+    if scan.lost:
+        notes.append(f"Cannot be told from the parameters already there: {', '.join(scan.lost)}.")
+    if others:
+        notes.append(
+            f"Gains were measured on {', '.join(e.name for e in others)}, with first states and sensor biases free."
+        )
+    else:
+        notes.append("Gains were measured on a quarter of the record at a time, predicted from the others.")
+    if len(final.candidates) >= MOST:
+        notes.append(f"The search ends after {MOST} findings: diagnose the extended fit for what is left.")
+    if interrupted:
+        notes.append("The search was interrupted: what it had found until then is here.")
+    return tuple(notes)

@@ -1,0 +1,56 @@
+//! The covariance of parameters and first states.
+
+use nalgebra::DMatrix;
+
+use super::ArrowKkt;
+
+impl ArrowKkt {
+    /// Reads it off the reduced Hessian; whether all that is wanted are parameters and first states, which that tells.
+    pub(super) fn read_covariance(&mut self, wanted: &[usize], out: &mut [f64]) -> bool {
+        let (n, border, k) = (self.plan.shape.n, self.plan.shape.border, wanted.len());
+        let mut of_border = DMatrix::<f64>::identity(border, border);
+        for mut column in of_border.column_iter_mut() {
+            self.border.solve(column.as_mut_slice());
+        }
+        for i in (0..border).filter(|&i| self.held[i]) {
+            of_border.row_mut(i).fill(0.0);
+            of_border.column_mut(i).fill(0.0);
+        }
+        // Everything wanted follows θ, and first states of one chain vary beside.
+        let mut follow = DMatrix::zeros(k, border);
+        let mut beside = DMatrix::<f64>::zeros(k, k);
+        let mut found = 0;
+        for (row, &i) in wanted.iter().enumerate().filter(|w| *w.1 < border) {
+            follow[(row, i)] = 1.0;
+            found += 1;
+        }
+        for (plan, tree) in self.plan.chains.iter().zip(&self.forest.trees) {
+            let first = plan.chain.variable..plan.chain.variable + n;
+            let here: Vec<(usize, usize)> = wanted
+                .iter()
+                .enumerate()
+                .filter(|w| first.contains(w.1))
+                .map(|(row, i)| (row, i - first.start))
+                .collect();
+            if here.is_empty() {
+                continue;
+            }
+            found += here.len();
+            let (along, free) = tree.top.first_states(&self.plan.shape);
+            for &(row, i) in &here {
+                follow.row_mut(row).copy_from(&(along.row(i) / self.units[i]));
+                for &(other, j) in &here {
+                    beside[(row, other)] = free[(i, j)] / (self.units[i] * self.units[j]);
+                }
+            }
+        }
+        if found < k {
+            return false;
+        }
+        let all = &follow * of_border * follow.transpose() + beside;
+        for (i, row) in out.chunks_exact_mut(k).enumerate() {
+            row.iter_mut().enumerate().for_each(|(j, o)| *o = all[(i, j)]);
+        }
+        true
+    }
+}

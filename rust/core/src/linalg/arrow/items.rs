@@ -1,0 +1,83 @@
+//! Entries of a matrix by the panel that they go to.
+
+/// Panel of an entry, or place in it; `Some(None)` for an entry that needs none, `None` where it does not fit.
+pub(super) type Slot = Option<Option<usize>>;
+
+/// Entries by the panel that they go to: item = (entry, place in the panel).
+///
+/// Programs write the entries of consecutive panels side by side, so what a panel takes is mostly what
+/// the one before it takes, each entry one further: it is kept once for all of them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Items {
+    /// For each panel: where its items start, their number, and what to add to their entries.
+    pub panels: Vec<(u32, u32, u32)>,
+    pub items: Vec<(u32, u32)>,
+}
+
+impl Items {
+    /// Sorts the entries of a matrix by panel. The panels are those of several chains, `panels` of each,
+    /// numbered through. `None` where an entry does not fit.
+    #[inline]
+    pub fn sorted(
+        panels: &[usize],
+        entries: usize,
+        panel: impl Fn(usize) -> Slot,
+        place: impl Fn(usize) -> Slot,
+    ) -> Option<Vec<Items>> {
+        let total: usize = panels.iter().sum();
+        let mut starts = vec![0u32; total + 1];
+        for t in 0..entries {
+            if let Some(panel) = panel(t)? {
+                starts[panel + 1] += 1;
+            }
+        }
+        for i in 0..total {
+            starts[i + 1] += starts[i];
+        }
+        let mut ends = starts[..total].to_vec();
+        let mut items = vec![(0, 0); starts[total] as usize];
+        for t in 0..entries {
+            if let (Some(panel), Some(place)) = (panel(t)?, place(t)?) {
+                items[ends[panel] as usize] = (t as u32, place as u32);
+                ends[panel] += 1;
+            }
+        }
+        let mut first = 0;
+        let of_chain = panels.iter().map(|&count| {
+            let own = first..first + count;
+            first += count;
+            Items::folded(own.map(|p| &items[starts[p] as usize..ends[p] as usize]))
+        });
+        Some(of_chain.collect())
+    }
+
+    /// Keeps what differs from panel to panel.
+    fn folded<'a>(panels: impl Iterator<Item = &'a [(u32, u32)]>) -> Items {
+        let mut folded = Items::default();
+        for own in panels {
+            let repeated = folded.panels.last().filter(|&&(start, count, add)| {
+                let before = &folded.items[start as usize..(start + count) as usize];
+                before.len() == own.len() && before.iter().zip(own).all(|(b, o)| (b.0 + add + 1, b.1) == *o)
+            });
+            let panel = match repeated {
+                Some(&(start, count, add)) => (start, count, add + 1),
+                None => (folded.items.len() as u32, own.len() as u32, 0),
+            };
+            if repeated.is_none() {
+                folded.items.extend(own);
+            }
+            folded.panels.push(panel);
+        }
+        folded.items.shrink_to_fit();
+        folded
+    }
+
+    /// The items of a panel.
+    #[inline(always)]
+    pub fn of(&self, panel: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let (start, count, add) = self.panels[panel];
+        self.items[start as usize..(start + count) as usize]
+            .iter()
+            .map(move |&(entry, place)| ((entry + add) as usize, place as usize))
+    }
+}

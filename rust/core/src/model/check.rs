@@ -1,0 +1,110 @@
+//! Whether a model is complete.
+
+use std::collections::HashSet;
+use std::sync::Arc;
+
+use super::{Model, TIME, place};
+use crate::condition::End;
+use crate::error::{Error, did_you_mean};
+use crate::expr::Expr;
+
+impl Model {
+    /// Checks that the model is complete.
+    ///
+    /// # Errors
+    /// For no states or outputs, a state without equation, an undeclared symbol, or a parameter
+    /// that appears in no equation.
+    pub fn check(&self) -> Result<(), Error> {
+        let fail = |text: String| Err(Error::Model(format!("model '{}': {text}", self.name)));
+        if self.states.is_empty() {
+            return fail("it has no states; declare them with states(...)".into());
+        }
+        if self.outputs.is_empty() {
+            return fail("it has no outputs; declare what is measured with outputs(...)".into());
+        }
+        for state in &self.states {
+            if self.dynamics_of(&state.name).is_none() {
+                return fail(format!("state '{0}' has no equation; give dynamics({0}=...)", state.name));
+            }
+        }
+        let mut known: HashSet<&str> = HashSet::from([TIME]);
+        known.extend(self.states.iter().chain(&self.inputs).map(|v| v.name.as_str()));
+        known.extend(self.parameters.iter().map(|p| p.name.as_str()));
+        let kinds = [
+            ("quantity", "", &self.quantities),
+            ("equation of", "'", &self.dynamics),
+            ("output", "", &self.outputs),
+        ];
+        for (kind, prime, equations) in kinds {
+            for equation in equations {
+                if let Some(number) = not_finite(&equation.expr) {
+                    let (name, place) = (&equation.name, equation.place());
+                    return fail(format!("{kind} {name}{prime}{place}: it holds the constant {number}"));
+                }
+                for symbol in equation.expr.symbols() {
+                    if !known.contains(&*symbol) {
+                        let hint = did_you_mean(&symbol, known.iter().copied());
+                        let (name, place) = (&equation.name, equation.place());
+                        return fail(format!(
+                            "{kind} {name}{prime}{place}: symbol '{symbol}' is not declared in this model.{hint}"
+                        ));
+                    }
+                }
+                if kind == "quantity" {
+                    known.insert(&equation.name);
+                }
+            }
+        }
+        for c in &self.conditions {
+            let place = place(c.source.as_deref());
+            let periodic =
+                |symbol: &str| c.end == End::Periodic && !self.parameters.iter().any(|p| p.name == symbol);
+            for symbol in c.expr.symbols() {
+                if !known.contains(&*symbol) {
+                    let hint = did_you_mean(&symbol, known.iter().copied());
+                    return fail(format!(
+                        "condition of {}{place}: symbol '{symbol}' is not declared in this model.{hint}",
+                        c.state
+                    ));
+                }
+                if periodic(&symbol) {
+                    return fail(format!(
+                        "periodic condition of {}{place}: the difference between the ends may depend on parameters, \
+                         not on '{symbol}'",
+                        c.state
+                    ));
+                }
+            }
+        }
+        let used = self.used();
+        for parameter in &self.parameters {
+            if !used.contains(parameter.name.as_str()) {
+                return fail(format!(
+                    "parameter '{}' appears in no equation; use it, or take it out of the model",
+                    parameter.name
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Symbols that dynamics and outputs depend on, through quantities too.
+    fn used(&self) -> HashSet<Arc<str>> {
+        let equations = self.dynamics.iter().chain(&self.outputs);
+        let mut used: HashSet<Arc<str>> = equations.flat_map(|e| e.expr.symbols()).collect();
+        used.extend(self.conditions.iter().flat_map(|c| c.expr.symbols()));
+        for quantity in self.quantities.iter().rev() {
+            if used.contains(quantity.name.as_str()) {
+                used.extend(quantity.expr.symbols());
+            }
+        }
+        used
+    }
+}
+
+/// The first constant of an expression that is not finite.
+fn not_finite(expr: &Expr) -> Option<f64> {
+    let mut found = None;
+    expr.visit(|e| found = found.or(e.as_constant().filter(|c| !c.is_finite())));
+    found
+}

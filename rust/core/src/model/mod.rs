@@ -1,0 +1,240 @@
+//! A model: states, inputs, parameters, quantities, state equations and outputs.
+//!
+//! ẋ = f(x, u, θ) (Eq. state_dynamics) and y = g(x, u, θ) (Eq. output_equations) of the paper.
+
+mod check;
+mod compiled;
+mod parameter;
+mod saved;
+
+use serde::{Deserialize, Serialize};
+
+pub use compiled::Compiled;
+pub use parameter::Parameter;
+
+use crate::condition::{Condition, End};
+use crate::error::{Error, did_you_mean};
+use crate::expr::Expr;
+
+/// Name of the symbol of time.
+pub const TIME: &str = "time";
+
+/// A named variable with its unit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Variable {
+    /// Name.
+    pub name: String,
+    /// Unit, as text; empty where unknown.
+    pub unit: String,
+}
+
+/// A named equation: quantity, state equation or output.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Equation {
+    /// Name of the quantity, state or output.
+    pub name: String,
+    /// Unit of an output.
+    pub unit: String,
+    /// Right-hand side.
+    pub expr: Expr,
+    /// Where the user wrote it: `file:line`.
+    pub source: Option<String>,
+}
+
+impl Equation {
+    fn place(&self) -> String {
+        place(self.source.as_deref())
+    }
+}
+
+/// Where something was written, as it stands in messages.
+fn place(source: Option<&str>) -> String {
+    source.map(|s| format!(" ({s})")).unwrap_or_default()
+}
+
+/// A model. See the [module](self).
+///
+/// Declaring a variable gives its symbol; equations are written with Rust's operators and the methods of
+/// [`Expr`]. The last argument of an equation is where it was written, `file:line`, for messages.
+///
+/// ```
+/// use phugoid::{Model, Parameter};
+///
+/// let mut m = Model::new("short period");
+/// let (w, q) = (m.state("w", "m/s")?, m.state("q", "rad/s")?);
+/// let de = m.input("de", "rad")?;
+/// let zw = m.parameter(Parameter::new("Zw", 0.0))?;
+/// let mw = m.parameter(Parameter { upper: Some(0.0), ..Parameter::new("Mw", -0.1) })?;
+/// let mde = m.parameter(Parameter { prior: Some((-10.0, 5.0)), ..Parameter::new("Mde", -8.0) })?;
+/// let lift = m.quantity("lift", zw * &w, None)?; // enters wherever it is used
+/// m.equation("w", &lift + 44.6 * &q, None)?;
+/// m.equation("q", mw * &w + mde * de, Some("aircraft.rs:12".into()))?;
+/// m.output("q", q, "", None)?; // in the unit of the state
+/// m.output("az", lift, "m/s²", None)?;
+/// m.check()?;
+///
+/// let error = m.equation("theta", w.sin(), None).unwrap_err();
+/// assert_eq!(error.to_string(), "state equation: 'theta' is not a state.");
+/// # Ok::<(), phugoid::Error>(())
+/// ```
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Model {
+    /// Title.
+    pub name: String,
+    /// States, in order.
+    pub states: Vec<Variable>,
+    /// Inputs, in order.
+    pub inputs: Vec<Variable>,
+    /// Parameters, in order.
+    pub parameters: Vec<Parameter>,
+    /// Named intermediates; a term added to one enters wherever it is used.
+    pub quantities: Vec<Equation>,
+    /// State equations, one a state, in any order.
+    pub dynamics: Vec<Equation>,
+    /// Outputs, in order.
+    pub outputs: Vec<Equation>,
+    /// Conditions on the ends of each record.
+    pub conditions: Vec<Condition>,
+}
+
+impl Model {
+    /// An empty model.
+    pub fn new(name: &str) -> Self {
+        Model { name: name.to_owned(), ..Model::default() }
+    }
+
+    fn claim(&self, kind: &str, name: &str) -> Result<(), Error> {
+        let valid = name.chars().next().is_some_and(|c| c.is_alphabetic() || c == '_')
+            && name.chars().all(|c| c.is_alphanumeric() || c == '_');
+        if !valid {
+            return Err(Error::Model(format!(
+                "{kind} '{name}': a name starts with a letter and holds letters, digits and underscores only"
+            )));
+        }
+        if name == TIME {
+            return Err(Error::Model(format!("{kind} 'time': this name is the symbol of time (model.time)")));
+        }
+        let taken = [
+            ("state", self.states.iter().any(|v| v.name == name)),
+            ("input", self.inputs.iter().any(|v| v.name == name)),
+            ("parameter", self.parameters.iter().any(|v| v.name == name)),
+            ("quantity", self.quantities.iter().any(|v| v.name == name)),
+        ];
+        match taken.iter().find(|t| t.1) {
+            Some((other, _)) => {
+                Err(Error::Model(format!("{kind} '{name}': there is a {other} of this name already")))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Declares a state; returns its symbol.
+    pub fn state(&mut self, name: &str, unit: &str) -> Result<Expr, Error> {
+        self.claim("state", name)?;
+        self.states.push(Variable { name: name.to_owned(), unit: unit.to_owned() });
+        Ok(Expr::symbol(name))
+    }
+
+    /// Declares an input; returns its symbol.
+    pub fn input(&mut self, name: &str, unit: &str) -> Result<Expr, Error> {
+        self.claim("input", name)?;
+        self.inputs.push(Variable { name: name.to_owned(), unit: unit.to_owned() });
+        Ok(Expr::symbol(name))
+    }
+
+    /// Declares a parameter; returns its symbol.
+    pub fn parameter(&mut self, parameter: Parameter) -> Result<Expr, Error> {
+        self.claim("parameter", &parameter.name)?;
+        let name = &parameter.name;
+        if let Some(wrong) = parameter.wrong() {
+            return Err(Error::Model(format!("parameter '{name}': {wrong}")));
+        }
+        let symbol = Expr::symbol(name);
+        self.parameters.push(parameter);
+        Ok(symbol)
+    }
+
+    /// The symbol of time, s.
+    pub fn time(&self) -> Expr {
+        Expr::symbol(TIME)
+    }
+
+    /// Names an intermediate; returns its symbol.
+    pub fn quantity(&mut self, name: &str, expr: Expr, source: Option<String>) -> Result<Expr, Error> {
+        self.claim("quantity", name)?;
+        self.quantities.push(Equation { name: name.to_owned(), unit: String::new(), expr, source });
+        Ok(Expr::symbol(name))
+    }
+
+    fn expect_state(&self, name: &str, what: &str) -> Result<(), Error> {
+        if self.states.iter().any(|s| s.name == name) {
+            return Ok(());
+        }
+        let hint = did_you_mean(name, self.states.iter().map(|s| s.name.as_str()));
+        Err(Error::Model(format!("{what}: '{name}' is not a state.{hint}")))
+    }
+
+    /// Gives the state equation ẋ = `expr` of a state.
+    pub fn equation(&mut self, state: &str, expr: Expr, source: Option<String>) -> Result<(), Error> {
+        let place = place(source.as_deref());
+        self.expect_state(state, &format!("state equation{place}"))?;
+        if self.dynamics.iter().any(|e| e.name == state) {
+            return Err(Error::Model(format!("state equation{place}: '{state}' has an equation already")));
+        }
+        self.dynamics.push(Equation { name: state.to_owned(), unit: String::new(), expr, source });
+        Ok(())
+    }
+
+    /// Declares an output.
+    pub fn output(
+        &mut self,
+        name: &str,
+        expr: Expr,
+        unit: &str,
+        source: Option<String>,
+    ) -> Result<(), Error> {
+        if self.outputs.iter().any(|e| e.name == name) {
+            return Err(Error::Model(format!("output '{name}': there is an output of this name already")));
+        }
+        // An output that is a plain state or input has its unit.
+        let unit = match expr.as_symbol() {
+            Some(symbol) if unit.is_empty() => {
+                let same = |v: &&Variable| v.name == symbol;
+                self.states.iter().chain(&self.inputs).find(same).map_or(String::new(), |v| v.unit.clone())
+            }
+            _ => unit.to_owned(),
+        };
+        self.outputs.push(Equation { name: name.to_owned(), unit, expr, source });
+        Ok(())
+    }
+
+    /// Sets a condition on an end of each record: the state equals `expr` there, or differs by it between
+    /// the ends. States without a condition are free at both ends.
+    pub fn condition(
+        &mut self,
+        end: End,
+        state: &str,
+        expr: Expr,
+        source: Option<String>,
+    ) -> Result<(), Error> {
+        let place = place(source.as_deref());
+        self.expect_state(state, &format!("condition{place}"))?;
+        if self.conditions.iter().any(|c| c.state == state && c.end == end) {
+            return Err(Error::Model(format!("condition{place}: '{state}' has such a condition already")));
+        }
+        if self.conditions.len() == self.states.len() {
+            return Err(Error::Model(format!(
+                "condition{place}: {} states have {} conditions already; with more nothing is left to choose",
+                self.states.len(),
+                self.conditions.len()
+            )));
+        }
+        self.conditions.push(Condition { end, state: state.to_owned(), expr, source });
+        Ok(())
+    }
+
+    /// The state equation of a state.
+    pub fn dynamics_of(&self, state: &str) -> Option<&Equation> {
+        self.dynamics.iter().find(|e| e.name == state)
+    }
+}

@@ -1,0 +1,142 @@
+//! Models as JSON text.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Equation, Model, Parameter, Variable};
+use crate::condition::{Condition, End};
+use crate::error::Error;
+use crate::expr::pool::Pool;
+use crate::transform::Transform;
+
+/// An equation as it is saved; its expression is a root of the pool.
+#[derive(Serialize, Deserialize)]
+struct SavedEquation {
+    name: String,
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    unit: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    source: Option<String>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct SavedModel {
+    format: String,
+    version: u32,
+    name: String,
+    states: Vec<Variable>,
+    inputs: Vec<Variable>,
+    parameters: Vec<Parameter>,
+    quantities: Vec<SavedEquation>,
+    dynamics: Vec<SavedEquation>,
+    outputs: Vec<SavedEquation>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    conditions: Vec<SavedCondition>,
+    expressions: Pool,
+}
+
+#[derive(Serialize, Deserialize)]
+struct SavedCondition {
+    end: End,
+    state: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    source: Option<String>,
+}
+
+const FORMAT: &str = "phugoid-model";
+/// Models with conditions, with local or transformed parameters are of version 2: older releases would read
+/// them as other models.
+const VERSION: u32 = 2;
+
+impl Model {
+    /// The model as JSON text; [`Model::from_json`] reads it back exactly.
+    pub fn to_json(&self) -> String {
+        let save = |equations: &[Equation]| {
+            let one = |e: &Equation| SavedEquation {
+                name: e.name.clone(),
+                unit: e.unit.clone(),
+                source: e.source.clone(),
+            };
+            equations.iter().map(one).collect()
+        };
+        let equations = self.quantities.iter().chain(&self.dynamics).chain(&self.outputs);
+        let all = equations.map(|e| &e.expr).chain(self.conditions.iter().map(|c| &c.expr));
+        let plain = |p: &Parameter| !p.local && p.transform == Transform::None;
+        let old = self.conditions.is_empty() && self.parameters.iter().all(plain);
+        let condition =
+            |c: &Condition| SavedCondition { end: c.end, state: c.state.clone(), source: c.source.clone() };
+        let saved = SavedModel {
+            format: FORMAT.into(),
+            version: if old { 1 } else { VERSION },
+            name: self.name.clone(),
+            states: self.states.clone(),
+            inputs: self.inputs.clone(),
+            parameters: self.parameters.clone(),
+            quantities: save(&self.quantities),
+            dynamics: save(&self.dynamics),
+            outputs: save(&self.outputs),
+            conditions: self.conditions.iter().map(condition).collect(),
+            expressions: Pool::new(all),
+        };
+        serde_json::to_string(&saved).expect("a model is plain data")
+    }
+
+    /// Reads a saved model: one of [`Model::to_json`], or one that `Model.save` of the Python package wrote.
+    /// It evaluates to the same bits wherever it was saved.
+    ///
+    /// ```
+    /// use phugoid::{Model, Parameter};
+    ///
+    /// let mut m = Model::new("decay");
+    /// let x = m.state("x", "m")?;
+    /// let rate = m.parameter(Parameter::new("rate", 0.1))?;
+    /// m.equation("x", -(rate * &x), None)?;
+    /// m.output("x", x, "", None)?;
+    ///
+    /// let text = m.to_json(); // or std::fs::read_to_string("model.json")
+    /// assert_eq!(Model::from_json(&text)?, m);
+    /// # Ok::<(), phugoid::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// For text that is no saved model, or one of a later version.
+    pub fn from_json(text: &str) -> Result<Model, Error> {
+        let fail = |what: String| Error::Model(format!("saved model: {what}"));
+        let saved: SavedModel = serde_json::from_str(text).map_err(|e| fail(e.to_string()))?;
+        if saved.format != FORMAT || saved.version > VERSION {
+            let (format, version) = (&saved.format, saved.version);
+            return Err(fail(format!(
+                "format '{format}' version {version}; this release reads {FORMAT} up to {VERSION}"
+            )));
+        }
+        let exprs = saved.expressions.expressions().map_err(fail)?;
+        let (nq, nd, ny) = (saved.quantities.len(), saved.dynamics.len(), saved.outputs.len());
+        if exprs.len() != nq + nd + ny + saved.conditions.len() {
+            return Err(fail("the number of expressions is not the number of equations".into()));
+        }
+        // Declared one by one, so that a damaged file fails as a wrong model does.
+        let mut exprs = exprs.into_iter();
+        let mut model = Model::new(&saved.name);
+        for v in &saved.states {
+            model.state(&v.name, &v.unit)?;
+        }
+        for v in &saved.inputs {
+            model.input(&v.name, &v.unit)?;
+        }
+        for p in saved.parameters {
+            model.parameter(p)?;
+        }
+        for (e, expr) in saved.quantities.into_iter().zip(exprs.by_ref()) {
+            model.quantity(&e.name, expr, e.source)?;
+        }
+        for (e, expr) in saved.dynamics.into_iter().zip(exprs.by_ref()) {
+            model.equation(&e.name, expr, e.source)?;
+        }
+        for (e, expr) in saved.outputs.into_iter().zip(exprs.by_ref()) {
+            model.output(&e.name, expr, &e.unit, e.source)?;
+        }
+        for (c, expr) in saved.conditions.into_iter().zip(exprs) {
+            model.condition(c.end, &c.state, expr, c.source)?;
+        }
+        Ok(model)
+    }
+}

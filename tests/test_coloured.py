@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -264,7 +264,7 @@ def test_two_flights_agree_within_coloured_errors_only() -> None:
         run = attas.experiment(path, str(i))
         fits.append(ph.estimate(attas.model(), run, start=ph.estimate(attas.model(vane=False), run)))
 
-    def apart(errors: Sequence[ph.Estimates]) -> float:
+    def apart(errors: Sequence[Mapping[str, ph.results.Estimate]]) -> float:
         names = (*attas.SHARED, *attas.VANE)
         a, b = ([e[n] for n in names] for e in errors)
         return max(abs(x.value - y.value) / np.hypot(x.std_error, y.std_error) for x, y in zip(a, b, strict=True))

@@ -22,8 +22,9 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid import DataError, EvaluationError, Experiment, Model, ModelError, Multistart, OptionError, Outcome
+from phugoid import DataError, EvaluationError, Experiment, Model, ModelError, OptionError
 from phugoid.optima import group
+from phugoid.results import Multistart, Outcome
 from phugoid.workers import _PROBLEMS
 
 T = np.linspace(0.0, 8.0, 100)

@@ -20,8 +20,8 @@ from phugoid import (
     Model,
     ModelError,
     OptionError,
-    Record,
 )
+from phugoid.results import Record
 
 T = np.linspace(0.0, 4.0, 41)
 

@@ -54,7 +54,7 @@ summary { cursor: pointer; }
 @media (max-width: 40rem) { .shot img { width: 42rem; max-width: none; }
   figcaption::before { content: "\u2194 "; } }
 @media (max-width: 34rem) { body { font-size: 15px; padding: .7rem .7rem 2rem; } dl { grid-template-columns: 1fr; }
-  dd { margin-bottom: .4rem; } th, td { padding-right: .6rem; } table { font-size: .84rem; } }
+  dd { margin-bottom: .4rem; } th, td { padding-right: .5rem; } table { font-size: .8rem; } }
 @media print { @page { margin: 15mm; } body { font-size: 10pt; max-width: none; padding: 0; }
   p, li { orphans: 3; widows: 3; }
   h2, h3, summary, h2 + p { break-after: avoid; } h2 + p { break-inside: avoid; }

@@ -13,7 +13,6 @@ from ..gathered import Watch, check_progress, gathered
 from ..outcome import Outcome, Problem
 from ..result import Fit
 from ..solvers import Newton
-from ..workers import Crew
 
 __all__ = ["NEAR", "Runs", "common_to", "run_all"]
 
@@ -57,6 +56,8 @@ def run_all(
     caller: str,
 ) -> Runs:
     """Runs all starts; Ctrl-C ends it with what is there."""
+    from ..workers import Crew  # executors are loaded by whoever runs something
+
     check_progress(caller, progress)
     crew = Crew(executor, problem)
     done = gathered(crew, enumerate(starts), progress, f"{problem.model.name}: {caller}", len(starts))

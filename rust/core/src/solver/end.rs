@@ -2,7 +2,7 @@
 
 use super::iteration::Iteration;
 use super::status::Status;
-use super::step::{GREATEST_SHIFT, Promise};
+use super::step::{GREATEST_SHIFT, Promise, rounded};
 use super::{DAMPED, Run};
 
 /// Size at which an unknown has grown without limit.
@@ -41,7 +41,9 @@ impl Run<'_> {
             let found = self.kkt.finish(self.active.held(), 0.0);
             if !found.is_positive() {
                 self.detail = self.weak_names();
-                return if found.negative > 0 { Status::Failed } else { Status::Unidentifiable };
+                // Curvature that rounding alone makes negative is none.
+                let ridge = found.negative > 0 && !rounded(self.shift);
+                return if ridge { Status::Failed } else { Status::Unidentifiable };
             }
         }
         Status::Converged

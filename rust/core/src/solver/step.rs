@@ -9,6 +9,11 @@ pub(super) const GREATEST_SHIFT: f64 = 1e8;
 /// Shifts of the exact system that rounding explains.
 const ROUNDED: [f64; 3] = [1e-12, 1e-10, 1e-8];
 
+/// Whether rounding explains a shift of the exact system.
+pub(super) fn rounded(shift: f64) -> bool {
+    shift <= ROUNDED[2]
+}
+
 /// What a step promises.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Promise {

@@ -111,9 +111,9 @@ def run_whole(sizes):
         "Ground vibration test: the whole way, order 5",
         ["", "linear", "estimate", "it.", "status", "logL", "modes", "|H|, dB", "s.e.", "memory"],
         rows,
-        "linear: subspace method, if any, and fit_linear; estimate: by collocation; modes: greatest error of frequencies and damping ratios of "
-        "modes known to 0.02 Hz, in standard errors; |H|: errors of the response's magnitude over 6 to 32 Hz, median, "
-        "95 % and greatest in dB; greatest in standard errors",
+        "linear: subspace method, if any, and fit_linear; estimate: by collocation; modes: greatest error of "
+        "frequencies and damping ratios of modes known to 0.02 Hz, in standard errors; |H|: errors of the response's "
+        "magnitude over 6 to 32 Hz, median, 95 % and greatest in dB; greatest in standard errors",
     )
 
 

@@ -148,6 +148,12 @@ def test_modes_that_decay_at_the_start_do_not_come_to_grow() -> None:
     assert np.linalg.eigvals(found.A).real.max() <= 0.0
 
 
+def test_outputs_without_noise_are_fitted_to_rounding() -> None:
+    truth = system((-0.3 + 6.0j, -0.5 + 14.0j), p=2)
+    found = ph.fit_linear(system((-0.2 + 5.0j, -0.5 + 16.0j), p=2), run(truth, 400, noise=0.0), offset=False)
+    np.testing.assert_allclose(found.modes.eigenvalues, (-0.3 + 6.0j, -0.5 + 14.0j), rtol=1e-6)
+
+
 def test_ctrl_c_gives_the_best_so_far() -> None:
     truth = system((-0.3 + 6.0j, -0.5 + 14.0j))
     seen: list[float] = []

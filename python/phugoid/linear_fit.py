@@ -96,7 +96,8 @@ def fit_linear(
     with Progress.of(progress, "linear system") as watch:
         task.watch = watch
         try:
-            task.search(task.moved(task.search(found, _ROUGH), most), _GAIN)
+            task.moved(task.search(found, _ROUGH), most)
+            task.search(task.best or found, _GAIN)
         except KeyboardInterrupt:
             warnings = ("interrupted: this is the best system so far, not the optimum",)
     found = task.best or found
@@ -223,7 +224,7 @@ class _Task:
                 R = triangle(rows(C[j], layout.paired, motion, modes, seen, z, self.offset, slopes))
                 wide = np.zeros((R.shape[0], layout.total + count + 1))
                 places = [*layout.columns(e, j), *(layout.total + i for i in which), layout.total + count]
-                wide[:, places] = R / found.rms[j]
+                wide[:, places] = R / (found.rms[j] or 1.0)
                 blocks.append(wide)
         whole = triangle(blocks)[layout.total : layout.total + count, layout.total :]
         return whole[:, :-1], whole[:, -1]

@@ -40,6 +40,7 @@ def best_places(
     m, p = len(records.inputs), len(records.outputs)
     # Normal equations of each place and output: two unknowns for each input.
     squares, sides = np.zeros((places.size, p, 2 * m, 2 * m)), np.zeros((places.size, p, 2 * m))
+    weights = np.where(found.rms > 0.0, found.rms, 1.0) ** 2
     values, C, _ = blocks.modal()
     for driven in records.driven:
         motion, modes = driven.free(values), driven.forced(values)
@@ -51,7 +52,7 @@ def best_places(
             there = np.isfinite(z)
             q = _basis(np.vstack(columns)[:, :-1])
             r = z[there] - q @ (q.T @ z[there])
-            bases.append((there, q, r / found.rms[j] ** 2))
+            bases.append((there, q, r / weights[j]))
         for a in range(0, places.size, _AT_ONCE):
             some = slice(a, min(a + _AT_ONCE, places.size))
             responses = np.stack(driven.forced(places[some]), axis=1)  # (places, m, N)
@@ -59,7 +60,7 @@ def best_places(
             for j, (there, q, r) in enumerate(bases):
                 new = parts[:, :, there]
                 inside = new @ q
-                squares[some, j] += (new @ new.mT - inside @ inside.mT) / found.rms[j] ** 2
+                squares[some, j] += (new @ new.swapaxes(1, 2) - inside @ inside.swapaxes(1, 2)) / weights[j]
                 sides[some, j] += new @ r
     gains = np.zeros(places.size)
     residues = np.zeros((places.size, p, m), dtype=np.complex128)

@@ -79,11 +79,11 @@ def image(figure: Figure, alt: str, caption: str = "") -> str:
     from PIL import Image
 
     drawn, small = io.BytesIO(), io.BytesIO()
-    figure.savefig(drawn, dpi=_DPI, format="rgba")
+    figure.savefig(drawn, dpi=_DPI, format="png")
     inches = figure.get_size_inches()
     plt.close(figure)
-    across, down = (int(_DPI * float(size) + 1e-6) for size in inches)  # as matplotlib rounds
-    picture = Image.frombytes("RGBA", (across, down), drawn.getvalue()).convert("RGB")
+    drawn.seek(0)
+    picture = Image.open(drawn).convert("RGB")
     picture.quantize(_COLOURS, dither=Image.Dither.NONE).save(small, "PNG", dpi=(_DPI, _DPI))
     data = base64.b64encode(small.getvalue()).decode("ascii")
     # With its size known the page does not jump while it loads.

@@ -34,6 +34,14 @@ def test_fit_first_or_saved_gives_the_same(here: Path) -> None:
     assert found["fit"]["experiments"][0]["name"] == "run1"
 
 
+def test_the_report_of_the_fit_holds_the_validation(here: Path) -> None:
+    ph.estimate(load_model("model.py"), ph.read("run1.csv")).save("fit.json")
+    done = run("validate", "fit.json", "run2.csv", "--tolerance", "x=0.05", "--report", "page.html")
+    assert done.exit_code == 0 and done.stdout.endswith("Written: page.html\n"), done.output
+    page = (here / "page.html").read_text(encoding="utf-8")
+    assert "Validation</h2>" in page and "run2.csv" in page and "within ±0.05" in page
+
+
 def test_a_fit_that_has_not_converged_is_not_validated(here: Path) -> None:
     done = run("validate", "model.py", "run1.csv", "run2.csv", "--iterations", 0)
     assert done.exit_code == 1 and "There is nothing to validate" in done.stdout

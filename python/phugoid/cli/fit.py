@@ -13,6 +13,7 @@ import typer
 from ..errors import OptionError, PhugoidError
 from ..io import SUFFIXES
 from ..result import Fit
+from ..validation import Validation
 from .data_files import Reading
 from .estimation import Estimation
 from .guard import INTERRUPTED, NOT_CONVERGED, guard
@@ -105,10 +106,15 @@ def _write(
     if plot is not None:
         written += save_figures(result, plot)
     if report is not None:
-        sources = [Path(f) for f in files if Path(f).is_file()]
-        result.report(report, files=sources, command=_command())
-        written.append(report)
+        written.append(write_report(result, report, files))
     return written
+
+
+def write_report(result: Fit, report: Path, files: Sequence[str | Path], validation: Validation | None = None) -> Path:
+    """The page, with the files that there are and the command."""
+    sources = [Path(f) for f in files if Path(f).is_file()]
+    result.report(report, validation=validation, files=sources, command=_command())
+    return report
 
 
 def _command() -> str:

@@ -14,7 +14,7 @@ from ..result import Fit
 from ..validation import Validation
 from .data_files import Reading
 from .estimation import Estimation
-from .fit import code_of
+from .fit import code_of, write_report
 from .guard import NOT_CONVERGED, guard
 from .model_file import load_source
 from .options import (
@@ -30,6 +30,7 @@ from .options import (
     OutputsOption,
     PlotOption,
     RenameOption,
+    ReportOption,
     SolverOption,
     StartOption,
     TimeOption,
@@ -68,12 +69,13 @@ def validate(
     convert: ConvertOption = False,
     columns: ColumnsOption = None,
     plot: PlotOption = None,
+    report: ReportOption = None,
     json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Try a fitted model on other records: only initial states and sensor biases are found anew."""
     with guard(debug):
-        check_targets([plot])
+        check_targets([plot], [report])
         limits = numbers("--tolerance", tolerance)
         how = Estimation.of(order, start, fix, solver, iterations)
         reading = Reading.of(time, rename, inputs, outputs, window, units, convert, columns)
@@ -97,6 +99,8 @@ def validate(
             raise typer.Exit(code_of(fit))
         result = fit.validate(reading.read(others), tolerances=limits or None)
         written = save_figures(result, plot) if plot is not None else []
+        if report is not None:
+            written.append(write_report(fit, report, [model.rpartition(":")[0] or model, *data], result))
         _tell(result, fit, json, written)
     raise typer.Exit(0 if result.converged else NOT_CONVERGED)
 

@@ -87,7 +87,7 @@ def solve(seed: int) -> Pair:
     """Simulates a record and fits it."""
     data, gust = record(seed)
     ordinary = ph.estimate(model(gust=False), data)
-    method = ph.FilterError("wg", parts=1, initial={"wg": (0.0, GUST)})
+    method = ph.FilterError("wg", initial={"wg": (0.0, GUST)})
     start = {**ordinary.as_start(), "q_wg": 1.0}
     return Pair(data, gust, ordinary, ph.estimate(model(gust=True), data, transcription=method, start=start))
 

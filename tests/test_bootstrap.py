@@ -216,5 +216,5 @@ def test_bad_input(white: ph.Fit) -> None:
     with pytest.raises(ph.errors.OptionError, match='use kind="block"'):
         robust.bootstrap(2, "coloured")
     filtered = ph.estimate(model(), measured(80, (0.0, 0.0), 0), transcription=ph.FilterError(states=("v",)))
-    with pytest.raises(ph.errors.OptionError, match="process noise"):
-        filtered.bootstrap(2)
+    with pytest.raises(ph.errors.OptionError, match="process noise.*innovations are white"):
+        filtered.bootstrap(2, "block")

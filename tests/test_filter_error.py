@@ -8,15 +8,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.polynomial.legendre import Legendre
+from scipy.linalg import expm
 
 import phugoid as ph
 from phugoid import DataError, EvaluationError, Experiment, FilterError, Fit, Model, ModelError, OptionError, Parameter
+from phugoid.filter_error import FEWEST
 from phugoid.solvers import Iteration
 
 U0 = 44.57  # m/s
 TRUTH = {"Zw": -1.4, "Zq": -1.5, "Zde": -6.3, "Mw": -0.15, "Mq": -2.7, "Mde": -12.8}
 SIGMA = {"w": 0.1, "q": 0.003, "az": 0.05}
 BOTH = FilterError(("w", "q"))
+COARSE = replace(BOTH, substeps=FEWEST[0], terms=FEWEST[1])  # where the likelihood is asked for by itself
 MAXIMISED = {"w": None, "q": None}  # first states as in the output-error method
 
 
@@ -41,29 +45,63 @@ class Linear:
         self.C = np.array([[1, 0], [0, 1], [p["Zw"], p["Zq"]]])
         self.D = np.array([0, 0, p["Zde"]])
 
-    def step(self, x: np.ndarray, ua: float, ub: float, h: float) -> np.ndarray:
-        def f(x: np.ndarray, u: float) -> np.ndarray:
-            return self.A @ x + self.B * u
+    def step(
+        self, x: np.ndarray, ua: float, ub: float, h: float, noise: np.ndarray | None = None, steps: int = 1
+    ) -> np.ndarray:
+        """Over an interval, with slopes ``noise`` (2, terms) of orthonormal polynomials over it."""
 
-        um = 0.5 * (ua + ub)
-        k1 = f(x, ua)
-        k2 = f(x + h / 2 * k1, um)
-        k3 = f(x + h / 2 * k2, um)
-        return np.asarray(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(x + h * k3, ub)))
+        def f(x: np.ndarray, share: float) -> np.ndarray:
+            slope = self.A @ x + self.B * (ua + share * (ub - ua))
+            return slope if noise is None else slope + noise @ polynomials(share, noise.shape[1]) / np.sqrt(h)
 
-    def transition(self, h: float) -> np.ndarray:
-        a = h * self.A
-        return np.asarray(np.eye(2) + a + a @ a / 2 + a @ a @ a / 6 + a @ a @ a @ a / 24)
+        d = h / steps
+        for i in range(steps):
+            a, m, b = (i + np.array([0, 0.5, 1])) / steps
+            k1 = f(x, a)
+            k2 = f(x + d / 2 * k1, m)
+            k3 = f(x + d / 2 * k2, m)
+            x = x + d / 6 * (k1 + 2 * k2 + 2 * k3 + f(x + d * k3, b))
+        return np.asarray(x)
+
+    def transition(self, h: float, steps: int = 1) -> np.ndarray:
+        return np.array([self.step(e, 0.0, 0.0, h, steps=steps) - self.step(0 * e, 0.0, 0.0, h) for e in np.eye(2)]).T
+
+    def gathered(self, h: float, q: np.ndarray, mesh: tuple[int, int] | None) -> np.ndarray:
+        """Covariance of the noise that gathers over an interval: by polynomials, or exactly (van Loan 1978)."""
+        if mesh is None:
+            blocks = np.zeros((4, 4))
+            blocks[:2, :2], blocks[:2, 2:], blocks[2:, 2:] = -self.A, np.diag(q**2), self.A.T
+            e = expm(blocks * h)
+            return np.asarray(e[2:, 2:].T @ e[:2, 2:])
+        steps, terms = mesh
+        columns = []
+        for i in range(2):
+            for j in range(terms):
+                noise = np.zeros((2, terms))
+                noise[i, j] = q[i]
+                columns.append(self.step(np.zeros(2), 0.0, 0.0, h, noise, steps))
+        return np.array(columns).T @ np.array(columns)
+
+
+def polynomials(share: float, terms: int) -> np.ndarray:
+    """Orthonormal on (0, 1)."""
+    return np.array([np.sqrt(2 * j + 1) * Legendre.basis(j, domain=[0, 1])(share) for j in range(terms)])
 
 
 def kalman(
-    p: dict[str, float], e: Experiment, q: np.ndarray, x: np.ndarray, P: np.ndarray, middle: bool = False
+    p: dict[str, float],
+    e: Experiment,
+    q: np.ndarray,
+    x: np.ndarray,
+    P: np.ndarray,
+    mesh: tuple[int, int] | None = FEWEST,
 ) -> tuple[float, np.ndarray]:
     """Log-likelihood, without the constant, and innovations (n_y, N), from mean and covariance of the first state.
 
-    Noise enters at the samples, or in the middle between them.
+    ``mesh``: steps and terms of the noise between samples; None: its exact covariance, and one step.
     """
     s, u, t = Linear(p), e.input("de"), e.t
+    steps = 1 if mesh is None else mesh[0]
     z = np.array([e.output(n) for n in SIGMA])
     R = np.diag([s**2 for s in SIGMA.values()])
     total, innovations = 0.0, np.full(z.shape, np.nan)
@@ -79,17 +117,18 @@ def kalman(
         x, P = x + K @ v, F @ P @ F.T + K @ r @ K.T
         if k + 1 < t.size:
             h = t[k + 1] - t[k]
-            if middle:
-                between, phi = 0.5 * (u[k] + u[k + 1]), s.transition(h / 2)
-                x = s.step(s.step(x, u[k], between, h / 2), between, u[k + 1], h / 2)
-                P = phi @ (phi @ P @ phi.T + np.diag(q**2) * h) @ phi.T
-            else:
-                x, phi = s.step(x, u[k], u[k + 1], h), s.transition(h)
-                P = phi @ P @ phi.T + np.diag(q**2) * h
+            x, phi = s.step(x, u[k], u[k + 1], h, steps=steps), s.transition(h, steps)
+            P = phi @ P @ phi.T + s.gathered(h, q, mesh)
     return float(total), innovations
 
 
-def turbulent(seed: int, q: tuple[float, float], n: int = 200, t: np.ndarray | None = None) -> Experiment:
+def turbulent(
+    seed: int,
+    q: tuple[float, float],
+    n: int = 200,
+    t: np.ndarray | None = None,
+    sigma: dict[str, float] = SIGMA,
+) -> Experiment:
     """A record of `short_period` in which white noise of these intensities drives w and q."""
     rng = np.random.default_rng(seed)
     t = 0.05 * np.arange(n) if t is None else t
@@ -98,10 +137,13 @@ def turbulent(seed: int, q: tuple[float, float], n: int = 200, t: np.ndarray | N
     path = [x]
     for k in range(t.size - 1):
         h = t[k + 1] - t[k]
-        x = s.step(x, de[k], de[k + 1], h) + np.sqrt(h) * np.array(q) * rng.standard_normal(2)
+        values, vectors = np.linalg.eigh(s.gathered(h, np.array(q), None))
+        x = s.step(x, de[k], de[k + 1], h, steps=4) + vectors @ (
+            np.sqrt(np.maximum(values, 0)) * rng.standard_normal(2)
+        )
         path.append(x)
     y = s.C @ np.array(path).T + s.D[:, None] * de
-    noise = np.array(list(SIGMA.values()))[:, None] * rng.standard_normal(y.shape)
+    noise = np.array(list(sigma.values()))[:, None] * rng.standard_normal(y.shape)
     return Experiment(t, {"de": de}, dict(zip(SIGMA, y + noise, strict=True)), name="run")
 
 
@@ -127,7 +169,7 @@ def marginal(
     m = short_period(**at)
     problem = options.problem(m, [e], [(True, s, s, s) for s in sigma.values()])
     theta = np.array([*at.values(), *q])
-    found = problem.evaluate(theta, problem.start(np.zeros(2 * options.times(e).size)), True)
+    found = problem.evaluate(theta, problem.start(np.zeros(2 * e.n)), True)
     assert not isinstance(found, str), found
     return found
 
@@ -141,11 +183,27 @@ def test_linear_system_has_the_likelihood_of_a_kalman_filter(q: tuple[float, flo
     assert marginal(options, e, q)[0] == pytest.approx(expected, rel=1e-10)
 
 
-def test_noise_in_the_middle_between_samples() -> None:
+@pytest.mark.parametrize("mesh", [(1, 1), (3, 2), (2, 4)])
+def test_terms_and_steps_of_the_noise_between_samples(mesh: tuple[int, int]) -> None:
     e = uneven()
-    options = replace(BOTH, parts=1, initial={"w": (0.2, 0.5), "q": (0.0, 0.1)})
-    expected, _ = kalman(TRUTH, e, np.array([0.8, 0.05]), np.array([0.2, 0.0]), np.diag([0.25, 0.01]), middle=True)
+    options = FilterError(("w", "q"), *mesh, initial={"w": (0.2, 0.5), "q": (0.0, 0.1)})
+    expected, _ = kalman(TRUTH, e, np.array([0.8, 0.05]), np.array([0.2, 0.0]), np.diag([0.25, 0.01]), mesh)
     assert marginal(options, e, (0.8, 0.05))[0] == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize("q", [(0.8, 0.05), (0.0, 0.3), (2.0, 0.0)])
+def test_the_covariance_of_the_noise_is_the_exact_one(q: tuple[float, float]) -> None:
+    """Noise that comes at samples alone, Q h, is wrong by the first order of h; here each term brings two more."""
+    s, h, of = Linear(TRUTH), 0.05, np.array(q)
+    exact = s.gathered(h, of, None)
+    size = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
+
+    def off(covariance: np.ndarray) -> float:
+        return float(np.abs((covariance - exact) / size).max())
+
+    plain, *found = (off(c) for c in (np.diag(of**2) * h, *(s.gathered(h, of, (32, n)) for n in (1, 2, 3))))
+    assert plain > 0.05 and found[1] < 2e-3 and found[2] < 2e-5, (plain, found)
+    assert off(s.gathered(h, of, FEWEST)) < 2e-3
 
 
 def test_noise_in_one_state_alone() -> None:
@@ -190,7 +248,7 @@ def test_states_and_their_deviations_are_those_of_dense_algebra() -> None:
     theta = np.array([*TRUTH.values(), *q])
     found = problem.smooth(theta, problem.start(np.zeros(2 * e.n)))
     assert found is not None
-    states, deviations, _, innovations, spreads, first, _ = found[0]
+    ((states, deviations), (_, output_deviations), (innovations, spreads)), first, _ = found[0]
 
     s, u, n = Linear(TRUTH), e.input("de"), 2 * e.n
     precision, right = np.zeros((n, n)), np.zeros(n)
@@ -209,11 +267,16 @@ def test_states_and_their_deviations_are_those_of_dense_algebra() -> None:
         if k + 1 < e.n:
             h = e.t[k + 1] - e.t[k]
             forced = s.step(np.zeros(2), u[k], u[k + 1], h)
-            add(pick[k + 1] - s.transition(h) @ pick[k], forced, q**2 * h)
+            root = np.linalg.cholesky(s.gathered(h, q, FEWEST))
+            rows = pick[k + 1] - s.transition(h) @ pick[k]
+            add(np.linalg.solve(root, rows), np.linalg.solve(root, forced), np.ones(2))
     covariance = np.linalg.inv(precision)
     np.testing.assert_allclose(states.T.ravel(), covariance @ right, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(deviations.T.ravel(), np.sqrt(np.diag(covariance)), rtol=1e-7)
     np.testing.assert_allclose(first.reshape(2, 2), covariance[:2, :2], rtol=1e-6)
+    for k in range(e.n):  # of outputs that are missing, too
+        expected = s.C @ pick[k] @ covariance @ pick[k].T @ s.C.T
+        np.testing.assert_allclose(output_deviations[:, k] ** 2, np.diag(expected), rtol=1e-6)
     _, expected = kalman(TRUTH, e, q, np.array([0.2, 0.0]), np.diag([0.25, 0.01]))
     np.testing.assert_allclose(innovations, expected, rtol=1e-7, atol=1e-9)
     assert (spreads[np.isfinite(spreads)] > 0).all()
@@ -232,7 +295,7 @@ def test_the_fit_is_a_maximum_and_its_errors_are_the_curvature_there(gust: tuple
     def likelihood(moved: dict[str, float]) -> float:
         p = {n: v.value for n, v in fit.parameters.items()} | moved
         sigma = {n: p[f"sigma_{n}"] for n in SIGMA}
-        problem = BOTH.problem(fit.model, [e], [(True, s, s, s) for s in sigma.values()])
+        problem = COARSE.problem(fit.model, [e], [(True, s, s, s) for s in sigma.values()])
         theta = np.array([p[n] for n in (*TRUTH, "q_w", "q_q")])
         found = problem.evaluate(theta, problem.start(np.zeros(2 * e.n)), False)
         return float(found[0])
@@ -377,21 +440,39 @@ def replace_name(e: Experiment, name: str) -> Experiment:
     return e.window(e.t[0], e.t[-1], name=name)
 
 
-def test_more_parts_come_closer_to_noise_that_never_stops() -> None:
-    e = turbulent(5, (1.0, 0.05))
+def test_default_is_fine_enough_for_precise_sensors() -> None:
+    """The likelihood of noise that comes at samples alone is far off there."""
+    sigma = {n: 0.1 * s for n, s in SIGMA.items()}
+    e = turbulent(5, (1.0, 0.05), sigma=sigma)
+    fit = ph.estimate(short_period(), e, transcription=BOTH)
+    fine = ph.estimate(short_period(), e, transcription=replace(BOTH, terms=4, substeps=8), start=fit)
+    assert fit.converged and fine.converged and isinstance(fit.transcription, FilterError)
+    assert (fit.transcription.substeps, fit.transcription.terms) == FEWEST
+    one, other = fit.parameters.values_array, fine.parameters.values_array
+    assert np.max(np.abs(one - other) / fine.parameters.std_errors_array) < 0.02
 
-    def fit(parts: int) -> Fit:
-        return ph.estimate(short_period(), e, transcription=replace(BOTH, parts=parts))
 
-    coarse, middle, fine, finer = (fit(parts) for parts in (0, 1, 3, 6))
-    assert finer.converged and finer.records[0].states["w"].shape == (e.n,)
-    assert finer.records[0].innovations["q"].shape == (e.n,)
+def test_terms_are_added_until_they_move_nothing() -> None:
+    """Samples far apart for such motion."""
+    e = turbulent(5, (1.0, 0.05), t=0.5 * np.arange(80))
+    fit = ph.estimate(short_period(), e, transcription=BOTH)
+    assert fit.converged and isinstance(fit.transcription, FilterError)
+    steps, terms = fit.transcription.mesh
+    assert steps > FEWEST[0] and terms > FEWEST[1] and f"of {terms} terms and {steps} steps" in str(fit.transcription)
+    fine = ph.estimate(short_period(), e, transcription=replace(BOTH, terms=6, substeps=20), start=fit)
+    coarse = ph.estimate(short_period(), e, transcription=COARSE, start=fit)
 
     def off(other: Fit) -> float:
-        one, two = other.parameters.values_array, finer.parameters.values_array
-        return float(np.max(np.abs(one - two) / finer.parameters.std_errors_array))
+        one, two = other.parameters.values_array, fine.parameters.values_array
+        return float(np.nanmax(np.abs(one - two) / fine.parameters.std_errors_array))
 
-    assert off(fine) < 0.3 * off(middle) and off(middle) < 0.5 * off(coarse)
+    assert off(fit) < 0.1 < off(coarse)
+    # What is given is kept, the other chosen.
+    kept = ph.estimate(short_period(), e, transcription=replace(BOTH, terms=3), start=fit).transcription
+    assert isinstance(kept, FilterError) and kept.terms == 3 and (kept.substeps or 0) > 1
+    # A system too fast for its samples is told of.
+    warned = ph.estimate(short_period(), turbulent(5, (1.0, 0.05), t=2.5 * np.arange(80)), transcription=BOTH)
+    assert any("noise between samples" in w for w in warned.warnings)
 
 
 def test_a_fit_is_saved_plotted_simulated_and_gone_on_from(gust: tuple[Experiment, Fit], tmp_path: Path) -> None:
@@ -449,7 +530,8 @@ def test_interrupt_gives_the_best_point_so_far() -> None:
         ({"states": "W"}, "'W' is not a state. Did you mean 'w'?"),
         ({"states": ("w", "w")}, "named twice"),
         ({"substeps": 0}, "substeps is a whole number from 1"),
-        ({"parts": -1}, "parts is a whole number from 0"),
+        ({"terms": 0}, "terms is a whole number from 1"),
+        ({"terms": 1.5}, "terms is a whole number from 1"),
         ({"initial": {"w": 1.0}}, "initial 'w' is a mean and a positive standard deviation, or None"),
         ({"initial": {"v": (0, 1)}}, "'v' is not a state"),
         ({"intensities": {"q": 1.0}}, "intensity of 'q', which is none of states=('w',)"),

@@ -39,12 +39,12 @@ measured = x + 0.002 * random.standard_normal((n, 2))
 run = ph.Experiment(t, {"de": de_t}, {"q": measured[:, 0], "theta": measured[:, 1]}, name="gusts")
 
 # %%
-# The sensors are so good that it matters *when* between two samples the noise enters: ``parts=1``
-# lets it enter in the middle. With the default, at the samples, the damping would come out a tenth
-# too small here.
+# The sensors are so good that it matters what the noise does *between* two samples, where it goes
+# from ``q`` into ``theta``. That is part of the likelihood: noise that comes at the samples alone
+# would have the damping come out a tenth too small here.
 
 plain = ph.estimate(m, run)
-gusts = ph.estimate(m, run, transcription=ph.FilterError(states=("q",), parts=1))
+gusts = ph.estimate(m, run, transcription=ph.FilterError(states=("q",)))
 for name, true in {"Mq": -2.0, "Mt": -4.0, "Mde": -6.0}.items():
     print(f"{plain.parameters[name]!s:24} filter error: {gusts.parameters[name]!s:24} true: {true}")
 print(gusts.parameters["q_q"], "  true: 0.05")

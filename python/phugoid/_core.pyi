@@ -265,7 +265,8 @@ class Evaluator:
 _Marginal: TypeAlias = tuple[float, _Array, _Array, int]  # log-likelihood, gradient, path, iterations
 _Matrix: TypeAlias = NDArray[np.float64]
 # states, deviations, outputs, innovations, their deviations; of the first state covariance and dependence
-_Smoothed: TypeAlias = tuple[_Matrix, _Matrix, _Matrix, _Matrix, _Matrix, _Array, _Array]
+# States, outputs and innovations, each with its deviations; covariance of the first state, how it follows parameters.
+_Smoothed: TypeAlias = tuple[list[tuple[_Matrix, _Matrix]], _Array, _Array]
 
 @final
 class Filter:
@@ -276,14 +277,18 @@ class Filter:
         sigmas: Sequence[_Sigma],
         states: Sequence[str],
         substeps: int,
-        halves: bool,
+        terms: int,
         initial: Sequence[_Prior],
     ) -> Filter: ...
     @property
     def parameters(self) -> list[str]: ...
     def start(self, states: _Array) -> _Array: ...
+    def states(self, path: _Array) -> _Array: ...
     def evaluate(self, theta: _Array, path: _Array, gradient: bool) -> _Marginal | str: ...
     def information(self, theta: _Array, path: _Array) -> _Array | None: ...
+    @property
+    def noises(self) -> int: ...
+    def simulate(self, theta: _Array, first: _Array, noises: _Array) -> list[tuple[_Matrix, _Matrix]]: ...
     def smooth(self, theta: _Array, path: _Array) -> list[_Smoothed] | None: ...
 
 @final

@@ -15,7 +15,7 @@ from .equation_error_result import EquationError
 from .errors import ModelError, OptionError
 from .experiment import Experiment, as_experiments
 from .filter_error import FilterError
-from .filter_fit import filter_error
+from .filter_fit import better, doubtful, filter_error
 from .filter_variables import split
 from .fitted import make_fit
 from .guess import check_names, measured_states, parameter_start, spread, state_start
@@ -118,11 +118,18 @@ def estimate(
             start = start.as_start()
         # Of parameters that each experiment has its own, states are measured with biases: their path is a fit's.
         local = len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values())
-        ordinary = None
-        if (transcription.output_error or local) and not isinstance(start, Fit):
+        if isinstance(start, Fit):
+            fit = filter_error(model, experiments, transcription, noise, start, progress)
+            return replace(fit, experiments=tuple(experiments))
+
+        def begun() -> Fit:
             _, others = split(transcription, start or {})
-            ordinary = estimate(model, experiments, noise=noise, start=others, progress=progress)
-        fit = filter_error(model, experiments, transcription, noise, start, progress, ordinary)
+            return estimate(model, experiments, noise=noise, start=others, progress=progress)
+
+        early = begun() if transcription.output_error or local else None
+        fit = filter_error(model, experiments, transcription, noise, start, progress, early)
+        if early is None and doubtful(fit, transcription):
+            fit = better(fit, lambda: filter_error(model, experiments, transcription, noise, start, progress, begun()))
         return replace(fit, experiments=tuple(experiments))
 
     warm = start if isinstance(start, (Fit, EquationError)) else None

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from . import _core
 from .errors import OptionError, did_you_mean
 from .experiment import Experiment, Signal
 from .model import Model
 
-__all__ = ["FilterError"]
+__all__ = ["FEWEST", "FilterError"]
+
+# Runge-Kutta steps between samples, and terms of the noise there, to begin with.
+FEWEST = (1, 2)
+# How many pairs of these there are to choose from.
+_MESHES = 4
 
 
 @dataclass(frozen=True)
@@ -24,16 +26,17 @@ class FilterError:
     """The filter-error method: output error with process noise, such as turbulence.
 
     White noise drives the ``states`` (one name or several), independently and with unknown intensity:
-    x(k+1) = Phi(x(k)) + w(k), w ~ N(0, q**2 h) over the interval h between two samples, so that ``q_<state>`` has the
-    state's unit over √s. The others obey their equations exactly. The marginal likelihood of all parameters is
-    maximised, with the states integrated out: as by a Kalman filter where the model is linear in its states, by the
-    Laplace approximation elsewhere.
+    dx = f dt + q dW, so that ``q_<state>`` has the state's unit over √s. The others obey their equations exactly. The
+    marginal likelihood of all parameters is maximised, with the states integrated out: as by a Kalman filter where the
+    model is linear in its states, by the Laplace approximation elsewhere.
 
-    ``substeps``: Runge-Kutta steps (order 4) between samples. ``parts``: 0 has the noise enter at the samples, as in
-    the formula; n from 1 has it enter in the middle of each of n equal parts of every interval, which comes closer to
-    noise that never stops, at 2n times the cost: take 1 where states move much between two samples (``substeps`` then
-    divide half a part). ``output_error``: True starts from the fit of an ordinary `estimate` (``start=fit`` does so
-    with one that is there already).
+    Noise does not wait for samples: between two of them it is a sum of ``terms`` orthonormal polynomials for each
+    state, of which two already bring into the other states what it does there meanwhile; the equations are integrated
+    with it in ``substeps`` Runge-Kutta steps (order 4). None: from 2 terms and 1 step on, more until yet more would
+    move no estimate by a tenth of its standard error; `Fit.transcription` says how many. Numbers given are kept.
+
+    ``output_error``: True starts from the fit of an ordinary `estimate` (``start=fit`` does so with one that is there
+    already).
 
     ``initial``: what is known of first states. (mean, standard deviation): that. Not named: nothing, a flat prior of
     density 1. Either is integrated out. None: it is a parameter, as in the output-error method, and the likelihood with
@@ -48,8 +51,8 @@ class FilterError:
     """
 
     states: Sequence[str]
-    substeps: int = 1
-    parts: int = 0
+    substeps: int | None = None
+    terms: int | None = None
     initial: Mapping[str, tuple[float, float] | None] | None = None
     output_error: bool = False
     max_iterations: int = 200
@@ -59,10 +62,12 @@ class FilterError:
         names = (self.states,) if isinstance(self.states, str) else self.states
         if not isinstance(names, Sequence) or not names or not all(isinstance(n, str) for n in names):
             raise OptionError(f"FilterError: states names the states with process noise, not {self.states!r}")
-        for name, least in (("substeps", 1), ("parts", 0), ("max_iterations", 1)):
+        for name, chosen in (("substeps", True), ("terms", True), ("max_iterations", False)):
             value = getattr(self, name)
-            if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
-                raise OptionError(f"FilterError: {name} is a whole number from {least}, not {value!r}")
+            if chosen and value is None:
+                continue
+            if not isinstance(value, Integral) or isinstance(value, bool) or value < 1:
+                raise OptionError(f"FilterError: {name} is a whole number from 1, not {value!r}")
         if not isinstance(self.output_error, bool):
             raise OptionError(f"FilterError: output_error is True or False, not {self.output_error!r}")
         if self.initial is not None and not isinstance(self.initial, Mapping):
@@ -89,36 +94,24 @@ class FilterError:
                     f"FilterError: the intensity of state '{name}' is called 'q_{name}', as is a parameter of the "
                     "model: rename the parameter"
                 )
-        records = [self._record(model, e) for e in experiments]
+        records = [_record(model, e) for e in experiments]
         priors = [initial.get(name, (0.0, math.inf)) for name in model.state_names]
-        return _core.Filter(model._core, records, sigmas, list(self.states), int(self.substeps), self.parts > 0, priors)
+        steps, terms = self.mesh
+        return _core.Filter(model._core, records, sigmas, list(self.states), steps, terms, priors)
 
     @property
-    def stride(self) -> int:
-        """Intervals between the points of the path that the core takes for each between samples."""
-        return max(2 * self.parts, 1)
+    def mesh(self) -> tuple[int, int]:
+        """Steps and terms; where they are to be chosen, the fewest."""
+        return int(self.substeps or FEWEST[0]), int(self.terms or FEWEST[1])
 
-    def times(self, experiment: Experiment) -> NDArray[np.float64]:
-        """The points of the path: the samples, and ends and middles of the parts between them."""
-        t, n = experiment.t, self.stride
-        shares = np.arange(n) / n
-        return np.append((t[:-1, None] + np.diff(t)[:, None] * shares).ravel(), t[-1])
-
-    def _record(self, model: Model, e: Experiment) -> tuple[str, Any, list[Any], list[Any], str, list[Signal | None]]:
-        """A record with points between samples, where nothing is measured."""
-        t = self.times(e)
-        inputs, outputs = (
-            [group(n) for n in names] for group, names in ((e.input, model.input_names), (e.output, model.output_names))
-        )
-        if self.stride > 1:
-            inputs = [
-                np.array(_core.interpolate(e.interpolation, e.t.tolist(), u.tolist(), t.tolist())) for u in inputs
-            ]
-            there = [np.full(t.size, np.nan) for _ in outputs]
-            for sparse, z in zip(there, outputs, strict=True):
-                sparse[:: self.stride] = z
-            outputs = there
-        return e.name, t, inputs, outputs, e.interpolation, [e.signal(n) for n in model.input_names]
+    def meshes(self) -> list[FilterError]:
+        """Itself with numbers of steps and terms, from the fewest on; one alone where both are given."""
+        steps, terms = self.mesh
+        found = [replace(self, substeps=steps, terms=terms)]
+        while (self.substeps is None or self.terms is None) and len(found) < _MESHES:
+            steps, terms = steps * (1 + (self.substeps is None)), terms + (self.terms is None)
+            found.append(replace(self, substeps=steps, terms=terms))
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON takes it."""
@@ -126,9 +119,17 @@ class FilterError:
         return {**vars(self), "states": list(self.states), "initial": initial}
 
     def __str__(self) -> str:
-        steps = "" if self.substeps == 1 else f", {self.substeps} steps between samples"
-        where = f", in the middle of {self.parts} parts" if self.parts > 1 else ", in the middle" if self.parts else ""
-        return f"filter error, process noise in {', '.join(self.states)}{where}{steps}"
+        steps, terms = self.mesh
+        text = f"filter error, process noise in {', '.join(self.states)}"
+        if (steps, terms) != FEWEST:
+            text += f", of {terms} term{'s' * (terms > 1)} and {steps} step{'s' * (steps > 1)} between samples"
+        return text
+
+
+def _record(model: Model, e: Experiment) -> tuple[str, Any, list[Any], list[Any], str, list[Signal | None]]:
+    """An experiment as the core takes it."""
+    inputs, outputs = [e.input(n) for n in model.input_names], [e.output(n) for n in model.output_names]
+    return e.name, e.t, inputs, outputs, e.interpolation, [e.signal(n) for n in model.input_names]
 
 
 def _prior(name: str, value: Any) -> tuple[float, float] | None:

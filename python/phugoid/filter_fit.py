@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _core
-from .errors import EvaluationError, OptionError
+from .errors import EvaluationError, OptionError, PhugoidError
 from .experiment import Experiment
 from .filter_error import FilterError
 from .filter_result import make_filter_fit
@@ -24,7 +26,7 @@ from .separate import Separated
 from .solvers import Iteration
 from .solvers.quasi_newton import Minimum, bounded_step, minimise
 
-__all__ = ["filter_error"]
+__all__ = ["better", "doubtful", "filter_error"]
 
 _Array = NDArray[np.float64]
 
@@ -32,6 +34,8 @@ _Array = NDArray[np.float64]
 _TOLERANCE = 0.5e-8
 # Least standard deviation, as a part of the spread of an output.
 _FLOOR = 1e-4
+# Estimates that would move by less, in standard errors, stay where they are.
+_STILL = 0.1
 # How often the exact Hessian takes the place of what the iterations have learnt of it.
 _ROUNDS = 6
 
@@ -71,11 +75,8 @@ def filter_error(
     sigmas = [_floored(s, n in noise.sigma, spreads[n]) for n, s in zip(model.output_names, sigmas, strict=True)]
     problem = options.problem(model, experiments, sigmas)
 
-    times = [options.times(e) for e in experiments]
-    states = [
-        _states(model, e, t, parameters, rest, warm, i) for i, (e, t) in enumerate(zip(experiments, times, strict=True))
-    ]
-    intensities = intensity_start(options, model, times, states, of_q)
+    states = [_states(model, e, parameters, rest, warm, i) for i, e in enumerate(experiments)]
+    intensities = intensity_start(options, model, [e.t for e in experiments], states, of_q)
     unknown = [s for s in sigmas if not s[0]]
     declared = model.declared_parameters.values()
     low_q = np.array([known_q.get(name, -np.inf) for name in options.states])
@@ -101,9 +102,70 @@ def filter_error(
         if not s[0]
     ]
     metric = objective.metric(z, counts, sum(e.n - 1 for e in experiments))
+    at, *finer = options.meshes()
+    moved = 0.0
     with Progress.of(progress, model.name) as watch:
         end, hessian = _maximise(objective, z, first, metric, options.max_iterations, watch)
-    return make_filter_fit(model, experiments, noise, options, objective, end, hessian, time.perf_counter() - begin)
+        for next_at in finer:
+            if hessian is None or end.status != "converged":
+                break
+            fine = objective.on(next_at.problem(model, experiments, sigmas))
+            curvature = _positive(hessian, end.metric, _held(objective.bounds, end))[0]
+            moved, first = _movement(fine, end, curvature)
+            if moved < _STILL or first is None:
+                break
+            at, objective, before = next_at, fine, end
+            end, hessian = _maximise(fine, end.x, first, curvature, options.max_iterations, watch, end.iterations)
+            end.history = [*before.history, *end.history]
+    seconds = time.perf_counter() - begin
+    fit = make_filter_fit(model, experiments, noise, at, objective, end, hessian, seconds)
+    if finer and at == finer[-1] and moved >= _STILL:
+        text = (
+            f"the last refinement of the noise between samples ({at.terms} terms, {at.substeps} steps) still moved the "
+            f"estimates, by {moved:.1f} standard errors: samples are far apart for such fast motion; take more terms "
+            "and steps, FilterError(terms=..., substeps=...)"
+        )
+        fit = replace(fit, warnings=(*fit.warnings, text))
+    return fit
+
+
+def doubtful(fit: Fit, options: FilterError) -> bool:
+    """Whether an end found from values far away may be none: it was not reached, or only where the noise between samples
+    and the motion were refined. Coarse steps have optima of their own, of motions too fast for them."""
+    if fit.status == "interrupted":
+        return False
+    return not fit.converged or fit.transcription != options.meshes()[0]
+
+
+def better(fit: Fit, other: Callable[[], Fit]) -> Fit:
+    """Of a doubtful fit and one that starts elsewhere the one that converged, or is likelier."""
+    try:
+        second = other()
+    except PhugoidError:  # no ordinary fit, or no likelihood there
+        return fit
+    if second.status == "interrupted":
+        return fit
+    return max((fit, second), key=lambda f: (f.converged, f.log_likelihood))
+
+
+def _movement(fine: Objective, end: Minimum, curvature: _Array) -> tuple[float, tuple[float, _Array] | None]:
+    """How far the next Newton step goes with a finer treatment of the noise between samples, in standard errors of what
+    moves farthest; value and gradient there."""
+    first = fine(end.x)
+    if first is None:
+        return math.inf, None
+    lower, upper = fine.bounds
+    step = bounded_step(first[1], curvature, lower - end.x, upper - end.x)
+    return math.sqrt(max(float(step @ curvature @ step), 0.0)), first
+
+
+def _held(bounds: tuple[_Array, _Array], end: Minimum) -> NDArray[np.bool_]:
+    """Variables that are fixed, or held at a bound."""
+    lower, upper = bounds
+    held: NDArray[np.bool_] = (
+        (lower == upper) | ((end.x <= lower) & (end.gradient > 0)) | ((end.x >= upper) & (end.gradient < 0))
+    )
+    return held
 
 
 def _check(model: Model, noise: Noise) -> None:
@@ -125,19 +187,18 @@ def _floored(sigma: tuple[bool, float, float, float], given: bool, scale: float)
 def _states(
     model: Model,
     e: Experiment,
-    times: _Array,
     parameters: Mapping[str, float],
     given: Mapping[str, Any],
     warm: Fit | None,
     i: int,
 ) -> _Array:
-    """States to start from, (n_x, points)."""
-    states = state_start(model, e, times, parameters, given)
+    """States to start from, (n_x, N)."""
+    states = state_start(model, e, e.t, parameters, given)
     if warm is not None and i < len(warm.records):
         record = warm.records[i]
         for k, name in enumerate(model.state_names):
             if name in record.states:
-                states[k] = _core.interpolate("linear", record.t.tolist(), record.states[name].tolist(), times.tolist())
+                states[k] = _core.interpolate("linear", record.t.tolist(), record.states[name].tolist(), e.t.tolist())
     return states
 
 
@@ -148,11 +209,13 @@ def _maximise(
     metric: _Array,
     max_iterations: int,
     watch: Callable[[Iteration], None] | None,
+    number: int = 0,
 ) -> tuple[Minimum, _Array | None]:
-    """Quasi-Newton to the end, then the exact Hessian: it confirms the end, or sets out again from there."""
+    """Quasi-Newton to the end, then the exact Hessian: it confirms the end, or sets out again from there.
+
+    ``number`` iterations are behind it."""
     history: list[Iteration] = []
     hessian = None
-    number = 0
     for _ in range(_ROUNDS):
         end = minimise(
             objective, z, first, metric, objective.bounds,
@@ -167,7 +230,7 @@ def _maximise(
         try:
             objective(z)  # the path there
             lower, upper = objective.bounds
-            held = (lower == upper) | ((z <= lower) & (end.gradient > 0)) | ((z >= upper) & (end.gradient < 0))
+            held = _held(objective.bounds, end)
             hessian = objective.hessian(z, end.metric, held)
         except KeyboardInterrupt:
             end.status = "interrupted"

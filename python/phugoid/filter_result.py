@@ -95,7 +95,7 @@ def make_filter_fit(
         active: Literal["lower"] | None = "lower" if none else None
         estimates.append(Estimate(name, values[i], errors[i], unit, bounds=(0.0, np.inf), bounds_active=active))
 
-    records, initial = _records(model, experiments, objective, z, covariance, options.stride)
+    records, initial = _records(model, experiments, objective, z, covariance)
     message = HINTS.get(status, "")
     return Fit(
         model=model,
@@ -147,20 +147,15 @@ def _records(
     objective: Objective,
     z: _Array,
     covariance: _Array,
-    stride: int,
 ) -> tuple[list[Record], dict[str, Estimates]]:
     """Smoothed time histories, and the first states with their standard errors."""
     n, p = len(model.state_names), objective.n_model
     smoothed = objective.problem.smooth(objective.theta(z), objective.path) or []
     of_model = np.nan_to_num(covariance[:p, :p])
     records, initial = [], {}
-    for e, (states, deviations, outputs, innovations, spreads, first, follows) in zip(
-        experiments, smoothed, strict=True
-    ):
+    for e, (pairs, first, follows) in zip(experiments, smoothed, strict=True):
+        (states, deviations), (outputs, _), (innovations, spreads) = pairs
         measured = {name: e.output(name) for name in model.output_names}
-        at = slice(None, None, stride)
-        states, deviations, outputs = states[:, at], deviations[:, at], outputs[:, at]
-        innovations, spreads = innovations[:, at], spreads[:, at]
         by_output = dict(zip(model.output_names, outputs, strict=True))
         by_state = dict(zip(model.state_names, states, strict=True))
         records.append(

@@ -30,12 +30,17 @@ class Objective:
     def __init__(
         self, model: Model, problem: _core.Filter, path: _Array, bounds: tuple[_Array, _Array], n_q: int
     ) -> None:
-        self.problem, self.path, self.bounds = problem, path, bounds
+        self.model, self.problem, self.path, self.bounds, self.n_q = model, problem, path, bounds, n_q
         self.n_model = len(model.parameter_names)
         self.n_sigma = len(problem.parameters) - self.n_model - n_q
         self.priors = [(i, *p.prior) for i, p in enumerate(model.declared_parameters.values()) if p.prior]
         self.reason = ""
         self.evaluations = 0
+
+    def on(self, problem: _core.Filter) -> Objective:
+        """The same with another treatment of the noise between samples, from the path of this."""
+        path = problem.start(self.problem.states(self.path))
+        return Objective(self.model, problem, path, self.bounds, self.n_q)
 
     @property
     def sigmas(self) -> slice:

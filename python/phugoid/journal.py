@@ -18,6 +18,7 @@ import numpy as np
 
 from . import _core, io
 from .errors import DataError
+from .filter_error import FilterError
 from .outcome import Outcome, Problem
 from .starts import Given, Uniform
 
@@ -38,11 +39,12 @@ def fingerprint(problem: Problem, starts: Starts) -> dict[str, Any]:
     for group in document.values():
         for entry in group if isinstance(group, list) else ():
             entry.pop("source", None)
+    mesh = problem.transcription
     drawn = starts.ranges if isinstance(starts, Uniform) else None
     parts = {
         "model": _hash(json.dumps(document, sort_keys=True).encode()),
         "data": {e.name: _data_hash(problem, e) for e in problem.experiments},
-        "transcription": repr(replace(problem.transcription, threads=0)),
+        "transcription": repr(mesh if isinstance(mesh, FilterError) else replace(mesh, threads=0)),
         "noise": problem.noise.to_dict(),
         "solver": "default" if problem.solver is None else repr(problem.solver),
         "start": {name: _brief(value) for name, value in problem.start.items()},

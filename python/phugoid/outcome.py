@@ -10,6 +10,7 @@ from typing import Any
 from .errors import DataError, MissingDependency, ModelError, OptionError
 from .estimate import estimate
 from .experiment import Experiment
+from .filter_error import FilterError
 from .model import Model
 from .noise import Noise
 from .result import Fit
@@ -60,7 +61,7 @@ class Problem:
 
     model: Model
     experiments: tuple[Experiment, ...]
-    transcription: Transcription
+    transcription: Transcription | FilterError
     noise: Noise
     solver: Any = None
     start: Mapping[str, Any] = field(default_factory=dict)
@@ -105,5 +106,7 @@ class Problem:
         Besides, a forked process has none of the threads of the pool that it inherits, and would wait for them
         forever.
         """
+        if isinstance(self.transcription, FilterError):  # which has none
+            return self
         threads = self.transcription.threads or 1
         return replace(self, transcription=replace(self.transcription, threads=threads))

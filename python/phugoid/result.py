@@ -207,7 +207,9 @@ class Fit:
         An interval ends at a bound where the likelihood is still high there, and is infinite where it stays high
         however far one goes: ``.ends`` says so. Ctrl-C keeps the sides that are done.
 
-        Raises OptionError for names without a profile, a fit that has not converged, and process noise.
+        With process noise (`FilterError`) the likelihood is the marginal one, with the intensities estimated anew too.
+
+        Raises OptionError for names without a profile, and a fit that has not converged.
         """
         from .uncertainty.profile import profile
 
@@ -233,7 +235,10 @@ class Fit:
         ``seed``: draw i has random numbers of its own, whatever n and executor.
         ``executor``, ``progress``: as of `multistart`. Each run starts from this fit. Ctrl-C keeps those that are done.
 
-        Raises OptionError for options that cannot be right, a fit that has not converged, and process noise.
+        With process noise (`FilterError`) "parametric" is the only kind: it draws process noise too, so other motions.
+
+        Raises OptionError for options that cannot be right, a fit that has not converged, and a vehicle that other
+        process noise would carry far away with the inputs as recorded, such as an unstable one with its controller.
         """
         from .uncertainty.bootstrap import bootstrap
 
@@ -257,7 +262,10 @@ class Fit:
         ``coloured``: errors for coloured residuals, or else for white ones. Each band holds at each sample by itself.
         ``.plot()`` draws them.
 
-        Raises OptionError, DataError or UnknownName for what is not there, and OptionError for process noise.
+        With process noise (`FilterError`) they are about the most probable path, which follows the measurements: what
+        the smoother leaves open, and the uncertainty of the parameters. Innovations are white, ``coloured`` or not.
+
+        Raises OptionError, DataError or UnknownName for what is not there.
         """
         from .uncertainty.bands import prediction_bands
 

@@ -12,7 +12,7 @@ from ..biases import biases
 from ..errors import DataError
 from ..estimate import estimate
 from ..experiment import Experiment
-from ..held import held_model, held_noise
+from ..held import held_model, held_noise, mesh_for
 from .candidate import Candidate
 from .least_squares import Whitened, own_whitening
 from .linearised import Linearised
@@ -96,7 +96,8 @@ def on_other_data(refit: Refit, data: Sequence[Experiment], near: Linearised | N
         )
     model, noise = held_model(fit.model, values, free), held_noise(fit)[0]
     start = started_from(near.fit, ()) if near else {n: values[n] for n in free if n in values}
-    found = estimate(model, list(data), noise=noise, start=start)
+    mesh = mesh_for(fit, data)
+    found = estimate(model, list(data), transcription=mesh, noise=noise, start=start)
     if found.status not in ("converged", "acceptable", "unidentifiable"):
         raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")
     return Linearised(found)

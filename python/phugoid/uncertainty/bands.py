@@ -22,6 +22,7 @@ from ..result import Fit
 from ..transcription import Collocation
 from ..validate import found_anew
 from .coloured import Colouring
+from .filter_bands import elsewhere, within
 from .resample import Parametric
 from .tangents import Tangents, linearised
 
@@ -40,7 +41,8 @@ class Bands:
 
     record       time, inputs, model outputs, measurements.
     level        of the bands, at each sample by itself.
-    std_errors   output -> (N,) of what the model says: by parameters and initial states.
+    std_errors   output -> (N,) of what the model says: by parameters and initial states; with process noise of its most
+                 probable path, which the measurements pin down.
     model        output -> (low, high), each (N,), in which the true model's output lies.
     measurement  output -> (low, high), each (N,), in which a new measurement lies, with noise of its own.
     coloured     whether the errors are those for coloured residuals.
@@ -76,16 +78,24 @@ def prediction_bands(
     """What `Fit.prediction_bands` does; see there."""
     if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
         raise OptionError(f"prediction_bands: level is a number between 0 and 1, such as 0.95, not {level!r}")
-    if isinstance(experiment, Experiment):
+    filtered = isinstance(fit.transcription, FilterError)
+    coloured = coloured and not filtered  # innovations are white where the model is right
+    if isinstance(experiment, Experiment) and filtered:
+        record, errors, found = elsewhere(fit, experiment, biases, values or {})
+        noise, e = Parametric.of(found), 0
+    elif isinstance(experiment, Experiment):
         record, errors, noise, e = *_elsewhere(fit, experiment, coloured, biases, values or {}), 0
     else:
         if biases is not None or values is not None:
             raise OptionError("prediction_bands: biases and values are for an Experiment that the fit was not made on")
         e = _which(fit, experiment)
         record, noise = fit.records[e], Parametric.of(fit)
-        tangents = Tangents(linearised(fit, "prediction_bands"))
-        covariance = Colouring(tangents).covariance if coloured else tangents.inverse
-        errors = _errors(fit, tangents, covariance, e, record)
+        if filtered:
+            errors = within(fit, e)
+        else:
+            tangents = Tangents(linearised(fit, "prediction_bands"))
+            covariance = Colouring(tangents).covariance if coloured else tangents.inverse
+            errors = _errors(fit, tangents, covariance, e, record)
     z = NormalDist().inv_cdf(0.5 + 0.5 * level)
     model, measurement = {}, {}
     for name, error in errors.items():
@@ -131,8 +141,6 @@ def _elsewhere(
 ) -> tuple[Record, dict[str, _Array], Parametric]:
     """Of an experiment that the fit was not made on: its initial states and biases are found anew, for parameters as
     fitted, so the errors of the former follow those of the latter."""
-    if isinstance(fit.transcription, FilterError):
-        raise OptionError("prediction_bands: is not offered for fits with process noise (FilterError)")
     found, free, held, _ = found_anew(fit, [other], biases, values)
     if not found.converged:
         raise DataError(

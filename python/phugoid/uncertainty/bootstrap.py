@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from ..errors import DataError, OptionError
 from ..estimate import estimate
+from ..filter_error import FilterError
 from ..outcome import Outcome, Problem
 from ..parameters import Estimates, text_table
 from ..result import Fit
 from ..starts import stream
 from .blocks import Blocks, block_length
+from .disturbed import Disturbed
 from .resample import Coloured, Parametric, Resampler
 from .runs import common_to, run_all
 
@@ -178,7 +180,14 @@ def bootstrap(
         raise OptionError(f"bootstrap: block is a number of samples from 1 to {longest}, not {block!r}")
     common = common_to(fit, "bootstrap")
     resampler: Resampler
-    if kind == "block":
+    if isinstance(fit.transcription, FilterError):
+        if kind != "parametric":
+            raise OptionError(
+                f'bootstrap: kind="{kind}" is for coloured residuals; with process noise (FilterError) innovations are '
+                'white where the model is right: kind="parametric" draws process noise and that of the sensors'
+            )
+        resampler = Disturbed.of(fit)
+    elif kind == "block":
         block = block_length(fit) if block is None else int(block)
         resampler = Blocks.of(fit, block)
     else:

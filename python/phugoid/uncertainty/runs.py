@@ -32,8 +32,6 @@ class Runs:
 
 def common_to(fit: Fit, caller: str) -> dict[str, Any]:
     """What all runs share, as `Problem` takes it. Raises OptionError where that cannot be."""
-    if isinstance(fit.transcription, FilterError):
-        raise OptionError(f"{caller}: is not offered for fits with process noise (FilterError)")
     if fit.status not in ("converged", "acceptable"):
         raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")
     if all(e.fixed for e in fit.parameters.values()):
@@ -43,7 +41,7 @@ def common_to(fit: Fit, caller: str) -> dict[str, Any]:
         "experiments": tuple(dataset(fit)),
         "transcription": fit.transcription,
         "noise": fit.noise,
-        "solver": NEAR,
+        "solver": None if isinstance(fit.transcription, FilterError) else NEAR,  # which has its own
         "base": replace(fit, history=()),
     }
 

@@ -64,14 +64,14 @@ fn gradient_with_products_tables_and_switches() {
         (vec!["alpha"], vec![None; 3]),
         (vec!["q", "V", "alpha"], vec![Some((1.1, 0.05)), None, Some((0.0, f64::INFINITY))]),
     ] {
-        for (substeps, halves) in [(1, false), (3, true)] {
+        for (substeps, terms) in [(1, 1), (3, 2)] {
             let names = noisy.iter().map(|s| s.to_string()).collect();
-            let settings = Settings { states: names, substeps, halves, initial: initial.clone() };
+            let settings = Settings { states: names, substeps, terms, initial: initial.clone() };
             let filter = Filter::new(&model, &runs, &unknown(4), &settings).unwrap();
             let mut theta = theta.clone();
             theta.resize(filter.n_theta(), 0.2);
             let error = gradient_error(&filter, &theta, &filter.start(&states));
-            assert!(error < 1e-6, "{noisy:?}, {substeps} steps, {halves}: {error:e}");
+            assert!(error < 1e-6, "{noisy:?}, {substeps} steps, {terms} terms: {error:e}");
         }
     }
 }
@@ -86,13 +86,13 @@ fn two_samples(scale: f64) -> Filter {
     let z = [1.3, 1.2].map(|z: f64| z + scale * 0.3).to_vec();
     let run = Experiment::new(&m, "run", vec![0.0, 0.1], [("y", z)]).unwrap();
     let settings =
-        Settings { states: vec!["x".into()], substeps: 1, halves: false, initial: vec![Some((0.8, scale))] };
+        Settings { states: vec!["x".into()], substeps: 1, terms: 1, initial: vec![Some((0.8, scale))] };
     Filter::new(&m, &[run], &Noise::Gaussian(vec![Sigma::Known(scale)]), &settings).unwrap()
 }
 
-/// One Runge-Kutta step of 0.1 s.
-fn step(x: f64) -> f64 {
-    let (f, h) = (|x: f64| -x.powi(3), 0.1);
+/// One Runge-Kutta step of 0.1 s, with a noise that adds so much to the slope.
+fn step(x: f64, noise: f64) -> f64 {
+    let (f, h) = (|x: f64| noise - x.powi(3), 0.1);
     let a = f(x);
     let b = f(x + 0.5 * h * a);
     let c = f(x + 0.5 * h * b);
@@ -109,7 +109,7 @@ fn integral(scale: f64) -> f64 {
     for a in points() {
         for e in points() {
             let first = 0.8 + scale * a;
-            let second = step(first) + scale * e;
+            let second = step(first, scale * e / 0.1);
             let (r, s) = ((z[0] - g(first)) / scale, (z[1] - g(second)) / scale);
             sum += (-0.5 * (a * a + e * e + r * r + s * s)).exp();
         }
@@ -142,7 +142,7 @@ fn what_has_no_path_is_said() {
     m.equation("y", y.sqrt() - &x, None).unwrap();
     m.output("x", x, "", None).unwrap();
     let run = Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 0.5, 0.2])]).unwrap();
-    let settings = Settings { states: vec!["x".into()], substeps: 1, halves: false, initial: vec![None; 2] };
+    let settings = Settings { states: vec!["x".into()], substeps: 1, terms: 1, initial: vec![None; 2] };
     let filter = Filter::new(&m, std::slice::from_ref(&run), &unknown(1), &settings).unwrap();
     let theta = [-1.0, 10.0, 0.1];
     let unseen = filter.evaluate(&theta, &filter.start(&[1.0, 4.0, 0.5, 4.0, 0.2, 4.0]), false).unwrap_err();
@@ -153,7 +153,7 @@ fn what_has_no_path_is_said() {
 
     let fails = |states: &[&str], substeps: usize| {
         let states = states.iter().map(|s| s.to_string()).collect();
-        let settings = Settings { states, substeps, halves: false, initial: vec![None; 2] };
+        let settings = Settings { states, substeps, terms: 1, initial: vec![None; 2] };
         Filter::new(&m, std::slice::from_ref(&run), &unknown(1), &settings).unwrap_err().to_string()
     };
     assert!(fails(&["X"], 1).contains("'X' is not a state. Did you mean 'x'?"));

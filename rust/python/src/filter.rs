@@ -24,9 +24,12 @@ pub enum Outcome<'py> {
     Lost(String),
 }
 
-/// States, their deviations, outputs, innovations, their deviations, covariance of the first state, how it
-/// follows the parameters.
-type Smooth<'py> = (Matrix<'py>, Matrix<'py>, Matrix<'py>, Matrix<'py>, Matrix<'py>, Array<'py>, Array<'py>);
+/// States, outputs and innovations, each with its deviations; covariance of the first state, how it follows the
+/// parameters.
+type Smooth<'py> = ([Pair<'py>; 3], Array<'py>, Array<'py>);
+
+/// Values and deviations, or states and outputs.
+type Pair<'py> = (Matrix<'py>, Matrix<'py>);
 
 /// The marginal likelihood, evaluated without the interpreter lock.
 #[pyclass(name = "Filter", module = "phugoid._core", frozen)]
@@ -46,6 +49,10 @@ impl PyFilter {
     }
 }
 
+fn matrix<'py>(py: Python<'py>, rows: &[Vec<f64>]) -> PyResult<Matrix<'py>> {
+    PyArray2::from_vec2(py, rows).map_err(|e| PyValueError::new_err(e.to_string()))
+}
+
 #[pymethods]
 impl PyFilter {
     #[new]
@@ -57,12 +64,12 @@ impl PyFilter {
         sigmas: Vec<SigmaSpec>,
         states: Vec<String>,
         substeps: usize,
-        halves: bool,
+        terms: usize,
         initial: Vec<Option<(f64, f64)>>,
     ) -> PyResult<Self> {
         let records: Vec<_> = experiments.into_iter().map(experiment).collect();
         let noise = Noise::Gaussian(sigmas.into_iter().map(sigma).collect());
-        let settings = Settings { states, substeps, halves, initial };
+        let settings = Settings { states, substeps, terms, initial };
         let model = &model.0;
         py.detach(|| Filter::new(model, &records, &noise, &settings)).map(PyFilter).map_err(raise)
     }
@@ -81,6 +88,15 @@ impl PyFilter {
             return Err(PyValueError::new_err("states has the wrong length"));
         }
         Ok(PyArray1::from_vec(py, self.0.start(states)))
+    }
+
+    /// The states of a path, as `start` takes them.
+    fn states<'py>(&self, py: Python<'py>, path: PyReadonlyArray1<'_, f64>) -> PyResult<Array<'py>> {
+        let path = path.as_slice()?;
+        if path.len() != self.0.path_length() {
+            return Err(PyValueError::new_err("path has the wrong length"));
+        }
+        Ok(PyArray1::from_vec(py, self.0.states(path)))
     }
 
     /// The marginal log-likelihood; a text that says why where there is none.
@@ -114,6 +130,35 @@ impl PyFilter {
         Ok(py.detach(|| self.0.information(theta, path)).ok().map(|v| PyArray1::from_vec(py, v)))
     }
 
+    /// Number of noises of an interval.
+    #[getter]
+    fn noises(&self) -> usize {
+        self.0.noises()
+    }
+
+    /// States and outputs of each record from first states, with noises in standard deviations.
+    fn simulate<'py>(
+        &self,
+        py: Python<'py>,
+        theta: PyReadonlyArray1<'_, f64>,
+        first: PyReadonlyArray1<'_, f64>,
+        noises: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Vec<Pair<'py>>> {
+        let (theta, first, noises) = (theta.as_slice()?, first.as_slice()?, noises.as_slice()?);
+        let (records, lengths) = (self.0.lengths().len(), self.0.lengths());
+        let intervals: usize = lengths.iter().map(|n| n - 1).sum();
+        let states = self.0.path_length() - intervals * self.0.noises();
+        let n = states / (lengths.iter().sum::<usize>() + intervals);
+        if theta.len() != self.0.n_theta()
+            || first.len() != n * records
+            || noises.len() != intervals * self.0.noises()
+        {
+            return Err(PyValueError::new_err("theta, first or noises has the wrong length"));
+        }
+        let found = py.detach(|| self.0.simulate(theta, first, noises));
+        found.iter().map(|[x, y]| Ok((matrix(py, x)?, matrix(py, y)?))).collect()
+    }
+
     /// Each record smoothed; None where there is no path.
     fn smooth<'py>(
         &self,
@@ -123,16 +168,14 @@ impl PyFilter {
     ) -> PyResult<Option<Vec<Smooth<'py>>>> {
         let (theta, path) = self.slices(&theta, &path)?;
         let Ok(records) = py.detach(|| self.0.smooth(theta, path)) else { return Ok(None) };
-        let matrix = |rows: &Vec<Vec<f64>>| {
-            PyArray2::from_vec2(py, rows).map_err(|e| PyValueError::new_err(e.to_string()))
-        };
+        let pair = |a: &[Vec<f64>], b: &[Vec<f64>]| Ok::<_, PyErr>((matrix(py, a)?, matrix(py, b)?));
         let one = |s: &phugoid::filter::Smoothed| {
             Ok((
-                matrix(&s.states)?,
-                matrix(&s.deviations)?,
-                matrix(&s.outputs)?,
-                matrix(&s.innovations.values)?,
-                matrix(&s.innovations.deviations)?,
+                [
+                    pair(&s.states, &s.deviations)?,
+                    pair(&s.outputs, &s.output_deviations)?,
+                    pair(&s.innovations.values, &s.innovations.deviations)?,
+                ],
                 PyArray1::from_slice(py, &s.first_covariance),
                 PyArray1::from_slice(py, &s.first_follows),
             ))

@@ -1,32 +1,32 @@
 //! The linear algebra of a path: a quadratic program along a chain, by elimination from its end.
 //!
 //! ```text
-//!   minimise    Σ_k ( ½ δx_kᵀ Q_k δx_k + gx_kᵀ δx_k ) + Σ_k ( ½ |δε_k|² + gε_kᵀ δε_k )
-//!   subject to  δx_{k+1} = A_k δx_k + G_k δε_k + d_k
+//!   minimise    Σ_k ( ½ δx_kᵀ Q_k δx_k + gx_kᵀ δx_k ) + Σ_k ( ½ |δε_k|² + geᵀ_k δε_k + ½ δz_kᵀ C_k δz_k )
+//!   subject to  δx_{k+1} = B_k δz_k + d_k,     z_k = (x_k, ε_k),     B_k = (A_k, G_k)
 //! ```
 //!
 //! This is block elimination of the block-tridiagonal Newton system (a Riccati recursion; Bryson and Ho, *Applied
 //! Optimal Control*, 1975, chapter 13, from the other end of time). P_k is the Hessian of what remains from sample k
-//! on. The noise ε_k has unit variance and enters through G_k = √h_k diag(q) in the rows of the noisy states alone:
-//! states without process noise are nothing special, and neither is q = 0, where a matrix Q⁻¹ would be infinite.
+//! on. The noises ε_k have unit variance: states that they do not reach are nothing special, and neither is q = 0, where
+//! a matrix Q⁻¹ would be infinite.
 
 use super::dense::{
     add_transposed_product, cholesky, dot, inverse, log_det, product, product_transposed, solve, symmetrise,
 };
 
-/// Matrices of a chain of N samples, n states and m noises, one after the other.
+/// Matrices of a chain of N samples, n states and m noises an interval, one after the other.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Chain {
     /// Number of samples, N.
     pub(super) samples: usize,
     /// Number of states, n.
     pub(super) n: usize,
-    /// The state that each noise enters, m of them.
-    pub(super) noisy: Vec<usize>,
-    /// A_k, N−1 of (n, n).
-    pub(super) a: Vec<f64>,
-    /// √h_k q_i: N−1 of m.
-    pub(super) g: Vec<f64>,
+    /// Number of noises of an interval, m.
+    pub(super) m: usize,
+    /// B_k = (A_k, G_k), N−1 of (n, n + m).
+    pub(super) b: Vec<f64>,
+    /// C_k, N−1 of (n + m, n + m).
+    pub(super) c: Vec<f64>,
     /// Q_k, N of (n, n).
     pub(super) q: Vec<f64>,
     /// Standard deviation of the prior of each first state that has one, infinite for a flat one.
@@ -37,15 +37,22 @@ pub(super) struct Chain {
 #[derive(Clone, Debug)]
 pub(super) struct Factor {
     /// P_k, N of (n, n).
-    p: Vec<f64>,
-    /// Cholesky factors of S_k = I + Gᵀ P_{k+1} G, N−1 of (m, m).
+    pub(super) p: Vec<f64>,
+    /// Cholesky factors of S_k = I + C_εε + Gᵀ P_{k+1} G, N−1 of (m, m).
     s: Vec<f64>,
-    /// L_k = S⁻¹ Gᵀ P_{k+1}, N−1 of (m, n).
+    /// L_k = S⁻¹ (C_εx + Gᵀ P_{k+1} A), N−1 of (m, n).
     gain: Vec<f64>,
-    /// M_k = P_{k+1} − P_{k+1} G S⁻¹ Gᵀ P_{k+1}, N−1 of (n, n).
-    pub(super) m: Vec<f64>,
     /// Cholesky factor of P_0.
     first: Vec<f64>,
+}
+
+/// Covariances of what is random.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Spread {
+    /// Of the states, N of (n, n).
+    pub(super) x: Vec<f64>,
+    /// Of states and noises z_k together, N−1 of (n + m, n + m).
+    pub(super) z: Vec<f64>,
 }
 
 /// Where there is no factorisation: the Hessian has no positive pivot there.
@@ -71,56 +78,60 @@ pub(super) struct Step {
 }
 
 impl Chain {
-    /// F = I − G L.
-    fn closed(&self, k: usize, gain: &[f64]) -> Vec<f64> {
-        let (n, m) = (self.n, self.noisy.len());
-        let mut f = vec![0.0; n * n];
-        (0..n).for_each(|i| f[i * n + i] = 1.0);
-        for (i, &state) in self.noisy.iter().enumerate() {
-            for c in 0..n {
-                f[state * n + c] -= self.g[k * m + i] * gain[i * n + c];
-            }
-        }
-        f
+    /// The size of z.
+    pub(super) fn width(&self) -> usize {
+        self.n + self.m
+    }
+
+    fn of<'a>(&self, all: &'a [f64], k: usize, rows: usize, columns: usize) -> &'a [f64] {
+        &all[k * rows * columns..(k + 1) * rows * columns]
+    }
+
+    /// T = (I; −L): how z_k follows x_k, (n + m, n).
+    fn closed(&self, gain: &[f64]) -> Vec<f64> {
+        let n = self.n;
+        let mut t = vec![0.0; n * n];
+        (0..n).for_each(|i| t[i * n + i] = 1.0);
+        t.extend(gain.iter().map(|v| -v));
+        t
     }
 
     /// Eliminates from the last sample to the first.
     pub(super) fn factor(&self) -> Result<Factor, NotPositive> {
-        let (n, m, last) = (self.n, self.noisy.len(), self.samples - 1);
+        let (n, m, width, last) = (self.n, self.m, self.width(), self.samples - 1);
         let nn = n * n;
         let mut f = Factor {
             p: self.q.clone(),
             s: vec![0.0; last * m * m],
             gain: vec![0.0; last * m * n],
-            m: vec![0.0; last * nn],
             first: Vec::new(),
         };
-        let (mut pf, mut ma) = (vec![0.0; nn], vec![0.0; nn]);
+        let (mut pb, mut h) = (vec![0.0; n * width], vec![0.0; width * width]);
+        let (mut bt, mut pbt, mut ct) = (vec![0.0; nn], vec![0.0; nn], vec![0.0; width * n]);
         for k in (0..last).rev() {
             let (before, after) = f.p.split_at_mut((k + 1) * nn);
             let (p, next) = (&mut before[k * nn..], &after[..nn]);
-            let g = &self.g[k * m..(k + 1) * m];
-            let s = &mut f.s[k * m * m..(k + 1) * m * m];
-            let gain = &mut f.gain[k * m * n..(k + 1) * m * n];
-            for (i, &row) in self.noisy.iter().enumerate() {
-                for (j, &column) in self.noisy.iter().enumerate() {
-                    s[i * m + j] = f64::from(i == j) + g[i] * next[row * n + column] * g[j];
-                }
-                for c in 0..n {
-                    gain[i * n + c] = g[i] * next[row * n + c];
-                }
+            let (b, c) = (self.of(&self.b, k, n, width), self.of(&self.c, k, width, width));
+            product(&mut pb, next, b, [n, n, width]);
+            h.copy_from_slice(c);
+            add_transposed_product(&mut h, b, &pb, [width, n, width]);
+            let (s, gain) = (&mut f.s[k * m * m..(k + 1) * m * m], &mut f.gain[k * m * n..(k + 1) * m * n]);
+            for i in 0..m {
+                let row = &h[(n + i) * width..(n + i + 1) * width];
+                gain[i * n..(i + 1) * n].copy_from_slice(&row[..n]);
+                s[i * m..(i + 1) * m].copy_from_slice(&row[n..]);
+                s[i * m + i] += 1.0;
             }
             cholesky(s, m).map_err(|_| NotPositive::Noise)?;
             solve(s, gain, m, n);
-            // M = Fᵀ P F + Lᵀ L (Joseph's form): it cannot lose its definiteness to rounding.
-            let closed = self.closed(k, gain);
-            product(&mut pf, next, &closed, [n, n, n]);
-            let matrix = &mut f.m[k * nn..(k + 1) * nn];
-            add_transposed_product(matrix, &closed, &pf, [n, n, n]);
-            add_transposed_product(matrix, gain, gain, [n, m, n]);
-            let a = &self.a[k * nn..(k + 1) * nn];
-            product(&mut ma, matrix, a, [n, n, n]);
-            add_transposed_product(p, a, &ma, [n, n, n]);
+            // Tᵀ H T (Joseph's form): what is a sum of squares cannot lose its definiteness to rounding.
+            let t = self.closed(gain);
+            product(&mut bt, b, &t, [n, width, n]);
+            product(&mut pbt, next, &bt, [n, n, n]);
+            product(&mut ct, c, &t, [width, width, n]);
+            add_transposed_product(p, &bt, &pbt, [n, n, n]);
+            add_transposed_product(p, gain, gain, [n, m, n]);
+            add_transposed_product(p, &t, &ct, [n, width, n]);
             symmetrise(p, n);
         }
         f.first = f.p[..nn].to_vec();
@@ -149,39 +160,39 @@ impl Chain {
     /// ln det of the Hessian in what is random: the noises ε, and first states with a prior in units of its
     /// standard deviation.
     pub(super) fn log_det(&self, f: &Factor) -> Result<f64, NotPositive> {
-        let m = self.noisy.len();
-        let noise: f64 =
-            if m == 0 { 0.0 } else { f.s.chunks_exact(m * m).map(|s| log_det(s, m)).sum::<f64>() };
+        let m = self.m;
+        let noise: f64 = f.s.chunks_exact(m * m).map(|s| log_det(s, m)).sum();
         Ok(noise + log_det(&self.random_first(f)?, self.random().len()))
     }
 
-    /// Covariances W_k of the states, N of (n, n), where the first is `first`.
-    fn spread(&self, f: &Factor, first: Vec<f64>) -> Vec<f64> {
-        let (n, m) = (self.n, self.noisy.len());
-        let nn = n * n;
-        let mut w = first;
-        w.reserve(self.samples * nn);
-        let (mut fa, mut faw) = (vec![0.0; nn], vec![0.0; nn]);
+    /// Covariances, where that of the first state is `first`.
+    fn spread(&self, f: &Factor, first: Vec<f64>) -> Spread {
+        let (n, m, width) = (self.n, self.m, self.width());
+        let mut out = Spread { x: first.clone(), z: Vec::with_capacity((self.samples - 1) * width * width) };
+        let mut now = first;
+        let (mut tw, mut z, mut bz) = (vec![0.0; width * n], vec![0.0; width * width], vec![0.0; n * width]);
         for k in 0..self.samples - 1 {
-            let gain = &f.gain[k * m * n..(k + 1) * m * n];
-            product(&mut fa, &self.closed(k, gain), &self.a[k * nn..(k + 1) * nn], [n, n, n]);
-            product(&mut faw, &fa, &w[k * nn..(k + 1) * nn], [n, n, n]);
-            let mut next = vec![0.0; nn];
-            product_transposed(&mut next, &faw, &fa, [n, n, n]);
-            let inverse = inverse(&f.s[k * m * m..(k + 1) * m * m], m);
-            for (i, &row) in self.noisy.iter().enumerate() {
-                for (j, &column) in self.noisy.iter().enumerate() {
-                    next[row * n + column] += self.g[k * m + i] * inverse[i * m + j] * self.g[k * m + j];
+            let t = self.closed(self.of(&f.gain, k, m, n));
+            product(&mut tw, &t, &now, [width, n, n]);
+            product_transposed(&mut z, &tw, &t, [width, n, width]);
+            let free = inverse(self.of(&f.s, k, m, m), m);
+            for i in 0..m {
+                for j in 0..m {
+                    z[(n + i) * width + n + j] += free[i * m + j];
                 }
             }
-            symmetrise(&mut next, n);
-            w.extend(next);
+            let b = self.of(&self.b, k, n, width);
+            product(&mut bz, b, &z, [n, width, width]);
+            product_transposed(&mut now, &bz, b, [n, width, n]);
+            symmetrise(&mut now, n);
+            out.x.extend(&now);
+            out.z.extend(&z);
         }
-        w
+        out
     }
 
-    /// Covariances of the states by what is random: ½ W_k is the derivative of ½ ln det with respect to Q_k.
-    pub(super) fn random_covariances(&self, f: &Factor) -> Result<Vec<f64>, NotPositive> {
+    /// Covariances of what is random: half of them is the derivative of ½ ln det with respect to Q and C.
+    pub(super) fn random_covariances(&self, f: &Factor) -> Result<Spread, NotPositive> {
         let (n, random) = (self.n, self.random());
         let block = inverse(&self.random_first(f)?, random.len());
         let mut first = vec![0.0; n * n];
@@ -193,58 +204,49 @@ impl Chain {
         Ok(self.spread(f, first))
     }
 
-    /// Covariances of the states given all data and the parameters.
+    /// Covariances of the states given all data and the parameters, N of (n, n).
     pub(super) fn covariances(&self, f: &Factor) -> Vec<f64> {
-        self.spread(f, inverse(&f.first, self.n))
+        self.spread(f, inverse(&f.first, self.n)).x
     }
 
-    /// Derivatives of ½ ln det with respect to g: N−1 of m, from the covariances of [`Chain::random_covariances`].
-    pub(super) fn noise_slopes(&self, f: &Factor, w: &[f64]) -> Vec<f64> {
-        let (n, m) = (self.n, self.noisy.len());
-        let nn = n * n;
-        let mut out = vec![0.0; (self.samples - 1) * m];
-        let (mut aw, mut spread, mut mw) = (vec![0.0; nn], vec![0.0; nn], vec![0.0; nn]);
-        for k in 0..self.samples - 1 {
-            let a = &self.a[k * nn..(k + 1) * nn];
-            product(&mut aw, a, &w[k * nn..(k + 1) * nn], [n, n, n]);
-            product_transposed(&mut spread, &aw, a, [n, n, n]);
-            product(&mut mw, &f.m[k * nn..(k + 1) * nn], &spread, [n, n, n]);
-            let gain = &f.gain[k * m * n..(k + 1) * m * n];
-            for (i, &state) in self.noisy.iter().enumerate() {
-                let gain = &gain[i * n..(i + 1) * n];
-                out[k * m + i] = gain[state] - dot(&mw[state * n..(state + 1) * n], gain);
-            }
+    /// Derivatives of ½ ln det with respect to B_k, N−1 of (n, n + m): P_{k+1} B_k W with W the covariance of z_k, for
+    /// the slope of all that comes after is P_{k+1} x_{k+1} once later noises have answered.
+    pub(super) fn passage_slopes(&self, f: &Factor, spread: &Spread) -> Vec<f64> {
+        let (n, width) = (self.n, self.width());
+        let mut out = vec![0.0; (self.samples - 1) * n * width];
+        let mut bw = vec![0.0; n * width];
+        for (k, out) in out.chunks_exact_mut(n * width).enumerate() {
+            let (b, w) = (self.of(&self.b, k, n, width), self.of(&spread.z, k, width, width));
+            product(&mut bw, b, w, [n, width, width]);
+            product(out, self.of(&f.p, k + 1, n, n), &bw, [n, n, width]);
         }
         out
     }
 
     /// Solves the quadratic program: `gx` N of n, `ge` N−1 of m, the gaps `d` N−1 of n.
     pub(super) fn solve(&self, f: &Factor, gx: &[f64], ge: &[f64], d: &[f64]) -> Step {
-        let (n, m, last) = (self.n, self.noisy.len(), self.samples - 1);
-        let nn = n * n;
+        let (n, m, width, last) = (self.n, self.m, self.width(), self.samples - 1);
         let mut linear = gx.to_vec();
         let mut feed = vec![0.0; last * m];
         let mut decrement = 0.0;
-        let (mut slope, mut back) = (vec![0.0; n], vec![0.0; m]);
+        let (mut slope, mut along) = (vec![0.0; n], vec![0.0; width]);
         for k in (0..last).rev() {
-            let next = &f.p[(k + 1) * nn..(k + 2) * nn];
+            let next = self.of(&f.p, k + 1, n, n);
             for i in 0..n {
                 slope[i] = linear[(k + 1) * n + i] + dot(&next[i * n..(i + 1) * n], &d[k * n..(k + 1) * n]);
             }
-            let g = &self.g[k * m..(k + 1) * m];
+            along[..n].fill(0.0);
+            along[n..].copy_from_slice(&ge[k * m..(k + 1) * m]);
+            add_transposed_product(&mut along, self.of(&self.b, k, n, width), &slope, [width, n, 1]);
             let right = &mut feed[k * m..(k + 1) * m];
-            for (i, &state) in self.noisy.iter().enumerate() {
-                right[i] = ge[k * m + i] + g[i] * slope[state];
-            }
-            back.copy_from_slice(right);
-            solve(&f.s[k * m * m..(k + 1) * m * m], right, m, 1);
-            decrement += dot(&back, right);
+            right.copy_from_slice(&along[n..]);
+            solve(self.of(&f.s, k, m, m), right, m, 1);
+            decrement += dot(&along[n..], right);
+            let gain = self.of(&f.gain, k, m, n);
             for i in 0..n {
-                let through: f64 = (0..m).map(|j| next[i * n + self.noisy[j]] * g[j] * right[j]).sum();
-                slope[i] -= through;
+                let through: f64 = (0..m).map(|j| gain[j * n + i] * along[n + j]).sum();
+                linear[k * n + i] += along[i] - through;
             }
-            let a = &self.a[k * nn..(k + 1) * nn];
-            add_transposed_product(&mut linear[k * n..(k + 1) * n], a, &slope, [n, n, 1]);
         }
         let mut step = Step {
             x: linear[..n].iter().map(|p| -p).collect(),
@@ -254,75 +256,60 @@ impl Chain {
         };
         solve(&f.first, &mut step.x, n, 1);
         step.decrement = decrement - dot(&step.x, &linear[..n]);
-        let mut next = vec![0.0; n];
+        let mut z = vec![0.0; width];
         for k in 0..last {
-            let x = &step.x[k * n..(k + 1) * n];
-            let a = &self.a[k * nn..(k + 1) * nn];
-            for i in 0..n {
-                next[i] = d[k * n + i] + dot(&a[i * n..(i + 1) * n], x);
+            z[..n].copy_from_slice(&step.x[k * n..(k + 1) * n]);
+            let gain = self.of(&f.gain, k, m, n);
+            for i in 0..m {
+                z[n + i] = -feed[k * m + i] - dot(&gain[i * n..(i + 1) * n], &z[..n]);
             }
-            let gain = &f.gain[k * m * n..(k + 1) * m * n];
-            // κ holds S⁻¹ Gᵀ P d already.
-            let ax: Vec<f64> = (0..n).map(|i| next[i] - d[k * n + i]).collect();
-            for (i, &state) in self.noisy.iter().enumerate() {
-                let e = -feed[k * m + i] - dot(&gain[i * n..(i + 1) * n], &ax);
-                step.e[k * m + i] = e;
-                next[state] += self.g[k * m + i] * e;
-            }
-            step.x.extend(&next);
-            let p = &f.p[(k + 1) * nn..(k + 2) * nn];
+            step.e[k * m..(k + 1) * m].copy_from_slice(&z[n..]);
+            let b = self.of(&self.b, k, n, width);
+            let next: Vec<f64> =
+                (0..n).map(|i| d[k * n + i] + dot(&b[i * width..(i + 1) * width], &z)).collect();
+            let p = self.of(&f.p, k + 1, n, n);
             for i in 0..n {
                 step.lambda[k * n + i] = linear[(k + 1) * n + i] + dot(&p[i * n..(i + 1) * n], &next);
             }
+            step.x.extend(&next);
         }
         step
     }
 
     /// The Hessian in p parameters once path and noises are eliminated (the Schur complement), and how the first
-    /// state follows them, (n, p): `b` N−1 of ∂Φ/∂θ (n, p); `cross` N of the Hessian between x and θ (n, p),
+    /// state follows them, (n, p): `by_p` N−1 of ∂Φ/∂θ (n, p); `cross` N of the Hessian between x and θ (n, p),
     /// `own` (p, p) between parameters, summed.
     pub(super) fn border(
         &self,
         f: &Factor,
-        b: &[f64],
+        by_p: &[f64],
         cross: &[f64],
         own: &[f64],
         p: usize,
     ) -> (Vec<f64>, Vec<f64>) {
-        let (n, m, last) = (self.n, self.noisy.len(), self.samples - 1);
-        let (nn, np) = (n * n, n * p);
+        let (n, m, width, last) = (self.n, self.m, self.width(), self.samples - 1);
+        let np = n * p;
         let mut schur = own.to_vec();
         let mut now = cross[last * np..].to_vec();
         let mut r = vec![0.0; np];
         for k in (0..last).rev() {
-            let next = &f.p[(k + 1) * nn..(k + 2) * nn];
-            let (b, g) = (&b[k * np..(k + 1) * np], &self.g[k * m..(k + 1) * m]);
-            product(&mut r, next, b, [n, n, p]);
+            let by_p = &by_p[k * np..(k + 1) * np];
+            product(&mut r, self.of(&f.p, k + 1, n, n), by_p, [n, n, p]);
             // bᵀ P b + bᵀ V + Vᵀ b, with V the block between x and θ.
-            add_transposed_product(&mut schur, b, &r, [p, n, p]);
-            add_transposed_product(&mut schur, b, &now, [p, n, p]);
-            add_transposed_product(&mut schur, &now, b, [p, n, p]);
+            add_transposed_product(&mut schur, by_p, &r, [p, n, p]);
+            add_transposed_product(&mut schur, by_p, &now, [p, n, p]);
+            add_transposed_product(&mut schur, &now, by_p, [p, n, p]);
             r.iter_mut().zip(&now).for_each(|(r, v)| *r += v);
-            let mut through = vec![0.0; m * p];
-            for (i, &state) in self.noisy.iter().enumerate() {
-                for c in 0..p {
-                    through[i * p + c] = g[i] * r[state * p + c];
-                }
-            }
-            let mut solved = through.clone();
-            solve(&f.s[k * m * m..(k + 1) * m * m], &mut solved, m, p);
-            let minus: Vec<f64> = through.iter().map(|v| -v).collect();
-            add_transposed_product(&mut schur, &minus, &solved, [p, m, p]);
-            for i in 0..n {
-                for (j, &state) in self.noisy.iter().enumerate() {
-                    let factor = next[i * n + state] * g[j];
-                    for c in 0..p {
-                        r[i * p + c] -= factor * solved[j * p + c];
-                    }
-                }
-            }
+            let mut along = vec![0.0; width * p];
+            add_transposed_product(&mut along, self.of(&self.b, k, n, width), &r, [width, n, p]);
+            let (of_x, of_e) = along.split_at(np);
+            let mut solved: Vec<f64> = of_e.iter().map(|v| -v).collect();
+            solve(self.of(&f.s, k, m, m), &mut solved, m, p);
+            add_transposed_product(&mut schur, of_e, &solved, [p, m, p]);
             now.copy_from_slice(&cross[k * np..(k + 1) * np]);
-            add_transposed_product(&mut now, &self.a[k * nn..(k + 1) * nn], &r, [n, n, p]);
+            now.iter_mut().zip(of_x).for_each(|(now, v)| *now += v);
+            let minus: Vec<f64> = of_e.iter().map(|v| -v).collect();
+            add_transposed_product(&mut now, self.of(&f.gain, k, m, n), &minus, [n, m, p]);
         }
         let mut follows: Vec<f64> = now.iter().map(|v| -v).collect();
         solve(&f.first, &mut follows, n, p);

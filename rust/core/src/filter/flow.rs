@@ -1,21 +1,25 @@
-//! Φ, the solution of the state equations from a sample to the next, with its exact first and second derivatives.
+//! Φ(z), the solution of the state equations from a sample to the next by states and noises z = (x, ε), with its exact
+//! first and second derivatives.
 //!
 //! A Runge-Kutta step of the variational equations is the derivative of the Runge-Kutta step; second derivatives
 //! weighted by multipliers are collected in a reverse sweep over the stages.
 
-use super::block::{Loaded, blocks, compile};
+use super::block::{Block, Loaded, blocks, compile};
 use super::jet::{symbols, weighted};
+use super::noises::Driven;
 use super::steps::{Intervals, REACH, WEIGHTS, add_scaled, forward};
-use crate::model::Compiled;
-use crate::tape::{Tape, Workspace};
+use crate::tape::{LANE_MULTIPLE, Tape, Workspace};
 
 /// The state equations with their derivatives, compiled.
 #[derive(Clone, Debug)]
 pub(super) struct Flow {
     n: usize,
+    /// Noises of an interval.
+    m: usize,
+    /// Parameters of the model.
     p: usize,
     value: Tape,
-    /// Entries of ∂f/∂(x, θ).
+    /// Entries of ∂f/∂(x, ε, θ).
     jacobian: Tape,
     jacobian_entries: Vec<(usize, usize)>,
     /// Entries, row ≥ column, of the weighted ∂²f/∂x².
@@ -28,32 +32,34 @@ pub(super) struct Flow {
 pub(super) struct Linear {
     /// Φ, of n.
     pub(super) end: Vec<f64>,
-    /// Φ_x, of (n, n).
-    pub(super) a: Vec<f64>,
-    /// Φ_θ, of (n, p), where asked for.
+    /// Φ_z, of (n, n + m).
     pub(super) b: Vec<f64>,
-    /// Σ_i λ_i ∂²Φ_i/∂x², of (n, n).
+    /// Φ_θ by the model's parameters, of (n, p), where asked for.
+    pub(super) by_p: Vec<f64>,
+    /// Σ_i λ_i ∂²Φ_i/∂z², of (n + m, n + m).
     pub(super) curvature: Vec<f64>,
 }
 
 impl Flow {
-    pub(super) fn new(model: &Compiled) -> Flow {
-        let mut graph = model.graph.clone();
-        let (x, theta, f) = (&model.states, &model.parameters, &model.dynamics);
-        let (n, p) = (x.len(), theta.len());
-        let value = compile(&graph, &[&model.data, x], theta, f);
+    /// `p` is the number of the model's own parameters among those of `driven`.
+    pub(super) fn new(driven: &Driven, p: usize) -> Flow {
+        let mut graph = driven.graph.clone();
+        let (z, theta, f) = (&driven.z, &driven.theta, &driven.f);
+        let value = compile(&graph, &[&driven.data, z], theta, f);
 
-        let variables = [x.clone(), theta.clone()].concat();
+        let variables = [z, &theta[..p]].concat();
         let first = graph.jacobian(f, &variables);
-        let jacobian = compile(&graph, &[&model.data, x], theta, &first.values);
+        let jacobian = compile(&graph, &[&driven.data, z], theta, &first.values);
 
-        let weights = symbols(&mut graph, "weight of slope", n);
+        // f is linear in the noises, which do not meet the states there.
+        let weights = symbols(&mut graph, "weight of slope", driven.n);
         let sum = weighted(&mut graph, &weights, f);
-        let second = graph.hessian(sum, x);
-        let hessian = compile(&graph, &[&model.data, x, &weights], theta, &second.values);
+        let second = graph.hessian(sum, driven.x());
+        let hessian = compile(&graph, &[&driven.data, z, &weights], theta, &second.values);
 
         Flow {
-            n,
+            n: driven.n,
+            m: driven.noises().len(),
             p,
             value,
             jacobian,
@@ -63,14 +69,27 @@ impl Flow {
         }
     }
 
-    /// Φ from the states at all samples but the last: rows of n.
-    pub(super) fn ends(&self, theta: &[f64], intervals: &Intervals, x: &[f64]) -> Vec<f64> {
+    /// Φ from the states at all samples but the last, rows of n, and the noises, rows of m.
+    pub(super) fn ends(&self, theta: &[f64], intervals: &Intervals, x: &[f64], e: &[f64]) -> Vec<f64> {
         let (mut out, mut workspace) = (vec![0.0; intervals.h.len() * self.n], Workspace::default());
         let value = Loaded::new(&self.value, theta);
         for block in blocks(intervals.h.len()) {
-            let start = block.gather(x, self.n);
-            let end = forward(&value, intervals, &block, start, &[], &mut workspace, |_| ());
+            let (start, e) = (block.gather(x, self.n), block.gather(e, self.m));
+            let end = forward(&value, intervals, &block, start, &e, &mut workspace, |_| ());
             block.scatter(&end, &mut out, self.n);
+        }
+        out
+    }
+
+    /// The states of a whole record from the first, with noises: N of n.
+    pub(super) fn along(&self, theta: &[f64], intervals: &Intervals, first: &[f64], e: &[f64]) -> Vec<f64> {
+        let (mut out, mut workspace) = (first.to_vec(), Workspace::default());
+        let value = Loaded::new(&self.value, theta);
+        for k in 0..intervals.h.len() {
+            let block = Block { first: k, count: 1, lanes: LANE_MULTIPLE };
+            let (start, e) = (block.gather(&out, self.n), block.gather(e, self.m));
+            let end = forward(&value, intervals, &block, start, &e, &mut workspace, |_| ());
+            out.extend(end.iter().step_by(LANE_MULTIPLE));
         }
         out
     }
@@ -81,26 +100,29 @@ impl Flow {
         theta: &[f64],
         intervals: &Intervals,
         x: &[f64],
+        e: &[f64],
         lambda: Option<&[f64]>,
         by_parameters: bool,
     ) -> Linear {
         let (n, count) = (self.n, intervals.h.len());
-        let columns = n + if by_parameters { self.p } else { 0 };
+        let width = n + self.m;
+        let columns = width + if by_parameters { self.p } else { 0 };
         let mut out = Linear {
             end: vec![0.0; count * n],
-            a: vec![0.0; count * n * n],
-            b: vec![0.0; if by_parameters { count * n * self.p } else { 0 }],
-            curvature: vec![0.0; count * n * n],
+            b: vec![0.0; count * n * width],
+            by_p: vec![0.0; if by_parameters { count * n * self.p } else { 0 }],
+            curvature: vec![0.0; count * width * width],
         };
         let tapes = [&self.value, &self.jacobian, &self.hessian].map(|t| Loaded::new(t, theta));
         let mut workspace = Workspace::default();
         for block in blocks(count) {
             let lanes = block.lanes;
             let steps = intervals.steps(&block);
-            // Points, entries of the Jacobian, and sensitivities to (x_k, θ) of every stage.
+            // Points, entries of the Jacobian, and sensitivities to (x_k, ε_k, θ) of every stage.
             let mut points: Vec<[Vec<f64>; 4]> = Vec::new();
-            let start = block.gather(x, n);
-            let end = forward(&tapes[0], intervals, &block, start, &[], &mut workspace, |p| points.push(p));
+            let (start, noise) = (block.gather(x, n), block.gather(e, self.m));
+            let end =
+                forward(&tapes[0], intervals, &block, start, &noise, &mut workspace, |p| points.push(p));
             block.scatter(&end, &mut out.end, n);
 
             let mut sensitivity = vec![0.0; n * columns * lanes];
@@ -116,7 +138,8 @@ impl Flow {
                     let mut here = sensitivity.clone();
                     add_scaled(&mut here, &slope, &steps, REACH[stage]);
                     let mut e = vec![0.0; self.jacobian_entries.len() * lanes];
-                    tapes[1].run(&mut workspace, lanes, &[&data[stage], &points[stage]], &mut e);
+                    let inputs = [&data[stage][..], &points[stage], &noise];
+                    tapes[1].run(&mut workspace, lanes, &inputs, &mut e);
                     self.vary(&e, &here, columns, lanes, &mut slope);
                     add_scaled(&mut total, &slope, &steps, WEIGHTS[stage]);
                     (of_step[stage], kept[stage]) = (e, here);
@@ -130,17 +153,17 @@ impl Flow {
                     let column = &sensitivity[(r * columns + c) * lanes..][..block.count];
                     for (l, &v) in column.iter().enumerate() {
                         let k = block.first + l;
-                        if c < n {
-                            out.a[(k * n + r) * n + c] = v;
+                        if c < width {
+                            out.b[(k * n + r) * width + c] = v;
                         } else {
-                            out.b[(k * n + r) * self.p + c - n] = v;
+                            out.by_p[(k * n + r) * self.p + c - width] = v;
                         }
                     }
                 }
             }
             let Some(lambda) = lambda.filter(|_| !self.hessian_entries.is_empty()) else { continue };
             let mut adjoint = block.gather(lambda, n);
-            let mut curvature = vec![0.0; n * n * lanes];
+            let mut curvature = vec![0.0; width * width * lanes];
             for substep in (0..points.len()).rev() {
                 let data = intervals.stages(&block, substep);
                 let mut sum = adjoint.clone();
@@ -152,7 +175,7 @@ impl Flow {
                         add_scaled(&mut weight, &later, &steps, REACH[stage + 1]);
                     }
                     let mut second = vec![0.0; self.hessian_entries.len() * lanes];
-                    let inputs = [&data[stage][..], &points[substep][stage], &weight];
+                    let inputs = [&data[stage][..], &points[substep][stage], &noise, &weight];
                     tapes[2].run(&mut workspace, lanes, &inputs, &mut second);
                     self.bend(&second, &at_stage[substep][stage], columns, lanes, &mut curvature);
                     later.fill(0.0);
@@ -167,12 +190,12 @@ impl Flow {
                 }
                 adjoint = sum;
             }
-            block.scatter(&curvature, &mut out.curvature, n * n);
+            block.scatter(&curvature, &mut out.curvature, width * width);
         }
         out
     }
 
-    /// slope = f_x · here + f_θ, entry by entry over lanes.
+    /// slope = f_x · here + (0, f_ε, f_θ), entry by entry over lanes.
     fn vary(&self, entries: &[f64], here: &[f64], columns: usize, lanes: usize, slope: &mut [f64]) {
         slope.fill(0.0);
         for (&(r, c), e) in self.jacobian_entries.iter().zip(entries.chunks_exact(lanes)) {
@@ -188,17 +211,17 @@ impl Flow {
         }
     }
 
-    /// curvature += Xᵀ f_xx X with the sensitivities X to x_k.
+    /// curvature += Xᵀ f_xx X with the sensitivities X to z_k.
     fn bend(&self, second: &[f64], at: &[f64], columns: usize, lanes: usize, curvature: &mut [f64]) {
-        let n = self.n;
+        let width = self.n + self.m;
         let row = |a: usize, j: usize| &at[(a * columns + j) * lanes..][..lanes];
         let mut scaled = vec![0.0; lanes];
         for (&(a, b), h) in self.hessian_entries.iter().zip(second.chunks_exact(lanes)) {
             for (a, b) in if a == b { vec![(a, b)] } else { vec![(a, b), (b, a)] } {
-                for i in 0..n {
+                for i in 0..width {
                     scaled.iter_mut().zip(h).zip(row(a, i)).for_each(|((s, h), x)| *s = h * x);
-                    for j in 0..n {
-                        add_product(&mut curvature[(i * n + j) * lanes..][..lanes], &scaled, row(b, j));
+                    for j in 0..width {
+                        add_product(&mut curvature[(i * width + j) * lanes..][..lanes], &scaled, row(b, j));
                     }
                 }
             }

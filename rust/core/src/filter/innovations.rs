@@ -62,17 +62,19 @@ pub(super) fn innovations(at: &At<'_>, found: &Found) -> Innovations {
             }
         }
         // Prediction: the path's own noise G ε is part of the path, not of the prediction.
-        let a = &found.chain.a[k * nn..(k + 1) * nn];
-        let mut next: Vec<f64> = (0..n).map(|i| dot(&a[i * n..(i + 1) * n], &dx)).collect();
-        let mut ap = vec![0.0; nn];
-        product(&mut ap, a, &p, [n, n, n]);
-        product_transposed(&mut p, &ap, a, [n, n, n]);
-        let m = at.noisy.len();
-        for (i, &state) in at.noisy.iter().enumerate() {
-            let g = found.chain.g[k * m + i];
-            next[state] -= g * found.path.e[k * m + i];
-            p[state * n + state] += g * g;
+        let (m, width) = (found.chain.m, found.chain.width());
+        let e = &found.path.e[k * m..(k + 1) * m];
+        let z: Vec<f64> = dx.iter().copied().chain(e.iter().map(|e| -e)).collect();
+        let b = &found.chain.b[k * n * width..(k + 1) * n * width];
+        let next = (0..n).map(|i| dot(&b[i * width..(i + 1) * width], &z)).collect();
+        let mut spread = vec![0.0; width * width];
+        for i in 0..n {
+            spread[i * width..i * width + n].copy_from_slice(&p[i * n..(i + 1) * n]);
         }
+        (n..width).for_each(|i| spread[i * width + i] = 1.0);
+        let mut bp = vec![0.0; n * width];
+        product(&mut bp, b, &spread, [n, width, width]);
+        product_transposed(&mut p, &bp, b, [n, width, n]);
         symmetrise(&mut p, n);
         dx = next;
     }

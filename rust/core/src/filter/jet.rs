@@ -1,30 +1,33 @@
-//! Third derivatives of Φ, which the gradient of ln det needs. With X = ∂x/∂x_k and a symmetric matrix W, the system
+//! Third derivatives of Φ, which the gradient of ln det needs. With z = (x, ε) at the start of an interval, X = ∂x/∂z and a
+//! symmetric matrix W, the system
 //!
 //! ```text
-//!   ẋ = f,     Ẋ = f_x X,     ṡ = f_x s + Σ_ab f_ab (X W Xᵀ)_ab,         X = I and s = 0 at the start
+//!   ẋ = f,    Ẋ = f_x X + (0, f_ε),    ṡ = f_x s + Σ_ab f_ab (X W Xᵀ)_ab,        X = (I, 0) and s = 0 at the start
 //! ```
 //!
-//! ends in Φ, Φ_x and s = Σ_ab W_ab ∂²Φ/∂x_a∂x_b, and one reverse sweep through its Runge-Kutta steps gives the
+//! ends in Φ, Φ_z and s = Σ_ab W_ab ∂²Φ/∂z_a∂z_b, and one reverse sweep through its Runge-Kutta steps gives the
 //! gradient of any weighted sum of the three.
 
 use super::block::{Block, Loaded, blocks, compile};
+use super::noises::Driven;
 use super::steps::{Intervals, REACH, WEIGHTS, add_scaled, forward};
 use crate::expr::derive::Sparse;
 use crate::expr::graph::{Graph, Id};
-use crate::model::Compiled;
 use crate::tape::{Tape, Workspace};
 
 /// The system, compiled.
 #[derive(Clone, Debug)]
 pub(super) struct Jets {
     n: usize,
+    /// Noises of an interval.
+    m: usize,
     /// Slopes of x, X and, where f is curved, s.
     slope: Tape,
     /// Gradient of their weighted sum.
     back: Tape,
-    /// What it is by: x, X, s, then θ.
+    /// What it is by: x, X, s, then ε, then θ.
     back_places: Vec<usize>,
-    /// n + n² + n, or n + n² where f is linear in x.
+    /// n + n (n + m) + n, without the last n where f is linear in x.
     dimensions: usize,
 }
 
@@ -33,90 +36,97 @@ pub(super) struct Jets {
 pub(super) struct Jet {
     block: Block,
     points: Vec<[Vec<f64>; 4]>,
-    w: Vec<f64>,
+    /// Noises and covariances.
+    constants: Vec<f64>,
 }
 
-/// Weights of Φ, Φ_x and s, all intervals.
+/// Weights of Φ, Φ_z and s, all intervals.
 pub(super) struct Weights<'a> {
     pub(super) end: &'a [f64],
-    pub(super) a: &'a [f64],
+    pub(super) b: &'a [f64],
     pub(super) s: &'a [f64],
 }
 
 impl Jets {
-    pub(super) fn new(model: &Compiled) -> Jets {
-        let mut graph = model.graph.clone();
-        let (x, theta, f) = (&model.states, &model.parameters, &model.dynamics);
-        let n = x.len();
-        let first = graph.jacobian(f, x);
+    pub(super) fn new(driven: &Driven) -> Jets {
+        let mut graph = driven.graph.clone();
+        let (x, theta, f) = (driven.x(), &driven.theta, &driven.f);
+        let (n, width) = (driven.n, driven.z.len());
+        let first = graph.jacobian(f, &driven.z);
         let curved = f.iter().any(|&f| !graph.hessian(f, x).values.is_empty());
-        let mut jet =
-            JetSystem { sensitivity: symbols(&mut graph, "sensitivity", n * n), ..Default::default() };
-        jet.curvature = symbols(&mut graph, "curvature", if curved { n } else { 0 });
-        jet.w = symbols(&mut graph, "covariance", n * (n + 1) / 2);
+        let jet = JetSystem {
+            width,
+            sensitivity: symbols(&mut graph, "sensitivity", n * width),
+            curvature: symbols(&mut graph, "curvature", if curved { n } else { 0 }),
+            w: symbols(&mut graph, "covariance", width * (width + 1) / 2),
+        };
         let slopes = jet.slopes(&mut graph, f, x, &first);
-        let state = [x.clone(), jet.sensitivity.clone(), jet.curvature.clone()].concat();
-        let slope = compile(&graph, &[&model.data, &state, &jet.w], theta, &slopes);
+        let state = [x, &jet.sensitivity, &jet.curvature].concat();
+        let constants = [driven.noises(), &jet.w].concat();
+        let slope = compile(&graph, &[&driven.data, &state, &constants], theta, &slopes);
         let weights = symbols(&mut graph, "weight of jet", slopes.len());
         let sum = weighted(&mut graph, &weights, &slopes);
-        let gradient = graph.gradient(sum, &[state.clone(), theta.clone()].concat());
+        let gradient = graph.gradient(sum, &[&state, driven.noises(), theta].concat());
         let (places, nodes): (Vec<usize>, Vec<Id>) =
             gradient.iter().enumerate().filter_map(|(i, d)| d.map(|d| (i, d))).unzip();
-        let back = compile(&graph, &[&model.data, &state, &jet.w, &weights], theta, &nodes);
-        Jets { n, slope, back, back_places: places, dimensions: slopes.len() }
+        let back = compile(&graph, &[&driven.data, &state, &constants, &weights], theta, &nodes);
+        Jets { n, m: width - n, slope, back, back_places: places, dimensions: slopes.len() }
     }
 
-    /// Runs the jet forward with covariances `w` ((n, n) an interval): the points of its stages, and
-    /// s = Σ W_ab ∂²Φ/∂x_a∂x_b, rows of n.
+    /// Runs the jet forward with covariances `w` ((n + m, n + m) an interval): the points of its stages, and
+    /// s = Σ W_ab ∂²Φ/∂z_a∂z_b, rows of n.
     pub(super) fn run(
         &self,
         theta: &[f64],
         intervals: &Intervals,
         x: &[f64],
+        e: &[f64],
         w: &[f64],
     ) -> (Vec<Jet>, Vec<f64>) {
-        let (n, count) = (self.n, intervals.h.len());
+        let (n, width, count) = (self.n, self.n + self.m, intervals.h.len());
         let (mut s, mut workspace) = (vec![0.0; count * n], Workspace::default());
         let tape = Loaded::new(&self.slope, theta);
-        let lower: Vec<f64> = w.chunks_exact(n * n).flat_map(|w| lower(w, n)).collect();
+        let lower: Vec<f64> = w.chunks_exact(width * width).flat_map(|w| lower(w, width)).collect();
         let mut jets = Vec::new();
         for block in blocks(count) {
             let mut start = block.gather(x, n);
             start.resize(self.dimensions * block.lanes, 0.0);
-            (0..n).for_each(|i| start[(n + i * n + i) * block.lanes..][..block.lanes].fill(1.0));
-            let w = block.gather(&lower, n * (n + 1) / 2);
+            (0..n).for_each(|i| start[(n + i * width + i) * block.lanes..][..block.lanes].fill(1.0));
+            let mut constants = block.gather(e, self.m);
+            constants.extend(block.gather(&lower, width * (width + 1) / 2));
             let mut points = Vec::new();
-            let end = forward(&tape, intervals, &block, start, &w, &mut workspace, |p| points.push(p));
-            if self.dimensions > n + n * n {
-                block.scatter(&end[(n + n * n) * block.lanes..], &mut s, n);
+            let end =
+                forward(&tape, intervals, &block, start, &constants, &mut workspace, |p| points.push(p));
+            if self.dimensions > n + n * width {
+                block.scatter(&end[(n + n * width) * block.lanes..], &mut s, n);
             }
-            jets.push(Jet { block, points, w });
+            jets.push(Jet { block, points, constants });
         }
         (jets, s)
     }
 
-    /// Gradient of the weighted sum of Φ, Φ_x and s: by x_k, added to rows of n, and by the parameters, added to
-    /// `by_theta`.
+    /// Gradient of the weighted sum of Φ, Φ_z and s: by x_k, added to rows of n, by ε_k, added to rows of m, and by the
+    /// parameters, added to `by_theta`.
     pub(super) fn pull_back(
         &self,
         theta: &[f64],
         intervals: &Intervals,
         jets: &[Jet],
         weights: &Weights<'_>,
-        by_x: &mut [f64],
-        by_theta: &mut [f64],
+        [by_x, by_e, by_theta]: [&mut [f64]; 3],
     ) {
-        let (n, all) = (self.n, self.dimensions);
+        let (n, m, all) = (self.n, self.m, self.dimensions);
         let tape = Loaded::new(&self.back, theta);
         let mut workspace = Workspace::default();
-        for Jet { block, points, w } in jets {
+        for Jet { block, points, constants } in jets {
             let lanes = block.lanes;
             let steps = intervals.steps(block);
             let mut adjoint = block.gather(weights.end, n);
-            adjoint.extend(block.gather(weights.a, n * n));
+            adjoint.extend(block.gather(weights.b, n * (n + m)));
             adjoint.extend(block.gather(weights.s, n));
             adjoint.truncate(all * lanes);
             let mut out = vec![0.0; self.back_places.len() * lanes];
+            let mut of_noise = vec![0.0; m * lanes];
             for (substep, points) in points.iter().enumerate().rev() {
                 let data = intervals.stages(block, substep);
                 let mut sum = adjoint.clone();
@@ -127,13 +137,17 @@ impl Jets {
                     if stage < 3 {
                         add_scaled(&mut weight, &later, &steps, REACH[stage + 1]);
                     }
-                    tape.run(&mut workspace, lanes, &[&data[stage], &points[stage], w, &weight], &mut out);
+                    let inputs = [&data[stage][..], &points[stage], constants, &weight];
+                    tape.run(&mut workspace, lanes, &inputs, &mut out);
                     later.fill(0.0);
                     for (&place, column) in self.back_places.iter().zip(out.chunks_exact(lanes)) {
                         if place < all {
                             later[place * lanes..][..lanes].copy_from_slice(column);
+                        } else if place < all + m {
+                            let to = &mut of_noise[(place - all) * lanes..][..lanes];
+                            to.iter_mut().zip(column).for_each(|(t, v)| *t += v);
                         } else {
-                            by_theta[place - all] += column[..block.count].iter().sum::<f64>();
+                            by_theta[place - all - m] += column[..block.count].iter().sum::<f64>();
                         }
                     }
                     sum.iter_mut().zip(&later).for_each(|(s, v)| *s += v);
@@ -141,13 +155,15 @@ impl Jets {
                 adjoint = sum;
             }
             block.scatter(&adjoint[..n * lanes], by_x, n);
+            block.scatter(&of_noise, by_e, m);
         }
     }
 }
 
 /// Symbols and slopes of the jet.
-#[derive(Default)]
 struct JetSystem {
+    /// Columns of X.
+    width: usize,
     sensitivity: Vec<Id>,
     curvature: Vec<Id>,
     w: Vec<Id>,
@@ -155,12 +171,16 @@ struct JetSystem {
 
 impl JetSystem {
     fn slopes(&self, graph: &mut Graph, f: &[Id], x: &[Id], first: &Sparse) -> Vec<Id> {
-        let n = x.len();
+        let (n, width) = (x.len(), self.width);
         let mut slopes = f.to_vec();
         for r in 0..n {
-            for j in 0..n {
-                let along: Vec<Id> = (0..n).map(|c| self.sensitivity[c * n + j]).collect();
-                slopes.push(directional(graph, first, r, &along));
+            for j in 0..width {
+                let along: Vec<Id> = (0..n).map(|c| self.sensitivity[c * width + j]).collect();
+                let mut sum = directional(graph, first, r, &along);
+                if let Some(entry) = first.find(r, j).filter(|_| j >= n) {
+                    sum = graph.add(sum, entry);
+                }
+                slopes.push(sum);
             }
         }
         if self.curvature.is_empty() {
@@ -171,7 +191,7 @@ impl JetSystem {
             let second = graph.hessian(f, x);
             for (i, &entry) in second.values.iter().enumerate() {
                 let (a, b) = (second.rows[i], second.columns[i]);
-                let spread = self.spread(graph, a, b, n);
+                let spread = self.spread(graph, a, b);
                 let twice = graph.constant(if a == b { 1.0 } else { 2.0 });
                 let term = graph.product(entry, spread);
                 let term = graph.mul(twice, term);
@@ -183,7 +203,8 @@ impl JetSystem {
     }
 
     /// (X W Xᵀ)_ab.
-    fn spread(&self, graph: &mut Graph, a: usize, b: usize, n: usize) -> Id {
+    fn spread(&self, graph: &mut Graph, a: usize, b: usize) -> Id {
+        let n = self.width;
         let mut sum = graph.zero();
         for i in 0..n {
             let mut inner = graph.zero();

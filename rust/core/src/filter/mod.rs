@@ -1,12 +1,16 @@
 //! The filter-error method: output error with process noise, by the Laplace approximation.
 //!
 //! ```text
-//!   x_{k+1} = Φ_k(x_k, θ) + G_k ε_k,    G_k = √h_k diag(q),    ε_k ~ N(0, I)
-//!   z_k     = g(x_k, u_k, θ) + v_k,     v_k as in the output-error method
+//!   ẋ   = f(x, u, θ) + diag(q) w(t),   w white noise of unit intensity
+//!   z_k = g(x_k, u_k, θ) + v_k,        v_k as in the output-error method
 //! ```
 //!
-//! Φ_k solves the state equations over the interval h_k between two samples; q_i is the *intensity* of the process
-//! noise of a state, unit/√s. The noises are no parameters: they are integrated out. With J the minus logarithm of
+//! q_i is the *intensity* of the process noise of a state, unit/√s. Within the interval between two samples w is a sum of
+//! orthonormal polynomials with coefficients ε_k ~ N(0, I) ([`noises`]), and x_{k+1} = Φ_k(x_k, ε_k, θ, q) solves the state
+//! equations with them: two terms bring into other states what the noise of one does there between samples, where noise
+//! that enters at samples alone is wrong by the first order of h.
+//!
+//! The noises are no parameters: they are integrated out. With J the minus logarithm of
 //! the density of data and noises together, and H its Hessian in the noises at the most probable path,
 //!
 //! ```text
@@ -14,7 +18,7 @@
 //! ```
 //!
 //! is exact for systems linear in x (it is then what a Kalman filter computes), and the Laplace approximation
-//! otherwise. The noise is described by ε and not by x_{k+1} − Φ: a state without process noise is then a
+//! otherwise. The noise is described by ε and not by x_{k+1} − Φ(x_k, 0): a state without process noise is then a
 //! constraint like any other, no noise at all (q = 0) is the output-error method, and nothing is singular there.
 //!
 //! First states are integrated out like the noises, over a prior that may be flat, or maximised over like θ, as the
@@ -40,6 +44,7 @@ mod dense;
 mod flow;
 mod innovations;
 mod jet;
+mod noises;
 mod path;
 mod sample;
 mod steps;
@@ -49,10 +54,11 @@ use crate::experiment::Experiment;
 use crate::model::Model;
 use crate::noise::Noise;
 
-use dense::{add_transposed_product, product};
+use dense::{add_transposed_product, dot};
 use flow::Flow;
 pub use innovations::Innovations;
 use jet::Jets;
+use noises::Driven;
 pub use path::Lost;
 use path::{At, Found, Path, Run};
 use sample::Samples;
@@ -64,10 +70,8 @@ pub struct Settings {
     pub states: Vec<String>,
     /// Runge-Kutta steps between samples.
     pub substeps: usize,
-    /// Whether intervals come in pairs, and the noise of a pair enters in its middle, not at the end of each. With
-    /// a point added in the middle of all intervals (no sample there), the covariance of the noise that gathers over an
-    /// interval is that of continuous noise to second order, ∫ Φ Q Φᵀ by the midpoint rule.
-    pub halves: bool,
+    /// Terms of the noise of each state within an interval, from 1.
+    pub terms: usize,
     /// For each state of the model, mean and standard deviation of its first value, infinite for a flat prior of
     /// density 1; or `None` to maximise over it.
     pub initial: Vec<Option<(f64, f64)>>,
@@ -89,7 +93,7 @@ pub struct Settings {
 /// let run = Experiment::new(&m, "run", vec![0.0, 1.0], [("x", vec![1.0, 3.0])])?;
 ///
 /// let initial = vec![Some((1.0, 0.5))];
-/// let settings = Settings { states: vec!["x".into()], substeps: 1, halves: false, initial };
+/// let settings = Settings { states: vec!["x".into()], substeps: 1, terms: 1, initial };
 /// let filter = Filter::new(&m, &[run], &Noise::Gaussian(vec![Sigma::Known(0.1)]), &settings)?;
 /// assert_eq!(filter.parameters, ["slope", "q_x"]);
 /// let found = filter.evaluate(&[1.0, 0.3], &filter.start(&[1.0, 3.0]), true).unwrap();
@@ -108,8 +112,8 @@ pub struct Filter {
     pub parameters: Vec<String>,
     /// Number of model parameters.
     pub n_model: usize,
-    /// The noisy states.
-    pub noisy: Vec<usize>,
+    /// Number of noises of an interval.
+    m: usize,
     initial: Vec<Option<(f64, f64)>>,
     state_names: Vec<String>,
     n_noise: usize,
@@ -142,6 +146,8 @@ pub struct Smoothed {
     pub deviations: Vec<Vec<f64>>,
     /// Outputs there, n_y columns of N.
     pub outputs: Vec<Vec<f64>>,
+    /// Their standard deviations, without that of a measurement's noise, for parameters known.
+    pub output_deviations: Vec<Vec<f64>>,
     /// What a filter predicts of each sample from those before it.
     pub innovations: Innovations,
     /// Covariance of the first state, (n, n), for parameters known, and how it follows the model's parameters, (n, p).
@@ -172,10 +178,6 @@ impl Filter {
         if !matches!(noise, Noise::Gaussian(_)) {
             return Err(Error::Option("the filter-error method takes independent Gaussian noise".into()));
         }
-        if let Some(e) = experiments.iter().find(|e| settings.halves && e.t.len() % 2 == 0) {
-            let text = format!("experiment '{}': an even number of points has no pairs of intervals", e.name);
-            return Err(Error::Data(text));
-        }
         let state_names: Vec<String> = model.states.iter().map(|s| s.name.clone()).collect();
         let noisy = settings.noisy(&state_names)?;
         let noise_parameters = noise.parameters(&outputs);
@@ -183,19 +185,20 @@ impl Filter {
         parameters.extend(noise_parameters.iter().map(|p| p.name.clone()));
         parameters.extend(settings.states.iter().map(|s| format!("q_{s}")));
         let samples = Samples::new(&compiled, &outputs, noise, experiments);
+        let driven = Driven::new(&compiled, &noisy, settings.terms);
         Ok(Filter {
             parameters,
             n_model: model.parameters.len(),
-            noisy,
+            m: noisy.len() * settings.terms,
             initial: settings.initial.clone(),
             state_names,
             n_noise: noise_parameters.len(),
             n_data: compiled.data.len(),
-            flow: Flow::new(&compiled),
-            jets: Jets::new(&compiled),
+            flow: Flow::new(&driven, model.parameters.len()),
+            jets: Jets::new(&driven),
             runs: experiments
                 .iter()
-                .map(|e| Run::new(&samples, e, settings.substeps, settings.halves))
+                .map(|e| Run::new(&samples, e, settings.substeps, settings.terms))
                 .collect(),
             samples,
         })
@@ -220,7 +223,7 @@ impl Filter {
     /// # Panics
     /// When there are not as many states as the records have.
     pub fn start(&self, states: &[f64]) -> Vec<f64> {
-        let (n, m) = (self.n(), self.noisy.len());
+        let (n, m) = (self.n(), self.m);
         let mut out = Vec::new();
         let mut rest = states;
         for samples in self.lengths() {
@@ -233,14 +236,23 @@ impl Filter {
         out
     }
 
+    /// The states of a path, as [`Filter::start`] takes them.
+    ///
+    /// # Panics
+    /// When the path's length is wrong.
+    pub fn states(&self, path: &[f64]) -> Vec<f64> {
+        assert_eq!(path.len(), self.path_length());
+        self.paths(path).into_iter().flat_map(|p| p.x).collect()
+    }
+
     /// Length of a path.
     pub fn path_length(&self) -> usize {
-        let (n, m) = (self.n(), self.noisy.len());
+        let (n, m) = (self.n(), self.m);
         self.lengths().iter().map(|samples| samples * n + (samples - 1) * (n + m)).sum()
     }
 
     fn paths(&self, path: &[f64]) -> Vec<Path> {
-        let (n, m) = (self.n(), self.noisy.len());
+        let (n, m) = (self.n(), self.m);
         let mut rest = path;
         let mut take = |count: usize| {
             let (taken, after) = rest.split_at(count);
@@ -259,9 +271,8 @@ impl Filter {
             flow: &self.flow,
             samples: &self.samples,
             theta,
-            n_model: self.n_model,
-            q,
-            noisy: &self.noisy,
+            driving: [&theta[..self.n_model], q].concat(),
+            m: self.m,
             initial: &self.initial,
             run,
         }
@@ -314,59 +325,45 @@ impl Filter {
 
     /// Adds the gradient of J* + ½ ln det H of a record.
     fn add_gradient(&self, at: &At<'_>, found: &Found, gradient: &mut [f64]) -> Result<(), Lost> {
-        let (n, m, run) = (self.n(), self.noisy.len(), at.run);
-        let nn = n * n;
+        let (n, run) = (self.n(), at.run);
+        let width = n + self.m;
         let (chain, factor, path) = (&found.chain, &found.factor, &found.path);
-        let intervals = run.samples() - 1;
         let w = chain.random_covariances(factor)?;
-        let half: Vec<f64> = w.iter().map(|w| 0.5 * w).collect();
-        // ½ ln det changes by M A W with Φ_x.
-        let mut by_a = vec![0.0; intervals * nn];
-        let mut aw = vec![0.0; nn];
-        for (k, by_a) in by_a.chunks_exact_mut(nn).enumerate() {
-            product(&mut aw, &chain.a[k * nn..(k + 1) * nn], &w[k * nn..(k + 1) * nn], [n, n, n]);
-            product(by_a, &factor.m[k * nn..(k + 1) * nn], &aw, [n, n, n]);
-        }
+        let half: Vec<f64> = w.x.iter().map(|w| 0.5 * w).collect();
+        let mut by_b = chain.passage_slopes(factor, &w);
         let half_lambda: Vec<f64> = path.lambda.iter().map(|l| 0.5 * l).collect();
 
-        // How ½ ln det changes with states and multipliers, and what their motion brings.
-        let model = at.theta_model();
-        let (jets, s) = self.jets.run(model, &run.intervals, &path.x, &w);
-        let (mut by_x, mut unused) = (vec![0.0; run.samples() * n], vec![0.0; gradient.len()]);
-        let none = vec![0.0; run.samples() * n];
-        let weights = jet::Weights { end: &none[n..], a: &by_a, s: &half_lambda };
-        self.jets.pull_back(model, &run.intervals, &jets, &weights, &mut by_x, &mut unused);
+        // How ½ ln det changes with states, noises and multipliers, and what their motion brings.
+        let (jets, s) = self.jets.run(&at.driving, &run.intervals, &path.x, &path.e, &w.z);
+        let (mut by_x, mut by_e) = (vec![0.0; path.x.len()], vec![0.0; path.e.len()]);
+        let mut unused = vec![0.0; gradient.len()];
+        let none = vec![0.0; path.x.len()];
+        let weights = jet::Weights { end: &none[n..], b: &by_b, s: &half_lambda };
+        let to = [&mut by_x[..], &mut by_e, &mut unused];
+        self.jets.pull_back(&at.driving, &run.intervals, &jets, &weights, to);
         let weights = sample::Weights { cost: 0.0, slope: &none, curvature: &half };
         self.samples.pull_back(at.theta, &run.data, &path.x, &weights, &mut by_x, &mut unused);
-        let minus: Vec<f64> = by_x.iter().map(|v| -v).collect();
+        let minus = |v: &[f64]| -> Vec<f64> { v.iter().map(|v| -v).collect() };
         let gaps: Vec<f64> = s.iter().map(|s| -0.5 * s).collect();
-        let nu = chain.solve(factor, &minus, &vec![0.0; intervals * m], &gaps);
+        let nu = chain.solve(factor, &minus(&by_x), &minus(&by_e), &gaps);
 
         // The parameters themselves.
-        for k in 0..intervals {
-            for i in 0..n {
-                for j in 0..n {
-                    by_a[(k * n + i) * n + j] -= path.lambda[k * n + i] * nu.x[k * n + j];
-                }
+        for (k, by_b) in by_b.chunks_exact_mut(n * width).enumerate() {
+            let z = nu.x[k * n..(k + 1) * n].iter().chain(&nu.e[k * self.m..(k + 1) * self.m]);
+            for (j, nu) in z.enumerate() {
+                (0..n).for_each(|i| by_b[i * width + j] -= path.lambda[k * n + i] * nu);
             }
         }
         let end: Vec<f64> = path.lambda.iter().zip(&nu.lambda).map(|(l, v)| l - v).collect();
-        let weights = jet::Weights { end: &end, a: &by_a, s: &half_lambda };
-        self.jets.pull_back(model, &run.intervals, &jets, &weights, &mut by_x, gradient);
-        let slope: Vec<f64> = nu.x.iter().map(|v| -v).collect();
-        let weights = sample::Weights { cost: 1.0, slope: &slope, curvature: &half };
+        let weights = jet::Weights { end: &end, b: &by_b, s: &half_lambda };
+        let mut by_driving = vec![0.0; at.driving.len()];
+        let to = [&mut by_x[..], &mut by_e, &mut by_driving];
+        self.jets.pull_back(&at.driving, &run.intervals, &jets, &weights, to);
+        let weights = sample::Weights { cost: 1.0, slope: &minus(&nu.x), curvature: &half };
         self.samples.pull_back(at.theta, &run.data, &path.x, &weights, &mut by_x, gradient);
-
-        // The intensities: they stand in G alone.
-        let slopes = chain.noise_slopes(factor, &w);
-        let of_q = &mut gradient[self.n_model + self.n_noise..];
-        for (k, h) in run.gathered.iter().enumerate() {
-            for (i, &state) in self.noisy.iter().enumerate() {
-                let (lambda, along) = (path.lambda[k * n + state], nu.lambda[k * n + state]);
-                let (e, moved) = (path.e[k * m + i], nu.e[k * m + i]);
-                of_q[i] += h.sqrt() * (lambda * e + slopes[k * m + i] - moved * lambda - along * e);
-            }
-        }
+        let (of_model, of_q) = by_driving.split_at(self.n_model);
+        let places = (0..self.n_model).chain(self.n_model + self.n_noise..gradient.len());
+        places.zip(of_model.iter().chain(of_q)).for_each(|(i, v)| gradient[i] += v);
         Ok(())
     }
 
@@ -390,7 +387,7 @@ impl Filter {
         let (n, p) = (self.n(), self.n_model);
         let columns = n + p;
         let x = &found.path.x;
-        let linear = self.flow.linearise(at.theta_model(), &at.run.intervals, x, None, true);
+        let linear = self.flow.linearise(&at.driving, &at.run.intervals, x, &found.path.e, None, true);
         let slopes = self.samples.residual_slopes(at.theta, &at.run.data, x, p);
         let each = slopes.len() / at.run.samples();
         let (mut cross, mut own) = (Vec::new(), vec![0.0; p * p]);
@@ -407,7 +404,35 @@ impl Filter {
                 }
             }
         }
-        found.chain.border(&found.factor, &linear.b, &cross, &own, p)
+        found.chain.border(&found.factor, &linear.by_p, &cross, &own, p)
+    }
+
+    /// Number of noises of an interval.
+    pub fn noises(&self) -> usize {
+        self.m
+    }
+
+    /// States and outputs of each record, columns of N, from its first state (rows of n) with noises that are given:
+    /// for each record N−1 rows of [`Filter::noises`], in standard deviations.
+    ///
+    /// # Panics
+    /// When lengths are wrong.
+    pub fn simulate(&self, theta: &[f64], first: &[f64], noises: &[f64]) -> Vec<[Vec<Vec<f64>>; 2]> {
+        let (n, mut rest) = (self.n(), noises);
+        assert_eq!(theta.len(), self.n_theta());
+        assert_eq!(first.len(), n * self.runs.len());
+        let each = self.runs.iter().zip(first.chunks_exact(n)).map(|(run, first)| {
+            let (e, after) = rest.split_at((run.samples() - 1) * self.m);
+            rest = after;
+            let at = self.at(theta, run);
+            let x = self.flow.along(&at.driving, &run.intervals, first, e);
+            let column = |i: usize| x.iter().skip(i).step_by(n).copied().collect();
+            let (outputs, _) = self.samples.outputs(&theta[..self.n_model], &run.data, self.n_data, &x);
+            [(0..n).map(column).collect(), outputs]
+        });
+        let found = each.collect();
+        assert!(rest.is_empty(), "more noises than the records have intervals");
+        found
     }
 
     /// States, outputs and innovations of each record at given parameters.
@@ -424,10 +449,18 @@ impl Filter {
             let w = found.chain.covariances(&found.factor);
             let column = |i: usize| x.iter().skip(i).step_by(n).copied().collect();
             let deviation = |i: usize| w.iter().skip(i * n + i).step_by(n * n).map(|v| v.sqrt()).collect();
+            let (outputs, slopes) =
+                self.samples.outputs(&at.theta[..self.n_model], &run.data, self.n_data, x);
+            let n_y = outputs.len();
+            let output_deviation = |c: usize| {
+                let each = slopes.chunks_exact(n_y * n).zip(w.chunks_exact(n * n));
+                each.map(|(slopes, w)| quadratic(w, &slopes[c * n..(c + 1) * n]).max(0.0).sqrt()).collect()
+            };
             out.push(Smoothed {
                 states: (0..n).map(column).collect(),
                 deviations: (0..n).map(deviation).collect(),
-                outputs: self.samples.outputs(at.theta_model(), &run.data, self.n_data, x),
+                output_deviations: (0..n_y).map(output_deviation).collect(),
+                outputs,
                 innovations: innovations::innovations(&at, &found),
                 first_covariance: w[..n * n].to_vec(),
                 first_follows: self.border(&at, &found).1,
@@ -435,6 +468,11 @@ impl Filter {
         }
         Ok(out)
     }
+}
+
+/// vᵀ W v.
+fn quadratic(w: &[f64], v: &[f64]) -> f64 {
+    w.chunks_exact(v.len()).zip(v).map(|(row, own)| own * dot(row, v)).sum()
 }
 
 impl Settings {
@@ -445,6 +483,9 @@ impl Settings {
         }
         if self.substeps == 0 {
             return fail("substeps is at least 1".into());
+        }
+        if self.terms == 0 {
+            return fail("terms is at least 1".into());
         }
         if self.initial.len() != states.len() {
             return fail(format!("initial holds {} states, the model {}", self.initial.len(), states.len()));

@@ -11,8 +11,6 @@ use crate::experiment::Experiment;
 #[derive(Clone, Debug)]
 pub(super) struct Run {
     pub(super) intervals: Intervals,
-    /// How long noise has gathered when it enters at the end of an interval, s.
-    pub(super) gathered: Vec<f64>,
     /// Data columns at the samples.
     pub(super) data: Vec<Vec<f64>>,
 }
@@ -34,9 +32,10 @@ pub(super) struct At<'a> {
     pub(super) samples: &'a Samples,
     /// Parameters of the model, then of the noise.
     pub(super) theta: &'a [f64],
-    pub(super) n_model: usize,
-    pub(super) q: &'a [f64],
-    pub(super) noisy: &'a [usize],
+    /// Parameters of the model, then the intensities q.
+    pub(super) driving: Vec<f64>,
+    /// Number of noises of an interval.
+    pub(super) m: usize,
     /// Mean and standard deviation of the first states that have a prior.
     pub(super) initial: &'a [Option<(f64, f64)>],
     pub(super) run: &'a Run,
@@ -83,13 +82,8 @@ impl From<NotPositive> for Lost {
 }
 
 impl Run {
-    /// With `halves`, intervals come in pairs, and noise enters in the middle of a pair.
-    pub(super) fn new(samples: &Samples, experiment: &Experiment, substeps: usize, halves: bool) -> Run {
-        let intervals = Intervals::new(experiment, substeps);
-        let pairs = |h: &[f64]| [h.iter().sum(), 0.0];
-        let gathered =
-            if halves { intervals.h.chunks(2).flat_map(pairs).collect() } else { intervals.h.clone() };
-        Run { intervals, gathered, data: samples.data(experiment) }
+    pub(super) fn new(samples: &Samples, experiment: &Experiment, substeps: usize, terms: usize) -> Run {
+        Run { intervals: Intervals::new(experiment, substeps, terms), data: samples.data(experiment) }
     }
 
     pub(super) fn samples(&self) -> usize {
@@ -98,17 +92,8 @@ impl Run {
 }
 
 impl At<'_> {
-    pub(super) fn theta_model(&self) -> &[f64] {
-        &self.theta[..self.n_model]
-    }
-
     fn n(&self) -> usize {
         self.initial.len()
-    }
-
-    /// √h_k q_i, h_k the time that noise has gathered.
-    fn scales(&self) -> Vec<f64> {
-        self.run.gathered.iter().flat_map(|h| self.q.iter().map(move |q| h.sqrt() * q)).collect()
     }
 
     /// The noise part of the cost, and that of the priors of first states, without constants.
@@ -118,36 +103,30 @@ impl At<'_> {
         0.5 * (dot(&path.e, &path.e) + prior.sum::<f64>())
     }
 
-    /// Φ(x_k) + G ε_k − x_{k+1}.
-    fn gaps(&self, ends: &[f64], scales: &[f64], path: &Path) -> Vec<f64> {
-        let (n, m) = (self.n(), self.q.len());
-        let mut gaps: Vec<f64> = ends.iter().zip(&path.x[n..]).map(|(end, x)| end - x).collect();
-        for (k, gap) in gaps.chunks_exact_mut(n).enumerate() {
-            for (i, &state) in self.noisy.iter().enumerate() {
-                gap[state] += scales[k * m + i] * path.e[k * m + i];
-            }
-        }
-        gaps
+    /// Φ(x_k, ε_k) − x_{k+1}.
+    fn gaps(&self, ends: &[f64], path: &Path) -> Vec<f64> {
+        ends.iter().zip(&path.x[self.n()..]).map(|(end, x)| end - x).collect()
     }
 
     /// The system of Newton's method, with the exact Hessian or without the curvature of the residuals and of Φ.
-    fn chain(&self, linear: &Linear, costs: &Costs, scales: &[f64], path: &Path, exact: bool) -> Chain {
+    fn chain(&self, linear: &Linear, costs: &Costs, path: &Path, exact: bool) -> Chain {
         let n = self.n();
         let mut chain = Chain {
             samples: self.run.samples(),
             n,
-            noisy: self.noisy.to_vec(),
-            a: linear.a.clone(),
-            g: scales.to_vec(),
+            m: self.m,
+            b: linear.b.clone(),
+            c: Vec::new(),
             q: Vec::new(),
             prior: self.initial.iter().map(|p| p.map(|p| p.1)).collect(),
         };
         if exact {
             chain.q = costs.curvature.clone();
-            chain.q.iter_mut().zip(&linear.curvature).for_each(|(q, c)| *q += c);
+            chain.c = linear.curvature.clone();
         } else {
             let slopes = self.samples.residual_slopes(self.theta, &self.run.data, &path.x, 0);
             chain.q = vec![0.0; chain.samples * n * n];
+            chain.c = vec![0.0; linear.curvature.len()];
             let each = slopes.len() / chain.samples;
             for (q, j) in chain.q.chunks_exact_mut(n * n).zip(slopes.chunks_exact(each)) {
                 add_transposed_product(q, j, j, [n, each / n, n]);
@@ -162,26 +141,26 @@ impl At<'_> {
     /// The most probable path from a starting one.
     pub(super) fn path(&self, mut path: Path) -> Result<Found, Lost> {
         let n = self.n();
-        let scales = self.scales();
         let mut before = f64::INFINITY;
         for iterations in 0..ITERATIONS {
-            let theta = self.theta_model();
-            let linear = self.flow.linearise(theta, &self.run.intervals, &path.x, Some(&path.lambda), false);
+            let lambda = Some(&path.lambda[..]);
+            let linear =
+                self.flow.linearise(&self.driving, &self.run.intervals, &path.x, &path.e, lambda, false);
             let mut costs = self.samples.costs(self.theta, &self.run.data, &path.x);
             for (i, prior) in self.initial.iter().enumerate() {
                 costs.slope[i] += prior.map_or(0.0, |(mean, std)| (path.x[i] - mean) / (std * std));
             }
-            let gaps = self.gaps(&linear.end, &scales, &path);
-            let finite = [&linear.end, &linear.a, &linear.curvature, &costs.slope, &costs.curvature];
+            let gaps = self.gaps(&linear.end, &path);
+            let finite = [&linear.end, &linear.b, &linear.curvature, &costs.slope, &costs.curvature];
             if !costs.cost.is_finite() || !finite.iter().all(|v| v.iter().all(|v| v.is_finite())) {
                 return Err(Lost::NotFinite);
             }
             // Far from the path the exact Hessian need not be positive; the approximation always is.
-            let exact = self.chain(&linear, &costs, &scales, &path, true);
+            let exact = self.chain(&linear, &costs, &path, true);
             let (chain, factor, is_exact) = match exact.factor() {
                 Ok(factor) => (exact, factor, true),
                 Err(_) => {
-                    let chain = self.chain(&linear, &costs, &scales, &path, false);
+                    let chain = self.chain(&linear, &costs, &path, false);
                     let factor = chain.factor()?;
                     (chain, factor, false)
                 }
@@ -204,7 +183,7 @@ impl At<'_> {
             let size = if decrement < TRUSTED && is_exact {
                 1.0
             } else {
-                self.search(&path, &step, &costs, &gaps, &scales).ok_or(Lost::Stuck)?
+                self.search(&path, &step, &costs, &gaps).ok_or(Lost::Stuck)?
             };
             advance(&mut path.x, &step.x, size);
             advance(&mut path.e, &step.e, size);
@@ -216,14 +195,7 @@ impl At<'_> {
 
     /// A step length that lessens cost plus weighted gaps (an exact penalty; Nocedal and Wright, *Numerical
     /// Optimization*, 2006, section 18.3).
-    fn search(
-        &self,
-        path: &Path,
-        step: &super::chain::Step,
-        costs: &Costs,
-        gaps: &[f64],
-        scales: &[f64],
-    ) -> Option<f64> {
+    fn search(&self, path: &Path, step: &super::chain::Step, costs: &Costs, gaps: &[f64]) -> Option<f64> {
         let n = self.n();
         let mut weights = vec![0.0f64; n];
         for lambda in [&path.lambda, &step.lambda] {
@@ -242,10 +214,10 @@ impl At<'_> {
             let mut trial = path.clone();
             advance(&mut trial.x, &step.x, size);
             advance(&mut trial.e, &step.e, size);
-            let ends = self.flow.ends(self.theta_model(), &self.run.intervals, &trial.x);
+            let ends = self.flow.ends(&self.driving, &self.run.intervals, &trial.x, &trial.e);
             let there = self.samples.costs(self.theta, &self.run.data, &trial.x).cost
                 + self.rest(&trial)
-                + weigh(&self.gaps(&ends, scales, &trial));
+                + weigh(&self.gaps(&ends, &trial));
             if there <= merit + 1e-4 * size * slope.min(0.0) + 1e-12 * merit.abs() {
                 return Some(size);
             }

@@ -25,7 +25,9 @@ pub(super) struct Samples {
     /// Gradient by x, then by parameters, of what [`Weights`] weigh.
     back: Tape,
     back_places: Vec<usize>,
+    /// Outputs, then entries of their slopes by x.
     outputs: Tape,
+    output_entries: Vec<(usize, usize)>,
     /// Outputs that are missing somewhere.
     gaps: Vec<usize>,
 }
@@ -118,7 +120,9 @@ impl Samples {
         let (back_places, nodes): (Vec<usize>, Vec<Id>) =
             gradient.iter().enumerate().filter_map(|(i, d)| d.map(|d| (i, d))).unzip();
         let back = compile(&graph, &[&data, x, &weight, &along, &w], &theta, &nodes);
-        let outputs = compile(&graph, &[&model.data, x], &model.parameters, &model.outputs);
+        let by_x = graph.jacobian(&model.outputs, x);
+        let outputs = [&model.outputs[..], &by_x.values].concat();
+        let outputs = compile(&graph, &[&model.data, x], &model.parameters, &outputs);
         debug_assert!(variables.len() == n + n_p);
         Samples {
             n,
@@ -131,6 +135,7 @@ impl Samples {
             back,
             back_places,
             outputs,
+            output_entries: by_x.rows.into_iter().zip(by_x.columns).collect(),
             gaps,
         }
     }
@@ -242,25 +247,32 @@ impl Samples {
         }
     }
 
-    /// Outputs at all samples: n_y columns of N.
+    /// Outputs at all samples, n_y columns of N, and their slopes by x, N of (n_y, n).
     pub(super) fn outputs(
         &self,
         theta: &[f64],
         data: &[Vec<f64>],
         n_data: usize,
         x: &[f64],
-    ) -> Vec<Vec<f64>> {
+    ) -> (Vec<Vec<f64>>, Vec<f64>) {
+        let (n, n_y, samples) = (self.n, self.n_y, data[0].len());
         let tape = Loaded::new(&self.outputs, theta);
         let mut workspace = Workspace::default();
-        let mut out = vec![Vec::new(); self.n_y];
-        for block in blocks(data[0].len()) {
-            let mut values = vec![0.0; self.n_y * block.lanes];
-            let inputs = [&block.cut(&data[..n_data])[..], &block.gather(x, self.n)];
+        let (mut out, mut slopes) = (vec![Vec::new(); n_y], vec![0.0; samples * n_y * n]);
+        for block in blocks(samples) {
+            let mut values = vec![0.0; (n_y + self.output_entries.len()) * block.lanes];
+            let inputs = [&block.cut(&data[..n_data])[..], &block.gather(x, n)];
             tape.run(&mut workspace, block.lanes, &inputs, &mut values);
-            for (column, all) in values.chunks_exact(block.lanes).zip(&mut out) {
+            let (outputs, entries) = values.split_at(n_y * block.lanes);
+            for (column, all) in outputs.chunks_exact(block.lanes).zip(&mut out) {
                 all.extend(&column[..block.count]);
             }
+            for (&(r, c), column) in self.output_entries.iter().zip(entries.chunks_exact(block.lanes)) {
+                for (l, v) in column[..block.count].iter().enumerate() {
+                    slopes[((block.first + l) * n_y + r) * n + c] = *v;
+                }
+            }
         }
-        out
+        (out, slopes)
     }
 }

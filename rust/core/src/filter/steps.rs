@@ -1,6 +1,7 @@
 //! Steps of the classical Runge-Kutta method of order 4 over the intervals between samples, in lanes.
 
 use super::block::{Block, Loaded, data_columns};
+use super::noises::legendre;
 use crate::experiment::Experiment;
 use crate::tape::Workspace;
 
@@ -13,20 +14,23 @@ pub(super) const REACH: [f64; 4] = [0.0, 0.5, 0.5, 1.0];
 pub(super) struct Intervals {
     /// Lengths, s.
     pub(super) h: Vec<f64>,
-    /// Time and inputs: [node][column][interval], 2 substeps + 1 nodes.
+    /// Time, inputs, and the polynomials of the noise over √h: [node][column][interval], 2 substeps + 1 nodes.
     nodes: Vec<Vec<Vec<f64>>>,
     substeps: usize,
 }
 
 impl Intervals {
-    pub(super) fn new(experiment: &Experiment, substeps: usize) -> Self {
+    pub(super) fn new(experiment: &Experiment, substeps: usize, terms: usize) -> Self {
         let t = &experiment.t;
         let pairs = || t.windows(2);
         let share = |node: usize| node as f64 / (2 * substeps) as f64;
         let at = |node: usize| {
             let time =
                 |w: &[f64]| if node == 2 * substeps { w[1] } else { w[0] + share(node) * (w[1] - w[0]) };
-            data_columns(experiment, pairs().map(time).collect())
+            let mut columns = data_columns(experiment, pairs().map(time).collect());
+            let scaled = |value: f64| pairs().map(|w| value / (w[1] - w[0]).sqrt()).collect();
+            columns.extend(legendre(share(node), terms).into_iter().map(scaled));
+            columns
         };
         Intervals {
             h: pairs().map(|w| w[1] - w[0]).collect(),

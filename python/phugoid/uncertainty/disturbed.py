@@ -1,0 +1,80 @@
+"""Data as they might have been with other process noise and other noise of the sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import OptionError
+from ..filter_error import FilterError
+from ..result import Fit
+from ..starts import stream
+from .filtered import of_fit
+from .resample import Resampler
+
+__all__ = ["Disturbed"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+# Motions that are tried, and how many times as far as in the record they may go.
+_TRIED, _FAR = 5, 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbed(Resampler):
+    """The model driven by inputs as recorded and by process noise as the fit has it, and sensors with their noise.
+
+    First states are those of the fit, and drawn where they have a prior.
+    """
+
+    fit: Fit | None = None
+
+    @classmethod
+    def of(cls, fit: Fit) -> Disturbed:
+        """With the noise of a fit. Raises OptionError where other noise would carry the vehicle far away."""
+        found = cls(**cls.parts(fit), fit=fit)
+        far = float(np.median([found._reach(stream(0, i)) for i in range(_TRIED)]))
+        if not far < _FAR:
+            raise OptionError(
+                f"bootstrap: with other process noise the motion goes {far:.2g} times as far as in the record: its "
+                "inputs were answers of a pilot or a controller to the noise that there was, and an unstable vehicle "
+                "needs answers to the noise that is drawn. Use profile"
+            )
+        return found
+
+    def draw(self, random: np.random.Generator) -> list[dict[str, _Array]]:
+        """Outputs of all experiments."""
+        assert self.fit is not None
+        likelihood, _ = of_fit(self.fit)
+        options, problem, names = likelihood.options, likelihood.problem, self.fit.model.output_names
+        assert isinstance(options, FilterError)
+        first = []
+        for record in self.fit.records:
+            for name in self.fit.model.state_names:
+                prior = (options.initial or {}).get(name)
+                first.append(random.normal(*prior) if prior else record.states[name][0])
+        intervals = sum(t.size - 1 for t in self.times)
+        noises = random.standard_normal(intervals * problem.noises)
+        found = problem.simulate(likelihood.theta(likelihood.values), np.array(first), noises)
+        known = self.fit.noise.known_sigmas(names)
+        sigma = [known[n] if n in known else self.fit.parameters[f"sigma_{n}"].value for n in names]
+        return [
+            {
+                n: np.where(there[n], y + s * random.standard_normal(y.size), np.nan)
+                for n, y, s in zip(names, outputs, sigma, strict=True)
+            }
+            for (_, outputs), there in zip(found, self.there, strict=True)
+        ]
+
+    def _reach(self, random: np.random.Generator) -> float:
+        """How many times as far as in the record the motion of a draw goes, in the output that goes farthest."""
+        ratios = [0.0]
+        for drawn, model, there in zip(self.draw(random), self.model, self.there, strict=True):
+            for name, y in drawn.items():
+                here = there[name]
+                if here.any() and np.ptp(model[name][here]) > 0.0:
+                    ratios.append(float(np.ptp(y[here]) / np.ptp(model[name][here])))
+        return float(np.max(ratios))

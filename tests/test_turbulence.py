@@ -26,7 +26,21 @@ def pairs() -> list[Pair]:
 
 
 def test_all_converge_without_warning(pairs: list[Pair]) -> None:
-    assert all(p.filtered.converged and not p.filtered.warnings for p in pairs)
+    assert all(p.filtered.converged for p in pairs)
+    warned = [w for p in pairs for w in p.filtered.warnings]
+    # The gust moves az by 0.36 m/s² from sample to sample: a record may leave nothing of 0.05 m/s² for its noise.
+    assert all(w.startswith("sigma_az sits at its lower bound") for w in warned) and len(warned) <= 2
+
+
+def test_nothing_is_lost_with_a_noise_that_cannot_be_told(pairs: list[Pair]) -> None:
+    """Where sigma_az ends at its bound, the true one is as likely."""
+    for p in pairs:
+        if p.filtered.parameters["sigma_az"].bounds_active:
+            known = ph.Gaussian({"az": turbulence.SIGMA["az"]})
+            other = ph.estimate(
+                p.filtered.model, p.data, transcription=p.filtered.transcription, noise=known, start=p.filtered
+            )
+            assert other.converged and p.filtered.log_likelihood - other.log_likelihood < 2.0
 
 
 def test_errors_are_as_large_as_they_are_said_to_be(pairs: list[Pair]) -> None:

@@ -130,8 +130,8 @@ def filter_error(
 
 
 def doubtful(fit: Fit, options: FilterError) -> bool:
-    """Whether an end found from values far away may be none: it was not reached, or only where the noise between samples
-    and the motion were refined. Coarse steps have optima of their own, of motions too fast for them."""
+    """Whether an end found from values far away may be none: it was not reached, or only once the noise between samples
+    was refined. Coarse steps have optima of their own, of motions too fast for them."""
     if fit.status == "interrupted":
         return False
     return not fit.converged or fit.transcription != options.meshes()[0]

@@ -36,7 +36,7 @@ class FilterError:
     move no estimate by a tenth of its standard error; `Fit.transcription` says how many. Numbers given are kept.
 
     ``output_error``: True starts from the fit of an ordinary `estimate` (``start=fit`` does so with one that is there
-    already).
+    already). False does so where the way from the start values ends badly.
 
     ``initial``: what is known of first states. (mean, standard deviation): that. Not named: nothing, a flat prior of
     density 1. Either is integrated out. None: it is a parameter, as in the output-error method, and the likelihood with

@@ -111,7 +111,11 @@ def filter_error(
                 break
             fine = objective.on(next_at.problem(model, experiments, sigmas))
             curvature = _positive(hessian, end.metric, _held(objective.bounds, end))[0]
-            moved, first = _movement(fine, end, curvature)
+            try:
+                moved, first = _movement(fine, end, curvature)
+            except KeyboardInterrupt:
+                end.status = "interrupted"
+                break
             if moved < _STILL or first is None:
                 break
             at, objective, before = next_at, fine, end

@@ -190,6 +190,12 @@ impl Flow {
                 }
                 adjoint = sum;
             }
+            for i in 0..width {
+                for j in 0..i {
+                    let from = (i * width + j) * lanes;
+                    curvature.copy_within(from..from + lanes, (j * width + i) * lanes);
+                }
+            }
             block.scatter(&curvature, &mut out.curvature, width * width);
         }
         out
@@ -211,18 +217,24 @@ impl Flow {
         }
     }
 
-    /// curvature += Xᵀ f_xx X with the sensitivities X to z_k.
+    /// curvature += Xᵀ f_xx X with the sensitivities X to z_k, in the lower triangle.
     fn bend(&self, second: &[f64], at: &[f64], columns: usize, lanes: usize, curvature: &mut [f64]) {
         let width = self.n + self.m;
         let row = |a: usize, j: usize| &at[(a * columns + j) * lanes..][..lanes];
-        let mut scaled = vec![0.0; lanes];
+        // f_xx X first: its rows that are not zero are few.
+        let mut product = vec![Vec::new(); self.n];
         for (&(a, b), h) in self.hessian_entries.iter().zip(second.chunks_exact(lanes)) {
             for (a, b) in if a == b { vec![(a, b)] } else { vec![(a, b), (b, a)] } {
-                for i in 0..width {
-                    scaled.iter_mut().zip(h).zip(row(a, i)).for_each(|((s, h), x)| *s = h * x);
-                    for j in 0..width {
-                        add_product(&mut curvature[(i * width + j) * lanes..][..lanes], &scaled, row(b, j));
-                    }
+                product[a].resize(width * lanes, 0.0);
+                for (j, to) in product[a].chunks_exact_mut(lanes).enumerate() {
+                    add_product(to, h, row(b, j));
+                }
+            }
+        }
+        for (a, product) in product.iter().enumerate().filter(|(_, p)| !p.is_empty()) {
+            for i in 0..width {
+                for (j, along) in product.chunks_exact(lanes).enumerate().take(i + 1) {
+                    add_product(&mut curvature[(i * width + j) * lanes..][..lanes], row(a, i), along);
                 }
             }
         }

@@ -161,6 +161,7 @@ fn record(
         let (name, unit) = (s.name.clone(), s.unit.clone());
         Estimate { name, unit, value: xi[at], std_error: errors[at], bound: None }
     };
+    let (mesh_t, mesh_states) = problem.path(xi, e);
     Record {
         name: experiment.name.clone(),
         t: experiment.t.clone(),
@@ -168,6 +169,7 @@ fn record(
         residuals: experiment.outputs.iter().zip(&outputs).map(residual).collect(),
         outputs,
         initial: model.states.iter().enumerate().map(initial).collect(),
-        mesh_points: problem.path(xi, e).0.len(),
+        mesh_t,
+        mesh_states,
     }
 }

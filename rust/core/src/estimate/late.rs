@@ -135,6 +135,7 @@ impl Estimation<'_> {
             noise: self.noise.clone(),
             start,
             warm: before.or(self.warm),
+            moved: true,
         }
     }
 

@@ -43,13 +43,18 @@ impl Fit {
             Ok(found) => {
                 judge(problem, &found, &wanted, (&mut status, &mut message), &mut warnings);
                 let k = wanted.len();
+                // The solver sees the logarithm of a parameter, or a part of it.
+                let slope = |i: usize| {
+                    let transform = problem.posed().estimands.transforms.get(i);
+                    transform.map_or(1.0, |t| t.slope(xi[i]))
+                };
                 for (a, &i) in wanted.iter().enumerate() {
                     let variance = found.covariance[a * k + a];
                     if variance > 0.0 {
-                        errors[i] = variance.sqrt();
+                        errors[i] = variance.sqrt() * slope(i).abs();
                     }
                     for (b, &j) in wanted[..free].iter().enumerate().filter(|_| a < free) {
-                        covariance[i * n_theta + j] = found.covariance[a * k + b];
+                        covariance[i * n_theta + j] = found.covariance[a * k + b] * slope(i) * slope(j);
                     }
                 }
                 noise_covariance(&reported, n_model, n_theta, &mut covariance);

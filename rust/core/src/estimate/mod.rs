@@ -63,6 +63,8 @@ pub struct Estimation<'a> {
     noise: NoiseModel,
     start: Vec<(String, Start)>,
     warm: Option<&'a Fit>,
+    /// Whether samples stand elsewhere than in the fit to start from, as a delay has moved.
+    moved: bool,
 }
 
 impl<'a> Estimation<'a> {
@@ -78,6 +80,7 @@ impl<'a> Estimation<'a> {
             noise: model.noise.clone(),
             start: Vec::new(),
             warm: None,
+            moved: false,
         }
     }
 
@@ -263,8 +266,8 @@ impl<'a> Estimation<'a> {
 
     fn first_point(&self, problem: &dyn Transcribed) -> Result<Vec<f64>, Error> {
         match self.same(problem) {
-            Some(fit) => Ok(fit.solution.xi.clone()),
-            None => self.starting_point(problem),
+            Some(fit) if !self.moved => Ok(fit.solution.xi.clone()),
+            _ => self.starting_point(problem),
         }
     }
 

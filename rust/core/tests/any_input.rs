@@ -6,7 +6,9 @@ use std::time::Duration;
 use phugoid::noise::{Joint, NoiseModel, Scale};
 use phugoid::solver::Settings;
 use phugoid::transcription::{Integrator, Shots, Steps};
-use phugoid::{Density, Dof, Estimation, Experiment, Grid, Interpolation, Model, Parameter, Sigma, Simulation};
+use phugoid::{
+    Density, Dof, Estimation, Experiment, Grid, Interpolation, Model, Parameter, Sigma, Simulation,
+};
 use phugoid::{Error, experiment::Signal};
 use proptest::prelude::*;
 
@@ -14,7 +16,8 @@ use proptest::prelude::*;
 fn model(delays: bool) -> Model {
     let mut m = Model::new("any");
     let (x, u) = (m.state("x", "m").unwrap(), m.input("u", "V").unwrap());
-    let a = m.parameter(Parameter { lower: Some(-5.0), upper: Some(1.0), ..Parameter::new("a", -0.5) }).unwrap();
+    let a =
+        m.parameter(Parameter { lower: Some(-5.0), upper: Some(1.0), ..Parameter::new("a", -0.5) }).unwrap();
     let b = m.parameter(Parameter { local: true, ..Parameter::new("b", 1.0) }).unwrap();
     let tau = Parameter { lower: Some(0.0), upper: Some(0.5), ..Parameter::new("tau", 0.1) };
     let mut push = b * &u;
@@ -70,11 +73,14 @@ fn record() -> impl Strategy<Value = Experiment> {
         (times(n), inputs, outputs)
     };
     let size = prop_oneof![9 => 4..16usize, 1 => 0..4usize];
-    let signals = prop_oneof![4 => Just(Vec::new()), 1 => prop::collection::vec(prop::option::of(signal), 0..3)];
-    (size.prop_flat_map(parts), any::<bool>(), signals, "[ab]").prop_map(|((t, inputs, outputs), cubic, signals, name)| {
-        let interpolation = if cubic { Interpolation::Cubic } else { Interpolation::Linear };
-        Experiment { name, t, inputs, outputs, interpolation, signals }
-    })
+    let signals =
+        prop_oneof![4 => Just(Vec::new()), 1 => prop::collection::vec(prop::option::of(signal), 0..3)];
+    (size.prop_flat_map(parts), any::<bool>(), signals, "[ab]").prop_map(
+        |((t, inputs, outputs), cubic, signals, name)| {
+            let interpolation = if cubic { Interpolation::Cubic } else { Interpolation::Linear };
+            Experiment { name, t, inputs, outputs, interpolation, signals }
+        },
+    )
 }
 
 fn grid() -> impl Strategy<Value = Grid> {
@@ -91,13 +97,15 @@ fn noise() -> impl Strategy<Value = NoiseModel> {
         3 => number().prop_map(Scale::Known),
         2 => (prop::option::of(number()), prop::option::of((number(), number()))).prop_map(|(start, bounds)| Scale::Unknown { start, bounds }),
     ];
-    let density = prop_oneof![
-        Just(Density::Gaussian),
-        number().prop_map(Density::Huber),
-        number().prop_map(Density::Laplace),
-        number().prop_map(|n| Density::StudentT(Dof::Known(n))),
-        (number(), number(), number()).prop_map(|(start, lower, upper)| Density::StudentT(Dof::Unknown { start, lower, upper })),
-    ];
+    let density =
+        prop_oneof![
+            Just(Density::Gaussian),
+            number().prop_map(Density::Huber),
+            number().prop_map(Density::Laplace),
+            number().prop_map(|n| Density::StudentT(Dof::Known(n))),
+            (number(), number(), number())
+                .prop_map(|(start, lower, upper)| Density::StudentT(Dof::Unknown { start, lower, upper })),
+        ];
     let joint = prop_oneof![
         6 => Just(Joint::Independent),
         1 => Just(Joint::Unknown),
@@ -106,11 +114,8 @@ fn noise() -> impl Strategy<Value = NoiseModel> {
     let name = prop_oneof![4 => Just("y".to_owned()), 1 => Just("z".to_owned())];
     let scales = prop_oneof![3 => Just(Vec::new()), 1 => prop::collection::vec((name.clone(), scale), 0..2)];
     let densities = prop_oneof![3 => Just(Vec::new()), 1 => prop::collection::vec((name, density), 0..2)];
-    (scales, densities, joint, any::<bool>()).prop_map(|(scales, densities, joint, per_experiment)| NoiseModel {
-        scales,
-        densities,
-        joint,
-        per_experiment,
+    (scales, densities, joint, any::<bool>()).prop_map(|(scales, densities, joint, per_experiment)| {
+        NoiseModel { scales, densities, joint, per_experiment }
     })
 }
 

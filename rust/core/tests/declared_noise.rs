@@ -49,7 +49,10 @@ fn kinds() -> Vec<NoiseModel> {
         new().correlated(),
         new().covariance(vec![0.01, 1e-4, 1e-4, 0.02]),
         new().density("y", Density::StudentT(Dof::Unknown { start: 7.0, lower: 1.0, upper: 50.0 })),
-        new().density("y", Density::Huber(1.5)).density("z", Density::Laplace(0.2)).scale("z", Sigma::Known(0.2)),
+        new()
+            .density("y", Density::Huber(1.5))
+            .density("z", Density::Laplace(0.2))
+            .scale("z", Sigma::Known(0.2)),
         new().density("z", custom()),
         new().per_experiment(),
         new().density("z", Density::StudentT(Dof::Known(4.0))).per_experiment(),
@@ -84,7 +87,8 @@ fn declared_or_said_is_the_same() {
 fn each_experiment_has_its_own() {
     let model = level();
     let runs = runs(&model);
-    let fit = Estimation::new(&model, &runs).noise_per_experiment().noise("z", Sigma::Known(0.2)).solve().unwrap();
+    let fit =
+        Estimation::new(&model, &runs).noise_per_experiment().noise("z", Sigma::Known(0.2)).solve().unwrap();
     assert_eq!(names(&fit), ["rate", "sigma_y[one]", "sigma_y[two]"]);
     let ratio = fit["sigma_y[two]"].value / fit["sigma_y[one]"].value;
     assert!((ratio - 3.0).abs() < 0.2, "{ratio}");
@@ -98,7 +102,10 @@ fn contradictions_are_named() {
         let error = estimation.solve().unwrap_err().to_string();
         words.iter().for_each(|word| assert!(error.contains(word), "no '{word}' in: {error}"));
     };
-    refused(Estimation::new(&model, &runs).correlated().density("y", Density::Huber(1.3)), &["Gaussian", "'y'"]);
+    refused(
+        Estimation::new(&model, &runs).correlated().density("y", Density::Huber(1.3)),
+        &["Gaussian", "'y'"],
+    );
     let known = || Estimation::new(&model, &runs).covariance(vec![1.0, 0.0, 0.0, 1.0]);
     refused(known().noise("y", Sigma::Known(1.0)), &["covariance is known", "sigma_y"]);
     refused(known().start("sigma_z", 1.0), &["covariance is known", "sigma_z"]);

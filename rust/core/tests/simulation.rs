@@ -36,8 +36,12 @@ fn a_ramp_is_followed() {
     let model = lag();
     let t = times(21, 0.2);
     let run = Experiment::of_inputs(&model, "ramp", t.clone(), [("u", t.clone())]).unwrap();
-    let path =
-        Simulation::new(&model, &run).parameter("tau", 0.7).parameter("b", 0.1).initial("x", 0.0).run().unwrap();
+    let path = Simulation::new(&model, &run)
+        .parameter("tau", 0.7)
+        .parameter("b", 0.1)
+        .initial("x", 0.0)
+        .run()
+        .unwrap();
     let x = |t: &f64| t - 0.7 + 0.7 * (-t / 0.7).exp();
     assert_near(path.state("x").unwrap(), t.iter().map(x), 1e-9);
     assert_near(path.output("y").unwrap(), t.iter().map(|t| x(t) + 0.1), 1e-9);
@@ -58,8 +62,12 @@ fn inputs_keep_their_own_samples() {
         derivative: 0,
     };
     run.signals = vec![Some(signal)];
-    let path =
-        Simulation::new(&model, &run).parameter("tau", 0.5).parameter("b", 0.0).initial("x", 0.0).run().unwrap();
+    let path = Simulation::new(&model, &run)
+        .parameter("tau", 0.5)
+        .parameter("b", 0.0)
+        .initial("x", 0.0)
+        .run()
+        .unwrap();
     let x = |t: &f64| if *t < 1.0 { 0.0 } else { 1.0 - (-(t - 1.0) / 0.5).exp() };
     assert_near(path.state("x").unwrap(), t.iter().map(x), 2e-6);
 }
@@ -81,7 +89,8 @@ fn inputs_and_sensors_are_late() {
     let square: Vec<f64> = t.iter().map(|t| t * t).collect();
     let mut run = Experiment::of_inputs(&m, "run", t.clone(), [("u", square)]).unwrap();
     run.interpolation = Interpolation::Cubic; // which a parabola is to the bit
-    let simulation = Simulation::new(&m, &run).parameter("by", 0.25).parameter("slow", 0.15).initial("x", 1.0);
+    let simulation =
+        Simulation::new(&m, &run).parameter("by", 0.25).parameter("slow", 0.15).initial("x", 1.0);
     let path = simulation.run().unwrap();
     let x = |t: f64| 1.0 + (t - 0.25).max(0.0).powi(3) / 3.0;
     assert_near(path.output("now").unwrap(), t.iter().map(|t| x(*t)), 1e-9);

@@ -75,7 +75,7 @@ fn record() -> impl Strategy<Value = Experiment> {
     let size = prop_oneof![9 => 4..16usize, 1 => 0..4usize];
     let signals =
         prop_oneof![4 => Just(Vec::new()), 1 => prop::collection::vec(prop::option::of(signal), 0..3)];
-    (size.prop_flat_map(parts), any::<bool>(), signals, "[ab]").prop_map(
+    (size.prop_flat_map(parts), any::<bool>(), signals, "[a-f]").prop_map(
         |((t, inputs, outputs), cubic, signals, name)| {
             let interpolation = if cubic { Interpolation::Cubic } else { Interpolation::Linear };
             Experiment { name, t, inputs, outputs, interpolation, signals }

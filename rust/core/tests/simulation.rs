@@ -149,6 +149,12 @@ fn what_cannot_be_simulated_is_named() {
     assert_error(with(0.0).initial("x", 1.0), &["x' is not finite", "'run'", "t = 0 s", "u = 0"]);
     // Finite until it is no more: x grows by e^100 a second.
     assert_error(with(-0.01).initial("x", 1e300), &["'run'", "ends at t ="]);
+    let mut rate = run.clone();
+    rate.signals = vec![Some(Signal { t: run.t.clone(), values: vec![0.0; 5], delay: 0.0, derivative: 1 })];
+    assert_error(
+        Simulation::new(&model, &rate).parameter("tau", 1.0).parameter("b", 0.0),
+        &["'u' is a derivative"],
+    );
     let missing = Experiment::of_inputs(&model, "run", times(5, 1.0), []).unwrap_err();
     assert!(matches!(missing, Error::Data(text) if text.contains("no channel 'u'")));
 }

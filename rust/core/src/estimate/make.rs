@@ -1,7 +1,7 @@
 //! The fit at a solution.
 
 use super::fit::{Bound, Estimate, Fit, Record};
-use super::judge::{judge, large_defects};
+use super::judge::{confounded, judge, large_defects};
 use crate::diagnosis::information;
 use crate::experiment::Experiment;
 use crate::model::{Model, Variable};
@@ -57,6 +57,7 @@ impl Fit {
                         covariance[i * n_theta + j] = found.covariance[a * k + b] * slope(i) * slope(j);
                     }
                 }
+                warnings.extend(confounded(&problem.posed().parameters, &covariance));
                 noise_covariance(&reported, n_model, n_theta, &mut covariance);
                 for i in n_model..n_theta {
                     errors[i] = covariance[i * n_theta + i].sqrt();

@@ -260,6 +260,14 @@ impl<'a> Estimation<'a> {
         let inputs = self.model.input_names();
         let outputs: Vec<&str> = self.model.outputs.iter().map(|o| o.name.as_str()).collect();
         self.experiments.iter().try_for_each(|e| e.check(&inputs, &outputs))?;
+        for (k, one) in self.experiments.iter().enumerate() {
+            if self.experiments[..k].iter().any(|other| other.name == one.name) {
+                let name = &one.name;
+                return Err(Error::Data(format!(
+                    "two experiments are called '{name}'; give each a name of its own"
+                )));
+            }
+        }
         self.check_names(&outputs)?;
         self.resolve_noise(&outputs)
     }

@@ -11,7 +11,7 @@ pub use path::Path;
 use crate::condition::End;
 use crate::error::{Error, did_you_mean};
 use crate::estimate::{Fit, measured_states};
-use crate::experiment::Experiment;
+use crate::experiment::{Experiment, Signal};
 use crate::model::{Model, TIME};
 use crate::noise::SIGMA;
 use flow::Flow;
@@ -97,6 +97,14 @@ impl<'a> Simulation<'a> {
         }
         let outputs: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         run.check_shapes(&model.input_names(), &outputs)?;
+        let rate = |s: &Option<Signal>| s.as_ref().is_some_and(|s| s.derivative > 0);
+        if let Some((name, _)) = model.input_names().iter().zip(&run.signals).find(|s| rate(s.1)) {
+            return Err(Error::Data(format!(
+                "experiment '{}': input '{name}' is a derivative of its samples, which may jump there; a simulation \
+                 takes inputs themselves",
+                run.name
+            )));
+        }
         let parameters = self.values()?;
         let first = self.first_states(&parameters)?;
         let delays: HashMap<&str, f64> =

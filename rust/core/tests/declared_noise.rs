@@ -34,7 +34,7 @@ fn custom() -> Density {
     let e = &r / &sigma;
     let good = (-0.5 * &e * &e).exp();
     let wide = (-0.5 * &e * &e / 100.0).exp() / 10.0;
-    let log_density = ((1.0 - &share) * good + share * wide).ln() - sigma.ln();
+    let log_density = ((1.0 - &share) * good + share * wide).log() - sigma.log();
     let share = Parameter { lower: Some(1e-3), upper: Some(0.5), ..Parameter::new("share", 0.05) };
     Density::Custom(Custom { log_density, parameters: vec![share] })
 }
@@ -79,7 +79,8 @@ fn declared_or_said_is_the_same() {
         let said = Estimation::new(&model, &runs).noise_model(noise.clone()).solve().unwrap();
         model.noise = noise;
         let declared = Estimation::new(&model, &runs).solve().unwrap();
-        assert_eq!(said.parameters, declared.parameters, "{:?}", model.noise);
+        let told = |fit: &Fit| fit.parameters.iter().map(|p| format!("{p:?}")).collect::<Vec<String>>();
+        assert_eq!(told(&said), told(&declared), "{:?}", model.noise); // NaN is NaN here
     }
 }
 

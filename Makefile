@@ -52,6 +52,7 @@ lint: $(VENV)/.package $(VENV)/.lint
 	$(py) tools/check_layers.py
 	$(CARGO) fmt --all --check
 	$(activate) $(CARGO) clippy --workspace --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps -p phugoid
 	$(py) -m ruff check
 	$(py) -m ruff format --check
 	$(py) -m mypy

@@ -40,7 +40,8 @@ def expected() -> ph.results.Record:
     return ph.simulate(hfb320.model(), hfb320.PUBLISHED, hfb320.twin(), initial=START)
 
 
-def instance(unit: Path, folder: Path, kind: str) -> Any:
+def start(unit: Path, folder: Path, kind: str) -> Any:
+    """The unit in its initialization."""
     from fmpy import fmi2
 
     description = fmpy.read_model_description(unit)
@@ -52,6 +53,12 @@ def instance(unit: Path, folder: Path, kind: str) -> Any:
     one.instantiate()
     one.setupExperiment(startTime=0.0)
     one.enterInitializationMode()
+    return one
+
+
+def instance(unit: Path, folder: Path, kind: str) -> Any:
+    """The unit of the HFB-320, ready to go."""
+    one = start(unit, folder, kind)
     one.setReal(list(range(N_X)), list(START.values()))
     one.exitInitializationMode()
     return one
@@ -278,18 +285,63 @@ def test_the_source_compiles_without_a_warning(unit: Path, fit: ph.Fit, tmp_path
             assert done.returncode == 0, done.stderr
 
 
+def late() -> ph.Model:
+    """An input and a sensor that are late."""
+    m = ph.Model("late")
+    (x,), (u,) = m.states(x="m"), m.inputs(u="V")
+    tau, a = m.parameters(tau=0.2, a=1.0)
+    m.dynamics(x=a * (m.delay(u, tau) - x))
+    m.outputs(x=x, y=x + u)
+    m.sensor_delay(y=tau)
+    return m
+
+
+def test_late_inputs_are_delayed_by_the_importing_program(tmp_path: Path) -> None:
+    from fmpy.validation import validate_fmu
+
+    m, values = late(), {"tau": 0.2, "a": 1.5}
+    with pytest.raises(ModelError, match=r"delays \(u_delayed, y\).*export_fmu\(\.\.\., late_inputs=True\)"):
+        ph.export_fmu(m, tmp_path / "late.fmu", values)
+    path = ph.export_fmu(m, tmp_path / "late.fmu", values, late_inputs=True)
+    assert validate_fmu(str(path)) == []
+    by_name = {v.name: v for v in fmpy.read_model_description(path).modelVariables}
+    assert by_name["u_delayed"].description == "u(t - tau): to be delayed outside"
+    assert by_name["u_delayed"].causality == "input" and by_name["u_delayed"].unit == "V"
+    assert by_name["y"].description == "without its delay, by tau: to be delayed outside"
+
+    t = 0.05 * np.arange(80)
+    u = np.cos(2 * t)
+    e = ph.Experiment(t, {"u": u}, name="run")
+    expected = ph.simulate(m, values, e, initial={"x": 0.3})
+    # The delay is four samples; before the first the input is as there.
+    delayed = np.concatenate([np.full(4, u[0]), u[:-4]])
+    one, two = by_name["u"].valueReference, by_name["u_delayed"].valueReference
+    x, y = by_name["state.x"].valueReference, by_name["y"].valueReference
+    unit = start(path, tmp_path, "FMU2Slave")
+    unit.setReal([x], [0.3])
+    unit.exitInitializationMode()
+    for k, now in enumerate(t):
+        unit.setReal([one, two], [u[k], delayed[k]])
+        found = unit.getReal([x, y])
+        assert found[0] == pytest.approx(expected.outputs["x"][k], rel=1e-7, abs=1e-7), now
+        if k + 4 < t.size:  # the sensor's delay, four samples too
+            assert found[1] == pytest.approx(expected.outputs["y"][k + 4], rel=1e-7, abs=1e-7), now
+        if k + 1 < t.size:
+            rates = [(u[k + 1] - u[k]) / 0.05, (delayed[k + 1] - delayed[k]) / 0.05]
+            unit.setRealInputDerivatives([one, two], [1, 1], rates)
+            unit.doStep(now, 0.05)
+    unit.terminate()
+    unit.freeInstance()
+
+
 def test_bad_input(fit: ph.Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for step in (0.0, -1.0, float("nan"), "fast"):
         with pytest.raises(OptionError, match="positive number of seconds"):
             fit.export_fmu(tmp_path / "a.fmu", step=step)
     with pytest.raises(DataError, match="cannot be written"):
         fit.export_fmu(tmp_path / "absent" / "a.fmu", binary=False)
-    late = ph.Model("late")
-    (x,), (u,), (tau,) = late.states("x"), late.inputs("u"), late.parameters(tau=0.1)
-    late.dynamics(x=late.delay(u, tau) - x)
-    late.outputs(x=x)
     with pytest.raises(ModelError, match="has delays"):
-        ph.export_fmu(late, tmp_path / "a.fmu", {"tau": 0.1})
+        ph.export_fmu(late(), tmp_path / "a.fmu", {"tau": 0.1, "a": 1.0})
     monkeypatch.setenv("CC", "false")
     with pytest.raises(DataError, match="false failed"):
         fit.export_fmu(tmp_path / "a.fmu")

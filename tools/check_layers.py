@@ -13,9 +13,9 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "lgl", "interpolate", "table", "error", "expr", "tape", "transform", "condition", "model",
-    "evaluator", "experiment", "nlp", "noise", "mesh", "transcription", "filter", "linalg", "solver", "diagnosis",
-    "estimate",
+    "math", "simd", "lgl", "interpolate", "table", "error", "pairs", "expr", "tape", "transform", "parameter",
+    "nlp", "noise", "condition", "model", "evaluator", "experiment", "mesh", "transcription", "filter", "linalg",
+    "solver", "diagnosis", "estimate", "simulate",
 ]
 
 PYTHON = [

@@ -45,7 +45,7 @@ def model():
         alpha=-CL * cos(alpha) + tanh(de * alpha) - log(V) * c + 0.1 * sin(m.time),
     )
     m.outputs(V=V, alpha=alpha + c * V, az=(CL * V**1.5 - abs(atan2(de, V)), "m/s²"))
-    m.noise(V=0.3)  # the Rust crate leaves it out
+    m.noise(V=0.3)
     return m
 
 

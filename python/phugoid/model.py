@@ -301,7 +301,7 @@ class Model:
         return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
     def to_json(self) -> str:
-        """The model as text that `from_json`, and (but for the noise) the Rust crate, read back exactly."""
+        """The model as text that `from_json`, and the Rust crate, read back exactly."""
         text = self._core.to_json()
         more = {"noise": self._noise.to_dict(), "delays": self._delays.to_dict()}
         more = {key: value for key, value in more.items() if value}

@@ -48,7 +48,7 @@ def contents_of(
         late = ", ".join([*model.delays.inputs, *model.delays.outputs])
         raise ModelError(
             f"{caller}: the model has delays ({late}), which functions of the present state cannot hold; with "
-            "export_c(..., late_inputs=True) each late input is one of its own, which the caller delays"
+            f"{caller}(..., late_inputs=True) each late input is one of its own, which the caller delays"
         )
     states = dict.fromkeys(model.state_names, 0.0)
     inputs = {name: 0.0 for name, _ in model._core.inputs}

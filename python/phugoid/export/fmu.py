@@ -40,6 +40,7 @@ def export_fmu(
     experiment: str | None = None,
     step: float | None = None,
     binary: bool = True,
+    late_inputs: bool = False,
 ) -> Path:
     """Writes a functional mock-up unit (FMI 2.0) for model exchange and co-simulation, its C source within.
 
@@ -53,16 +54,19 @@ def export_fmu(
     ``parameters``, ``experiment``  as in `linearise`.
     ``step``    longest Runge-Kutta step (order 4) of co-simulation in s; else a tenth of the shortest sampling
                 interval, 0.01 s without a fit.
+    ``late_inputs``  of a model with delays: take each late input, u(t - tau), as an input of its own, which the
+                importing program delays (a transport delay before the input), and leave delays of sensors to it too;
+                the descriptions of these variables say so.
     ``binary``  compile for this platform, by the compiler ``cc``, ``gcc`` or ``clang`` or that named by the environment
                 variable CC. Without, the unit holds source alone, for tools that compile.
 
-    Raises ModelError for a model with delays, and where values are missing or each experiment has its own; OptionError
-    for a step that is not positive; MissingDependency without FMPy, which has the standard's headers, or a compiler;
-    DataError where the file cannot be written.
+    Raises ModelError for a model with delays otherwise, and where values are missing or each experiment has its own;
+    OptionError for a step that is not positive; MissingDependency without FMPy, which has the standard's headers, or a
+    compiler; DataError where the file cannot be written.
     """
     import uuid
 
-    contents = contents_of("export_fmu", fit, parameters, experiment)
+    contents = contents_of("export_fmu", fit, parameters, experiment, late_inputs)
     if step is None:
         gaps = [float(np.diff(r.t).min()) for r in fit.records] if isinstance(fit, Fit) else []
         step = min(gaps) / _PARTS if gaps else _STEP
@@ -164,11 +168,19 @@ def _description(contents: Contents, name: str, guid: str) -> bytes:
     def add(reference: int, title: str, unit: str, real: Mapping[str, str], **attributes: str) -> None:
         places[title] = len(places) + 1
         attributes |= {"name": title, "valueReference": str(reference)}
+        if title in late:
+            attributes["description"] = late[title]
         one = ElementTree.SubElement(variables, "ScalarVariable", attributes)
         ElementTree.SubElement(one, "Real", {**({"unit": unit} if unit else {}), **real})
 
+    delays = model.delays
+    late = {n: f"{of}(t - {tau}): to be delayed outside" for n, (of, tau) in delays.inputs.items()}
     n_x, n_u, n_p = len(contents.states), len(contents.inputs), len(contents.values)
     taken = {*contents.inputs, *contents.values}
+    late |= {
+        f"output.{n}" if n in taken else n: f"without its delay, by {tau}: to be delayed outside"
+        for n, tau in delays.outputs.items()
+    }
     for k, (n, value) in enumerate(contents.inputs.items()):
         add(2 * n_x + k, n, units.get(n, ""), {"start": number(value)}, causality="input", variability="continuous")
     for k, n in enumerate(model.output_names):

@@ -4,7 +4,7 @@ use crate::error::{Error, did_you_mean};
 use crate::interpolate::{Interpolation, derivative, interpolate};
 use crate::model::Model;
 
-/// One record. Channels stand in the order of the model's inputs and outputs.
+/// One record. Channels stand in the order of the model's inputs ([`Model::input_names`]) and outputs.
 ///
 /// ```
 /// use phugoid::{Experiment, Interpolation, Model, Parameter};
@@ -76,7 +76,7 @@ impl Experiment {
         t: Vec<f64>,
         channels: impl IntoIterator<Item = (&'a str, Vec<f64>)>,
     ) -> Result<Self, Error> {
-        let inputs: Vec<&str> = model.inputs.iter().map(|v| v.name.as_str()).collect();
+        let inputs = model.input_names();
         let outputs: Vec<&str> = model.outputs.iter().map(|e| e.name.as_str()).collect();
         let channels: Vec<(&str, Vec<f64>)> = channels.into_iter().collect();
         let fail = |text: String| Error::Data(format!("experiment '{name}': {text}"));
@@ -101,6 +101,23 @@ impl Experiment {
         Ok(experiment)
     }
 
+    /// A record of inputs alone, for a simulation; all outputs are missing.
+    ///
+    /// # Errors
+    /// As [`Experiment::new`], for inputs.
+    pub fn of_inputs<'a>(
+        model: &Model,
+        name: &str,
+        t: Vec<f64>,
+        channels: impl IntoIterator<Item = (&'a str, Vec<f64>)>,
+    ) -> Result<Self, Error> {
+        // A model without outputs asks for inputs only.
+        let bare = Model { outputs: Vec::new(), ..model.clone() };
+        let run = Experiment::new(&bare, name, t, channels)?;
+        let missing = vec![f64::NAN; run.t.len()];
+        Ok(Experiment { outputs: vec![missing; model.outputs.len()], ..run })
+    }
+
     /// An input at any times.
     pub fn input(&self, channel: usize, times: &[f64]) -> Vec<f64> {
         match self.signals.get(channel) {
@@ -109,11 +126,24 @@ impl Experiment {
         }
     }
 
-    /// Checks lengths, times and finiteness against the channel names.
+    /// Checks lengths, times and finiteness against the channel names, and that every output has a sample.
     ///
     /// # Errors
     /// Names the channel and the time at fault.
     pub fn check(&self, inputs: &[&str], outputs: &[&str]) -> Result<(), Error> {
+        self.check_shapes(inputs, outputs)?;
+        let empty = |c: &Vec<f64>| c.iter().all(|v| v.is_nan());
+        match outputs.iter().zip(&self.outputs).find(|c| empty(c.1)) {
+            Some((name, _)) => Err(Error::Data(format!(
+                "experiment '{}': output '{name}' has no samples (all NaN); take it out of the model",
+                self.name
+            ))),
+            None => Ok(()),
+        }
+    }
+
+    /// The same for a record of which no output need be measured.
+    pub(crate) fn check_shapes(&self, inputs: &[&str], outputs: &[&str]) -> Result<(), Error> {
         let fail = |text: String| Err(Error::Data(format!("experiment '{}': {text}", self.name)));
         let n = self.t.len();
         if n < 2 {
@@ -163,9 +193,6 @@ impl Experiment {
                     "channel '{name}' is {} at t = {} s (sample {i})",
                     channel[i], self.t[i]
                 ));
-            }
-            if !is_input && channel.iter().all(|v| v.is_nan()) {
-                return fail(format!("output '{name}' has no samples (all NaN); take it out of the model"));
             }
         }
         Ok(())

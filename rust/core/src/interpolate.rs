@@ -37,26 +37,54 @@ pub enum Interpolation {
 /// assert_eq!(interpolate(Interpolation::Cubic, &t, &u, &[2.0]), [4.0]);
 /// ```
 pub fn interpolate(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64]) -> Vec<f64> {
-    assert!(!t.is_empty(), "no samples to interpolate");
-    assert_eq!(t.len(), values.len(), "as many sample times as sample values are needed");
-    debug_assert!(t.windows(2).all(|pair| pair[0] < pair[1]), "sample times must increase strictly");
-    match kind {
-        Interpolation::Linear => each(t, values, at, |i, s| {
-            let slope = (values[i + 1] - values[i]) / (t[i + 1] - t[i]);
-            values[i] + slope * (s - t[i])
-        }),
-        Interpolation::Cubic => {
-            let slopes = spline_slopes(t, values);
-            each(t, values, at, |i, s| {
-                let h = t[i + 1] - t[i];
-                let secant = (values[i + 1] - values[i]) / h;
-                let bend = (slopes[i] + slopes[i + 1] - 2.0 * secant) / h;
-                let c2 = (secant - slopes[i]) / h - bend;
-                let c3 = bend / h;
-                let u = s - t[i];
-                values[i] + u * (slopes[i] + u * (c2 + u * c3))
-            })
+    let signal = Interpolant::new(kind, t, values);
+    at.iter().map(|&s| signal.at(s)).collect()
+}
+
+/// A sampled signal at any time, one time after the other: as [`interpolate`], prepared once.
+#[derive(Clone, Debug)]
+pub struct Interpolant<'a> {
+    t: &'a [f64],
+    values: &'a [f64],
+    /// Derivatives at the samples of a spline; none of straight lines.
+    slopes: Option<Vec<f64>>,
+}
+
+impl<'a> Interpolant<'a> {
+    /// Of the samples `values` at the times `t`.
+    ///
+    /// # Panics
+    /// As [`interpolate`].
+    pub fn new(kind: Interpolation, t: &'a [f64], values: &'a [f64]) -> Self {
+        assert!(!t.is_empty(), "no samples to interpolate");
+        assert_eq!(t.len(), values.len(), "as many sample times as sample values are needed");
+        debug_assert!(t.windows(2).all(|pair| pair[0] < pair[1]), "sample times must increase strictly");
+        let slopes = (kind == Interpolation::Cubic).then(|| spline_slopes(t, values));
+        Interpolant { t, values, slopes }
+    }
+
+    /// Its value at a time; before the first sample and after the last one it is theirs.
+    pub fn at(&self, s: f64) -> f64 {
+        let (t, values) = (self.t, self.values);
+        if s.is_nan() {
+            return f64::NAN;
         }
+        // Number of samples at or before `s`.
+        let n = t.partition_point(|&sample| sample <= s);
+        if n == 0 {
+            return values[0];
+        }
+        let i = n - 1;
+        if n == t.len() || t[i] == s {
+            return values[i];
+        }
+        let (h, u) = (t[n] - t[i], s - t[i]);
+        let secant = (values[n] - values[i]) / h;
+        let Some(slopes) = &self.slopes else { return values[i] + secant * u };
+        let bend = (slopes[i] + slopes[n] - 2.0 * secant) / h;
+        let c2 = (secant - slopes[i]) / h - bend;
+        let c3 = bend / h;
+        values[i] + u * (slopes[i] + u * (c2 + u * c3))
     }
 }
 
@@ -88,27 +116,6 @@ pub fn derivative(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64], or
                 _ if t[n - 1] != s => side(n - 1),
                 1 => 0.5 * side(0),
                 _ => 0.5 * (side(n - 2) + side(n - 1)),
-            }
-        })
-        .collect()
-}
-
-/// Applies `inside(i, s)` to the times strictly between samples `i` and `i + 1`,
-/// and takes the samples themselves elsewhere.
-fn each(t: &[f64], values: &[f64], at: &[f64], inside: impl Fn(usize, f64) -> f64) -> Vec<f64> {
-    at.iter()
-        .map(|&s| {
-            if s.is_nan() {
-                return f64::NAN;
-            }
-            // Number of samples at or before `s`.
-            let n = t.partition_point(|&sample| sample <= s);
-            if n == 0 {
-                values[0]
-            } else if n == t.len() || t[n - 1] == s {
-                values[n - 1]
-            } else {
-                inside(n - 1, s)
             }
         })
         .collect()

@@ -74,15 +74,17 @@
 //! | [`error`] | what can be wrong, in the user's names |
 //! | [`expr`] | symbolic expressions: operators, exact derivatives, printing, saving |
 //! | [`tape`] | expressions compiled to run over blocks of points |
-//! | [`model`], [`evaluator`] | states, inputs, parameters, equations; f and g at points |
-//! | [`experiment`], [`noise`], [`mesh`] | records, the density of the noise, segments and their points |
 //! | [`nlp`] | the seam to solvers: a nonlinear program with names |
+//! | [`parameter`], [`noise`] | unknowns; the density of the noise |
+//! | [`model`], [`evaluator`] | states, inputs, parameters, equations, delays; f and g at points |
+//! | [`experiment`], [`mesh`] | records, segments and their points |
 //! | [`transcription`] | from all these to the program of collocation, or of single or multiple shooting |
 //! | [`filter`] | process noise: the marginal likelihood of the filter-error method |
 //! | [`linalg`] | the seam to linear algebra: Newton systems; the factorisation of an arrow, and a sparse one |
 //! | [`solver`] | Gauss-Newton, then Newton |
 //! | [`diagnosis`] | covariance, and what the data leave open |
 //! | [`estimate`] | all of it in one call |
+//! | [`simulate`] | what a model says for given parameters |
 #![warn(missing_docs)]
 // Documentation names private items too, for those who read on in the source.
 #![allow(rustdoc::private_intra_doc_links)]
@@ -103,7 +105,10 @@ pub mod mesh;
 pub mod model;
 pub mod nlp;
 pub mod noise;
+mod pairs;
+pub mod parameter;
 mod simd;
+pub mod simulate;
 pub mod solver;
 pub mod table;
 pub mod tape;
@@ -117,7 +122,8 @@ pub use expr::Expr;
 pub use interpolate::Interpolation;
 pub use mesh::Grid;
 pub use model::{Model, Parameter};
-pub use noise::{Density, Dof, Noise, Sigma};
+pub use noise::{Density, Dof, Noise, NoiseModel, Sigma};
+pub use simulate::Simulation;
 
 /// The code in the README.
 #[cfg(doctest)]

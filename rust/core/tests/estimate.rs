@@ -159,6 +159,9 @@ fn wrong_names_and_values_give_clear_errors() {
     let settings = Settings { tolerance: 2.0, ..Settings::default() };
     assert_error(estimation().solver(settings).solve(), &["tolerance 2"]);
 
+    let twice = [runs[0].clone(), runs[0].clone()];
+    assert_error(Estimation::new(&model, &twice).solve(), &["two experiments are called 'run'"]);
+
     let mut still = runs.clone();
     still[0].outputs[0].fill(1.0);
     assert_error(
@@ -257,4 +260,20 @@ fn a_prior_pulls_but_is_no_part_of_the_likelihood() {
     let prior = 0.5 * ((fit["gain"].value - 1.5) / 1e-3).powi(2);
     let objective = problem.objective(&fit.solution.xi).unwrap();
     assert!(prior > 1e-3 && (fit.log_likelihood - (prior - objective)).abs() < 1e-9);
+}
+
+/// A parameter of which only the sum with another acts: all is determined but for rounding, or nothing is.
+#[test]
+fn parameters_that_cannot_be_told_apart_are_named() {
+    let mut model = plain();
+    let other = model.parameter(Parameter::new("other", 1.0)).unwrap();
+    model.dynamics[0].expr =
+        &model.dynamics[0].expr + other * phugoid::Expr::symbol("u") / phugoid::Expr::symbol("tau");
+    let runs = [run(&model, "run", 0.3, 1)];
+    let fit = Estimation::new(&model, &runs).solve().unwrap();
+    assert!(
+        fit.warnings.iter().any(|w| w.starts_with("gain, other cannot be told apart")),
+        "{:?}",
+        fit.warnings
+    );
 }

@@ -165,6 +165,8 @@ impl PyModel {
 
     #[staticmethod]
     fn from_json(text: &str) -> PyResult<Self> {
-        Model::from_json(text).map(PyModel).map_err(raise)
+        let model = Model::from_json(text).map_err(raise)?;
+        // `phugoid.Model` holds these two itself.
+        Ok(PyModel(Model { noise: Default::default(), delays: Default::default(), ..model }))
     }
 }

@@ -59,8 +59,10 @@ pub struct Record {
     pub residuals: Vec<Vec<f64>>,
     /// The state at the first sample.
     pub initial: Vec<Estimate>,
-    /// Number of mesh points.
-    pub mesh_points: usize,
+    /// Times of the mesh on which the equations were solved, s.
+    pub mesh_t: Vec<f64>,
+    /// n_x states there.
+    pub mesh_states: Vec<Vec<f64>>,
 }
 
 /// The result of an [`Estimation`](super::Estimation). It prints as a table.
@@ -135,6 +137,13 @@ impl Fit {
     pub fn state(&self, experiment: usize, name: &str) -> Option<&[f64]> {
         let i = self.model.states.iter().position(|s| s.name == name)?;
         Some(&self.records.get(experiment)?.states[i])
+    }
+
+    /// The path of a state in an experiment: times of the mesh and values there.
+    pub fn path(&self, experiment: usize, name: &str) -> Option<(&[f64], &[f64])> {
+        let i = self.model.states.iter().position(|s| s.name == name)?;
+        let record = self.records.get(experiment)?;
+        Some((&record.mesh_t, &record.mesh_states[i]))
     }
 
     /// What the model says of an output at the samples of an experiment.

@@ -1,8 +1,11 @@
 //! What a solution is worth: how the run ended in the light of the information matrix, and whether the
 //! state path is one.
 
+use nalgebra::DMatrix;
+
 use crate::diagnosis::Information;
 use crate::model::Model;
+use crate::parameter::Parameter;
 use crate::solver::Status;
 use crate::transcription::Transcribed;
 
@@ -10,6 +13,10 @@ use crate::transcription::Transcribed;
 const CLOSE: f64 = 1e-3;
 /// Defects may add up along a path to this part of the noise of the same name.
 const SMALL: f64 = 0.01;
+/// A correlation matrix with a smaller eigenvalue is singular for all that rounding leaves to see.
+const SINGULAR: f64 = 1e-12;
+/// Parameters with a larger part in its eigenvector are named.
+const PART: f64 = 0.1;
 
 /// What the information at the end says about how the run ended.
 pub(super) fn judge(
@@ -28,14 +35,8 @@ pub(super) fn judge(
     let mut groups = Vec::new();
     for group in &found.undetermined {
         let names: Vec<String> = group.iter().map(|&i| problem.variable_name(i)).collect();
-        let names = names.join(", ");
-        warnings.push(match group.len() {
-            1 => {
-                format!("{names} has no influence on the outputs with these data: fix it, or give it a prior")
-            }
-            _ => format!("{names} cannot be told apart with these data: fix one of them, or give it a prior"),
-        });
-        groups.push(names);
+        warnings.push(undetermined(&names));
+        groups.push(names.join(", "));
     }
     if !groups.is_empty() {
         *status = Status::Unidentifiable;
@@ -49,6 +50,40 @@ pub(super) fn judge(
         *status = Status::Converged;
         *message = status.hint().to_owned();
     }
+}
+
+/// What to say of variables in a direction without curvature.
+fn undetermined(names: &[String]) -> String {
+    let list = names.join(", ");
+    match names.len() {
+        1 => format!("{list} has no influence on the outputs with these data: fix it, or give it a prior"),
+        _ => format!("{list} cannot be told apart with these data: fix one of them, or give it a prior"),
+    }
+}
+
+/// Parameters of which the data determine a combination only: their correlation matrix, n × n, is singular.
+pub(super) fn confounded(parameters: &[Parameter], covariance: &[f64]) -> Vec<String> {
+    let n = parameters.len();
+    let known: Vec<usize> = (0..n).filter(|&i| covariance[i * n + i] > 0.0).collect();
+    if known.len() < 2 {
+        return Vec::new();
+    }
+    let deviation = |i: usize| covariance[i * n + i].sqrt();
+    let correlation = DMatrix::from_fn(known.len(), known.len(), |a, b| {
+        let (i, j) = (known[a], known[b]);
+        covariance[i * n + j] / (deviation(i) * deviation(j))
+    });
+    if correlation.iter().any(|c| !c.is_finite()) {
+        return Vec::new();
+    }
+    let eigen = correlation.symmetric_eigen();
+    let mut singular: Vec<usize> = (0..known.len()).filter(|&k| eigen.eigenvalues[k] < SINGULAR).collect();
+    singular.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
+    let names = |k: usize| -> Vec<String> {
+        let involved = known.iter().enumerate().filter(|(a, _)| eigen.eigenvectors[(*a, k)].abs() > PART);
+        involved.map(|(_, &i)| parameters[i].name.clone()).collect()
+    };
+    singular.into_iter().map(|k| undetermined(&names(k))).collect()
 }
 
 /// Defects add up along the path; unless they stay far below σ, the likelihood is not that of a solution.

@@ -1,7 +1,7 @@
 //! The fit at a solution.
 
 use super::fit::{Bound, Estimate, Fit, Record};
-use super::judge::{judge, large_defects};
+use super::judge::{confounded, judge, large_defects};
 use crate::diagnosis::information;
 use crate::experiment::Experiment;
 use crate::model::{Model, Variable};
@@ -43,15 +43,21 @@ impl Fit {
             Ok(found) => {
                 judge(problem, &found, &wanted, (&mut status, &mut message), &mut warnings);
                 let k = wanted.len();
+                // The solver sees the logarithm of a parameter, or a part of it.
+                let slope = |i: usize| {
+                    let transform = problem.posed().estimands.transforms.get(i);
+                    transform.map_or(1.0, |t| t.slope(xi[i]))
+                };
                 for (a, &i) in wanted.iter().enumerate() {
                     let variance = found.covariance[a * k + a];
                     if variance > 0.0 {
-                        errors[i] = variance.sqrt();
+                        errors[i] = variance.sqrt() * slope(i).abs();
                     }
                     for (b, &j) in wanted[..free].iter().enumerate().filter(|_| a < free) {
-                        covariance[i * n_theta + j] = found.covariance[a * k + b];
+                        covariance[i * n_theta + j] = found.covariance[a * k + b] * slope(i) * slope(j);
                     }
                 }
+                warnings.extend(confounded(&problem.posed().parameters, &covariance));
                 noise_covariance(&reported, n_model, n_theta, &mut covariance);
                 for i in n_model..n_theta {
                     errors[i] = covariance[i * n_theta + i].sqrt();
@@ -161,6 +167,7 @@ fn record(
         let (name, unit) = (s.name.clone(), s.unit.clone());
         Estimate { name, unit, value: xi[at], std_error: errors[at], bound: None }
     };
+    let (mesh_t, mesh_states) = problem.path(xi, e);
     Record {
         name: experiment.name.clone(),
         t: experiment.t.clone(),
@@ -168,6 +175,7 @@ fn record(
         residuals: experiment.outputs.iter().zip(&outputs).map(residual).collect(),
         outputs,
         initial: model.states.iter().enumerate().map(initial).collect(),
-        mesh_points: problem.path(xi, e).0.len(),
+        mesh_t,
+        mesh_states,
     }
 }

@@ -2,18 +2,21 @@
 
 mod fit;
 mod judge;
+mod late;
 mod make;
+mod measured;
 mod print;
 mod start;
 
 pub use fit::{Bound, Estimate, Fit, Record};
+pub(crate) use measured::{Measured, measured_states};
 pub use start::Start;
 
 use crate::error::{Error, did_you_mean};
 use crate::experiment::Experiment;
 use crate::mesh::Grid;
 use crate::model::Model;
-use crate::noise::{Density, Noise, SIGMA, Sigma};
+use crate::noise::{Density, Noise, NoiseModel, SIGMA, Scale};
 use crate::solver::{Control, Iteration, Settings, solve};
 use crate::transcription::{self, Collocation, Shooting, Shots, Transcribed};
 
@@ -57,19 +60,11 @@ pub struct Estimation<'a> {
     shots: Option<Shots>,
     solver: Settings,
     regression: Option<bool>,
-    noise: Vec<(String, Sigma)>,
-    densities: Vec<(String, Density)>,
-    joint: Joint,
+    noise: NoiseModel,
     start: Vec<(String, Start)>,
     warm: Option<&'a Fit>,
-}
-
-/// Whether noise has a covariance.
-#[derive(Clone, Debug)]
-enum Joint {
-    No,
-    Unknown,
-    Known(Vec<f64>),
+    /// Whether samples stand elsewhere than in the fit to start from, as a delay has moved.
+    moved: bool,
 }
 
 impl<'a> Estimation<'a> {
@@ -82,11 +77,10 @@ impl<'a> Estimation<'a> {
             shots: None,
             solver: Settings::default(),
             regression: None,
-            noise: Vec::new(),
-            densities: Vec::new(),
-            joint: Joint::No,
+            noise: model.noise.clone(),
             start: Vec::new(),
             warm: None,
+            moved: false,
         }
     }
 
@@ -99,6 +93,12 @@ impl<'a> Estimation<'a> {
     /// Division of every experiment into segments: one between samples unless said.
     pub fn grid(mut self, grid: Grid) -> Self {
         self.transcription.grid = vec![grid];
+        self
+    }
+
+    /// Division of each experiment into segments, as many divisions as experiments.
+    pub fn grids(mut self, grids: Vec<Grid>) -> Self {
+        self.transcription.grid = grids;
         self
     }
 
@@ -120,27 +120,40 @@ impl<'a> Estimation<'a> {
 
     /// The standard deviation of an output's noise: unknown, from 1e-9 to 1e6 times the spread of the
     /// measurements, unless said.
-    pub fn noise(mut self, output: &str, sigma: Sigma) -> Self {
-        self.noise.push((output.to_owned(), sigma));
+    pub fn noise(mut self, output: &str, sigma: impl Into<Scale>) -> Self {
+        self.noise = self.noise.scale(output, sigma);
+        self
+    }
+
+    /// All that is said of the noise, instead of the model's own ([`Model::noise`]).
+    pub fn noise_model(mut self, noise: NoiseModel) -> Self {
+        self.noise = noise;
+        self
+    }
+
+    /// Scales, correlations and other parameters of the noise are of each experiment its own:
+    /// `sigma_<output>[<experiment>]`. Known ones are the same everywhere.
+    pub fn noise_per_experiment(mut self) -> Self {
+        self.noise = self.noise.per_experiment();
         self
     }
 
     /// The density of an output's noise, whose scale [`Estimation::noise`] says: Gaussian, unless said.
     pub fn density(mut self, output: &str, density: Density) -> Self {
-        self.densities.push((output.to_owned(), density));
+        self.noise = self.noise.density(output, density);
         self
     }
 
     /// Gaussian noise that is correlated between outputs, with an unknown covariance: `sigma_<output>` and
     /// `corr_<output>_<output>`. All standard deviations are unknown then.
     pub fn correlated(mut self) -> Self {
-        self.joint = Joint::Unknown;
+        self.noise = self.noise.correlated();
         self
     }
 
     /// Gaussian noise of this covariance matrix, n_y × n_y in the order of the model's outputs, row by row.
     pub fn covariance(mut self, matrix: Vec<f64>) -> Self {
-        self.joint = Joint::Known(matrix);
+        self.noise = self.noise.covariance(matrix);
         self
     }
 
@@ -186,6 +199,14 @@ impl<'a> Estimation<'a> {
     /// As [`Estimation::solve`].
     pub fn solve_with(&self, mut watch: impl FnMut(&Iteration) -> Control) -> Result<Fit, Error> {
         self.solver.check()?;
+        if !self.model.delays.is_empty() {
+            return self.solve_late(&mut watch);
+        }
+        self.solve_now(&mut watch)
+    }
+
+    /// The estimate of a model in which nothing is late.
+    fn solve_now(&self, watch: &mut dyn FnMut(&Iteration) -> Control) -> Result<Fit, Error> {
         let (problem, xi): (Box<dyn Transcribed>, Vec<f64>) = match &self.shots {
             None => self.transcribe().map(|(p, xi)| (Box::new(p) as _, xi))?,
             Some(shots) => self.transcribe_shooting(shots).map(|(p, xi)| (Box::new(p) as _, xi))?,
@@ -196,7 +217,7 @@ impl<'a> Estimation<'a> {
         let regression =
             self.regression.unwrap_or_else(|| self.warm.is_none() && self.shots.is_none() && known());
         let settings = Settings { regression, ..self.solver.clone() };
-        let solution = solve(problem, &xi, multipliers, &settings, &mut watch).map_err(|_| {
+        let solution = solve(problem, &xi, multipliers, &settings, watch).map_err(|_| {
             let what = problem.explain(&xi).map_or_else(
                 || "near the starting point, a derivative of the model is not finite".into(),
                 |what| format!("at the starting point, {what}"),
@@ -214,7 +235,9 @@ impl<'a> Estimation<'a> {
     /// As [`Estimation::solve`].
     pub fn transcribe(&self) -> Result<(Collocation, Vec<f64>), Error> {
         let noise = self.checked_noise()?;
-        let problem = Collocation::new(self.model, self.experiments, noise, &self.transcription)?;
+        let noise_per_experiment = self.noise.per_experiment;
+        let settings = transcription::Settings { noise_per_experiment, ..self.transcription.clone() };
+        let problem = Collocation::new(self.model, self.experiments, noise, &settings)?;
         let xi = self.first_point(&problem)?;
         Ok((problem, xi))
     }
@@ -225,29 +248,39 @@ impl<'a> Estimation<'a> {
     /// As [`Estimation::solve`].
     pub fn transcribe_shooting(&self, settings: &Shots) -> Result<(Shooting, Vec<f64>), Error> {
         let noise = self.checked_noise()?;
-        let problem = Shooting::new(self.model, self.experiments, noise, settings)?;
+        let noise_per_experiment = settings.noise_per_experiment || self.noise.per_experiment;
+        let settings = Shots { noise_per_experiment, ..settings.clone() };
+        let problem = Shooting::new(self.model, self.experiments, noise, &settings)?;
         let xi = self.first_point(&problem)?;
         Ok((problem, xi))
     }
 
     fn checked_noise(&self) -> Result<Noise, Error> {
         self.model.check()?;
-        let inputs: Vec<&str> = self.model.inputs.iter().map(|v| v.name.as_str()).collect();
+        let inputs = self.model.input_names();
         let outputs: Vec<&str> = self.model.outputs.iter().map(|o| o.name.as_str()).collect();
         self.experiments.iter().try_for_each(|e| e.check(&inputs, &outputs))?;
+        for (k, one) in self.experiments.iter().enumerate() {
+            if self.experiments[..k].iter().any(|other| other.name == one.name) {
+                let name = &one.name;
+                return Err(Error::Data(format!(
+                    "two experiments are called '{name}'; give each a name of its own"
+                )));
+            }
+        }
         self.check_names(&outputs)?;
         self.resolve_noise(&outputs)
     }
 
     fn first_point(&self, problem: &dyn Transcribed) -> Result<Vec<f64>, Error> {
         match self.same(problem) {
-            Some(fit) => Ok(fit.solution.xi.clone()),
-            None => self.starting_point(problem),
+            Some(fit) if !self.moved => Ok(fit.solution.xi.clone()),
+            _ => self.starting_point(problem),
         }
     }
 
     fn check_names(&self, outputs: &[&str]) -> Result<(), Error> {
-        for name in self.noise.iter().map(|n| &n.0).chain(self.densities.iter().map(|d| &d.0)) {
+        for name in self.noise.scales.iter().map(|n| &n.0).chain(self.noise.densities.iter().map(|d| &d.0)) {
             if !outputs.contains(&name.as_str()) {
                 let hint = did_you_mean(name, outputs.iter().copied());
                 return Err(Error::Option(format!("noise: '{name}' is not an output.{hint}")));

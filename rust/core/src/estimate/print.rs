@@ -8,7 +8,7 @@ impl fmt::Display for Fit {
     /// How the run went, the estimates, and how well each output is matched.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let samples: usize = self.records.iter().map(|r| r.t.len()).sum();
-        let points: usize = self.records.iter().map(|r| r.mesh_points).sum();
+        let points: usize = self.records.iter().map(|r| r.mesh_t.len()).sum();
         let runs = match self.records.len() {
             1 => String::new(),
             n => format!("{n} experiments, "),

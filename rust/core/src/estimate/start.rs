@@ -1,15 +1,11 @@
 //! Where an estimation starts: parameters as declared, standard deviations at the spread of the
 //! measurements, states as measured.
 
-use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
-
-use super::{Estimation, Joint};
+use super::Estimation;
+use super::measured::measured_states;
 use crate::error::Error;
-use crate::experiment::Experiment;
 use crate::interpolate::{Interpolation, interpolate};
-use crate::model::TIME;
-use crate::noise::{Channel, Covariance, Density, Dof, Noise, SIGMA, Sigma};
+use crate::noise::{Channel, Covariance, Density, Dof, Joint, Noise, SIGMA, Scale, Sigma};
 use crate::transcription::Transcribed;
 
 /// A starting value. It is made from a number, from the path of a state in the only experiment, or from
@@ -40,13 +36,6 @@ impl From<Vec<Vec<f64>>> for Start {
     }
 }
 
-/// An output that measures a state: z = offset + slope · x.
-struct Measured {
-    output: usize,
-    offset: f64,
-    slope: f64,
-}
-
 /// Standard deviations without bounds of their own lie within these factors of the spread.
 const RANGE: (f64, f64) = (1e-9, 1e6);
 
@@ -72,7 +61,7 @@ impl Estimation<'_> {
         }
     }
 
-    fn parameters(&self) -> Result<Vec<f64>, Error> {
+    pub(super) fn parameters(&self) -> Result<Vec<f64>, Error> {
         let one = |p: &crate::model::Parameter| {
             let bounds = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
             if !p.fixed {
@@ -91,11 +80,11 @@ impl Estimation<'_> {
 
     /// What may be started of the noise beside its scales.
     pub(super) fn names_of_noise(&self, outputs: &[&str]) -> Vec<String> {
-        if let Joint::Unknown = self.joint {
+        if self.noise.joint == Joint::Unknown {
             let pairs = (0..outputs.len()).flat_map(|a| (a + 1..outputs.len()).map(move |b| (a, b)));
             return pairs.map(|(a, b)| format!("corr_{}_{}", outputs[a], outputs[b])).collect();
         }
-        let own = |name: &&str| match self.density_of(name) {
+        let own = |name: &&str| match self.noise.density_of(name) {
             Density::StudentT(Dof::Unknown { .. }) => vec![format!("dof_{name}")],
             Density::Custom(custom) => {
                 custom.parameters.iter().map(|p| format!("{}_{name}", p.name)).collect()
@@ -105,19 +94,14 @@ impl Estimation<'_> {
         outputs.iter().flat_map(own).collect()
     }
 
-    /// The density of an output, its parameters where they start.
-    fn density_of(&self, output: &str) -> Density {
-        let said = self.densities.iter().rev().find(|d| d.0 == output);
-        said.map_or(Density::Gaussian, |d| d.1.clone())
-    }
-
     /// The noise with starts and bounds.
     pub(super) fn resolve_noise(&self, outputs: &[&str]) -> Result<Noise, Error> {
-        if let Joint::Known(matrix) = &self.joint {
+        self.check_joint(outputs)?;
+        if let Joint::Known(matrix) = &self.noise.joint {
             return Covariance::known(outputs.len(), matrix).map(Noise::Correlated);
         }
         let sigmas = self.resolve_sigmas(outputs)?;
-        if let Joint::Unknown = self.joint {
+        if self.noise.joint == Joint::Unknown {
             let n = outputs.len();
             let mut correlation = vec![0.0; n * n];
             for a in 0..n {
@@ -130,11 +114,11 @@ impl Estimation<'_> {
             }
             return Ok(Noise::Correlated(Covariance::unknown(sigmas).starting_at(&correlation)));
         }
-        if self.densities.is_empty() {
+        if self.noise.densities.is_empty() {
             return Ok(Noise::Gaussian(sigmas));
         }
         let channel = |(name, sigma): (&&str, Sigma)| {
-            let mut density = self.density_of(name);
+            let mut density = self.noise.density_of(name);
             match &mut density {
                 Density::StudentT(Dof::Unknown { start, lower, upper }) => {
                     *start = self.value(&format!("dof_{name}"), *start, (*lower, *upper))?;
@@ -152,12 +136,35 @@ impl Estimation<'_> {
         outputs.iter().zip(sigmas).map(channel).collect::<Result<_, Error>>().map(Noise::Independent)
     }
 
+    /// What is said of single outputs has no place where a covariance says all.
+    fn check_joint(&self, outputs: &[&str]) -> Result<(), Error> {
+        let fail = |text: String| Err(Error::Option(format!("noise: {text}")));
+        let said = |name: &&&str| self.noise.density_of(name) != Density::Gaussian;
+        match (&self.noise.joint, outputs.iter().find(said)) {
+            (Joint::Independent, _) => Ok(()),
+            (_, Some(output)) => {
+                fail(format!("correlated noise is Gaussian: leave out the density of '{output}'"))
+            }
+            (Joint::Known(_), None) => {
+                let scale = self.noise.scales.first().map(|s| format!("{SIGMA}{}", s.0));
+                let given = self.start.iter().find(|s| outputs.iter().any(|o| s.0 == format!("{SIGMA}{o}")));
+                match scale.or_else(|| given.map(|s| s.0.clone())) {
+                    Some(name) => {
+                        fail(format!("the covariance is known, and {name} with it: leave that out"))
+                    }
+                    None => Ok(()),
+                }
+            }
+            (Joint::Unknown, None) => Ok(()),
+        }
+    }
+
     /// Scales with starts and bounds.
     fn resolve_sigmas(&self, outputs: &[&str]) -> Result<Vec<Sigma>, Error> {
         let one = |(c, name): (usize, &&str)| {
-            let said = self.noise.iter().rev().find(|n| n.0 == **name).map(|n| &n.1);
+            let said = self.noise.scale_of(name);
             let sigma = format!("{SIGMA}{name}");
-            if let Some(Sigma::Known(value)) = said {
+            if let Some(Scale::Known(value)) = said {
                 return match self.given(&sigma) {
                     Some(_) => Err(Error::Option(format!(
                         "{sigma} is known ({value}) and cannot be given a start as well"
@@ -174,13 +181,18 @@ impl Estimation<'_> {
             }
             let spread = spread(&samples);
             let (mut start, mut lower, mut upper) = (spread, RANGE.0 * spread, RANGE.1 * spread);
-            match (said, self.given(&sigma)) {
-                (Some(Sigma::Unknown { start: s, lower: l, upper: u }), _) => {
-                    (start, lower, upper) = (*s, *l, *u)
+            let (s, bounds) = match said {
+                Some(Scale::Unknown { start, bounds }) => (*start, *bounds),
+                _ => (None, None),
+            };
+            match (bounds, self.given(&sigma)) {
+                (Some(said), _) => (lower, upper) = said,
+                (None, Some(Start::Value(v))) => (lower, upper) = (lower.min(*v), upper.max(*v)),
+                (None, _) => {
+                    (lower, upper) = (s.map_or(lower, |v| lower.min(v)), s.map_or(upper, |v| upper.max(v)))
                 }
-                (_, Some(Start::Value(v))) => (lower, upper) = (lower.min(*v), upper.max(*v)),
-                _ => {}
             }
+            start = s.unwrap_or_else(|| start.min(upper).max(lower));
             start = self.value(&sigma, start, (lower, upper))?;
             // No useful fit is worse than a constant. Beside others of its kind, an output with a start far
             // above its spread would have no say in the first steps, and these can lead far away.
@@ -189,48 +201,17 @@ impl Estimation<'_> {
         outputs.iter().enumerate().map(one).collect()
     }
 
-    /// For each state, the output that measures it: one that depends on no other state, input or time, and
-    /// on this one linearly, with the parameters at their start.
-    fn measured_states(&self, parameters: &[f64]) -> Vec<Option<Measured>> {
-        let model = self.model;
-        let varying: HashSet<&str> =
-            model.states.iter().chain(&model.inputs).map(|v| v.name.as_str()).chain([TIME]).collect();
-        let mut numbers: HashMap<Arc<str>, f64> =
-            model.parameters.iter().zip(parameters).map(|(p, v)| (p.name.as_str().into(), *v)).collect();
-        let mut found: Vec<Option<Measured>> = model.states.iter().map(|_| None).collect();
-        for (output, expr) in model.expanded().1.iter().enumerate() {
-            let symbols = expr.symbols();
-            let mut inside = symbols.iter().filter(|s| varying.contains(&***s));
-            let (Some(name), None) = (inside.next(), inside.next()) else { continue };
-            let Some(state) = model.states.iter().position(|s| *s.name == **name) else { continue };
-            let slope = expr.derivative(name);
-            if found[state].is_some() || slope.symbols().iter().any(|s| varying.contains(&**s)) {
-                continue;
-            }
-            numbers.insert(name.clone(), 0.0);
-            if let (Ok(offset), Ok(slope)) = (expr.evaluate(&numbers), slope.evaluate(&numbers))
-                && offset.is_finite()
-                && slope.is_finite()
-                && slope != 0.0
-            {
-                found[state] = Some(Measured { output, offset, slope });
-            }
-            numbers.remove(name);
-        }
-        found
-    }
-
     /// Whether all states are measured or given, so that a regression on them makes sense.
     pub(super) fn states_known(&self) -> bool {
         let parameters = self.parameters().unwrap_or_default();
-        let measured = self.measured_states(&parameters);
+        let measured = measured_states(self.model, &parameters);
         self.model.states.iter().zip(&measured).all(|(s, m)| m.is_some() || self.given(&s.name).is_some())
     }
 
     /// Parameters, precision roots of the noise, states at all points.
     pub(super) fn starting_point(&self, problem: &dyn Transcribed) -> Result<Vec<f64>, Error> {
         let declared = self.parameters()?;
-        let measured = self.measured_states(&declared);
+        let measured = measured_states(self.model, &declared);
         let mut xi = Vec::with_capacity(problem.n());
         for (i, p) in problem.posed().parameters.iter().enumerate() {
             let value = if i >= problem.posed().n_model_parameters {
@@ -248,8 +229,7 @@ impl Estimation<'_> {
             for (e, experiment) in self.experiments.iter().enumerate() {
                 let (t, mesh) = (&experiment.t, problem.point_times(e));
                 let at_points = |t: &[f64], x: &[f64]| interpolate(Interpolation::Linear, t, x, mesh);
-                let fitted =
-                    self.warm.and_then(|fit| fit.state(e, &state.name)).filter(|x| x.len() == t.len());
+                let fitted = self.warm.and_then(|fit| fit.path(e, &state.name));
                 let path = match (self.given(&state.name), fitted, &measured[i]) {
                     (Some(Start::Value(v)), ..) if v.is_finite() => vec![*v; mesh.len()],
                     (Some(Start::Paths(paths)), ..)
@@ -269,9 +249,9 @@ impl Estimation<'_> {
                             experiment.name
                         )));
                     }
-                    (None, Some(path), _) => at_points(t, path),
+                    (None, Some((t, x)), _) => interpolate(Interpolation::Cubic, t, x, mesh),
                     (None, None, Some(m)) => {
-                        let (t, x) = as_measured(experiment, m);
+                        let (t, x) = m.samples(experiment);
                         at_points(&t, &x)
                     }
                     (None, None, None) => continue,
@@ -282,12 +262,6 @@ impl Estimation<'_> {
         }
         Ok(xi)
     }
-}
-
-/// A state from the samples of the output that measures it: times and values.
-fn as_measured(experiment: &Experiment, m: &Measured) -> (Vec<f64>, Vec<f64>) {
-    let samples = experiment.t.iter().zip(&experiment.outputs[m.output]).filter(|s| !s.1.is_nan());
-    samples.map(|(t, z)| (*t, (z - m.offset) / m.slope)).unzip()
 }
 
 /// Whether the samples that are there differ by more than rounding.

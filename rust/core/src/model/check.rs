@@ -76,7 +76,8 @@ impl Model {
                 }
             }
         }
-        let used = self.used();
+        let mut used = self.used();
+        used.extend(self.delays.parameters().into_iter().map(Arc::from));
         for parameter in &self.parameters {
             if !used.contains(parameter.name.as_str()) {
                 return fail(format!(

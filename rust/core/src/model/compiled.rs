@@ -54,13 +54,19 @@ impl Model {
         Ok(Compiled { graph, data, states, parameters, dynamics, outputs, conditions })
     }
 
-    /// The right-hand sides with quantities put in, as expressions: f in the order of the states, then g.
-    pub fn expanded(&self) -> (Vec<Expr>, Vec<Expr>) {
+    /// The quantities by name, with those before put in.
+    pub(crate) fn definitions(&self) -> HashMap<Arc<str>, Expr> {
         let mut define: HashMap<Arc<str>, Expr> = HashMap::new();
         for quantity in &self.quantities {
             let expr = quantity.expr.substitute(&define);
             define.insert(quantity.name.as_str().into(), expr);
         }
+        define
+    }
+
+    /// The right-hand sides with quantities put in, as expressions: f in the order of the states, then g.
+    pub fn expanded(&self) -> (Vec<Expr>, Vec<Expr>) {
+        let define = self.definitions();
         let expand = |e: &Equation| e.expr.substitute(&define);
         let dynamics = self.states.iter().filter_map(|s| self.dynamics_of(&s.name)).map(expand).collect();
         (dynamics, self.outputs.iter().map(expand).collect())

@@ -4,17 +4,20 @@
 
 mod check;
 mod compiled;
-mod parameter;
+mod delays;
 mod saved;
 
 use serde::{Deserialize, Serialize};
 
+pub use crate::parameter::Parameter;
 pub use compiled::Compiled;
-pub use parameter::Parameter;
+pub(crate) use delays::rates;
+pub use delays::{Delays, LateInput, LateOutput};
 
 use crate::condition::{Condition, End};
 use crate::error::{Error, did_you_mean};
 use crate::expr::Expr;
+use crate::noise::NoiseModel;
 
 /// Name of the symbol of time.
 pub const TIME: &str = "time";
@@ -95,6 +98,10 @@ pub struct Model {
     pub outputs: Vec<Equation>,
     /// Conditions on the ends of each record.
     pub conditions: Vec<Condition>,
+    /// Inputs and outputs that are late.
+    pub delays: Delays,
+    /// What is known of the noise, unless an estimation says otherwise.
+    pub noise: NoiseModel,
 }
 
 impl Model {

@@ -2,10 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Equation, Model, Parameter, Variable};
+use super::{Delays, Equation, LateInput, LateOutput, Model, Parameter, Variable};
 use crate::condition::{Condition, End};
 use crate::error::Error;
+use crate::expr::Expr;
 use crate::expr::pool::Pool;
+use crate::noise::SavedNoise;
+use crate::pairs::Pairs;
 use crate::transform::Transform;
 
 /// An equation as it is saved; its expression is a root of the pool.
@@ -32,6 +35,47 @@ struct SavedModel {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     conditions: Vec<SavedCondition>,
     expressions: Pool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    noise: Option<SavedNoise>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    delays: Option<SavedDelays>,
+}
+
+/// Late inputs by name: the input and the parameter; late outputs: the parameter.
+#[derive(Serialize, Deserialize)]
+struct SavedDelays {
+    #[serde(default)]
+    inputs: Pairs<(String, String)>,
+    #[serde(default)]
+    outputs: Pairs<String>,
+}
+
+impl SavedDelays {
+    fn of(delays: &Delays) -> Option<SavedDelays> {
+        let input = |l: &LateInput| (l.name.clone(), (l.of.clone(), l.by.clone()));
+        let output = |l: &LateOutput| (l.output.clone(), l.by.clone());
+        let (inputs, outputs) = (&delays.inputs, &delays.outputs);
+        (!delays.is_empty()).then(|| SavedDelays {
+            inputs: inputs.iter().map(input).collect(),
+            outputs: outputs.iter().map(output).collect(),
+        })
+    }
+
+    /// Declared anew, but for the symbols of late inputs, which are inputs already.
+    fn declare(self, model: &mut Model) -> Result<(), Error> {
+        for (name, (of, by)) in self.inputs.0 {
+            let known = |name: &str| model.inputs.iter().any(|v| v.name == name);
+            let parameter = model.parameters.iter().any(|p| p.name == by);
+            if !(known(&name) && known(&of) && parameter) {
+                return Err(Error::Model(format!(
+                    "saved model: the delay of '{of}' by '{by}', called '{name}', is not one of its inputs by one of \
+                     its parameters"
+                )));
+            }
+            model.delays.inputs.push(LateInput { name, of, by });
+        }
+        self.outputs.0.iter().try_for_each(|(output, by)| model.sensor_delay(output, &Expr::symbol(by)))
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -76,6 +120,8 @@ impl Model {
             outputs: save(&self.outputs),
             conditions: self.conditions.iter().map(condition).collect(),
             expressions: Pool::new(all),
+            noise: SavedNoise::of(&self.noise),
+            delays: SavedDelays::of(&self.delays),
         };
         serde_json::to_string(&saved).expect("a model is plain data")
     }
@@ -136,6 +182,13 @@ impl Model {
         }
         for (c, expr) in saved.conditions.into_iter().zip(exprs) {
             model.condition(c.end, &c.state, expr, c.source)?;
+        }
+        if let Some(delays) = saved.delays {
+            delays.declare(&mut model)?;
+        }
+        if let Some(noise) = saved.noise {
+            let outputs: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
+            model.noise = noise.declared(&outputs).map_err(fail)?;
         }
         Ok(model)
     }

@@ -4,8 +4,8 @@ use super::{Density, Reported, SIGMA, Sample};
 use crate::error::Error;
 use crate::expr::Op;
 use crate::expr::graph::{Graph, Id};
-use crate::model::Parameter;
 use crate::nlp::Reach;
+use crate::parameter::Parameter;
 use crate::tape::{Loss, Terms};
 
 /// Scale of the noise of one output: the standard deviation, where it is Gaussian.

@@ -7,7 +7,7 @@ use super::Reported;
 use crate::error::{Error, did_you_mean};
 use crate::expr::graph::{Graph, Id};
 use crate::expr::{Expr, Op};
-use crate::model::Parameter;
+use crate::parameter::Parameter;
 
 /// Degrees of freedom of Student's t.
 #[derive(Clone, Copy, Debug, PartialEq)]

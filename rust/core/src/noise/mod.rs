@@ -10,18 +10,22 @@ mod channel;
 mod covariance;
 mod density;
 mod missing;
+mod model;
 mod report;
+mod saved;
 
 pub use channel::{Channel, Sigma};
 pub use covariance::Covariance;
 pub use density::{Custom, Density, Dof, RESIDUAL, SCALE};
 pub use missing::{Counts, Missing};
+pub use model::{Joint, NoiseModel, Scale};
 pub use report::Reported;
+pub(crate) use saved::SavedNoise;
 
 use crate::error::Error;
 use crate::expr::graph::{Graph, Id};
-use crate::model::Parameter;
 use crate::nlp::Reach;
+use crate::parameter::Parameter;
 use crate::tape::Terms;
 
 /// The distribution of the measurement noise.

@@ -211,7 +211,7 @@ impl Collocation {
         Boundary::evaluate(self.boundary.as_ref(), (&self.layout, &self.estimands), work)
     }
 
-    /// The change of all constraints when slopes b are added to f: −h Σ_j C[j,k] b_j (Eq. oem_coll_cxdot).
+    /// The change of all constraints when slopes b are added to f: `−h Σ_j C[j,k] b_j` (Eq. oem_coll_cxdot).
     /// `slopes` holds n_x values for each mesh point, those of all experiments after each other; conditions on the
     /// ends of records do not change.
     pub fn forced(&self, slopes: &[f64], out: &mut [f64]) {

@@ -102,6 +102,13 @@ impl Posed {
         noise: Noise,
         (threads, noise_per_experiment): (usize, bool),
     ) -> Result<(Self, Written), Error> {
+        if let Some(late) = model.delays.parameters().first() {
+            return Err(Error::Model(format!(
+                "the model '{}' has delays ({late}), which move the records: Estimation::solve estimates them; a \
+                 transcription by itself cannot",
+                model.name
+            )));
+        }
         let compiled = model.compile()?;
         let output_names: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         let input_names: Vec<&str> = model.inputs.iter().map(|o| o.name.as_str()).collect();

@@ -11,7 +11,7 @@ use nalgebra::DMatrix;
 
 use super::{Reported, SIGMA, Sigma};
 use crate::error::Error;
-use crate::model::Parameter;
+use crate::parameter::Parameter;
 
 /// The covariance matrix R of the noise, n_y × n_y.
 #[derive(Clone, Debug, PartialEq)]

@@ -51,7 +51,7 @@ impl Parameter {
     }
 
     /// What is wrong with its numbers.
-    pub(super) fn wrong(&self) -> Option<String> {
+    pub(crate) fn wrong(&self) -> Option<String> {
         let Parameter { start, lower, upper, prior, .. } = self;
         let (low, high) = (lower.unwrap_or(f64::NEG_INFINITY), upper.unwrap_or(f64::INFINITY));
         if !start.is_finite() {

@@ -1,5 +1,7 @@
 """What a newcomer gets wrong is told where it happens: too few data, coarse meshes, poor optima, slips of the pen."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -111,12 +113,31 @@ def test_slips_of_the_pen_are_named() -> None:
         ph.Parameter(1.0, bounds=(0, None))  # type: ignore[arg-type]
 
 
-def test_a_report_asks_for_its_folder_before_it_is_drawn(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_report_asks_for_its_folder_before_it_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = ph.estimate(lag(), lag_record(20))
     monkeypatch.setattr("phugoid.report.write_page", lambda *_: pytest.fail("the page was made first"))
     with pytest.raises(ph.DataError, match="there is no folder"):
-        fit.report(f"{tmp_path}/none/fit.html")
+        fit.report(tmp_path / "none" / "fit.html")
 
 
 def test_completion_offers_what_is_public() -> None:
     assert dir(ph) == sorted(ph.__all__)
+
+
+def test_renamed_columns_are_asked_for_by_either_name(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("TIME,ELEV,Q\n0,1,2\n1,2,3\n2,3,5\n")
+    names = {"TIME": "t", "ELEV": "de", "Q": "q"}
+    new = ph.read(path, time="t", inputs=["de"], outputs=["q"], rename=names, units={"q": ("deg/s", "rad/s")})
+    old = ph.read(path, time="TIME", inputs=["ELEV"], outputs=["Q"], rename=names, units={"Q": ("deg/s", "rad/s")})
+    assert np.array_equal(old.t, new.t)
+    assert np.array_equal(old.inputs["de"], [1.0, 2.0, 3.0])
+    assert np.array_equal(old.outputs["q"], new.outputs["q"])
+    assert new.outputs["q"][0] == pytest.approx(np.deg2rad(2.0))
+
+
+def test_names_that_are_exchanged_are_those_after_renaming(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,a,b\n0,1,2\n1,2,3\n")
+    run = ph.read(path, inputs=["a"], outputs=["b"], rename={"a": "b", "b": "a"})
+    assert np.array_equal(run.inputs["a"], [2.0, 3.0])

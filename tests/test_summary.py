@@ -35,7 +35,7 @@ def test_parameter_takes_numbers_of_any_kind() -> None:
         ({"start": 1.0, "bounds": (1, 1)}, r"fixed=True"),
         ({"bounds": (NAN, 1)}, "bounds .* holds NaN"),
         ({"bounds": 3.0}, r"pair \(lower, upper\)"),
-        ({"bounds": (None, 1.0)}, "must be a number, but it is None"),
+        ({"bounds": (None, 1.0)}, r"hold None; where there is no bound, write \(-inf, 1.0\)"),
         ({"start": 3, "bounds": (0, 2)}, r"start 3 lies outside its bounds \(0, 2\)"),
         ({"prior": (0, 0)}, "standard deviation 0: it must be positive"),
         ({"prior": (0, -1)}, "must be positive"),

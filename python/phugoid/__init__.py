@@ -82,6 +82,12 @@ from .symbols import (
 from .transcription import Collocation
 from .trim import trim
 
+
+def __dir__() -> list[str]:
+    """What is offered, without the modules that it lies in: for completion."""
+    return list(__all__)
+
+
 __all__ = [
     "Collocation",
     "DataError",

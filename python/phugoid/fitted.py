@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -13,7 +13,7 @@ from .correlations import correlation_matrix
 from .experiment import Experiment
 from .model import Model
 from .noise import Noise
-from .parameters import Estimate, Estimates
+from .parameters import Estimate, Estimates, Parameter
 from .records import Record
 from .result import Fit
 from .shooting import Transcription
@@ -77,7 +77,10 @@ def make_fit(
         inner = wanted < n_theta
         cov[np.ix_(wanted[inner], wanted[inner])] = covariance[np.ix_(inner, inner)]
         if saddle and at_end:
-            warnings.append("not a proper maximum: the log-likelihood grows from here in some direction")
+            warnings.append(
+                "not a proper maximum: the log-likelihood grows from here in some direction; start from "
+                "elsewhere, above all with factors that are not 0"
+            )
         elif status == "acceptable" and np.all(np.abs(step[proper]) < _CLOSE * np.sqrt(variance[proper])):
             # Rounding kept the solver from its tolerance, but there is nowhere left to go.
             status, message = "converged", HINTS["converged"]
@@ -113,6 +116,7 @@ def make_fit(
     records = [_record(model, e, problem, xi, i) for i, e in enumerate(experiments)]
     estimates = Estimates(parameters)
     warnings += _defect_warning(model, problem, xi)
+    warnings += _few_samples(problem, records, int((held < n_model).sum()), model.declared_parameters.values())
     return Fit(
         model=model,
         noise=noise,
@@ -154,6 +158,22 @@ def _undetermined(names: Sequence[str]) -> str:
     if len(names) == 1:
         return f"{names[0]} has no influence on the outputs with these data: fix it, or give it a prior"
     return f"{', '.join(names)} cannot be told apart with these data: fix one of them, or give it a prior"
+
+
+def _few_samples(
+    problem: _core.Problem, records: Sequence[Record], held: int, declared: Iterable[Parameter]
+) -> list[str]:
+    """A path with as many unknowns as there are measurements passes through them, whatever the truth is."""
+    measured = sum(int(np.isfinite(z).sum()) for record in records for z in record.measured.values())
+    # Each constraint, of the path or on its ends, takes one away. A prior counts as a measurement.
+    unknowns = problem.n - problem.m - held - (problem.n_theta - len(problem.estimands))
+    measured += sum(p.prior is not None for p in declared)
+    if measured > unknowns:
+        return []
+    return [
+        f"{measured} measured values are no more than the {unknowns} parameters and initial states that they should "
+        "tell: the fit passes through the noise, and its standard errors say nothing"
+    ]
 
 
 def _confounded(names: Sequence[str], cov: _Array) -> list[str]:

@@ -25,6 +25,7 @@ __all__ = [
     "FORMAT",
     "SUFFIXES",
     "VERSION",
+    "check_folder",
     "from_json",
     "load_fit_dict",
     "save_fit_dict",
@@ -134,14 +135,20 @@ def load_fit_dict(path: str | PathLike[str]) -> tuple[dict[str, Any], int]:
         return saved.filled(document), version
 
 
+def check_folder(path: str | PathLike[str]) -> None:
+    """DataError where the folder of a file to be written is not there: said before the work, not after."""
+    folder = Path(path).resolve().parent
+    if not folder.is_dir():
+        raise DataError(f"{path}: cannot be written (there is no folder {folder})")
+
+
 def write_page(path: str | PathLike[str], page: str) -> None:
     """Writes a page or another text; DataError where that cannot be done."""
+    check_folder(path)
     try:
         Path(path).write_text(page, encoding="utf-8")
     except OSError as error:
-        folder = Path(path).resolve().parent
-        why = error.strerror or error if folder.is_dir() else f"there is no folder {folder}"
-        raise DataError(f"{path}: cannot be written ({why})") from error
+        raise DataError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def to_float(value: Any) -> float:

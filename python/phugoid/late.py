@@ -19,8 +19,10 @@ from .experiment import Experiment, FloatArray, Signal
 from .guess import parameter_start
 from .model import Model
 from .multirate import distinct, together
+from .parameters import Estimate, Parameter
 from .records import Record
 from .result import Fit
+from .solvers import HINTS
 
 __all__ = ["estimate_late", "simulated_late"]
 
@@ -28,6 +30,8 @@ __all__ = ["estimate_late", "simulated_late"]
 _REACH = 2.0
 # Bases have settled too when they move by less than this part of a sample interval.
 _NOTHING = 1e-9
+# A delay is at a bound when it is this near, in s.
+_THERE = 1e-6
 
 
 def _moved(model: Model, slim: Model, experiment: Experiment, base: Mapping[str, float]) -> Experiment:
@@ -94,14 +98,19 @@ def estimate_late(
         base = {name: fit.parameters[name].value for name in names}
     declared = model.declared_parameters
     estimates = type(fit.parameters)(
-        replace(e, start=declared[e.name].start, bounds=declared[e.name].bounds) if e.name in names else e
-        for e in fit.parameters.values()
+        _as_declared(e, declared[e.name]) if e.name in names else e for e in fit.parameters.values()
     )
+    status, message = fit.status, fit.message
+    moving = [n for n in names if fit.parameters[n].bounds_active and not estimates[n].bounds_active]
+    if moving and fit.converged:
+        status, message = "iteration limit", f"{HINTS['iteration limit']} ({', '.join(moving)} is still on the way)"
     records = [_restored(model, r, e, base) for r, e in zip(fit.records, experiments, strict=True)]
     return replace(
         fit,
         model=model,
         parameters=estimates,
+        status=status,
+        message=message,
         records=records,
         iterations=iterations,
         time=time,
@@ -110,6 +119,15 @@ def estimate_late(
         experiments=tuple(experiments),
         _moved=fit,
     )
+
+
+def _as_declared(estimate: Estimate, declared: Parameter) -> Estimate:
+    """A delay with the bounds of the model: that a pass let it go no further is no bound of these."""
+    low, high = declared.bounds
+    bound = low if estimate.bounds_active == "lower" else high
+    there = abs(estimate.value - bound) <= _THERE * max(1.0, abs(bound))
+    active = estimate.bounds_active if there or declared.fixed else None
+    return replace(estimate, start=declared.start, bounds=declared.bounds, bounds_active=active)
 
 
 def _at(moved: Experiment, experiment: Experiment, model: Model, start: Any) -> Any:

@@ -24,14 +24,25 @@ _LAGS, _SHARE = 20, 0.2
 
 # R² below zero by no more than this is a channel that holds noise alone.
 _NO_BETTER = -0.01
+# Where all R² are below this, next to nothing of the motion is explained.
+_POOR = 0.5
 
 
 def no_match(r_squared: Mapping[str, float]) -> str:
-    """A sentence on the outputs whose R² is below 0, "" where there is none: data in other units are mostly the cause.
+    """A sentence on the outputs whose R² is below 0, or on all of them where none is matched well; "" where there is
+    nothing to say. Data in other units are mostly the cause, and poor optima.
 
     >>> no_match({"q": 0.98, "alpha": -1.28})
     'A constant would match alpha better than the model does (R² below 0): look at its unit, its sign and its column.'
+    >>> no_match({"hares": 0.05, "lynxes": 0.4})
+    'No output is matched well (R² at most 0.40): a poor local optimum, which ph.multistart gets past, or a poor model.'
     """
+    known = [value for value in r_squared.values() if math.isfinite(value)]
+    if known and min(known) >= _NO_BETTER and max(known) < _POOR:
+        return (
+            f"No output is matched well (R² at most {max(known):.2f}): a poor local optimum, which ph.multistart gets "
+            "past, or a poor model."
+        )
     names = [name for name, value in r_squared.items() if value < _NO_BETTER]
     whose, last = ("its", "its column") if len(names) == 1 else ("their", "their columns")
     what = f"{whose} unit, {whose} sign" if len(names) == 1 else f"{whose} units, {whose} signs"

@@ -272,6 +272,9 @@ def _pair(value: Any, what: str, meaning: str) -> tuple[float, float]:
         first, second = value
     except (TypeError, ValueError):
         raise ModelError(f"a parameter's {what} must be a pair {meaning}, but it is {value!r}") from None
+    if what == "bounds" and (first is None or second is None):
+        meant = f"({'-inf' if first is None else first}, {'inf' if second is None else second})"
+        raise ModelError(f"a parameter's bounds ({first}, {second}) hold None; where there is no bound, write {meant}")
     pair = (_number(first, what), _number(second, what))
     if any(map(math.isnan, pair)):
         raise ModelError(f"a parameter's {what} {pair} holds NaN: give a pair {meaning}")

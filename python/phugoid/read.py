@@ -39,11 +39,11 @@ def read(
                begin with) or of ArduPilot (``.bin``); or a table of pandas, polars or xarray. Variables in structures
                and groups are called ``group.name``, those of logs ``topic.field`` (of a second instance
                ``topic[1].field``), columns of matrices ``name[0]``.
-    time       name of the time column, in s (after ``rename``); None: ``t``, or what the file itself takes for time.
+    time       name of the time column, in s; None: ``t``, or what the file itself takes for time.
                In a log, the field with the stamps, such as ``timestamp_sample``, of each topic that has it.
     inputs     names of the input columns; None: a model finds its inputs among all columns.
     outputs    the same for outputs. With both given, the other columns are not even looked at.
-    rename     ``{"name in the file": "name in the model"}``.
+    rename     ``{"name in the file": "name in the model"}``; the other arguments take either name.
     columns    names of all columns in order, for a text file without a header (or in place of the header), or for
                the one matrix of a file.
     units      ``{"name": "unit"}`` for labels, in place of what the file says, and ``{"name": ("deg", "rad")}`` to
@@ -75,6 +75,10 @@ def read(
     for kind, wanted in (("input", inputs), ("output", outputs), ("unit", units)):
         if isinstance(wanted, str):
             raise DataError(f"{kind}s='{wanted}' is text: give a list of names, such as {kind}s=['{wanted}']")
+    now = {old: new for old, new in renaming.items() if isinstance(old, str) and old not in renaming.values()}
+    time = None if time is None else now.get(time, time)
+    inputs, outputs = _called(inputs, now), _called(outputs, now)
+    labels = {now.get(n, n): unit for n, unit in labels.items()}
     called = [old for old, new in renaming.items() if new == time] or ([] if time is None else [time])
     asked = {*(inputs or ()), *(outputs or ()), *labels}
     wanted_names = {*asked, *(old for old, new in renaming.items() if new in asked)}
@@ -87,6 +91,11 @@ def read(
     used = list(dict.fromkeys([*(inputs or ()), *(outputs or ())])) if given else record.available
     result = _one_rate(record, used, inputs, outputs, name, interpolation, window, not given)
     return result if result is not None else _many_rates(record, inputs, outputs, name, interpolation, window)
+
+
+def _called(names: Sequence[str] | None, now: Mapping[str, str]) -> Sequence[str] | None:
+    """Names as they are after renaming, from names before or after."""
+    return None if names is None else [now.get(n, n) if isinstance(n, str) else n for n in names]
 
 
 def _span(window: Any) -> tuple[float, float] | None:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from .match import match, no_match
+from .summary import coarse_mesh
 
 __all__ = ["remarks"]
 
@@ -20,12 +21,14 @@ _OFFSET = 0.5  # part of the mean square that is an offset
 def remarks(fit: Any) -> list[str]:
     """The warnings of a `Fit`, and what its numbers give reason to doubt: a sentence each, none where all is well.
 
-    Outputs that a constant would match better, coloured residuals (p < 0.01 in the test of Ljung and Box, lag-1
-    correlation beyond 0.3), residuals with an offset, parameters whose 95 % interval holds zero, pairs of estimates
-    with a correlation beyond 0.95, combinations that are hardly determined, estimates at a bound.
+    A coarse mesh, outputs that a constant would match better or that are all matched poorly, coloured residuals
+    (p < 0.01 in the test of Ljung and Box, lag-1 correlation beyond 0.3), residuals with an offset, parameters whose
+    95 % interval holds zero, pairs of estimates with a correlation beyond 0.95, combinations that are hardly
+    determined, estimates at a bound.
     """
     weak = [f"Weakly identified: {direction}." for direction in fit.correlation.weak]
-    return [*map(_sentence, fit.warnings), *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
+    coarse = filter(None, [coarse_mesh(fit)])
+    return [*map(_sentence, fit.warnings), *coarse, *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
 
 
 def _sentence(text: str) -> str:

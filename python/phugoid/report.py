@@ -15,7 +15,7 @@ from .discrepancy.markup import bullets, details, document, image, section, tabl
 from .discrepancy.mathml import equation
 from .discrepancy.provenance import facts, files_table, records_table, steps_of
 from .errors import DataError, OptionError
-from .io import write_page
+from .io import check_folder, write_page
 from .match import match
 from .parameters import Estimate, Estimates
 from .parameters_plot import plot_parameters
@@ -52,6 +52,7 @@ def report(
     saved fit does not keep. Raises OptionError for a validation of another model, DataError for a file that cannot be
     read.
     """
+    check_folder(path)
     if validation is not None and getattr(validation, "matches", None) is None:
         raise OptionError(f"report: validation is what Fit.validate gives back, not a {type(validation).__name__}")
     if validation is not None and validation.model.name != fit.model.name:

@@ -147,6 +147,11 @@ class Fit:
             e = Expr(expression)
             for symbol in e.symbols:
                 if symbol not in values:
+                    if own := [n for n in names if n.startswith(f"{symbol}[")]:
+                        raise ModelError(
+                            f"derived '{name}': '{symbol}' has a value for each experiment ({', '.join(own)}): "
+                            "ask for one of them, or of fits to single experiments"
+                        )
                     raise ModelError(f"derived '{name}': '{symbol}' is no parameter.{did_you_mean(symbol, names)}")
             numbers = {symbol: values[symbol] for symbol in e.symbols}
             slope = np.zeros(len(names))

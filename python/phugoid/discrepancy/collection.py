@@ -15,6 +15,9 @@ from .scales import Scales
 
 __all__ = ["Candidates"]
 
+# Whoever looks for the scale of an input whose derivatives are free does not find it.
+_LEFT_OUT = " What the model's parameters can do already is left out."
+
 
 class Candidates(Sequence[Candidate]):
     """Things that a model may be missing: a sequence, read-only, also by name.
@@ -56,7 +59,7 @@ class Candidates(Sequence[Candidate]):
             return Candidates(self._all[key])
         if isinstance(key, str):
             if key not in self._by_name:
-                raise UnknownName(f"there is no candidate '{key}'.{did_you_mean(key, self._by_name)}")
+                raise UnknownName(f"there is no candidate '{key}'.{did_you_mean(key, self._by_name)}{_LEFT_OUT}")
             return self._by_name[key]
         return self._all[key]
 
@@ -97,7 +100,9 @@ class Candidates(Sequence[Candidate]):
             # A product's own star is no wild card.
             fits = {pattern} if pattern in self._by_name else {n for n in self._by_name if fnmatchcase(n, pattern)}
             if not fits:
-                raise UnknownName(f"there is no candidate '{pattern}'.{did_you_mean(pattern, self._by_name)}")
+                raise UnknownName(
+                    f"there is no candidate '{pattern}'.{did_you_mean(pattern, self._by_name)}{_LEFT_OUT}"
+                )
             found |= fits
         return found
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from ..io import write_page
+from ..io import check_folder, write_page
 from ..model import Model
 from ..parameters import Estimate
 from .extension import Extension
@@ -34,6 +34,7 @@ def report(diagnosis: Any, path: str | os.PathLike[str]) -> None:
     data and versions it comes from. ``diagnosis`` is a `Diagnosis`: .fit, .misfit, .findings, .ranking, .threshold,
     .notes, .seconds and .extend(), which is called where a cause is named.
     """
+    check_folder(path)
     extension = diagnosis.extend() if outcome(diagnosis.findings) == "named" else None
     sections = [
         _wrong(diagnosis),

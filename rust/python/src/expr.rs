@@ -59,6 +59,11 @@ fn no_modulo(modulo: Option<Py<PyAny>>) -> PyResult<()> {
     modulo.map_or(Ok(()), |_| Err(PyTypeError::new_err("pow() of an expression takes no modulus")))
 }
 
+/// What MATLAB and others write for a power is the exclusive or of Python.
+fn no_power() -> PyErr {
+    PyTypeError::new_err("'^' is no power in Python: write x**2, not x^2")
+}
+
 impl From<&PyExpr> for Operand {
     fn from(expr: &PyExpr) -> Self {
         Operand(expr.0.clone())
@@ -127,6 +132,12 @@ impl PyExpr {
     }
     fn __or__(&self, other: Operand) -> PyResult<Self> {
         two(Op::Or, self, other)
+    }
+    fn __xor__(&self, _other: &Bound<'_, PyAny>) -> PyResult<Self> {
+        Err(no_power())
+    }
+    fn __rxor__(&self, _other: &Bound<'_, PyAny>) -> PyResult<Self> {
+        Err(no_power())
     }
     fn __invert__(&self) -> Self {
         PyExpr(Expr::apply(Op::Not, vec![self.0.clone()]))

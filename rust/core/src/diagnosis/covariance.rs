@@ -22,6 +22,11 @@ pub struct Information {
 
 /// Parts of a weak direction below this, relative to the greatest, do not count.
 const PART: f64 = 0.1;
+/// A variable trades off too when it moves by more than this part of its standard error while the one that moves most,
+/// in standard errors of its own, moves by one. So small a part is no trade, it is rounding.
+const MOVES: f64 = 1e-3;
+/// The part of a variable's variance that the variables before it leave, below which it is one with them.
+const LEFT: f64 = 1e-11;
 
 /// The inverse of the KKT matrix [H Aᵀ; A 0], H the Hessian of the Lagrangian, has Z (ZᵀHZ)⁻¹ Zᵀ for its
 /// first block, Z a basis of the null space of A: the inverse of the observed information, the states
@@ -50,26 +55,29 @@ pub fn information(
     let mut holding = vec![false; n];
     held.iter().for_each(|&i| holding[i] = true);
 
+    let border = nlp.chains().map_or(n, |c| c.border);
     let mut undetermined = Vec::new();
     let mut saddle = false;
+    let mut leads = Vec::new(); // variables set aside, and their groups
     let mut found = kkt.finish(&holding, 0.0);
     // What the data leave open is set aside, one variable of each direction at a time.
     while !found.is_positive() {
         saddle |= found.negative > 0;
-        let mut next: Vec<usize> = Vec::new();
+        let mut next: Vec<(usize, usize)> = Vec::new(); // a variable, and its group
         for direction in kkt.weak_directions() {
             let most = direction.first().map_or(0.0, |x| x.1.abs());
             let part = direction.iter().filter(|x| x.1.abs() > PART * most);
             let mut part: Vec<usize> = part.map(|x| x.0).collect();
-            next.extend(part.first());
+            next.extend(part.first().map(|&i| (i, undetermined.len())));
             part.sort_unstable();
             undetermined.push(part);
         }
-        let border = nlp.chains().map_or(n, |c| c.border);
         let mut any = false;
-        for i in next.into_iter().filter(|&i| i < border) {
-            any |= !holding[i];
-            holding[i] = true;
+        for (i, group) in next.into_iter().filter(|&(i, _)| i < border) {
+            if !holding[i] {
+                (any, holding[i]) = (true, true);
+                leads.push((i, group));
+            }
         }
         if !any {
             // Initial states cannot be set aside. A curvature that is nothing beside that of the others
@@ -80,12 +88,23 @@ pub fn information(
         found = kkt.finish(&holding, 0.0);
     }
 
+    let mut covariance = vec![0.0; k * k];
+    while found.is_positive() {
+        kkt.covariance(wanted, &mut covariance);
+        // Rounding may leave a little curvature where there is none: such a trade is set aside as others are.
+        let Some((lead, trade)) = confounded(&covariance, wanted, border) else {
+            break;
+        };
+        holding[lead] = true;
+        leads.push((lead, undetermined.len()));
+        undetermined.push(trade);
+        found = kkt.finish(&holding, 0.0);
+    }
+
     if !found.is_positive() {
         let nothing = vec![f64::NAN; k * k];
         return Ok(Information { covariance: nothing, step: vec![f64::NAN; k], undetermined, saddle });
     }
-    let mut covariance = vec![0.0; k * k];
-    kkt.covariance(wanted, &mut covariance);
     gradient.iter_mut().for_each(|g| *g = -*g);
     let s = nlp.jacobian_structure();
     for ((&r, &column), a) in s.rows.iter().zip(&s.columns).zip(&jacobian) {
@@ -101,6 +120,15 @@ pub fn information(
             (covariance[i * k + j], covariance[j * k + i]) = (mean, mean);
         }
     }
+    let sigmas: Vec<f64> = (0..k).map(|i| covariance[i * k + i].sqrt()).collect();
+    for (lead, group) in leads {
+        let group: &mut Vec<usize> = &mut undetermined[group];
+        let (p, q) = column(nlp, &hessian, &jacobian, lead);
+        kkt.solve(&p, &q, &mut d, &mut more);
+        group.extend(companions(&d, wanted, &sigmas, xi[lead].abs().max(1.0)));
+        group.sort_unstable();
+        group.dedup();
+    }
     for (i, variable) in wanted.iter().enumerate() {
         if undetermined.iter().any(|d| d.contains(variable)) {
             step[i] = f64::NAN;
@@ -110,4 +138,76 @@ pub fn information(
         }
     }
     Ok(Information { covariance, step, undetermined, saddle })
+}
+
+/// The column of a variable in the KKT matrix, its sign changed: what the others answer to when it moves by one.
+fn column(nlp: &dyn Nlp, hessian: &[f64], jacobian: &[f64], variable: usize) -> (Vec<f64>, Vec<f64>) {
+    let (mut p, mut q) = (vec![0.0; nlp.n()], vec![0.0; nlp.m()]);
+    let s = nlp.hessian_structure();
+    for ((&r, &c), h) in s.rows.iter().zip(&s.columns).zip(hessian) {
+        let (r, c) = (r as usize, c as usize);
+        if r == variable {
+            p[c] -= h;
+        } else if c == variable {
+            p[r] -= h;
+        }
+    }
+    let s = nlp.jacobian_structure();
+    for ((&r, &c), a) in s.rows.iter().zip(&s.columns).zip(jacobian) {
+        if c as usize == variable {
+            q[r as usize] -= a;
+        }
+    }
+    (p, q)
+}
+
+/// Which variables go along with one that is set aside: `d` is how far all move when it moves by one, and it may well
+/// move by `far`. Their standard errors `sigmas`, of the variables `wanted`, are those with it held: they say nothing
+/// of where the variables are.
+fn companions(d: &[f64], wanted: &[usize], sigmas: &[f64], far: f64) -> Vec<usize> {
+    let moves = wanted.iter().zip(sigmas).filter(|(_, s)| **s > 0.0).map(|(&i, s)| (i, d[i].abs() / s));
+    let moves: Vec<(usize, f64)> = moves.collect();
+    let most = moves.iter().fold(0.0f64, |a, m| a.max(m.1));
+    if most * far < MOVES {
+        return Vec::new(); // it moves nothing: it is without influence
+    }
+    moves.into_iter().filter(|m| m.1 > MOVES * most).map(|m| m.0).collect()
+}
+
+/// The first parameter (below `border`) that is one with those before it, as the covariance (k × k of `wanted`) has
+/// it: the one that has the greatest part in that, and all that have a part. Of a parameter and an initial state the
+/// covariance does not tell: those of an unstable motion are one to rounding, and known well.
+fn confounded(covariance: &[f64], wanted: &[usize], border: usize) -> Option<(usize, Vec<usize>)> {
+    let k = wanted.len();
+    let known: Vec<usize> = (0..k).filter(|&i| wanted[i] < border && covariance[i * k + i] > 0.0).collect();
+    // Rows of the Cholesky factor of the correlation matrix.
+    let mut l: Vec<Vec<f64>> = Vec::with_capacity(known.len());
+    for &i in &known {
+        let mut row = Vec::with_capacity(l.len() + 1);
+        for (before, &j) in l.iter().zip(&known) {
+            let entry = covariance[i * k + j] / (covariance[i * k + i] * covariance[j * k + j]).sqrt();
+            let sum: f64 = row.iter().zip(before).map(|(a, b): (&f64, &f64)| a * b).sum();
+            row.push((entry - sum) / before[row.len()]);
+        }
+        let left = 1.0 - row.iter().map(|x| x * x).sum::<f64>();
+        if left < LEFT {
+            // What of those before it is left out of it: Lᵀ v = row.
+            for j in (0..row.len()).rev() {
+                row[j] /= l[j][j];
+                let v = row[j];
+                (0..j).for_each(|c| row[c] -= l[j][c] * v);
+            }
+            row.push(1.0);
+            let most = row.iter().fold(0.0f64, |a, v| a.max(v.abs()));
+            let parts = row.iter().zip(&known).filter(|(v, _)| v.abs() > PART * most);
+            let parts: Vec<(f64, usize)> = parts.map(|(v, &i)| (v.abs(), wanted[i])).collect();
+            let lead = parts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?.1;
+            let mut trade: Vec<usize> = parts.into_iter().map(|p| p.1).collect();
+            trade.sort_unstable();
+            return Some((lead, trade));
+        }
+        row.push(left.sqrt());
+        l.push(row);
+    }
+    None
 }

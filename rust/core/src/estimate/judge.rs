@@ -17,6 +17,9 @@ const SMALL: f64 = 0.01;
 const SINGULAR: f64 = 1e-12;
 /// Parameters with a larger part in its eigenvector are named.
 const PART: f64 = 0.1;
+/// What is 0 hides what it multiplies, so that products of parameters have no slope at a start of zeros.
+const NO_MAXIMUM: &str = "not a proper maximum: the log-likelihood grows from here in some direction; start from \
+                          elsewhere, above all with factors that are not 0";
 
 /// What the information at the end says about how the run ended.
 pub(super) fn judge(
@@ -43,7 +46,7 @@ pub(super) fn judge(
         *message = format!("{} ({})", status.hint(), groups.join("; "));
     }
     if found.saddle {
-        warnings.push("not a proper maximum: the log-likelihood grows from here in some direction".into());
+        warnings.push(NO_MAXIMUM.into());
     } else if *status == Status::Acceptable && (0..k).filter(|i| found.covariance[i * k + i] > 0.0).all(close)
     {
         // Rounding kept the solver from its tolerance, but there is nowhere left to go.

@@ -1,0 +1,143 @@
+"""What a newcomer gets wrong is told where it happens: too few data, coarse meshes, poor optima, slips of the pen."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import phugoid as ph
+from phugoid.remarks import remarks
+
+DOSE = 320.0  # mg
+
+
+def lag(**options: object) -> ph.Model:
+    m = ph.Model("lag")
+    (x,) = m.states(x="m")
+    (u,) = m.inputs(u="V")
+    a, b = m.parameters(a=ph.Parameter(0.0, **options), b=0.0)  # type: ignore[arg-type]
+    m.dynamics(x=a * x + b * u)
+    m.outputs(x=x)
+    return m
+
+
+def lag_record(n: int) -> ph.Experiment:
+    t = np.arange(n) * 0.1
+    run = ph.Experiment(t, {"u": np.sign(np.sin(3.0 * t + 0.1))}, name="run")
+    x = ph.simulate(lag(), {"a": -1.0, "b": 2.0}, run, initial={"x": 0.5}).outputs["x"]
+    return run.with_outputs({"x": x + 0.05 * np.random.default_rng(0).standard_normal(n)})
+
+
+def oral_dose() -> tuple[ph.Model, ph.Expr, list[ph.Experiment]]:
+    """Pharmacokinetics of one compartment: blood samples are few, and far apart beside the absorption."""
+    m = ph.Model("oral dose")
+    gut, c = m.states(gut="mg", c="mg/l")
+    ka, ke, V = m.parameters(
+        ka=ph.Parameter(1.0, transform="log", unit="1/h"),
+        ke=ph.Parameter(0.3, transform="log", unit="1/h", per_experiment=True),
+        V=ph.Parameter(10.0, transform="log", unit="l"),
+    )
+    m.dynamics(gut=-ka * gut, c=ka * gut / V - ke * c)
+    m.outputs(c=c)
+    m.initial(gut=DOSE, c=0.0)
+    t = np.array([0.0, 0.25, 0.6, 1.1, 5.1, 7.0, 9.0, 12.0, 24.0])
+    random = np.random.default_rng(0)
+    people = []
+    for name, k in {"one": 0.06, "two": 0.12}.items():
+        level = DOSE * 1.5 / 32.0 / (1.5 - k) * (np.exp(-k * t) - np.exp(-1.5 * t))
+        people.append(ph.Experiment(t, outputs={"c": level + 0.1 * random.standard_normal(t.size)}, name=name))
+    return m, ke, people
+
+
+@pytest.mark.parametrize(("samples", "told"), [(3, True), (4, False)])
+def test_a_path_through_all_samples_is_no_estimate(samples: int, told: bool) -> None:
+    fit = ph.estimate(lag(), lag_record(samples))
+    words = "3 measured values are no more than the 3 parameters and initial states"
+    assert any(words in w for w in fit.warnings) == told
+
+
+def test_what_is_known_is_not_counted_as_unknown() -> None:
+    three = lag_record(3)
+    assert not any("no more than" in w for w in ph.estimate(lag(prior=(-1.0, 0.1)), three).warnings)
+    steady = lag()
+    steady.initial(x=0.5)
+    assert not any("no more than" in w for w in ph.estimate(steady, three).warnings)
+
+
+def test_a_mesh_too_coarse_for_the_motion_is_told_of_until_it_is_refined() -> None:
+    m, _, people = oral_dose()
+    coarse = ph.estimate(m, people)
+    assert max(float(e.worst.max()) for e in coarse.integration_error()) > 0.1
+    assert "The mesh is coarse: from 1.1 to 5.1 s of '" in coarse.summary()
+    assert any("The mesh is coarse" in r for r in remarks(coarse))
+    refined = ph.estimate(m, people, transcription=ph.Collocation(refine=True))
+    assert "The mesh is coarse" not in refined.summary()
+    assert "The mesh is coarse" not in ph.estimate(lag(), lag_record(100)).summary()
+
+
+def test_a_quantity_of_parameters_that_differ_by_experiment_says_which_there_are() -> None:
+    m, ke, people = oral_dose()
+    fit = ph.estimate(m, people)
+    with pytest.raises(ph.ModelError, match=r"'ke' has a value for each experiment \(ke\[one\], ke\[two\]\)"):
+        fit.derived(half_life=np.log(2) / ke)
+
+
+def test_an_optimum_that_explains_nothing_says_so() -> None:
+    record = lag_record(100)
+    noise = np.random.default_rng(1).standard_normal(100)
+    assert "No output is matched well (R² at most 0." in ph.estimate(lag(), record.with_outputs({"x": noise})).summary()
+    assert "No output is matched well" not in ph.estimate(lag(), record).summary()
+
+
+def test_a_product_of_zeros_is_told_to_start_elsewhere() -> None:
+    m = ph.Model("product")
+    (x,) = m.states("x")
+    (u,) = m.inputs("u")
+    a, b, c = m.parameters("a b c")
+    m.dynamics(x=a * x + b * c * u)
+    m.outputs(x=x)
+    zeros = ph.estimate(m, lag_record(100))
+    assert any("start from elsewhere, above all with factors that are not 0" in w for w in zeros.warnings)
+    ones = ph.estimate(m, lag_record(100), start={"b": 1.0, "c": 1.0})
+    assert ones.log_likelihood > zeros.log_likelihood + 10
+    assert not any("start from elsewhere" in w for w in ones.warnings)
+
+
+def test_slips_of_the_pen_are_named() -> None:
+    (x,) = ph.Model("powers").states("x")
+    with pytest.raises(TypeError, match=r"write x\*\*2, not x\^2"):
+        x ^ 2
+    with pytest.raises(TypeError, match=r"write x\*\*2, not x\^2"):
+        2 ^ x
+    with pytest.raises(ph.ModelError, match=r"bounds \(0, None\) hold None; where there is no bound, write \(0, inf\)"):
+        ph.Parameter(1.0, bounds=(0, None))  # type: ignore[arg-type]
+
+
+def test_a_report_asks_for_its_folder_before_it_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = ph.estimate(lag(), lag_record(20))
+    monkeypatch.setattr("phugoid.report.write_page", lambda *_: pytest.fail("the page was made first"))
+    with pytest.raises(ph.DataError, match="there is no folder"):
+        fit.report(tmp_path / "none" / "fit.html")
+
+
+def test_completion_offers_what_is_public() -> None:
+    assert dir(ph) == sorted(ph.__all__)
+
+
+def test_renamed_columns_are_asked_for_by_either_name(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("TIME,ELEV,Q\n0,1,2\n1,2,3\n2,3,5\n")
+    names = {"TIME": "t", "ELEV": "de", "Q": "q"}
+    new = ph.read(path, time="t", inputs=["de"], outputs=["q"], rename=names, units={"q": ("deg/s", "rad/s")})
+    old = ph.read(path, time="TIME", inputs=["ELEV"], outputs=["Q"], rename=names, units={"Q": ("deg/s", "rad/s")})
+    assert np.array_equal(old.t, new.t)
+    assert np.array_equal(old.inputs["de"], [1.0, 2.0, 3.0])
+    assert np.array_equal(old.outputs["q"], new.outputs["q"])
+    assert new.outputs["q"][0] == pytest.approx(np.deg2rad(2.0))
+
+
+def test_names_that_are_exchanged_are_those_after_renaming(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,a,b\n0,1,2\n1,2,3\n")
+    run = ph.read(path, inputs=["a"], outputs=["b"], rename={"a": "b", "b": "a"})
+    assert np.array_equal(run.inputs["a"], [2.0, 3.0])

@@ -145,7 +145,10 @@ def finding_lines(finding: Finding) -> list[str]:
             f"{name} ({with_sign(finding.rivals[name])})" if name in finding.rivals else name
             for name in finding.aliases
         ]
-        told = "The data do not tell it from" if finding.cause else "What fits, but does not predict"
+        doubted = (
+            "What fits, but does not predict" if not finding.held_out_gain > 0.0 else "What fits, but is not proved"
+        )
+        told = "The data do not tell it from" if finding.cause else doubted
         lines.append(f"{told}: {', '.join(rivals)}.")
     if finding.advice:
         lines.append(finding.advice)

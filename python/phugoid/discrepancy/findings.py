@@ -47,6 +47,7 @@ def finding_of(search: Search, final: Refit, found: Found) -> Finding:
             explanation=_rings(found.ringing) if found.ringing else _UNEXPLAINED,
             advice=_AGAIN if found.ringing else "",
             rivals=dict(found.rivals),
+            ringing=found.ringing,
         )
     c = found.candidate
     parameters = final.parameters(c)
@@ -74,9 +75,9 @@ def finding_of(search: Search, final: Refit, found: Found) -> Finding:
 def _rings(frequencies: Sequence[float]) -> str:
     at = ", ".join(f"{f:.3g}" for f in frequencies)
     return (
-        f"the residuals ring at {at} Hz, a lightly damped mode of the model: that is a term that it "
-        "lacks, or disturbances that came through the vehicle. Candidates halve the mean square on data held out, but "
-        "beside noise that rings so this is no proof of one"
+        f"the residuals ring at {at} Hz, a lightly damped mode of the model: that is a term that it lacks, or "
+        "disturbances that came through the vehicle. Candidates halve the mean square on data held out, but beside noise "
+        "that rings so this is no proof of one"
     )
 
 

@@ -69,9 +69,8 @@ def light_modes(fit: Fit) -> _Complex:
         at |= {n: float(np.mean(record.inputs[n])) for n in model.input_names}
         at |= {late: at[of] for late, (of, _) in model.delays.inputs.items()}
         jacobians = Jacobians(model, "diagnose", "A")
-        found = np.linalg.eigvals(
-            jacobians.matrix("A", jacobians.point(values, {**at, "time": float(record.t.mean())}))
-        )
+        point = jacobians.point(values, {**at, "time": float(record.t.mean())})
+        found = np.linalg.eigvals(jacobians.matrix("A", point))
     except (PhugoidError, np.linalg.LinAlgError):
         return np.empty(0, dtype=np.complex128)
     return np.asarray(found[(found.imag > 0.0) & (np.abs(found.real) < _LIGHT * np.abs(found))], dtype=np.complex128)
@@ -83,11 +82,14 @@ def ringing_of(filter: Whitening, residuals: _Array, linear: Linearised, modes: 
     found: set[float] = set()
     for channel, line in zip(filter.channels, filter.rows.strands, strict=True):
         times = [linear.times[strand.rows] for strand in line]
-        step = float(np.median(np.concatenate([np.diff(t) for t in times]))) if max(map(len, times)) > 1 else 1.0
-        lasting = max(float(np.ptp(t)) for t in times)
+        lasting = max((float(np.ptp(t)) for t in times), default=0.0)
+        if lasting == 0.0:
+            channels.append(channel)
+            continue
+        step = float(np.median(np.concatenate([np.diff(t) for t in times])))
         seen = [m for m in modes if 2 * np.pi * _CYCLES / lasting <= m.imag <= _NYQUIST / step]
         damped, at = _damped(channel.predictors[-1], step, seen)
-        channels.append(_predicting(damped))
+        channels.append(channel if damped is channel.predictors[-1] else _predicting(damped))
         found |= at
     if not found:
         return None
@@ -104,7 +106,7 @@ def _damped(a: _Array, step: float, modes: Sequence[complex]) -> tuple[_Array, s
     where such poles were light too."""
     if a.size < 2 or not modes:
         return a, set()
-    poles = np.roots(np.r_[1.0, -a]).astype(complex)
+    poles, moved = np.roots(np.r_[1.0, -a]).astype(complex), False
     rates = np.log(np.where(poles == 0.0, 1e-300, poles)) / step
     found: set[float] = set()
     for i, rate in enumerate(rates):
@@ -112,9 +114,10 @@ def _damped(a: _Array, step: float, modes: Sequence[complex]) -> tuple[_Array, s
         if is_near(abs(rate.imag), mode.imag) and -rate.real < _BROAD * abs(rate):
             decay = _BROAD / np.sqrt(1.0 - _BROAD**2) * abs(rate.imag)
             poles[i] = np.exp((-decay + 1j * rate.imag) * step)
+            moved = True
             if -rate.real < _LIGHT * abs(rate):
                 found.add(float(mode.imag / (2.0 * np.pi)))
-    return -np.real(np.poly(poles))[1:], found
+    return (-np.real(np.poly(poles))[1:] if moved else a), found
 
 
 def _predicting(a: _Array) -> Channel:

@@ -76,8 +76,8 @@ def _rings(frequencies: Sequence[float]) -> str:
     at = ", ".join(f"{f:.3g}" for f in frequencies)
     return (
         f"the residuals ring at {at} Hz, a lightly damped mode of the model: that is a term that it lacks, or "
-        "disturbances that came through the vehicle. Candidates halve the mean square on data held out, but beside noise "
-        "that rings so this is no proof of one"
+        "disturbances that came through the vehicle. Candidates halve the mean square on data held out, but beside "
+        "noise that rings so this is no proof of one"
     )
 
 

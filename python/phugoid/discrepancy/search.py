@@ -79,6 +79,9 @@ class Search(Trials):
                     break
                 current = following
             unexplained = unexplained or self._ringing_by(current)
+            left = self.ringing(current)
+            if left and not (unexplained and unexplained.ringing):
+                self.remarks.append(_rest_rings(left.frequencies))
             found = [self._found(current, c) for c in current.candidates]
         except KeyboardInterrupt:
             nothing = HeldOut(float("nan"), 0.0, float("nan"))
@@ -329,6 +332,14 @@ def is_physical(at: Refit, candidate: Candidate) -> bool:
     """Whether all parameters of a candidate lie within what is physical."""
     limits = candidate.physical(at.linear.points)
     return all(low <= at.own.parameter(n)[0] <= high for n, (low, high) in limits.items())
+
+
+def _rest_rings(frequencies: Sequence[float]) -> str:
+    at = ", ".join(f"{f:.3g}" for f in frequencies)
+    return (
+        f"What is left of the residuals rings at {at} Hz, a lightly damped mode of the model: disturbances that come "
+        "through the vehicle do that, and so does a term that the model lacks. Noise as coloured as that may hide either."
+    )
 
 
 def _predicts(held: HeldOut) -> bool:

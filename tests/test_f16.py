@@ -73,19 +73,3 @@ def test_what_repeats_in_the_residuals_is_the_mode_that_softens(
     assert k.value > 50 * k.std_error
     held_out = f16.fractions(softer.validate(runs[1]))
     assert held_out["Acceleration2"] < 0.055 and held_out["Acceleration3"] < 0.055
-
-
-def test_what_rings_at_the_mode_is_not_lost_in_the_noise() -> None:
-    """One period, of the terms of that mode alone. Noise as coloured as the residuals are swallows the misfit."""
-    run = f16.recorded()
-    assert run is not None
-    one = f16.periods(run, 1, 2)
-    model = ph.models.modal(start=ph.subspace(one, 12, offset=False, stable=True), feedthrough=True, stable=True)
-    fit = ph.estimate(model, one)
-    terms = ph.candidates(model, points=None).only("x_5a':*", "x_5b':*").without("*:periodic", "*:lag_*")
-    d = ph.diagnose(fit, candidates=terms, validation=f16.periods(run, 5, 6))
-    (finding,) = d.findings
-    assert finding.status == "unexplained" and finding.ringing == pytest.approx((7.32,), abs=0.02)
-    assert {*finding.aliases} & {"x_5a':x_5b|x_5b|", "x_5b':x_5a|x_5a|"}
-    assert finding.gain > 10 * finding.threshold and finding.held_out_gain > 0
-    assert "What fits, but is not proved" in d.summary()

@@ -101,7 +101,6 @@ def test_nothing_is_named_where_the_mass_is_shaken(seed: int) -> None:
     """A mode that is shaken looks like a tone for as long as it remembers, and that is half of the record here."""
     d = diagnosed(0.0, "shaken", seed)
     assert d._search.ringing(d._search.base) is not None
-    assert any("rings at 1 Hz" in note for note in d.notes)
     assert all(f.status == "unexplained" for f in d.findings), d
 
 

@@ -21,9 +21,8 @@ residuals, on periods held out too; with damping that depends on amplitude they 
 almost as well, so that the form of the nonlinearity is not established.
 
 `ph.diagnose` (--diagnose) fits this term first of 2,070, and all that lead its ranking let the frequency of this mode
-change with amplitude; yet it accepts none, and leaves the misfit unexplained: it allows for noise as coloured as the
-residuals are, and what rings at 7.3 Hz looks like noise of this colour. The two terms below were chosen from its scan
-by hand.
+change with amplitude; yet it leaves the misfit unexplained: a mode that disturbances make ring would look much the
+same. The two terms below were chosen from its scan by hand.
 
 Periods held out see the same force at the same level. They tell whether noise was fitted, not how the models do
 elsewhere. Standard errors assume white noise, and the residuals are far from it: that of the frequency near 7.3 Hz is

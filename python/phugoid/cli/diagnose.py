@@ -149,6 +149,7 @@ def _facts(found: Diagnosis) -> dict[str, Any]:
         "threshold",
         "explanation",
         "advice",
+        "ringing",
     )
     ranking = [{"name": s.name, "statistic": s.statistic, "ranking": s.ranking} for s in found.ranking[:20]]
     return {

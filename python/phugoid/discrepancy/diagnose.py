@@ -78,6 +78,7 @@ def diagnose(
     if interrupted and not final.candidates:
         ranking = tuple(ranking_of(search, scan))
     notes = (*_notes(scan, final, listed, others if not search.notes else (), interrupted), *search.notes)
+    notes = (*notes, *search.remarks)
     return Diagnosis(
         fit=fit,
         misfit=misfit(fit),

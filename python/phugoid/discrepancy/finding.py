@@ -60,6 +60,8 @@ class Finding:
                    aliases, or where no manoeuvre stays within the envelope of the records.
     rivals         alias -> gain in log-likelihood that it would have in place of the cause.
     units          parameter -> unit, for words.
+    ringing        Hz, of lightly damped modes of the model at which the residuals ring, where the misfit is that and is
+                   unexplained; ``gain`` is then by noise that does not ring.
     """
 
     cause: str
@@ -77,3 +79,4 @@ class Finding:
     advice: str = ""
     rivals: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    ringing: tuple[float, ...] = ()

@@ -20,6 +20,11 @@ __all__ = ["finding_of", "ranking_of"]
 # Aliases that are named beside a cause.
 _ALIASES = 3
 _INTERVAL = 1.959963984540054  # 95 % of a normal distribution
+_UNEXPLAINED = "the residuals hold more than noise, but no candidate predicts data that were held out"
+_AGAIN = (
+    "Repeat the same input: what repeats in the residuals is no noise. Then a smaller and a larger one: they tell what "
+    "depends on amplitude."
+)
 
 
 def finding_of(search: Search, final: Refit, found: Found) -> Finding:
@@ -39,8 +44,10 @@ def finding_of(search: Search, final: Refit, found: Found) -> Finding:
             gain=found.gain,
             held_out_gain=found.held_out[0],
             threshold=found.threshold,
-            explanation="the residuals hold more than noise, but no candidate predicts data that were held out",
+            explanation=_rings(found.ringing) if found.ringing else _UNEXPLAINED,
+            advice=_AGAIN if found.ringing else "",
             rivals=dict(found.rivals),
+            ringing=found.ringing,
         )
     c = found.candidate
     parameters = final.parameters(c)
@@ -62,6 +69,15 @@ def finding_of(search: Search, final: Refit, found: Found) -> Finding:
         units={n: final.fit.parameters[n].unit for n in parameters},
         advice=_advice(search, final, c, aliases),
         rivals=dict(found.rivals),
+    )
+
+
+def _rings(frequencies: Sequence[float]) -> str:
+    at = ", ".join(f"{f:.3g}" for f in frequencies)
+    return (
+        f"the residuals ring at {at} Hz, a lightly damped mode of the model: that is a term that it lacks, or "
+        "disturbances that came through the vehicle. Candidates halve the mean square on data held out, but beside "
+        "noise that rings so this is no proof of one"
     )
 
 

@@ -40,6 +40,8 @@ _UNPHYSICAL = 6.0
 _HELD_OUT, _SURE = 1.0, 0.5
 # A misfit that no candidate explains is told of when twice the gain of the best is this often its threshold.
 _CLEAR = 1.5
+# Candidates that are refitted where residuals ring.
+_RINGING = 2
 # Next best candidates that are tried when the best gains nothing on held-out data.
 _CHANCES = 3
 # Findings at most: what is left then is for another diagnosis, of the extended model.
@@ -50,6 +52,7 @@ MOST = 4
 class Found:
     """A candidate that was accepted, or a misfit that none explains (``candidate`` None).
 
+    ringing   Hz, of modes of the model at which the residuals ring, where that is what none explains beyond doubt.
     gain      in log-likelihood over the model with the other candidates.
     threshold that it had to pass.
     rivals    those that the data do not tell from it: name -> gain they would have instead, the likeliest first.
@@ -60,6 +63,7 @@ class Found:
     threshold: float
     rivals: Mapping[str, float]
     held_out: HeldOut
+    ringing: tuple[float, ...] = ()
 
 
 class Search(Trials):
@@ -74,6 +78,10 @@ class Search(Trials):
                 if following is None:
                     break
                 current = following
+            unexplained = unexplained or self._ringing_by(current)
+            left = self.ringing(current)
+            if left and not (unexplained and unexplained.ringing):
+                self.remarks.append(_rest_rings(left.frequencies))
             found = [self._found(current, c) for c in current.candidates]
         except KeyboardInterrupt:
             nothing = HeldOut(float("nan"), 0.0, float("nan"))
@@ -115,7 +123,7 @@ class Search(Trials):
             held = self.held_out(below, settled)
             numbers = f"{held.gain:.1f} +- {held.deviation:.1f}, {held.elsewhere:.1f}"
             self.log.append(f"{'+'.join(settled.names)}: held-out {numbers}")
-            if held.gain > max(_HELD_OUT, _SURE * held.deviation) and held.elsewhere > 0.0:
+            if _predicts(held) and not any(self.rings_too(settled, c) for c in new):
                 return settled, None
             rejected |= {c.name for c in new}
             # What acts as another did is no further chance: of two that are alike one may still predict.
@@ -126,6 +134,33 @@ class Search(Trials):
             if unexplained is None and gain > _CLEAR * threshold:
                 unexplained = Found(None, gain / 2, threshold / 2, {c.name: gain / 2 for c in new}, held)
         return None, unexplained
+
+    def _ringing_by(self, current: Refit) -> Found | None:
+        """A misfit that noise as coloured as the residuals would swallow: they ring, and candidates that explain them
+        by noise that does not halve them on validation data."""
+        ringing = self.ringing(current)
+        if ringing is None or not self.validation:
+            return None
+        scan = self.scan(current)
+        # The phase of a disturbance is for no other data to tell.
+        lasting = np.array([c.transferable for c, _ in scan.effects])
+        chosen = self._best(scan, scan.through(ringing.filter), _RINGING, lasting)
+        self.refits([[*current.candidates, c] for c in chosen], current.fit)
+        margins = {}
+        for t in [t for t in self._refits.values() if t and len(t.candidates) == len(current.candidates) + 1]:
+            new, *others = t.beside(current.candidates)
+            if new.transferable and not others:
+                margins[t] = self.steady_gain(current, t) - self._cost(t, current.candidates)
+        likely = [t for t in sorted(margins, key=lambda t: -margins[t])[:_CHANCES] if margins[t] > 0.0]
+        better = [t for t in likely if self.halves(current, t) and _predicts(self.held_out(current, t))]
+        if not better:
+            return None
+        gains = {t.beside(current.candidates)[0].name: self.steady_gain(current, t) / 2 for t in better}
+        name, gain = next(iter(gains.items()))
+        self.log.append(f"residuals ring at {ringing.frequencies} Hz: {name} gains {gain:.1f} by noise that does not")
+        return Found(
+            None, gain, self.threshold() / 2, gains, self.held_out(current, better[0]), ringing=ringing.frequencies
+        )
 
     def _tries(self, at: Refit) -> list[Refit]:
         """Refits with one more candidate."""
@@ -297,6 +332,19 @@ def is_physical(at: Refit, candidate: Candidate) -> bool:
     """Whether all parameters of a candidate lie within what is physical."""
     limits = candidate.physical(at.linear.points)
     return all(low <= at.own.parameter(n)[0] <= high for n, (low, high) in limits.items())
+
+
+def _rest_rings(frequencies: Sequence[float]) -> str:
+    at = ", ".join(f"{f:.3g}" for f in frequencies)
+    return (
+        f"What is left of the residuals rings at {at} Hz, a lightly damped mode of the model: disturbances that come "
+        "through the vehicle do that, and so does a term that the model lacks. Noise as coloured as that hides either."
+    )
+
+
+def _predicts(held: HeldOut) -> bool:
+    """Whether a gain on held-out data is one."""
+    return held.gain > max(_HELD_OUT, _SURE * held.deviation) and held.elsewhere > 0.0
 
 
 def _cosine(a: _Array, b: _Array) -> float:

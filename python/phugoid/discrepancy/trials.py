@@ -17,7 +17,9 @@ from .centres import with_other_centres
 from .held_out import HeldOut, across_blocks, gain_on_other_data, on_other_data
 from .linearised import Linearised
 from .refit import Refit, refit
+from .ringing import Ringing, is_near, light_modes, ringing_of
 from .scan import Scan
+from .whitening import Whitening
 
 __all__ = ["Trials"]
 
@@ -28,6 +30,8 @@ _Array = NDArray[np.float64]
 _FALSE = 0.01
 # Factor of a threshold where channels go together: simulated turbulence passes less than one in twenty times.
 _DOUBTFUL = 1.5
+# Part of a mean square that is left where a candidate explains the better part of a misfit.
+_HALF = 0.5
 # Refits side by side: the solver works without the interpreter's lock.
 _WORKERS = 4
 
@@ -46,12 +50,15 @@ class Trials:
     watch: Callable[[str], None] = lambda _: None
     log: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._refits: dict[frozenset[str], Refit | None] = {frozenset(): self.base}
         self._scans: dict[frozenset[str], Scan] = {}
         self._others: dict[frozenset[str], Linearised | None] = {}
         self._starts: dict[str, Mapping[str, float]] = {}
+        self._modes = light_modes(self.base.fit)
+        self._ringing: dict[frozenset[str], Ringing | None] = {}
         self.candidates = with_other_centres(self.candidates, self.base.linear.points)
         self._tries_in_all = sum(len(c.shapes) for c in self.candidates)
 
@@ -138,6 +145,36 @@ class Trials:
             r = linear.residuals[line[0].start : line[-1].stop]
             found[name] = float(np.sqrt(np.mean(r**2)))
         return found
+
+    def ringing(self, at: Refit) -> Ringing | None:
+        """What rings in the residuals of a set at lightly damped modes of the base; None where nothing does."""
+        key = frozenset(at.names)
+        if key not in self._ringing:
+            filter = at.own.filter
+            assert isinstance(filter, Whitening)  # channel by channel
+            found = ringing_of(filter, at.own.residuals, at.linear, self._modes) if self._modes.size else None
+            self._ringing[key] = found
+        return self._ringing[key]
+
+    def rings_too(self, at: Refit, candidate: Candidate) -> bool:
+        """Whether a candidate is a disturbance at the frequency of a mode at which the residuals of the base ring: a
+        tone there, and noise that came through the mode, are too much alike."""
+        ringing = self.ringing(self.base)
+        if candidate.transferable or ringing is None:
+            return False
+        tones = [at.fit.parameters[n].value / (2.0 * np.pi) for n in candidate.shape_names]
+        return any(is_near(tone, f) for tone in tones for f in ringing.frequencies)
+
+    def steady_gain(self, base: Refit, more: Refit) -> float:
+        """Twice the gain in log-likelihood by noise as large as the residuals of the base, that does not ring."""
+        ringing = self.ringing(base)
+        filter = ringing.filter if ringing else base.own.filter
+        return 2.0 * (more.through(filter).log_likelihood - base.through(filter).log_likelihood)
+
+    def halves(self, base: Refit, more: Refit) -> bool:
+        """Whether the mean square of the residuals on the validation data is halved, in the mean of the outputs."""
+        before, after = self.held_out_rms(base), self.held_out_rms(more)
+        return bool(before and after) and float(np.mean([(after[n] / before[n]) ** 2 for n in before])) < _HALF
 
     def _on_other_data(self, at: Refit, near: Linearised | None) -> Linearised | None:
         key = frozenset(at.names)

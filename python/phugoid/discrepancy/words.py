@@ -145,7 +145,8 @@ def finding_lines(finding: Finding) -> list[str]:
             f"{name} ({with_sign(finding.rivals[name])})" if name in finding.rivals else name
             for name in finding.aliases
         ]
-        told = "The data do not tell it from" if finding.cause else "What fits, but does not predict"
+        doubted = "is not proved" if finding.ringing else "does not predict"
+        told = "The data do not tell it from" if finding.cause else f"What fits, but {doubted}"
         lines.append(f"{told}: {', '.join(rivals)}.")
     if finding.advice:
         lines.append(finding.advice)

@@ -80,7 +80,7 @@ def test_derivatives_are_those_of_the_simulated_outputs(poles: tuple[complex, ..
     assert blocks.sizes.size == 3 * truth.order  # eigenvalues and C of two outputs
 
     found, C, _ = blocks.modal()
-    solved = regression(records.driven, found, C, truth.outputs, (False, False), True)
+    solved = regression([records.driven[0].answers(found)], C, truth.outputs, (False, False), True)
     weights = np.repeat(1.0 / solved.rms, data.n)
     z = weights * np.concatenate([data.output(y) for y in truth.outputs])
 
@@ -101,7 +101,7 @@ def test_derivatives_are_those_of_the_simulated_outputs(poles: tuple[complex, ..
         return z - q @ (q.T @ z)
 
     slopes = np.zeros((2, data.n, blocks.sizes.size))
-    for j, (which, rows) in enumerate(blocks.slopes(records.driven[0], solved)):
+    for j, (which, rows) in enumerate(blocks.slopes(records.driven[0].answers(found), solved)):
         slopes[j][:, which] = rows.T
     q = basis(blocks)
     flat = weights[:, None] * slopes.reshape(-1, blocks.sizes.size)

@@ -13,21 +13,27 @@ __all__ = ["Observability", "observability", "triangle"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# Numbers in a block of rows that is reduced at once: 64 MiB.
+# Numbers in a block of rows that is made at once: 64 MiB. So many of its rows are reduced at once, which stay in the
+# cache, and so many columns.
 _BLOCK = 2**23
+_ROWS, _PANEL = 1000, 16
 
 
 def triangle(blocks: Iterable[_Array]) -> _Array:
-    """R (k, k) of the QR factorisation of the blocks (rows, k) on top of each other; blocks are used up."""
-    from scipy.linalg import qr
+    """R (k, k) of the QR factorisation of the blocks (rows, k) on top of each other."""
+    from scipy.linalg.lapack import dtpqrt
 
     R: _Array | None = None
     for block in blocks:
-        tall = block if R is None else np.asfortranarray(np.vstack([R, block]))
-        R = qr(tall, mode="r", overwrite_a=True, check_finite=False)[0][: tall.shape[1]]
+        k = block.shape[1]
+        if R is None:
+            R = np.zeros((k, k), order="F")
+        step = max(_ROWS, k)
+        for a in range(0, len(block), step):
+            part = np.array(block[a : a + step], order="F")
+            # R is triangular and stays so: LAPACK's triangular-pentagonal QR makes use of it.
+            R, *_ = dtpqrt(0, min(_PANEL, k), R, part, overwrite_a=True, overwrite_b=True)
     assert R is not None
-    if R.shape[0] < R.shape[1]:
-        R = np.vstack([R, np.zeros((R.shape[1] - R.shape[0], R.shape[1]))])
     return np.asarray(R)
 
 

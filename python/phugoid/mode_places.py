@@ -43,12 +43,11 @@ def best_places(
     weights = np.where(found.rms > 0.0, found.rms, 1.0) ** 2
     values, C, _ = blocks.modal()
     for driven in records.driven:
-        motion, modes = driven.free(values), driven.forced(values)
+        answers = driven.answers(values)
         bases = []
         for j, name in enumerate(records.outputs):
             z = driven.run.output(name)
-            seen = driven.u if direct[j] else driven.u[:0]
-            columns = list(rows(C[j], values.imag != 0.0, motion, modes, seen, z, offset))
+            columns = list(rows(C[j], answers, direct[j], z, offset))
             there = np.isfinite(z)
             q = _basis(np.vstack(columns)[:, :-1])
             r = z[there] - q @ (q.T @ z[there])

@@ -13,7 +13,7 @@ from .experiment import Experiment
 from .hankel import rows_at_once, triangle
 from .modal_response import Answers
 
-__all__ = ["Layout", "Regression", "modal_columns", "path", "regression", "rows", "samples_of"]
+__all__ = ["Layout", "Regression", "path", "regression", "rows", "samples_of"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
@@ -54,8 +54,9 @@ def regression(
 
     ``data``: of each experiment what modes of the same eigenvalues (r,), of a pair one, do there. C (p, r), complex.
     ``feedthrough``: which outputs have D. The inputs between samples are taken to run as the experiment says (linear,
-    cubic, or with samples of their own): the response of each mode to each input is exact. An eigenvalue with a positive real part is integrated from the end of the
-    record backwards, its state there being free, so that unstable systems are as well conditioned as stable ones.
+    cubic, or with samples of their own): the response of each mode to each input is exact. An eigenvalue with a
+    positive real part is integrated from the end of the record backwards, its state there being free, so that unstable
+    systems are as well conditioned as stable ones.
     """
     values, runs = data[0].values, [answers.driven.run for answers in data]
     layout = Layout(values.imag != 0.0, len(data[0].forced), tuple(feedthrough), offset, len(data))
@@ -212,15 +213,6 @@ def _complex(numbers: _Array, paired: NDArray[np.bool_]) -> _Complex:
     return found
 
 
-def modal_columns(c: _Complex, paired: NDArray[np.bool_], xi: _Complex) -> Iterator[_Array]:
-    """Re(c b xi) as columns times the real unknowns of b."""
-    for i, two in enumerate(paired):
-        seen = c[i] * xi[i]
-        yield seen.real
-        if two:
-            yield -seen.imag
-
-
 def rows(
     c: _Complex,
     answers: Answers,
@@ -233,23 +225,31 @@ def rows(
 
     Columns: free motions, offset, responses to each input, inputs, and ``more`` (k, N) of them; the last is the output.
     """
-    extra = np.empty((0, z.size)) if more is None else more
-    paired, u = answers.values.imag != 0.0, answers.driven.u if direct else answers.driven.u[:0]
-    count = int(np.where(paired, 2, 1).sum()) * (1 + len(answers.forced)) + int(offset) + len(u) + len(extra) + 1
-    step = rows_at_once(count)
+    paired = answers.values.imag != 0.0
+    # Real and imaginary parts of what the output sees of each mode; real modes have no imaginary one.
+    parts = np.flatnonzero(np.column_stack([np.ones_like(paired), paired]))
+    seen = [answers.free, *answers.forced]
+    count = parts.size * len(seen) + int(offset)
+    others = [answers.driven.u] if direct else []
+    others += [] if more is None else [more]
+    total = count + sum(map(len, others)) + 1
+    step = rows_at_once(total)
     for a in range(0, z.size, step):
         b = min(a + step, z.size)
-        block = np.ones((b - a, count), order="F")
+        block = np.empty((total, b - a))
+        each = np.empty((paired.size, 2, b - a))
         k = 0
-        for column in modal_columns(c, paired, answers.free[:, a:b]):
-            block[:, k] = column
-            k += 1
-        k += int(offset)
-        for xi in answers.forced:
-            for column in modal_columns(c, paired, xi[:, a:b]):
-                block[:, k] = column
+        for xi in seen:
+            turned = c[:, None] * xi[:, a:b]
+            each[:, 0], each[:, 1] = turned.real, -turned.imag
+            block[k : k + parts.size] = each.reshape(-1, b - a)[parts]
+            k += parts.size
+            if offset and xi is answers.free:
+                block[k] = 1.0
                 k += 1
-        block[:, k : k + len(u)] = u[:, a:b].T
-        block[:, k + len(u) : -1] = extra[:, a:b].T
-        block[:, -1] = z[a:b]
-        yield block[np.isfinite(block[:, -1])]
+        for rest in others:
+            block[k : k + len(rest)] = rest[:, a:b]
+            k += len(rest)
+        block[-1] = z[a:b]
+        there = np.isfinite(block[-1])
+        yield (block if there.all() else block[:, there]).T

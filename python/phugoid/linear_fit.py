@@ -35,6 +35,8 @@ _BETTER, _PLACES = 0.5, 4
 _REACH = 0.02
 # So near to a known optimum, in squared standard deviations of the outputs, a search is taken to lead there.
 _BACK = 1.0
+# Directions that change the outputs by less than this part of what the first does change nothing.
+_NOTHING = 1e-10
 # Damping of the first step, as a part of the greatest singular value squared; and how often a step is damped more.
 _DAMPING, _TRIALS = 1e-9, 15
 # Eigenvalues stay below so many Nyquist frequencies. A mode that grows with a damping ratio up to this is reflected.
@@ -145,12 +147,16 @@ class _Linearised:
     """About a point: derivatives J (k, k) of the residuals by the numbers of the blocks, and residuals q (k,), over the
     noise, both without what B, D, first states and offsets can do, and turned to as many rows as there are numbers.
 
-    ``apart``: where the linearised outputs fit best, their squared distance from those of the known optimum, in
-    units of the noise; infinite without one.
+    U, s, Vt  of J times the sizes of the numbers (k,).
+    apart     where the linearised outputs fit best, their squared distance from those of the known optimum, in
+              units of the noise; infinite without one.
     """
 
     J: _Array
     q: _Array
+    U: _Array
+    s: _Array
+    Vt: _Array
     apart: float
 
 
@@ -183,14 +189,12 @@ class _Task:
             near = self._linearised(point, known)
             if near.apart < _BACK:
                 break
-            J, q = near.J, near.q
-            sizes = point.blocks.sizes
-            U, s, Vt = np.linalg.svd(J * sizes, full_matrices=False)
-            q_in = U.T @ q
+            J, q, s, sizes = near.J, near.q, near.s, point.blocks.sizes
+            q_in = near.U.T @ q
             better, factor, trials = None, 2.0, 0
             while better is None and trials < _TRIALS and s[0] > 0.0:
                 trials += 1
-                step = sizes * (Vt.T @ (s * q_in / (s * s + damping * s[0] ** 2)))
+                step = sizes * (near.Vt.T @ (s * q_in / (s * s + damping * s[0] ** 2)))
                 tried = self._tried(point.blocks.moved(step))
                 if tried is not None and tried.log_likelihood > point.log_likelihood:
                     better = tried
@@ -265,13 +269,17 @@ class _Task:
                 blocks.append(wide)
         whole = triangle(blocks)[layout.total :, layout.total :]
         J, q = whole[:count, :count], whole[:count, -1]
+        U, s, Vt = np.linalg.svd(J * point.blocks.sizes)
         if known is None:
-            return _Linearised(J, q, np.inf)
-        # What is left of the known optimum's outputs and of those measured, the linearised outputs taken out.
-        (a, b), c = whole[count, count:], whole[count + 1, -1]
+            return _Linearised(J, q, U, s, Vt, np.inf)
+        # What is left of the known optimum's outputs and of its residuals, the linearised outputs taken out. Numbers
+        # that do nothing, such as the size of a column of C, point anywhere, and take nothing.
+        paths, left = whole[:, count], whole[:, -1] - whole[:, count]
+        there = U[:, s > _NOTHING * s[0]]
+        outside = float(paths @ paths - np.sum((there.T @ paths[:count]) ** 2))
         ratio = known.regression.rms / np.where(found.rms > 0.0, found.rms, 1.0)
-        inside = float(self.samples @ ratio**2) - ((b - a) ** 2 + c**2)
-        return _Linearised(J, q, (a * a + max(inside, 0.0)) / float(ratio.min()) ** 2)
+        inside = float(self.samples @ ratio**2) - float(left @ left - np.sum((there.T @ left[:count]) ** 2))
+        return _Linearised(J, q, U, s, Vt, (max(outside, 0.0) + max(inside, 0.0)) / float(ratio.min()) ** 2)
 
 
 def _direct(feedthrough: bool | Collection[str] | None, start: StateSpace) -> tuple[bool, ...]:

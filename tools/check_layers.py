@@ -24,7 +24,7 @@ PYTHON = [
     "filtering", "checked", "channelwise",
     "preprocess", "experiment", "multirate", "readers", "read", "unit_check", "transcription", "shooting",
     "hdf5_file",
-    "filter_error", "guess", "solvers", "progress", "records", "io", "figure_style", "match", "time_panels", "plot",
+    "filter_error", "guess", "solvers", "progress", "records", "io", "figure_style", "tolerance", "match", "time_panels", "plot",
     "correlations",
     "correlation_plot", "parameters_plot", "convergence_plot", "frequency_plot", "response", "mode_table",
     "inputs", "state_space", "models", "modal_response", "sampled", "hankel", "modal_regression", "identified",

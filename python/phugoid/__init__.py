@@ -79,6 +79,7 @@ from .symbols import (
     tanh,
     where,
 )
+from .tolerance import Tolerance
 from .transcription import Collocation
 from .trim import trim
 
@@ -113,6 +114,7 @@ __all__ = [
     "StateSpace",
     "StudentT",
     "Table",
+    "Tolerance",
     "__version__",
     "acos",
     "asin",

@@ -36,7 +36,7 @@ from .options import (
     TimeOption,
     UnitsOption,
     WindowOption,
-    numbers,
+    tolerances,
 )
 from .results import check_targets, emit_json, fit_facts, match_facts, save_figures
 
@@ -53,7 +53,12 @@ def validate(
     data: DataArgument,
     tolerance: Annotated[
         list[str] | None,
-        typer.Option("--tolerance", help="Greatest deviation of an output, in its unit.", metavar="OUTPUT=VALUE"),
+        typer.Option(
+            "--tolerance",
+            help="Greatest deviation of an output in its unit, as a part of what is measured (5%), or the greater of "
+            "both (1.5/5%).",
+            metavar="OUTPUT=VALUE",
+        ),
     ] = None,
     order: OrderOption = None,
     start: StartOption = None,
@@ -76,7 +81,7 @@ def validate(
     """Try a fitted model on other records: only initial states and sensor biases are found anew."""
     with guard(debug):
         check_targets([plot], [report])
-        limits = numbers("--tolerance", tolerance)
+        limits = tolerances(tolerance)
         how = Estimation.of(order, start, fix, solver, iterations)
         reading = Reading.of(time, rename, inputs, outputs, window, units, convert, columns)
         source = load_source(model)
@@ -123,6 +128,7 @@ def _facts(result: Validation) -> dict[str, Any]:
         "chi_square": result.chi_square,
         "degrees_of_freedom": result.degrees_of_freedom,
         "matches": match_facts(result.matches),
+        "tolerances": {n: vars(each) for n, each in result.tolerances.items()},
         "inside_tolerance": inside,
         "freed": {n: {"value": e.value, "std_error": e.std_error} for n, e in result.freed.items()},
         "warnings": list(result.warnings),

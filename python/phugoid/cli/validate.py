@@ -9,13 +9,13 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import OptionError
+from ..errors import OptionError, PhugoidError
 from ..result import Fit
 from ..validation import Validation
 from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of, write_report
-from .guard import NOT_CONVERGED, guard
+from .guard import NOT_CONVERGED, guard, told
 from .model_file import load_source
 from .options import (
     ColumnsOption,
@@ -103,9 +103,15 @@ def validate(
                 print(f"{fit.summary()}\n\nThere is nothing to validate: the fit has not converged.")
             raise typer.Exit(code_of(fit))
         result = fit.validate(reading.read(others), tolerances=limits or None)
-        written = save_figures(result, plot) if plot is not None else []
-        if report is not None:
-            written.append(write_report(fit, report, [model.rpartition(":")[0] or model, *data], result))
+        written: list[Path] = []
+        try:
+            if plot is not None:
+                written += save_figures(result, plot)
+            if report is not None:
+                written.append(write_report(fit, report, [model.rpartition(":")[0] or model, *data], result))
+        except (PhugoidError, OSError, KeyboardInterrupt):
+            _tell(result, fit, json, written)
+            raise
         _tell(result, fit, json, written)
     raise typer.Exit(0 if result.converged else NOT_CONVERGED)
 
@@ -114,7 +120,7 @@ def _tell(result: Validation, fit: Fit, json: bool, written: Sequence[Path]) -> 
     if json:
         emit_json("validate", {"fit": fit_facts(fit), **_facts(result)}, written)
         return
-    print(result.summary())
+    print(told(result))
     if written:
         print(f"\nWritten: {', '.join(map(str, written))}")
 

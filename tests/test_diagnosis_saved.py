@@ -127,6 +127,6 @@ def test_the_command_line_saves_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert done.stdout.startswith(ph.load("d.json").summary())
     # A diagnosis is no fit to go on from.
     wrong = run("validate", "d.json", "run2.csv")
-    assert wrong.exit_code == 2 and "phugoid-diagnosis" in wrong.stderr
+    assert wrong.exit_code == 2 and "holds a diagnosis, not a model or a fit" in wrong.stderr
     wrong = run("diagnose", "model.py", "run1.csv", "--save", "d.txt")
     assert wrong.exit_code == 2 and "a saved diagnosis ends in .json" in wrong.stderr

@@ -31,7 +31,19 @@ def test_fit_first_or_saved_gives_the_same(here: Path) -> None:
     found = json.loads(first.stdout)
     assert found["log_likelihood"] == pytest.approx(expected.log_likelihood, rel=1e-6)
     assert found["inside_tolerance"]["x"] > 0.9 and list(found["freed"]) == ["c"]
+    assert found["tolerances"] == {"x": {"absolute": 0.05, "relative": 0.0}}
     assert found["fit"]["experiments"][0]["name"] == "run1"
+
+
+def test_a_tolerance_may_be_a_part_of_what_is_measured(here: Path) -> None:
+    fit = ph.estimate(load_model("model.py"), ph.read("run1.csv"))
+    fit.save("fit.json")
+    done = run("validate", "fit.json", "run2.csv", "--tolerance", "x=0.005/3%")
+    expected = fit.validate(ph.read("run2.csv"), tolerances={"x": ph.Tolerance(0.005, 0.03)})
+    assert done.exit_code == 0 and done.stdout == expected.summary() + "\n"
+    assert 0.0 < expected.matches["x"].inside < 1.0 and "of the samples lie within ±0.005" in done.stdout
+    bad = run("validate", "fit.json", "run2.csv", "--tolerance", "x=3%/0.005")
+    assert bad.exit_code == 2 and "OUTPUT=VALUE/PART%" in bad.stderr
 
 
 def test_the_report_of_the_fit_holds_the_validation(here: Path) -> None:

@@ -104,6 +104,7 @@ def whole(fits: tuple[ph.Fit, ph.Fit], extension: Extension) -> Any:
     ]
     ranking[1] = dataclasses.replace(ranking[1], remark="nearly Mq & Mde")
     return SimpleNamespace(
+        interrupted=False,
         fit=fits[0],
         misfit=misfit(fits[0]),
         findings=[FINDING, SURROGATE, UNEXPLAINED],

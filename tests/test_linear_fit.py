@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from linear_case import run
 
 import phugoid as ph
+from phugoid import linear_fit
 from phugoid.modal_blocks import Blocks
 from phugoid.modal_regression import regression
 from phugoid.sampled import Sampled
@@ -80,7 +83,7 @@ def test_derivatives_are_those_of_the_simulated_outputs(poles: tuple[complex, ..
     assert blocks.sizes.size == 3 * truth.order  # eigenvalues and C of two outputs
 
     found, C, _ = blocks.modal()
-    solved = regression(records.driven, found, C, truth.outputs, (False, False), True)
+    solved = regression([records.driven[0].answers(found)], C, truth.outputs, (False, False), True)
     weights = np.repeat(1.0 / solved.rms, data.n)
     z = weights * np.concatenate([data.output(y) for y in truth.outputs])
 
@@ -101,7 +104,7 @@ def test_derivatives_are_those_of_the_simulated_outputs(poles: tuple[complex, ..
         return z - q @ (q.T @ z)
 
     slopes = np.zeros((2, data.n, blocks.sizes.size))
-    for j, (which, rows) in enumerate(blocks.slopes(records.driven[0], solved)):
+    for j, (which, rows) in enumerate(blocks.slopes(records.driven[0].answers(found), solved)):
         slopes[j][:, which] = rows.T
     q = basis(blocks)
     flat = weights[:, None] * slopes.reshape(-1, blocks.sizes.size)
@@ -114,6 +117,71 @@ def test_derivatives_are_those_of_the_simulated_outputs(poles: tuple[complex, ..
         difference -= q @ (q.T @ difference)
         # The weights are those of the pass before.
         assert np.linalg.norm(projected[:, i] * size - difference) < 1e-3 * np.linalg.norm(difference) + 1e-5
+
+
+def test_where_a_search_leads_is_told_by_the_linearised_outputs() -> None:
+    """``apart``, by projections written out: the known outputs outside of the tangent space, and what is left of the
+    data inside of it."""
+    truth = system((-0.3 + 6.0j, -0.5 + 14.0j), p=2)
+    data = run(truth, 300)
+    records = Sampled.of(data, truth.inputs, truth.outputs)
+    task = linear_fit._Task(records, (False, False), True, False, 50)
+    parts = modal_parts(truth.A, truth.B, truth.C)
+    start = task.point(Blocks.of(parts.values, parts.outputs, records.y_size))
+    optimum = task.search(start, 1e-9)
+    known = linear_fit._Known.of(optimum)
+    np.testing.assert_allclose(known.log_likelihood, optimum.log_likelihood)
+    residual = [(data.output(y) - each) for y, each in zip(truth.outputs, known.paths[0], strict=True)]
+    np.testing.assert_allclose([np.sqrt(np.mean(r**2)) for r in residual], optimum.regression.rms, rtol=1e-8)
+
+    here = task.point(optimum.blocks.moved(0.005 * optimum.blocks.sizes))
+    columns: list[np.ndarray] = []
+    _, C, _ = here.blocks.modal()
+    for j, (which, slopes) in enumerate(here.blocks.slopes(here.answers[0], here.regression)):
+        block = np.zeros((2 * data.n, 2 * 2 * truth.order // 2 + 2 + here.blocks.sizes.size))
+        rows = slice(j * data.n, (j + 1) * data.n)
+        k = 0
+        for xi in (here.answers[0].free, *here.answers[0].forced):
+            for c, each in zip(C[j], xi, strict=True):
+                block[rows, k], block[rows, k + 1] = (c * each).real, (c * each).imag
+                k += 2
+        block[rows, k + j] = 1.0
+        block[rows, k + 2 :][:, which] = slopes.T
+        columns.append(block / here.regression.rms[j])
+    whole = sum(columns)
+    whole = whole / np.linalg.norm(whole, axis=0)
+    U, s, _ = np.linalg.svd(whole, full_matrices=False)
+    q = U[:, s > 1e-9 * s[0]]
+    weights = np.repeat(1.0 / here.regression.rms, data.n)
+    path, left = weights * known.paths[0].ravel(), weights * np.concatenate(residual)
+    inside = q.T @ left
+    expected = np.sum((path - q @ (q.T @ path)) ** 2) + inside @ inside
+    expected /= np.min(optimum.regression.rms / here.regression.rms) ** 2
+    assert expected > 0.05
+    assert task._linearised(here, known).apart == pytest.approx(expected, rel=1e-3)
+    assert task._linearised(optimum, known).apart < 1e-6
+    assert task._linearised(here, None).apart == np.inf
+    far = task.point(Blocks.of(np.array([-0.3 + 3.0j, -0.5 + 25.0j]), parts.outputs, records.y_size))
+    assert task._linearised(far, known).apart > 100.0
+
+
+def test_a_mode_at_a_wrong_place_is_moved_and_searches_back_to_a_known_optimum_end(monkeypatch: Any) -> None:
+    """The optimum is that of searches run to their ends, with fewer iterations."""
+    poles = (-0.1 + 5.0j, -0.1 + 12.0j, -0.15 + 30.0j, -0.05 + 41.0j)
+    data = run(system(poles), 1000)
+    start = system((-0.1 + 5.0j, -0.1 + 5.3j, -0.15 + 30.0j, -0.05 + 60.0j))
+
+    def found() -> tuple[ph.StateSpace, int]:
+        lines: list[ph.results.Iteration] = []
+        best = ph.fit_linear(start, data, progress=lines.append)
+        return best, len(lines)
+
+    quick, few = found()
+    monkeypatch.setattr(linear_fit, "_BACK", 0.0)
+    thorough, many = found()
+    assert quick.log_likelihood == pytest.approx(thorough.log_likelihood, abs=1e-5)
+    np.testing.assert_allclose(quick.modes.frequencies_hz, system(poles).modes.frequencies_hz, rtol=2e-3)
+    assert few < many
 
 
 def test_a_pair_becomes_two_real_eigenvalues_and_the_other_way_round() -> None:

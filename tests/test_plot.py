@@ -218,7 +218,7 @@ def test_tolerances_are_bands_and_the_part_within() -> None:
     [
         ({"Alpha": 1.0}, "tolerance of 'Alpha', which is not an output. Did you mean 'alpha'"),
         ({"alpha": -1.0}, "must be positive and finite, not -1.0"),
-        ({"alpha": "wide"}, "must be a number, not 'wide'"),
+        ({"alpha": "wide"}, "must be a number, or a Tolerance"),
         (0.1, "given by output"),
     ],
 )

@@ -34,6 +34,7 @@ from .filter_error import FilterError
 from .frequency import frequency_response
 from .linear import linearise
 from .linear_fit import fit_linear
+from .loading import load
 from .match import match
 from .model import Model
 from .modes import modes
@@ -47,7 +48,6 @@ from .planning.planned import plan, plans
 from .read import read
 from .reconstruction.reconstruct import reconstruct
 from .result import Fit
-from .saving import load
 from .shooting import MultipleShooting, SingleShooting
 from .simulate import simulate
 from .solvers import Ipopt, Newton
@@ -79,6 +79,7 @@ from .symbols import (
     tanh,
     where,
 )
+from .tolerance import Tolerance
 from .transcription import Collocation
 from .trim import trim
 
@@ -119,6 +120,7 @@ __all__ = [
     "StateSpace",
     "StudentT",
     "Table",
+    "Tolerance",
     "__version__",
     "acos",
     "asin",

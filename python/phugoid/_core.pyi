@@ -340,7 +340,12 @@ class Whitening:
     def products(self, columns: _Array, vectors: _Array, sizes: Sequence[int]) -> tuple[_Array, _Array]: ...
 
 def information(
-    problem: Problem, xi: _Array, multipliers: _Array, wanted: Sequence[int], held: Sequence[int]
+    problem: Problem,
+    xi: _Array,
+    multipliers: _Array,
+    wanted: Sequence[int],
+    held: Sequence[int],
+    stop: Callable[[], bool] | None = None,
 ) -> tuple[_Array, _Array, list[list[int]], bool] | None: ...
 def tangents(
     problem: Problem, xi: _Array, held: Sequence[int], variables: Sequence[int]

@@ -19,6 +19,7 @@ from .filter_fit import better, doubtful, filter_error
 from .filter_variables import split
 from .fitted import make_fit
 from .guess import check_names, measured_states, parameter_start, spread, state_start
+from .interrupts import interrupts
 from .late import estimate_late
 from .model import Model
 from .noise import KINDS, Noise
@@ -26,7 +27,7 @@ from .progress import Progress
 from .refine import refined
 from .result import Fit
 from .shooting import MultipleShooting, SingleShooting, Transcription
-from .solvers import Ipopt, Iteration, Newton, Solution
+from .solvers import HINTS, Ipopt, Iteration, Newton, Solution
 from .transcription import Collocation
 from .unit_check import check_units
 
@@ -59,7 +60,8 @@ def estimate(
     ``solver``: `Newton` unless asked otherwise.
     ``progress``: True prints the iterations; a function is called with each.
 
-    Ctrl-C ends the run and returns the best point so far, with status "interrupted".
+    Ctrl-C ends the run and returns the best point so far, with status "interrupted". Pressed once more, while its
+    standard errors are computed, it leaves these out (NaN, and a warning); a third is as ever.
 
     Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model is not
     finite at the start. Not to converge is a status of the fit, not an error.
@@ -140,9 +142,29 @@ def estimate(
     problem = transcription.problem(model, experiments, noise.resolve(model.output_names, spreads, given))
     xi = starting_point(problem, model, experiments, parameters, given, warm)
     known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
-    with Progress.of(progress, model.name) as watch:
-        solution = solver.solve(problem, xi, _warm(warm, transcription, problem, xi), watch, states_known=known)
-    return make_fit(model, experiments, noise, transcription, problem, solution)
+    with interrupts() as pressed:
+        with Progress.of(progress, model.name) as watch:
+            before = _warm(warm, transcription, problem, xi)
+            solution = solver.solve(problem, xi, before, _until(pressed, watch), states_known=known)
+        stopped = solution.status == "interrupted"
+        # One more than ended the run.
+        enough = max(pressed(), 1) + 1 if stopped else 1
+        fit = make_fit(model, experiments, noise, transcription, problem, solution, lambda: pressed() >= enough)
+        if pressed() and not stopped:  # whoever called is to know
+            fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
+    return fit
+
+
+def _until(pressed: Callable[[], int], watch: Callable[[Iteration], None] | None) -> Callable[[Iteration], None]:
+    """What ends a run at the iteration at which Ctrl-C was pressed."""
+
+    def each(line: Iteration) -> None:
+        if watch is not None:
+            watch(line)
+        if pressed():
+            raise KeyboardInterrupt
+
+    return each
 
 
 def _given(start: Any, noise: Noise) -> Mapping[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -46,8 +46,9 @@ def make_fit(
     transcription: Transcription,
     problem: _core.Problem,
     solution: Solution,
+    stop: Callable[[], bool] | None = None,
 ) -> Fit:
-    """The fit at a solution."""
+    """The fit at a solution; where ``stop`` says so, without standard errors, which take long in large problems."""
     xi = solution.xi
     n_theta, n_x, n_model = problem.n_theta, len(model.state_names), len(problem.estimands)
     lower, upper = problem.bounds()
@@ -60,10 +61,16 @@ def make_fit(
     full = np.full((problem.n, 1), np.nan)[:, 0]  # standard errors by variable
     cov = np.full((n_theta, n_theta), np.nan)
     status, message = solution.status, solution.message
-    found = _core.information(problem, xi, solution.multipliers, wanted.tolist(), held.tolist())
-    if found is None:
+    found, stopped = None, False
+    try:
+        found = _core.information(problem, xi, solution.multipliers, wanted.tolist(), held.tolist(), stop)
+    except KeyboardInterrupt:
+        stopped = True
+    if stopped:
+        warnings.append("interrupted: there are no standard errors; estimate with start=fit goes on from here")
+    elif found is None:
         warnings.append("the standard errors could not be computed: the information matrix is singular")
-    else:
+    if found is not None:
         covariance, step, undetermined, saddle = found
         variance = np.diag(covariance)
         proper = variance > 0

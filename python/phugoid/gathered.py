@@ -7,6 +7,7 @@ from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from .errors import OptionError
+from .interrupts import interrupts
 from .outcome import Outcome
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ def gathered(
                 done[outcome.index] = outcome
                 watch(outcome)
         except KeyboardInterrupt:
-            pass
+            with interrupts():  # one more, while workers are dismissed, loses nothing
+                coming.close()
     return {i: done[i] for i in sorted(done)}
 
 

@@ -13,27 +13,28 @@ __all__ = ["Observability", "observability", "triangle"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# Numbers in a block of rows that is reduced at once: 64 MiB.
-_BLOCK = 2**23
+# So many rows are reduced at once, which stay in the cache; and so many columns.
+_ROWS, _PANEL = 1000, 16
 
 
 def triangle(blocks: Iterable[_Array]) -> _Array:
     """R (k, k) of the QR factorisation of the blocks (rows, k) on top of each other; blocks are used up."""
-    from scipy.linalg import qr
+    from scipy.linalg.lapack import dtpqrt
 
     R: _Array | None = None
     for block in blocks:
-        tall = block if R is None else np.asfortranarray(np.vstack([R, block]))
-        R = qr(tall, mode="r", overwrite_a=True, check_finite=False)[0][: tall.shape[1]]
+        k = block.shape[1]
+        if R is None:
+            R = np.zeros((k, k), order="F")
+        # R is triangular and stays so: LAPACK's triangular-pentagonal QR makes use of it.
+        R, *_ = dtpqrt(0, min(_PANEL, k), R, np.asfortranarray(block), overwrite_a=True, overwrite_b=True)
     assert R is not None
-    if R.shape[0] < R.shape[1]:
-        R = np.vstack([R, np.zeros((R.shape[1] - R.shape[0], R.shape[1]))])
     return np.asarray(R)
 
 
 def rows_at_once(columns: int) -> int:
     """Rows of a block for so many columns: at least as many as there are columns, or the work is in R."""
-    return max(2 * columns, _BLOCK // max(columns, 1))
+    return max(columns, _ROWS)
 
 
 @dataclass(frozen=True)

@@ -77,11 +77,15 @@ class Reader:
         h5py = _h5py("read")
         self._file = self._try(lambda: h5py.File(path, "r"))
 
-    def text(self, name: str) -> str:
-        """The JSON."""
-        found = self._try(lambda: self._file.attrs.get("format"))
+    def name(self) -> Any:
+        """Of the format, as `Writer.finish` was told; None where there is none."""
+        return self._try(lambda: self._file.attrs.get("format"))
+
+    def text(self, name: str, what: str) -> str:
+        """The JSON; DataError where the format is not that of ``what``."""
+        found = self.name()
         if found != name:
-            raise DataError(f"{self._path}: is not a fit saved by phugoid (format {found!r} instead of '{name}')")
+            raise DataError(f"{self._path}: is not a {what} saved by phugoid (format {found!r} instead of '{name}')")
         return str(self._try(lambda: bytes(self._file[_DOCUMENT][0]).decode("utf-8")))
 
     def filled(self, value: Any) -> Any:

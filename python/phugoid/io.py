@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
@@ -22,10 +23,12 @@ from . import hdf5_file
 from .errors import DataError
 
 __all__ = [
+    "DIAGNOSIS",
     "FORMAT",
     "SUFFIXES",
     "VERSION",
     "check_folder",
+    "format_of",
     "from_json",
     "load_fit_dict",
     "save_fit_dict",
@@ -38,6 +41,9 @@ __all__ = [
 FORMAT = "phugoid-fit"
 VERSION = 2
 """1: without experiments and solution; 2: with them, and HDF5."""
+DIAGNOSIS = "phugoid-diagnosis"
+_VERSIONS = {FORMAT: VERSION, DIAGNOSIS: 1}
+_WHAT = {FORMAT: "fit", DIAGNOSIS: "diagnosis"}
 SUFFIXES = (".h5", ".hdf5")
 """Of files that are written as HDF5."""
 
@@ -45,7 +51,7 @@ _Place: TypeAlias = tuple[str | int, ...]
 _Keep: TypeAlias = Callable[[NDArray[Any], _Place], Any]
 
 
-def to_json(obj: Mapping[str, Any], keep: _Keep | None = None) -> str:
+def to_json(obj: Mapping[str, Any], keep: _Keep | None = None, name: str = FORMAT) -> str:
     """JSON text of ``obj`` under the format's name and version.
 
     Takes None, bool, int, float, str, numpy scalars and arrays, and mappings, lists and tuples of them; ``keep`` says
@@ -57,12 +63,12 @@ def to_json(obj: Mapping[str, Any], keep: _Keep | None = None) -> str:
     for reserved in ("format", "version"):
         if reserved in obj:
             raise DataError(f"the key '{reserved}' belongs to the file format: choose another")
-    document = {"format": FORMAT, "version": VERSION, **_plain(obj, (), keep)}
+    document = {"format": name, "version": _VERSIONS[name], **_plain(obj, (), keep)}
     return json.dumps(document, ensure_ascii=False, allow_nan=False)
 
 
-def from_json(text: str, source: str = "the text") -> tuple[dict[str, Any], int]:
-    """The dictionary that `to_json` took, with arrays as lists, and the version of the format.
+def from_json(text: str, source: str = "the text", name: str = FORMAT) -> tuple[dict[str, Any], int]:
+    """The dictionary that `to_json` took, with arrays as lists, and the version of the format ``name``.
 
     Raises DataError where ``text`` is cut short, is no JSON, is of another format, or comes from a newer
     version; ``source`` is how the message calls it.
@@ -71,23 +77,26 @@ def from_json(text: str, source: str = "the text") -> tuple[dict[str, Any], int]
         document = json.loads(text)
     except json.JSONDecodeError as error:
         what = "is empty" if not text.strip() else f"is no complete JSON (line {error.lineno}: {error.msg})"
-        raise DataError(f"{source}: {what}; the file is damaged or cut short, or is no saved fit") from None
+        raise DataError(f"{source}: {what}; the file is damaged or cut short, or is no saved {_WHAT[name]}") from None
     found = document.pop("format", None) if isinstance(document, dict) else None
-    if found != FORMAT:
-        raise DataError(f"{source}: is not a fit saved by phugoid (format {found!r} instead of '{FORMAT}')")
+    if found != name:
+        raise DataError(f"{source}: is not a {_WHAT[name]} saved by phugoid (format {found!r} instead of '{name}')")
     version = document.pop("version", None)
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise DataError(f"{source}: has version {version!r} instead of a whole number; the file is damaged")
-    if version > VERSION:
+    if version > _VERSIONS[name]:
         raise DataError(
-            f"{source}: has version {version} of the format, but this phugoid reads up to {VERSION}: "
+            f"{source}: has version {version} of the format, but this phugoid reads up to {_VERSIONS[name]}: "
             "install a newer phugoid"
         )
     return dict(document), version
 
 
 def save_fit_dict(
-    path: str | PathLike[str], payload: Mapping[str, Any], unit: Callable[[_Place], str] = lambda place: ""
+    path: str | PathLike[str],
+    payload: Mapping[str, Any],
+    unit: Callable[[_Place], str] = lambda place: "",
+    name: str = FORMAT,
 ) -> None:
     """Writes the payload to ``path``, whole or not at all: the old file stays until then.
 
@@ -101,9 +110,9 @@ def save_fit_dict(
     try:
         if target.suffix.lower() in SUFFIXES:
             with hdf5_file.Writer(temporary, unit) as file:
-                file.finish(to_json(payload, file.keep), FORMAT, VERSION)
+                file.finish(to_json(payload, file.keep, name), name, _VERSIONS[name])
         else:
-            temporary.write_text(to_json(payload), encoding="utf-8")
+            temporary.write_text(to_json(payload, name=name), encoding="utf-8")
         with open(temporary, "rb+") as written:
             os.fsync(written.fileno())
         os.replace(temporary, target)
@@ -113,11 +122,34 @@ def save_fit_dict(
         temporary.unlink(missing_ok=True)
 
 
-def load_fit_dict(path: str | PathLike[str]) -> tuple[dict[str, Any], int]:
+def load_fit_dict(path: str | PathLike[str], name: str = FORMAT) -> tuple[dict[str, Any], int]:
     """The payload that `save_fit_dict` took, whatever the suffix says, and the version of the format.
 
     DataError for a missing or damaged file, or another format; MissingDependency for HDF5 without h5py.
     """
+    text = _text(path, _WHAT[name])
+    if text is not None:
+        return from_json(text, str(path), name)
+    with hdf5_file.Reader(path) as saved:
+        document, version = from_json(saved.text(name, _WHAT[name]), str(path), name)
+        return saved.filled(document), version
+
+
+def format_of(path: str | PathLike[str]) -> str:
+    """The name of the format of a saved file; where none is told that of a fit, whose reader says what is wrong."""
+    text = _text(path, "fit")
+    if text is None:
+        with hdf5_file.Reader(path) as saved:
+            found = saved.name()
+    else:
+        # The format stands first: the file may be large.
+        head = re.match(r'\s*\{\s*"format"\s*:\s*"([^"]*)"', text)
+        found = head[1] if head else FORMAT
+    return found if found in _VERSIONS else FORMAT
+
+
+def _text(path: str | PathLike[str], what: str) -> str | None:
+    """The text of a file; None where it is HDF5."""
     try:
         with open(path, "rb") as file:
             binary = file.read(len(hdf5_file.MAGIC)) == hdf5_file.MAGIC
@@ -125,14 +157,10 @@ def load_fit_dict(path: str | PathLike[str]) -> tuple[dict[str, Any], int]:
     except FileNotFoundError:
         raise DataError(f"{path}: there is no such file") from None
     except UnicodeDecodeError:
-        raise DataError(f"{path}: is not a fit saved by phugoid, or is damaged (it is no text)") from None
+        raise DataError(f"{path}: is not a {what} saved by phugoid, or is damaged (it is no text)") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-    if not binary:
-        return from_json(text, source=str(path))
-    with hdf5_file.Reader(path) as saved:
-        document, version = from_json(saved.text(FORMAT), source=str(path))
-        return saved.filled(document), version
+    return None if binary else text
 
 
 def check_folder(path: str | PathLike[str]) -> None:

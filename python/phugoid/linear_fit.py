@@ -15,7 +15,8 @@ from .experiment import Experiment
 from .hankel import triangle
 from .identified import identified
 from .modal_blocks import Blocks
-from .modal_regression import Layout, Regression, regression, rows, samples_of
+from .modal_regression import Layout, Regression, path, regression, rows, samples_of
+from .modal_response import Answers
 from .mode_places import best_places
 from .progress import Progress
 from .sampled import Sampled, chosen_outputs
@@ -32,6 +33,10 @@ _GAIN, _ROUGH = 1e-7, 1e-3
 _BETTER, _PLACES = 0.5, 4
 # A search that gains less than this part of what it lacks is given up.
 _REACH = 0.02
+# So near to a known optimum, in squared standard deviations of the outputs, a search is taken to lead there.
+_BACK = 1.0
+# Directions that change the outputs by less than this part of what the first does change nothing.
+_NOTHING = 1e-10
 # Damping of the first step, as a part of the greatest singular value squared; and how often a step is damped more.
 _DAMPING, _TRIALS = 1e-9, 15
 # Eigenvalues stay below so many Nyquist frequencies. A mode that grows with a damping ratio up to this is reflected.
@@ -114,11 +119,45 @@ def fit_linear(
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A and C, what least squares finds for them, and the log-likelihood."""
+    """A and C, what modes do there, what least squares finds for them, and the log-likelihood."""
 
     blocks: Blocks
+    answers: Sequence[Answers]
     regression: Regression
     log_likelihood: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """An optimum that is known: outputs (p, N) of each experiment, what least squares found, and log-likelihood."""
+
+    paths: Sequence[_Array]
+    regression: Regression
+    log_likelihood: float
+
+    @classmethod
+    def of(cls, point: _Point) -> _Known:
+        C = point.blocks.modal()[1]
+        paths = [path(answers, C, point.regression) for answers in point.answers]
+        return cls(paths, point.regression, point.log_likelihood)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """About a point: derivatives J (k, k) of the residuals by the numbers of the blocks, and residuals q (k,), over the
+    noise, both without what B, D, first states and offsets can do, and turned to as many rows as there are numbers.
+
+    U, s, Vt  of J times the sizes of the numbers (k,).
+    apart     where the linearised outputs fit best, their squared distance from those of the known optimum, in
+              units of the noise; infinite without one.
+    """
+
+    J: _Array
+    q: _Array
+    U: _Array
+    s: _Array
+    Vt: _Array
+    apart: float
 
 
 class _Task:
@@ -136,22 +175,26 @@ class _Task:
 
     def point(self, blocks: Blocks) -> _Point:
         values, C, _ = blocks.modal()
-        found = regression(self.records.driven, values, C, self.records.outputs, self.direct, self.offset)
+        answers = [driven.answers(values) for driven in self.records.driven]
+        found = regression(answers, C, self.records.outputs, self.direct, self.offset)
         rms = np.maximum(found.rms, np.finfo(np.float64).tiny)
-        return _Point(blocks, found, -float(self.samples @ (np.log(rms) + 0.5)))
+        return _Point(blocks, answers, found, -float(self.samples @ (np.log(rms) + 0.5)))
 
-    def search(self, point: _Point, least: float, goal: float = -np.inf) -> _Point:
-        """Levenberg-Marquardt steps, each better, until one gains less than ``least``, or ``goal`` is out of reach."""
+    def search(self, point: _Point, least: float, known: _Known | None = None) -> _Point:
+        """Levenberg-Marquardt steps, each better, until one gains less than ``least``, or they lead to an optimum that
+        is known, or to none as good."""
         damping = _DAMPING
+        goal = -np.inf if known is None else known.log_likelihood
         for _ in range(self.max_iterations):
-            J, q = self._projected(point)
-            sizes = point.blocks.sizes
-            U, s, Vt = np.linalg.svd(J * sizes, full_matrices=False)
-            q_in = U.T @ q
+            near = self._linearised(point, known)
+            if near.apart < _BACK:
+                break
+            J, q, s, sizes = near.J, near.q, near.s, point.blocks.sizes
+            q_in = near.U.T @ q
             better, factor, trials = None, 2.0, 0
             while better is None and trials < _TRIALS and s[0] > 0.0:
                 trials += 1
-                step = sizes * (Vt.T @ (s * q_in / (s * s + damping * s[0] ** 2)))
+                step = sizes * (near.Vt.T @ (s * q_in / (s * s + damping * s[0] ** 2)))
                 tried = self._tried(point.blocks.moved(step))
                 if tried is not None and tried.log_likelihood > point.log_likelihood:
                     better = tried
@@ -176,13 +219,13 @@ class _Task:
         """Puts pairs that the fit would miss least where they fit best, as long as that is better."""
         better = moves > 0 and len(point.blocks) > 1
         while better:
-            better = False
+            better, known = False, _Known.of(point)
             missed = [self.point(point.blocks.without(k)).log_likelihood for k in range(len(point.blocks.pairs))]
             for k in np.argsort(missed)[::-1][:moves]:
                 rest = self.point(point.blocks.without(int(k)))
                 places = best_places(self.records, rest.blocks, rest.regression, self.direct, self.offset)
                 for block in places[:_PLACES]:
-                    there = self.search(self.point(rest.blocks.joined(block)), _ROUGH, point.log_likelihood)
+                    there = self.search(self.point(rest.blocks.joined(block)), _ROUGH, known)
                     if there.log_likelihood > point.log_likelihood + _BETTER:
                         point, better = there, True
                         break
@@ -208,26 +251,35 @@ class _Task:
             return None
         return found if np.isfinite(found.log_likelihood) else None
 
-    def _projected(self, point: _Point) -> tuple[_Array, _Array]:
-        """Derivatives (k, k) of the residuals by the numbers of the blocks, and residuals (k,), over the noise: both
-        without what B, D, first states and offsets can do, and turned to as many rows as there are numbers."""
+    def _linearised(self, point: _Point, known: _Known | None) -> _Linearised:
         r, found = self.records, point.regression
         values, C, _ = point.blocks.modal()
         layout = Layout(values.imag != 0.0, len(r.inputs), self.direct, self.offset, len(r.runs))
         count = point.blocks.sizes.size
+        last = layout.total + count  # where outputs of the known optimum are, then those measured
         blocks = []
-        for e, driven in enumerate(r.driven):
-            motion, modes = driven.free(values), driven.forced(values)
-            for j, (which, slopes) in enumerate(point.blocks.slopes(driven, found)):
-                seen = driven.u if self.direct[j] else driven.u[:0]
-                z = driven.run.output(r.outputs[j])
-                R = triangle(rows(C[j], layout.paired, motion, modes, seen, z, self.offset, slopes))
-                wide = np.zeros((R.shape[0], layout.total + count + 1))
-                places = [*layout.columns(e, j), *(layout.total + i for i in which), layout.total + count]
-                wide[:, places] = R / (found.rms[j] or 1.0)
+        for e, answers in enumerate(point.answers):
+            for j, (which, slopes) in enumerate(point.blocks.slopes(answers, found)):
+                z = answers.driven.run.output(r.outputs[j])
+                more = slopes if known is None else np.vstack([slopes, known.paths[e][j]])
+                R = triangle(rows(C[j], answers, self.direct[j], z, self.offset, more))
+                wide = np.zeros((R.shape[0], last + 2))
+                own = [*layout.columns(e, j), *(layout.total + i for i in which)]
+                wide[:, [*own, *([] if known is None else [last]), last + 1]] = R / (found.rms[j] or 1.0)
                 blocks.append(wide)
-        whole = triangle(blocks)[layout.total : layout.total + count, layout.total :]
-        return whole[:, :-1], whole[:, -1]
+        whole = triangle(blocks)[layout.total :, layout.total :]
+        J, q = whole[:count, :count], whole[:count, -1]
+        U, s, Vt = np.linalg.svd(J * point.blocks.sizes)
+        if known is None:
+            return _Linearised(J, q, U, s, Vt, np.inf)
+        # What is left of the known optimum's outputs and of its residuals, the linearised outputs taken out. Numbers
+        # that do nothing, such as the size of a column of C, point anywhere, and take nothing.
+        paths, left = whole[:, count], whole[:, -1] - whole[:, count]
+        there = U[:, s > _NOTHING * s[0]]
+        outside = float(paths @ paths - np.sum((there.T @ paths[:count]) ** 2))
+        ratio = known.regression.rms / np.where(found.rms > 0.0, found.rms, 1.0)
+        inside = float(self.samples @ ratio**2) - float(left @ left - np.sum((there.T @ left[:count]) ** 2))
+        return _Linearised(J, q, U, s, Vt, (max(outside, 0.0) + max(inside, 0.0)) / float(ratio.min()) ** 2)
 
 
 def _direct(feedthrough: bool | Collection[str] | None, start: StateSpace) -> tuple[bool, ...]:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import OptionError, UnknownName, did_you_mean, listing
+from .errors import UnknownName, listing
 from .records import Record
+from .tolerance import Tolerance, tolerance_of
 
-__all__ = ["Match", "match", "no_match", "tolerances_by_output"]
+__all__ = ["Match", "match", "no_match"]
 
 _Array = NDArray[np.float64]
 _Piece = tuple[_Array, _Array, _Array]  # of one record where measured: times, measured, model
@@ -75,8 +75,7 @@ class Match:
     lag_one       autocorrelation of r from one sample of this output to the next; 0 for white residuals.
     whiteness     p-value of the Ljung-Box test that r is white, over ``lags`` lags: small where it is not. NaN where
                   there are fewer than 8 samples, or r is constant.
-    tolerance     as given, in the unit, or None; ``inside`` is the part of the samples with abs(r) <= tolerance, NaN
-                  without one.
+    tolerance     as given, or None; ``inside`` is the part of the samples with abs(r) <= tolerance, NaN without one.
 
     R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 11; G. M. Ljung and
     G. E. P. Box, Biometrika 65 (1978), with lagged pairs counted where samples are missing (D. S. Stoffer and C. M. C.
@@ -97,18 +96,22 @@ class Match:
     lag_one: float
     whiteness: float
     lags: int
-    tolerance: float | None = None
+    tolerance: Tolerance | None = None
     inside: float = math.nan
 
 
 def match(
-    records: Record | Sequence[Record], output: str, sigma: float = math.nan, tolerance: float | None = None
+    records: Record | Sequence[Record],
+    output: str,
+    sigma: float = math.nan,
+    tolerance: float | Tolerance | None = None,
 ) -> Match:
     """The match of an output over one record or several that have measurements of it; NaN where there are none.
 
-    ``match(fit.records, "q")``; ``sigma`` and ``tolerance`` (in the output's unit) are passed on. Raises UnknownName
-    for an output that a record has no measurements of.
+    ``match(fit.records, "q")``; ``sigma`` and ``tolerance`` (in the output's unit, or a `Tolerance`) are passed on.
+    Raises UnknownName for an output that a record has no measurements of, OptionError for a tolerance that is none.
     """
+    limit = None if tolerance is None else tolerance_of("match: the tolerance", tolerance)
     records = [records] if isinstance(records, Record) else records
     for record in records:
         if output not in record.measured:
@@ -124,6 +127,7 @@ def match(
     spread = sum(t.size * float(z.std() - y.std()) ** 2 for t, z, y in pieces)
     p_value, lag_one, lags = _whiteness(pieces)
     residuals = np.concatenate([np.empty(0), *(z - y for _, z, y in pieces)])
+    measured = np.concatenate([np.empty(0), *(z for _, z, _ in pieces)])
     return Match(
         output=output,
         unit=next((r.units[output] for r in records if output in r.units), ""),
@@ -140,32 +144,9 @@ def match(
         lag_one=lag_one,
         whiteness=p_value,
         lags=lags,
-        tolerance=tolerance,
-        inside=float(np.mean(np.abs(residuals) <= tolerance)) if tolerance is not None and n else math.nan,
+        tolerance=limit,
+        inside=float(np.mean(np.abs(residuals) <= limit.at(measured))) if limit is not None and n else math.nan,
     )
-
-
-def tolerances_by_output(caller: str, outputs: Sequence[str], given: Any) -> dict[str, float]:
-    """The tolerances given to ``caller``, in the order of ``outputs``; None is none.
-
-    Raises OptionError for what is no mapping, an output that there is not, or a tolerance that is no positive number.
-    """
-    if given is None:
-        return {}
-    if not isinstance(given, Mapping):
-        raise OptionError(f"{caller}: tolerances are given by output, such as {{'q': 0.035}}, not as {given!r}")
-    limits = {}
-    for name, value in given.items():
-        if name not in outputs:
-            hint = did_you_mean(str(name), outputs)
-            raise OptionError(f"{caller}: tolerance of '{name}', which is not an output.{hint}")
-        try:
-            limits[name] = float(value)
-        except (TypeError, ValueError):
-            raise OptionError(f"{caller}: the tolerance of '{name}' must be a number, not {value!r}") from None
-        if not 0.0 < limits[name] < math.inf:
-            raise OptionError(f"{caller}: the tolerance of '{name}' must be positive and finite, not {value!r}")
-    return {name: limits[name] for name in outputs if name in limits}
 
 
 def _present(record: Record, output: str) -> _Piece:

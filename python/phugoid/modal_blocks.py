@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .modal_regression import Regression
-from .modal_response import Driven
+from .modal_response import Answers
 
 __all__ = ["Blocks"]
 
@@ -123,15 +123,12 @@ class Blocks:
         """With modes that decay in place of those that grow."""
         return replace(self, pairs=np.abs(self.pairs), singles=-np.abs(self.singles))
 
-    def slopes(self, driven: Driven, found: Regression) -> Iterator[tuple[list[int], _Array]]:
+    def slopes(self, answers: Answers, found: Regression) -> Iterator[tuple[list[int], _Array]]:
         """Of each output the derivatives (k, N) of its path in an experiment, B and first states held, and by which
         numbers of `moved` they are."""
         values, C, own = self.modal()
-        run = driven.run
-        xi, eta = (found.motion[run.name][:, None] * part for part in driven.free_slopes(values))
-        for k, (response, slope) in enumerate(driven.forced_slopes(values)):
-            xi += found.B[:, k, None] * response
-            eta += found.B[:, k, None] * slope
+        run = answers.driven.run
+        xi, eta = answers.slopes(found.B, found.motion[run.name])
         k, (p, n) = len(self.pairs), self.C.shape
         for j in range(p):
             rows, which = np.zeros((2 * k + self.singles.size, run.n)), list(range(2 * k + self.singles.size))

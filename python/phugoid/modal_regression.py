@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from .experiment import Experiment
 from .hankel import rows_at_once, triangle
-from .modal_response import Driven
+from .modal_response import Answers
 
-__all__ = ["Layout", "Regression", "modal_columns", "regression", "rows", "samples_of"]
+__all__ = ["Layout", "Regression", "path", "regression", "rows", "samples_of"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
@@ -43,8 +43,7 @@ class Regression:
 
 
 def regression(
-    data: Sequence[Driven],
-    values: _Complex,
+    data: Sequence[Answers],
     C: _Complex,
     outputs: Sequence[str],
     feedthrough: Sequence[bool],
@@ -53,27 +52,36 @@ def regression(
 ) -> Regression:
     """B, D, x0 and offsets such that y_j = Re(C_j xi) + D_j u + offset_j, xi' = lambda xi + B u, fits best.
 
-    ``values`` (r,): eigenvalues, of a pair one. C (p, r), complex. ``feedthrough``: which outputs have D. The inputs
-    between samples are taken to run as the experiment says (linear, cubic, or with samples of their own): the response
-    of each mode to each input is exact. An eigenvalue with a positive real part is integrated from the end of the
-    record backwards, its state there being free, so that unstable systems are as well conditioned as stable ones.
+    ``data``: of each experiment what modes of the same eigenvalues (r,), of a pair one, do there. C (p, r), complex.
+    ``feedthrough``: which outputs have D. The inputs between samples are taken to run as the experiment says (linear,
+    cubic, or with samples of their own): the response of each mode to each input is exact. An eigenvalue with a
+    positive real part is integrated from the end of the record backwards, its state there being free, so that unstable
+    systems are as well conditioned as stable ones.
     """
-    layout = Layout(values.imag != 0.0, len(data[0].inputs), tuple(feedthrough), offset, len(data))
-    triangles = [_triangles(driven, values, C, outputs, layout) for driven in data]
-    solution, rms, gained = _solved(triangles, layout, samples_of([driven.run for driven in data], outputs), gains)
+    values, runs = data[0].values, [answers.driven.run for answers in data]
+    layout = Layout(values.imag != 0.0, len(data[0].forced), tuple(feedthrough), offset, len(data))
+    triangles = [_triangles(answers, C, outputs, layout) for answers in data]
+    solution, rms, gained = _solved(triangles, layout, samples_of(runs, outputs), gains)
     x0, offsets, motion = {}, {}, {}
     B = np.array([_complex(row, layout.paired) for row in solution[layout.common].reshape(layout.m, -1)])
     B = B.reshape(layout.m, values.size).T
-    for e, driven in enumerate(data):
-        own, name = solution[layout.own(e)], driven.run.name
+    for e, answers in enumerate(data):
+        own, name = solution[layout.own(e)], runs[e].name
         motion[name] = _complex(own[: layout.width], layout.paired)
-        x0[name] = _first(driven, values, B, motion[name])
+        x0[name] = _first(answers, B, motion[name])
         offsets[name] = own[layout.width :] if offset else np.zeros(len(outputs))
     D = np.zeros((len(outputs), layout.m))
     for j in range(len(outputs)):
         if feedthrough[j]:
             D[j] = solution[layout.direct(j)]
     return Regression(B=B, D=D, x0=x0, offsets=offsets, rms=rms, gains=gained, motion=motion)
+
+
+def path(answers: Answers, C: _Complex, found: Regression) -> _Array:
+    """Outputs (p, N) of an experiment."""
+    run = answers.driven.run
+    xi = answers.states(found.B, found.motion[run.name])
+    return np.asarray((C @ xi).real + found.D @ answers.driven.u + found.offsets[run.name][:, None])
 
 
 @dataclass(frozen=True)
@@ -128,14 +136,12 @@ class Layout:
         return [*range(first, first + self.width), *offset, *(k for s in places for k in range(s.start, s.stop))]
 
 
-def _triangles(driven: Driven, values: _Complex, C: _Complex, outputs: Sequence[str], layout: Layout) -> list[_Array]:
+def _triangles(answers: Answers, C: _Complex, outputs: Sequence[str], layout: Layout) -> list[_Array]:
     """The least squares of each output of an experiment, reduced to a triangle; the last column is the output."""
-    motion, modes = driven.free(values), driven.forced(values)
     found = []
     for j, name in enumerate(outputs):
-        seen = driven.u if layout.feedthrough[j] else driven.u[:0]
-        z = driven.run.output(name)
-        found.append(triangle(rows(C[j], layout.paired, motion, modes, seen, z, layout.offset)))
+        z = answers.driven.run.output(name)
+        found.append(triangle(rows(C[j], answers, layout.feedthrough[j], z, layout.offset)))
     return found
 
 
@@ -186,13 +192,14 @@ def _gains(whole: _Array, size: _Array, layout: Layout, samples: int) -> _Array:
     return (np.array(without) - least) / max(least / samples, np.finfo(np.float64).tiny)
 
 
-def _first(driven: Driven, values: _Complex, B: _Complex, found: _Complex) -> _Complex:
+def _first(answers: Answers, B: _Complex, found: _Complex) -> _Complex:
     """Modal states at the first sample: of growing modes those found are at the last."""
+    values = answers.values
     growing = values.real > 0.0
     if not growing.any():
         return found
-    start = np.array([xi[:, 0] for xi in driven.forced(values)]).reshape(len(driven.inputs), values.size)
-    t = driven.run.t
+    start = np.array([xi[:, 0] for xi in answers.forced]).reshape(len(answers.forced), values.size)
+    t = answers.driven.run.t
     back = np.exp(np.where(growing, -values * (t[-1] - t[0]), 0.0))
     return np.asarray(found * back + np.where(growing, np.sum(start * B.T, axis=0), 0.0))
 
@@ -206,45 +213,43 @@ def _complex(numbers: _Array, paired: NDArray[np.bool_]) -> _Complex:
     return found
 
 
-def modal_columns(c: _Complex, paired: NDArray[np.bool_], xi: _Complex) -> Iterator[_Array]:
-    """Re(c b xi) as columns times the real unknowns of b."""
-    for i, two in enumerate(paired):
-        seen = c[i] * xi[i]
-        yield seen.real
-        if two:
-            yield -seen.imag
-
-
 def rows(
     c: _Complex,
-    paired: NDArray[np.bool_],
-    motion: _Complex,
-    modes: Sequence[_Complex],
-    u: _Array,
+    answers: Answers,
+    direct: bool,
     z: _Array,
     offset: bool,
     more: _Array | None = None,
 ) -> Iterator[_Array]:
-    """Rows of the least squares of one output, some at a time; samples that are missing are left out.
+    """Rows of the least squares of one output, some at a time; samples that are missing are left out. ``c`` (r,).
 
     Columns: free motions, offset, responses to each input, inputs, and ``more`` (k, N) of them; the last is the output.
     """
-    extra = np.empty((0, z.size)) if more is None else more
-    count = int(np.where(paired, 2, 1).sum()) * (1 + len(modes)) + int(offset) + len(u) + len(extra) + 1
-    step = rows_at_once(count)
+    paired = answers.values.imag != 0.0
+    # Real and imaginary parts of what the output sees of each mode; real modes have no imaginary one.
+    parts = np.flatnonzero(np.column_stack([np.ones_like(paired), paired]))
+    seen = [answers.free, *answers.forced]
+    count = parts.size * len(seen) + int(offset)
+    others = [answers.driven.u] if direct else []
+    others += [] if more is None else [more]
+    total = count + sum(map(len, others)) + 1
+    step = rows_at_once(total)
     for a in range(0, z.size, step):
         b = min(a + step, z.size)
-        block = np.ones((b - a, count), order="F")
+        block = np.empty((total, b - a))
+        each = np.empty((paired.size, 2, b - a))
         k = 0
-        for column in modal_columns(c, paired, motion[:, a:b]):
-            block[:, k] = column
-            k += 1
-        k += int(offset)
-        for xi in modes:
-            for column in modal_columns(c, paired, xi[:, a:b]):
-                block[:, k] = column
+        for xi in seen:
+            turned = c[:, None] * xi[:, a:b]
+            each[:, 0], each[:, 1] = turned.real, -turned.imag
+            block[k : k + parts.size] = each.reshape(-1, b - a)[parts]
+            k += parts.size
+            if offset and xi is answers.free:
+                block[k] = 1.0
                 k += 1
-        block[:, k : k + len(u)] = u[:, a:b].T
-        block[:, k + len(u) : -1] = extra[:, a:b].T
-        block[:, -1] = z[a:b]
-        yield block[np.isfinite(block[:, -1])]
+        for rest in others:
+            block[k : k + len(rest)] = rest[:, a:b]
+            k += len(rest)
+        block[-1] = z[a:b]
+        there = np.isfinite(block[-1])
+        yield (block if there.all() else block[:, there]).T

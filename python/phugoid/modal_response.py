@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -12,13 +13,37 @@ from numpy.typing import NDArray
 from . import _core
 from .experiment import Experiment
 
-__all__ = ["Driven"]
+__all__ = ["Answers", "Driven"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
 
 # Nodes of Gauss-Legendre on each piece of the input: exact to rounding for a cubic times a mode below the Nyquist rate.
 _NODES = 8
+# Samples whose free motions are products of a first one and of steps: rounding grows with neither.
+_STRIDE = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What modes do in an experiment: free (r, N), as `Driven.free` has it, and forced, (r, N) of each input."""
+
+    driven: Driven
+    values: _Complex
+    free: _Complex
+    forced: Sequence[_Complex]
+
+    def states(self, B: _Complex, motion: _Complex) -> _Complex:
+        """Modal states (r, N), B (r, m) and what multiplies the free motions (r,) being known."""
+        xi = motion[:, None] * self.free
+        for b, response in zip(B.T, self.forced, strict=True):
+            xi += b[:, None] * response
+        return xi
+
+    def slopes(self, B: _Complex, motion: _Complex) -> tuple[_Complex, _Complex]:
+        """Modal states, and their derivatives by the eigenvalues."""
+        xi = self.states(B, motion)
+        return xi, self.driven.slopes(self.values, xi, B)
 
 
 class Driven:
@@ -38,31 +63,38 @@ class Driven:
         modes that grow, so that these are as well conditioned. Exact for inputs that run as the experiment says."""
         return [signal.responses(values) for signal in self._signals]
 
-    def forced_slopes(self, values: _Complex) -> list[tuple[_Complex, _Complex]]:
-        """Of each input the responses (r, N), and their derivatives by the eigenvalue."""
-        responses = self.forced(values)
-        return [(xi, signal.slopes(values, xi)) for signal, xi in zip(self._signals, responses, strict=True)]
-
     def free(self, values: _Complex) -> _Complex:
         """e^(lambda t) from the end where it is 1 to where it has decayed, (r, N)."""
-        return np.asarray(np.exp(values[:, None] * self._since(values)))
+        step, n = _step(self.run), self.run.n
+        decay, k = _decay(values) * step, np.arange(0, n, _STRIDE)
+        each = np.exp(decay[:, None] * k)[:, :, None] * np.exp(decay[:, None] * np.arange(_STRIDE))[:, None, :]
+        found = each.reshape(values.size, -1)[:, :n]
+        growing = values.real > 0.0
+        found[growing] = found[growing, ::-1]
+        return found
 
-    def free_slopes(self, values: _Complex) -> tuple[_Complex, _Complex]:
-        """The free motion, and its derivative by the eigenvalue."""
-        motion = self.free(values)
-        return motion, np.asarray(self._since(values) * motion)
+    def answers(self, values: _Complex) -> Answers:
+        """Both."""
+        return Answers(self, values, self.free(values), self.forced(values))
 
-    def _since(self, values: _Complex) -> _Array:
-        """Time (r, N) from the end at which the free motion is 1."""
-        t = self.run.t
-        return np.asarray(t - np.where(values.real > 0.0, t[-1], t[0])[:, None])
+    def slopes(self, values: _Complex, xi: _Complex, B: _Complex) -> _Complex:
+        """d xi / d lambda, (r, N), of modal states xi: the recursion of `forced`, differentiated, for all inputs."""
+        growing = values.real > 0.0
+        push = np.zeros((values.size, self.run.n - 1), dtype=np.complex128)
+        for b, signal in zip(B.T, self._signals, strict=True):
+            push += b[:, None] * signal.pushed_slope(values)
+        step = _step(self.run)
+        over = step * np.exp(_decay(values) * step)[:, None]
+        # Free motions are part of xi: d/d lambda of e^(lambda t) obeys the same recursion.
+        push += np.where(growing[:, None], -over * xi[:, 1:], over * xi[:, :-1])
+        return _recursion(values, push, step)
 
 
 class _Signal:
     """One input, ``u`` (N - 1, nodes) of all intervals; ``at`` (nodes,) are their places, s."""
 
     def __init__(self, run: Experiment, name: str) -> None:
-        self.step = (run.t[-1] - run.t[0]) / (run.n - 1)
+        self.step = _step(run)
         pieces = _pieces(run, name, self.step)
         x, w = np.polynomial.legendre.leggauss(_NODES)
         # Nodes of all pieces of a sampling interval, as parts of it.
@@ -77,16 +109,12 @@ class _Signal:
         # Of a growing mode xi(t) = -integral from t to the end of e^(lambda (t - s)) u(s) ds.
         sign = np.where(growing, -1.0 + 0.0j, 1.0)
         push = self._pushed(sign * np.exp(_decay(values) * self._reach(growing)))
-        return self._recursion(values, push)
+        return _recursion(values, push, self.step)
 
-    def slopes(self, values: _Complex, xi: _Complex) -> _Complex:
-        """d xi / d lambda: the recursion of `responses`, differentiated."""
-        growing = values.real > 0.0
-        reach = self._reach(growing)
-        push = self._pushed(np.asarray(reach * np.exp(_decay(values) * reach)))
-        over = self.step * np.exp(_decay(values) * self.step)[:, None]
-        push += np.where(growing[:, None], -over * xi[:, 1:], over * xi[:, :-1])
-        return self._recursion(values, push)
+    def pushed_slope(self, values: _Complex) -> _Complex:
+        """Derivatives by the eigenvalues of what the input adds in each interval, (r, N - 1)."""
+        reach = self._reach(values.real > 0.0)
+        return self._pushed(np.asarray(reach * np.exp(_decay(values) * reach)))
 
     def _reach(self, growing: NDArray[np.bool_]) -> _Array:
         """Time (nodes, r) from a node to the end of its interval; of growing modes to the start."""
@@ -98,17 +126,23 @@ class _Signal:
         both = self.u @ weighted.view(np.float64)  # real and imaginary parts in one product
         return np.asarray(both.view(np.complex128).T)
 
-    def _recursion(self, values: _Complex, push: _Complex) -> _Complex:
-        """xi(t + step) = e^(lambda step) xi(t) + push from zero; of growing modes backwards from the end."""
-        from scipy.signal import lfilter
 
-        xi = np.zeros((values.size, len(self.u) + 1), dtype=np.complex128)
-        for i, (grows, over) in enumerate(zip(values.real > 0.0, np.exp(_decay(values) * self.step), strict=True)):
-            if grows:
-                xi[i, -2::-1] = lfilter([1.0], [1.0, -over], push[i, ::-1])
-            else:
-                xi[i, 1:] = lfilter([1.0], [1.0, -over], push[i])
-        return xi
+def _step(run: Experiment) -> float:
+    """Of the samples, s."""
+    return float(run.t[-1] - run.t[0]) / (run.n - 1)
+
+
+def _recursion(values: _Complex, push: _Complex, step: float) -> _Complex:
+    """xi(t + step) = e^(lambda step) xi(t) + push from zero; of growing modes backwards from the end."""
+    from scipy.signal import lfilter
+
+    xi = np.zeros((values.size, push.shape[1] + 1), dtype=np.complex128)
+    for i, (grows, over) in enumerate(zip(values.real > 0.0, np.exp(_decay(values) * step), strict=True)):
+        if grows:
+            xi[i, -2::-1] = lfilter([1.0], [1.0, -over], push[i, ::-1])
+        else:
+            xi[i, 1:] = lfilter([1.0], [1.0, -over], push[i])
+    return xi
 
 
 def _decay(values: _Complex) -> _Complex:

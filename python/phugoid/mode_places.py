@@ -7,6 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .hankel import triangle
 from .modal_blocks import Blocks
 from .modal_regression import Regression, rows
 from .sampled import Sampled
@@ -24,7 +25,7 @@ _DAMPING = ((0.01, 1.02), (0.03, 1.06), (0.1, 1.2), (0.6, 1.5))
 # Places that differ by less than this part lead to the same end: the better one stands for both.
 _APART = 0.15
 # Places whose responses are held at once; directions below this part of the greatest are none.
-_AT_ONCE, _RANK = 32, 1e-10
+_AT_ONCE, _RANK = 8, 1e-10
 
 
 def best_places(
@@ -43,25 +44,30 @@ def best_places(
     weights = np.where(found.rms > 0.0, found.rms, 1.0) ** 2
     values, C, _ = blocks.modal()
     for driven in records.driven:
-        motion, modes = driven.free(values), driven.forced(values)
+        answers = driven.answers(values)
         bases = []
         for j, name in enumerate(records.outputs):
             z = driven.run.output(name)
-            seen = driven.u if direct[j] else driven.u[:0]
-            columns = list(rows(C[j], values.imag != 0.0, motion, modes, seen, z, offset))
+            q = _basis(np.vstack(list(rows(C[j], answers, direct[j], z, offset)))[:, :-1])
             there = np.isfinite(z)
-            q = _basis(np.vstack(columns)[:, :-1])
             r = z[there] - q @ (q.T @ z[there])
-            bases.append((there, q, r / weights[j]))
+            # Missing samples have no part in any product.
+            whole = np.zeros((z.size, q.shape[1] + 1))
+            whole[there] = np.column_stack([q, r])
+            bases.append((there, whole))
         for a in range(0, places.size, _AT_ONCE):
             some = slice(a, min(a + _AT_ONCE, places.size))
-            responses = np.stack(driven.forced(places[some]), axis=1)  # (places, m, N)
-            parts = np.stack([responses.real, -responses.imag], axis=2).reshape(-1, 2 * m, driven.run.n)
-            for j, (there, q, r) in enumerate(bases):
-                new = parts[:, :, there]
-                inside = new @ q
+            parts = np.empty((some.stop - a, m, 2, driven.run.n))
+            for k, xi in enumerate(driven.forced(places[some])):
+                parts[:, k, 0], parts[:, k, 1] = xi.real, -xi.imag
+            every = parts.reshape(-1, driven.run.n)
+            for j, (there, whole) in enumerate(bases):
+                found_in = (every @ whole).reshape(-1, 2 * m, whole.shape[1])
+                inside, new = found_in[:, :, :-1], parts.reshape(-1, 2 * m, driven.run.n)
+                if not there.all():
+                    new = new[:, :, there]
                 squares[some, j] += (new @ new.swapaxes(1, 2) - inside @ inside.swapaxes(1, 2)) / weights[j]
-                sides[some, j] += new @ r
+                sides[some, j] += found_in[:, :, -1] / weights[j]
     gains = np.zeros(places.size)
     residues = np.zeros((places.size, p, m), dtype=np.complex128)
     for i in range(places.size):
@@ -79,8 +85,12 @@ def best_places(
 def _basis(columns: _Array) -> _Array:
     """Orthonormal columns of the same span."""
     size = np.linalg.norm(columns, axis=0)
-    q, s, _ = np.linalg.svd(columns / np.where(size > 0.0, size, 1.0), full_matrices=False)
-    return np.asarray(q[:, s > _RANK * s[0]])
+    scaled = columns / np.where(size > 0.0, size, 1.0)
+    _, s, Vt = np.linalg.svd(triangle([scaled.copy()]))
+    kept = s > _RANK * s[0]
+    # Rounding has grown by 1 / s: once more, of columns that are about orthonormal.
+    q = scaled @ (Vt[kept].T / s[kept])
+    return np.asarray(np.linalg.solve(triangle([q.copy()]).T, q.T).T)
 
 
 def _grid(records: Sampled, blocks: Blocks) -> _Complex:

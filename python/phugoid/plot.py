@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from .errors import DataError, UnknownName, did_you_mean
 from .figure_style import STYLE, WIDTH, figure_of, headline
-from .match import tolerances_by_output
 from .records import Record
 from .time_panels import draw_channel, draw_residual
+from .tolerance import Tolerance, tolerances_by_output
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,7 @@ def plot_fit(
     record: int | str = 0,
     channels: Sequence[str] | None = None,
     axes: Mapping[str, Axes] | None = None,
-    tolerances: Mapping[str, float] | None = None,
+    tolerances: Mapping[str, float | Tolerance] | None = None,
 ) -> tuple[Figure, dict[str, Axes]]:
     """Proof of match of one experiment: per output measured points, the model's line, the residual beneath.
 
@@ -43,8 +43,8 @@ def plot_fit(
     record      index or name of the experiment.
     channels    the outputs, inputs and states to show; None: all outputs, then all inputs.
     axes        name -> axes of your own to draw into; ``"<output> residual"`` takes the strip.
-    tolerances  output -> greatest deviation in its unit: a band about the measurements, as flight simulators are
-                qualified with (14 CFR Part 60), and the part of the samples within.
+    tolerances  output -> greatest deviation in its unit, or a `Tolerance`: a band about the measurements, as flight
+                simulators are qualified with (14 CFR Part 60), and the part of the samples within.
 
     Returns the figure and the axes by name. Raises UnknownName for a channel or a record that is not there, OptionError
     for a tolerance that is none.
@@ -108,7 +108,7 @@ def _draw(
     axes: Mapping[str, Axes] | None,
     sigma: Mapping[str, float],
     title: str,
-    tolerances: Mapping[str, float] = MappingProxyType({}),
+    tolerances: Mapping[str, Tolerance] = MappingProxyType({}),
 ) -> tuple[Figure, dict[str, Axes]]:
     from matplotlib import rc_context
 

@@ -43,7 +43,7 @@ def _table(matches: list[Match]) -> str:
     rows = []
     for m in matches:
         parts = "/".join(_number(100.0 * part, ".0f") for part in (m.bias, m.variance, m.covariance))
-        tolerance = "" if m.tolerance is None else f"±{m.tolerance:.4g}"
+        tolerance = "" if m.tolerance is None else m.tolerance.text()
         rows.append(
             [
                 m.output,

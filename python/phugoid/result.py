@@ -29,6 +29,7 @@ from .records import Record
 from .refinement import Refinement
 from .shooting import Transcription
 from .solvers import Iteration, Solution
+from .tolerance import Tolerance
 from .transcription import Collocation
 
 if TYPE_CHECKING:
@@ -303,11 +304,11 @@ class Fit:
         self,
         record: int | str = 0,
         channels: Sequence[str] | None = None,
-        tolerances: Mapping[str, float] | None = None,
+        tolerances: Mapping[str, float | Tolerance] | None = None,
     ) -> tuple[Figure, dict[str, Axes]]:
         """The proof-of-match figure of an experiment: measured points, model, residuals, inputs; see `plot_fit`.
 
-        ``tolerances``: output -> greatest deviation in its unit, drawn as bands (14 CFR Part 60).
+        ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance`, drawn as bands (14 CFR Part 60).
         """
         return plot.plot_fit(self, record, channels, tolerances=tolerances)
 
@@ -339,7 +340,7 @@ class Fit:
         *,
         biases: Sequence[str] | None = None,
         values: Mapping[str, float] | None = None,
-        tolerances: Mapping[str, float] | None = None,
+        tolerances: Mapping[str, float | Tolerance] | None = None,
     ) -> Validation:
         """Tries the fitted model on other experiments: only initial states and biases are found anew.
 
@@ -352,8 +353,9 @@ class Fit:
         too, any other one for all.
         ``values``: name -> value of parameters to hold elsewhere than at the fit. A parameter with ``per_experiment``
         that is no bias needs one, or must be named in ``biases``.
-        ``tolerances``: output -> greatest deviation in its unit, in the style of flight-simulator qualification (14 CFR
-        Part 60): the part of the samples within is reported, and the bands are drawn.
+        ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance` where it grows with what is measured,
+        in the style of flight-simulator qualification (14 CFR Part 60): the part of the samples within is reported, and
+        the bands are drawn.
 
         Raises ModelError, DataError or OptionError for what cannot be right: unknown names, an experiment without the
         model's channels or with fewer samples than unknowns. An experiment that the fit was

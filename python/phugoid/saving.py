@@ -27,7 +27,7 @@ from .result import Fit
 from .shooting import Transcription, from_dict, to_dict
 from .solvers import Iteration, Solution
 
-__all__ = ["load", "save"]
+__all__ = ["fit_from", "fit_payload", "fit_unit", "load", "save"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ _OF_FILTER = ("state_std", "innovations", "innovation_std")
 
 def save(fit: Fit, path: str | os.PathLike[str]) -> None:
     """Writes a fit: HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON. See `Fit.save`."""
-    io.save_fit_dict(path, _payload(fit), lambda place: _unit(fit, place))
+    io.save_fit_dict(path, fit_payload(fit), lambda place: fit_unit(fit, place))
 
 
 def load(path: str | os.PathLike[str]) -> Fit:
@@ -47,12 +47,13 @@ def load(path: str | os.PathLike[str]) -> Fit:
     """
     saved, version = io.load_fit_dict(path)
     try:
-        return _fit(saved, version)
+        return fit_from(saved, version)
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise DataError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
 
 
-def _payload(fit: Fit) -> dict[str, Any]:
+def fit_payload(fit: Fit) -> dict[str, Any]:
+    """A fit as numbers, texts, lists, mappings and arrays."""
     return {
         "model": fit.model.to_json(),
         "noise": fit.noise.to_dict(),
@@ -73,7 +74,7 @@ def _payload(fit: Fit) -> dict[str, Any]:
         "refinement": fit.refinement.to_dict() if fit.refinement else None,
         "experiments": [_experiment_payload(e) for e in fit.experiments],
         "solution": _solution_payload(fit.solution) if fit.solution else None,
-        "moved": _payload(fit._moved) if fit._moved else None,
+        "moved": fit_payload(fit._moved) if fit._moved else None,
     }
 
 
@@ -112,10 +113,10 @@ def _sparse(values: _Array) -> dict[str, Any]:
     return {"size": values.size, "at": at, "values": values[at]}
 
 
-def _unit(fit: Fit, place: tuple[str | int, ...]) -> str:
+def fit_unit(fit: Fit, place: tuple[str | int, ...]) -> str:
     """Of an array: ``("records", 0, "outputs", "q")`` has the unit of q."""
     if place[0] == "moved":
-        return _unit(fit._moved, place[1:]) if fit._moved else ""
+        return fit_unit(fit._moved, place[1:]) if fit._moved else ""
     if place[0] not in ("records", "experiments") or len(place) < 3:
         return ""
     kind, name = str(place[2]), str(place[-1])
@@ -131,7 +132,8 @@ def _unit(fit: Fit, place: tuple[str | int, ...]) -> str:
     return units.get(name, "")
 
 
-def _fit(saved: Mapping[str, Any], version: int) -> Fit:
+def fit_from(saved: Mapping[str, Any], version: int) -> Fit:
+    """The fit of a payload."""
     fit = Fit(
         model=Model.from_json(saved["model"]),
         noise=noise_from_dict(saved["noise"]),
@@ -155,7 +157,7 @@ def _fit(saved: Mapping[str, Any], version: int) -> Fit:
         fit,
         experiments=tuple(_experiment(e) for e in saved["experiments"]),
         solution=_solution(saved["solution"]) if saved["solution"] else None,
-        _moved=_fit(saved["moved"], version) if saved["moved"] else None,
+        _moved=fit_from(saved["moved"], version) if saved["moved"] else None,
     )
 
 

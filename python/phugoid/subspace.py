@@ -151,7 +151,9 @@ def _tried(
     A, C = shared.system(n, p)
     values, seen, warnings = _continuous(A, C * records.y_size[:, None], records.rate, stable)
     while True:
-        found = regression(records.driven, values, seen, records.outputs, direct, offset, gains=prune)
+        found = regression(
+            [driven.answers(values) for driven in records.driven], seen, records.outputs, direct, offset, gains=prune
+        )
         if not prune or values.size == 1:
             break
         worst = int(np.argmin(found.gains))
@@ -247,7 +249,9 @@ def _with_background(records: Sampled, tried: _Tried, direct: Sequence[bool], of
                 continue
             more = np.append(values, place)
             seen = np.ones((1, more.size), dtype=np.complex128)
-            here = regression(records.driven, more, seen, records.outputs, direct, offset)
+            here = regression(
+                [driven.answers(more) for driven in records.driven], seen, records.outputs, direct, offset
+            )
             if best is None or here.rms[0] < best[1].rms[0]:
                 best = more, here
         if best is None:

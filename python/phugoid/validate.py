@@ -16,12 +16,13 @@ from .experiment import Experiment, as_experiments
 from .filter_error import FilterError
 from .guess import measured_states
 from .held import estimates_of, held_model, held_noise, mesh_for
-from .match import Match, match, tolerances_by_output
+from .match import Match, match
 from .model import Model
 from .noise import Gaussian, Noise
 from .records import Record
 from .result import Fit
 from .solvers import Newton
+from .tolerance import Tolerance, tolerances_by_output
 from .unit_check import check_units
 from .validation import Validation
 
@@ -37,7 +38,7 @@ def validate(
     *,
     biases: Sequence[str] | None = None,
     values: Mapping[str, float] | None = None,
-    tolerances: Mapping[str, float] | None = None,
+    tolerances: Mapping[str, float | Tolerance] | None = None,
 ) -> Validation:
     """What `Fit.validate` does; see there."""
     model, experiments = fit.model, as_experiments(other, "validate")

@@ -14,6 +14,7 @@ from .model import Model
 from .noise import Noise
 from .parameters import Estimates, estimates_table, text_table
 from .records import Record
+from .tolerance import Tolerance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,6 +50,7 @@ class Validation:
     by_experiment   experiment -> output -> `Match`.
     status          "converged", or what else happened; ``message`` says what to do then.
     warnings        what to beware of, in words.
+    tolerances      output -> `Tolerance`, as given.
 
     With process noise (`FilterError`) intensities are held too, initial states are integrated out, and outputs and
     residuals are those of predictions from the samples before, since the most probable path follows any measurements;
@@ -70,7 +72,7 @@ class Validation:
     status: str
     message: str
     warnings: tuple[str, ...] = ()
-    tolerances: Mapping[str, float] = field(default_factory=dict)
+    tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
 
     @property
     def converged(self) -> bool:
@@ -131,7 +133,7 @@ class Validation:
                 what = "what the fit makes one expect" if self._predicted else "the fit's noise"
                 said.append(f"RMS is {m.rms / m.sigma:.2g} times {what}")
             if m.tolerance is not None:
-                said.append(f"{100 * m.inside:.1f} % of the samples lie within ±{m.tolerance:.4g} {m.unit}".rstrip())
+                said.append(f"{100 * m.inside:.1f} % of the samples lie within {m.tolerance.text(m.unit)}")
             parts = {"a constant offset": m.bias, "a difference in amplitude": m.variance}
             said += [f"the error is mostly {what}" for what, part in parts.items() if part > _MOSTLY]
             if m.whiteness < _WHITE:

@@ -21,6 +21,7 @@ from itertools import chain
 from typing import Any
 
 from .errors import OptionError
+from .interrupts import interrupts
 from .outcome import Outcome, Problem
 
 __all__ = ["Crew"]
@@ -112,10 +113,10 @@ class Crew:
         except KeyboardInterrupt:
             for future in self._flying:
                 future.cancel()
-            for future in [f for f in self._flying if f.done() and not f.cancelled() and f.exception() is None]:
-                outcome = self._land(future)
-                if outcome is not None:
-                    yield outcome
+            with interrupts():
+                there = [f for f in self._flying if f.done() and not f.cancelled() and f.exception() is None]
+                landed = [outcome for future in there if (outcome := self._land(future)) is not None]
+            yield from landed
             raise
         finally:
             idle = not self._flying

@@ -12,13 +12,14 @@ import typer
 
 from ..discrepancy.diagnose import diagnose as find_missing
 from ..discrepancy.diagnosis import Diagnosis
-from ..errors import OptionError
+from ..errors import OptionError, PhugoidError
+from ..io import SUFFIXES
 from ..result import Fit
 from ..saving import load
 from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of
-from .guard import INTERRUPTED, NOT_CONVERGED, guard
+from .guard import INTERRUPTED, NOT_CONVERGED, guard, told
 from .model_file import load_source
 from .options import (
     ColumnsOption,
@@ -66,6 +67,9 @@ def diagnose(
     units: UnitsOption = None,
     convert: ConvertOption = False,
     columns: ColumnsOption = None,
+    save: Annotated[
+        Path | None, typer.Option("--save", help="Writes the diagnosis, for phugoid.load: .json, or .h5 (HDF5).")
+    ] = None,
     report: ReportOption = None,
     json: JsonOption = False,
     debug: DebugOption = False,
@@ -75,7 +79,9 @@ def diagnose(
     Exit code 1: the fit has not converged, or the misfit stays without a cause.
     """
     with guard(debug):
-        check_targets((), [report])
+        if save is not None and save.suffix.lower() not in (".json", *SUFFIXES):
+            raise OptionError(f"--save {save}: a saved diagnosis ends in .json, {' or '.join(SUFFIXES)}")
+        check_targets((), [save, report])
         how = Estimation.of(order, start, fix, solver, iterations)
         reading = Reading.of(time, rename, inputs, outputs, window, units, convert, columns)
         base = _base(model, reading, data or [], fit, how)
@@ -88,16 +94,24 @@ def diagnose(
             raise typer.Exit(code_of(base) or NOT_CONVERGED)
         with _steps() as watch:
             found = find_missing(base, validation=others, progress=watch)
-        written = []
-        if report is not None:
-            found.report(report)
-            written.append(report)
+        written: list[Path] = []
+        try:
+            for path, write in ((save, found.save), (report, found.report)):
+                if path is not None:
+                    write(path)
+                    written.append(path)
+        except (PhugoidError, OSError, KeyboardInterrupt):
+            if json:
+                emit_json("diagnose", _facts(found), written)
+            else:
+                print(told(found))
+            raise
         if json:
             emit_json("diagnose", _facts(found), written)
         else:
-            print(found.summary())
+            print(told(found))
             if written:
-                print(f"\nWritten: {report}")
+                print(f"\nWritten: {', '.join(map(str, written))}")
     raise typer.Exit(_code(found))
 
 
@@ -128,7 +142,7 @@ def _steps() -> Iterator[Callable[[str], None]]:
 
 
 def _code(found: Diagnosis) -> int:
-    if any("interrupted" in note for note in found.notes):
+    if found.interrupted:
         return INTERRUPTED
     # A misfit of which no finding names a cause.
     return NOT_CONVERGED if found.found and not any(f.cause for f in found.findings) else 0
@@ -158,6 +172,7 @@ def _facts(found: Diagnosis) -> dict[str, Any]:
         "findings": [{key: getattr(f, key) for key in kept} for f in found.findings],
         "ranking": ranking,
         "threshold": found.threshold,
+        "interrupted": found.interrupted,
         "notes": list(found.notes),
         "seconds": found.seconds,
     }

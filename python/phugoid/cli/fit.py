@@ -16,7 +16,7 @@ from ..result import Fit
 from ..validation import Validation
 from .data_files import Reading
 from .estimation import Estimation
-from .guard import INTERRUPTED, NOT_CONVERGED, guard
+from .guard import INTERRUPTED, NOT_CONVERGED, guard, told
 from .model_file import load_source
 from .options import (
     ColumnsOption,
@@ -84,13 +84,17 @@ def fit(
             written = _write(
                 result, save, plot, report, [model if Path(model).is_file() else model.rpartition(":")[0], *data]
             )
-        except (PhugoidError, OSError):
-            print(result.summary())  # the work is done: it is not lost with a full disk
+        except (PhugoidError, OSError, KeyboardInterrupt) as error:
+            # The work is done: it is not lost with a full disk, nor with one more Ctrl-C.
+            if isinstance(error, KeyboardInterrupt) and json:
+                emit_json("fit", fit_facts(result), [save] if save is not None and save.is_file() else [])
+            else:
+                print(told(result))
             raise
         if json:
             emit_json("fit", fit_facts(result), written)
             raise typer.Exit(code_of(result))
-        print(result.summary())
+        print(told(result))
         if written:
             print(f"\nWritten: {', '.join(map(str, written))}")
     raise typer.Exit(code_of(result))

@@ -6,12 +6,14 @@ import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import typer
 
 from ..errors import PhugoidError
+from ..interrupts import interrupts
 
-__all__ = ["BAD_INPUT", "INTERRUPTED", "NOT_CONVERGED", "guard"]
+__all__ = ["BAD_INPUT", "INTERRUPTED", "NOT_CONVERGED", "guard", "told"]
 
 NOT_CONVERGED = 1
 BAD_INPUT = 2
@@ -37,6 +39,18 @@ def guard(debug: bool) -> Iterator[None]:
     except KeyboardInterrupt:
         print("phugoid: interrupted", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
+
+
+def told(result: Any) -> str:
+    """The summary; where Ctrl-C is pressed while it is made, what is at hand."""
+    try:
+        return str(result.summary())
+    except KeyboardInterrupt:
+        with interrupts():
+            parameters = getattr(result, "parameters", {})
+            return "\n".join(
+                [repr(result), *(f"  {e.name} = {e.value:.6g} {e.unit}".rstrip() for e in parameters.values())]
+            )
 
 
 def _text(error: Exception) -> str:

@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from ..errors import DataError, ModelError, did_you_mean, listing
-from ..io import FORMAT, SUFFIXES
+from ..io import DIAGNOSIS, FORMAT, SUFFIXES
 from ..model import Model
 from ..result import Fit
 from ..saving import load
@@ -68,6 +68,8 @@ def _saved(path: Path, text: str) -> Model | Fit:
         raise DataError(f"{path}: is no complete JSON (line {error.lineno}: {error.msg})") from None
     if isinstance(document, dict) and document.get("format") == FORMAT:
         return load(path)
+    if isinstance(document, dict) and document.get("format") == DIAGNOSIS:
+        raise DataError(f"{path}: holds a diagnosis, not a model or a fit; phugoid.load reads it")
     try:
         return Model.from_json(text)
     except (ModelError, AttributeError, KeyError, TypeError, ValueError) as error:

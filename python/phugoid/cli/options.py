@@ -10,6 +10,7 @@ from typing import Annotated, TypeAlias
 import typer
 
 from ..errors import OptionError
+from ..tolerance import Tolerance
 
 __all__ = [
     "ColumnsOption",
@@ -36,6 +37,7 @@ __all__ = [
     "numbers",
     "pairs",
     "span",
+    "tolerances",
 ]
 
 ModelArgument: TypeAlias = Annotated[
@@ -116,6 +118,29 @@ def numbers(option: str, texts: Sequence[str] | None) -> dict[str, float]:
     {'Mw': 0.2, 'Mq': -0.001}
     """
     return {name: _number(option, f"{name}={text}", text) for name, text in pairs(option, texts).items()}
+
+
+def tolerances(texts: Sequence[str] | None) -> dict[str, Tolerance]:
+    """``OUTPUT=VALUE``, ``OUTPUT=PART%`` or ``OUTPUT=VALUE/PART%``, whichever is greater.
+
+    >>> tolerances(["V=1.5/5%", "q=0.01"])
+    {'V': Tolerance(absolute=1.5, relative=0.05), 'q': Tolerance(absolute=0.01, relative=0.0)}
+    """
+    found = {}
+    for name, text in pairs("--tolerance", texts).items():
+        whole, parts = f"--tolerance {name}={text}", [part.strip() for part in text.split("/")]
+        kinds = ["relative" if part.endswith("%") else "absolute" for part in parts]
+        if len(set(kinds)) < len(kinds) or kinds[0] != min(kinds):
+            raise OptionError(f"{whole}: is not of the form OUTPUT=VALUE, OUTPUT=PART% or OUTPUT=VALUE/PART%")
+        numbers_of = {
+            kind: _number("--tolerance", f"{name}={text}", part.rstrip("%")) / (100.0 if kind == "relative" else 1.0)
+            for kind, part in zip(kinds, parts, strict=True)
+        }
+        try:
+            found[name] = Tolerance(**numbers_of)
+        except OptionError as error:
+            raise OptionError(f"{whole}: {error}") from None
+    return found
 
 
 def fixes(texts: Sequence[str] | None, start: Mapping[str, float]) -> dict[str, float | None]:

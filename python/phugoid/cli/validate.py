@@ -9,13 +9,13 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import OptionError
+from ..errors import OptionError, PhugoidError
 from ..result import Fit
 from ..validation import Validation
 from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of, write_report
-from .guard import NOT_CONVERGED, guard
+from .guard import NOT_CONVERGED, guard, told
 from .model_file import load_source
 from .options import (
     ColumnsOption,
@@ -36,7 +36,7 @@ from .options import (
     TimeOption,
     UnitsOption,
     WindowOption,
-    numbers,
+    tolerances,
 )
 from .results import check_targets, emit_json, fit_facts, match_facts, save_figures
 
@@ -53,7 +53,12 @@ def validate(
     data: DataArgument,
     tolerance: Annotated[
         list[str] | None,
-        typer.Option("--tolerance", help="Greatest deviation of an output, in its unit.", metavar="OUTPUT=VALUE"),
+        typer.Option(
+            "--tolerance",
+            help="Greatest deviation of an output in its unit, as a part of what is measured (5%), or the greater of "
+            "both (1.5/5%).",
+            metavar="OUTPUT=VALUE",
+        ),
     ] = None,
     order: OrderOption = None,
     start: StartOption = None,
@@ -76,7 +81,7 @@ def validate(
     """Try a fitted model on other records: only initial states and sensor biases are found anew."""
     with guard(debug):
         check_targets([plot], [report])
-        limits = numbers("--tolerance", tolerance)
+        limits = tolerances(tolerance)
         how = Estimation.of(order, start, fix, solver, iterations)
         reading = Reading.of(time, rename, inputs, outputs, window, units, convert, columns)
         source = load_source(model)
@@ -98,9 +103,15 @@ def validate(
                 print(f"{fit.summary()}\n\nThere is nothing to validate: the fit has not converged.")
             raise typer.Exit(code_of(fit))
         result = fit.validate(reading.read(others), tolerances=limits or None)
-        written = save_figures(result, plot) if plot is not None else []
-        if report is not None:
-            written.append(write_report(fit, report, [model.rpartition(":")[0] or model, *data], result))
+        written: list[Path] = []
+        try:
+            if plot is not None:
+                written += save_figures(result, plot)
+            if report is not None:
+                written.append(write_report(fit, report, [model.rpartition(":")[0] or model, *data], result))
+        except (PhugoidError, OSError, KeyboardInterrupt):
+            _tell(result, fit, json, written)
+            raise
         _tell(result, fit, json, written)
     raise typer.Exit(0 if result.converged else NOT_CONVERGED)
 
@@ -109,7 +120,7 @@ def _tell(result: Validation, fit: Fit, json: bool, written: Sequence[Path]) -> 
     if json:
         emit_json("validate", {"fit": fit_facts(fit), **_facts(result)}, written)
         return
-    print(result.summary())
+    print(told(result))
     if written:
         print(f"\nWritten: {', '.join(map(str, written))}")
 
@@ -123,6 +134,7 @@ def _facts(result: Validation) -> dict[str, Any]:
         "chi_square": result.chi_square,
         "degrees_of_freedom": result.degrees_of_freedom,
         "matches": match_facts(result.matches),
+        "tolerances": {n: vars(each) for n, each in result.tolerances.items()},
         "inside_tolerance": inside,
         "freed": {n: {"value": e.value, "std_error": e.std_error} for n, e in result.freed.items()},
         "warnings": list(result.warnings),

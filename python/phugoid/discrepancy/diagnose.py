@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,15 @@ import numpy as np
 from ..errors import DataError, OptionError
 from ..experiment import Experiment, as_experiments
 from ..filter_error import FilterError
+from ..interrupts import interrupts
 from ..result import Fit
 from ..validate import shared
 from .candidate import Candidate
 from .candidates import candidates as library
 from .collection import Candidates
 from .diagnosis import Diagnosis
-from .findings import finding_of, ranking_of
+from .finding import Scored
+from .findings import advice_of, finding_of, ranking_of
 from .linearised import collocated
 from .misfit import misfit
 from .refit import Refit
@@ -51,7 +54,8 @@ def diagnose(
     in ``{"Cm": [alpha*q**2]}``.
     ``validation``: other records of the same vehicle; with only first states and sensor biases free they measure the
     gain. Without any, blocks of the records are left out in turn.
-    ``progress``: True shows what is done; a function is called with it. Ctrl-C ends the search with what was found.
+    ``progress``: True shows what is done; a function is called with it. Ctrl-C ends the search with what was found, and
+    goes on to what is quick; once more, it leaves out the ranking where there is none yet.
 
     Raises DataError for a fit that has not converged, that is exact, or of too short a record, and for a validation
     record without the channels; OptionError and ModelError for candidates that cannot be.
@@ -64,32 +68,45 @@ def diagnose(
     listed = _candidates(fit, candidates, base)
     with _shown(progress) as watch:
         search = Search(base, listed, others, watch)
-        final, interrupted = base, False
-        found: list[Found] = []
-        try:
-            # Now, while what the search needs next is at hand.
-            ranking = tuple(ranking_of(search, search.scan(base)))
-        except KeyboardInterrupt:
-            interrupted = True
-        else:
+        final, found = base, list[Found]()
+        # Now, while what the search needs next is at hand.
+        ranking, interrupted = _ranked(search, base)
+        if not interrupted:
             final, found, interrupted = search.run()
-        findings = tuple(finding_of(search, final, f) for f in found)
-    scan = search.scan(base)
-    if interrupted and not final.candidates:
-        ranking = tuple(ranking_of(search, scan))
-    notes = (*_notes(scan, final, listed, others if not search.notes else (), interrupted), *search.notes)
-    notes = (*notes, *search.remarks)
-    return Diagnosis(
-        fit=fit,
-        misfit=misfit(fit),
-        findings=findings,
-        ranking=ranking,
-        threshold=search.threshold(),
-        notes=notes,
-        seconds=time.perf_counter() - started,
-        _search=search,
-        _final=final,
-    )
+        with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
+            findings = [finding_of(search, final, f) for f in found]
+            interrupted = interrupted or pressed() > 0
+        if not interrupted:
+            findings = [
+                replace(each, advice=each.advice or advice_of(search, final, f.candidate, each.aliases))
+                for each, f in zip(findings, found, strict=True)
+            ]
+        elif not ranking:
+            ranking, _ = _ranked(search, base)
+    with interrupts():
+        scan = search.scan(base) if ranking else None
+        notes = (*_notes(scan, final, listed, others if not search.notes else (), interrupted), *search.notes)
+        notes = (*notes, *search.remarks)
+        return Diagnosis(
+            fit=fit,
+            misfit=misfit(fit),
+            findings=tuple(findings),
+            ranking=ranking,
+            threshold=search.threshold(),
+            notes=notes,
+            interrupted=interrupted,
+            seconds=time.perf_counter() - started,
+            _search=search,
+            _final=final,
+        )
+
+
+def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:
+    """The first scan, and whether it was interrupted: then there is none."""
+    try:
+        return tuple(ranking_of(search, search.scan(base))), False
+    except KeyboardInterrupt:
+        return (), True
 
 
 def _check(fit: Any) -> None:
@@ -193,8 +210,12 @@ class _Status:
 
 
 def _notes(
-    scan: Scan, final: Refit, listed: Sequence[Candidate], others: Sequence[Experiment], interrupted: bool
+    scan: Scan | None, final: Refit, listed: Sequence[Candidate], others: Sequence[Experiment], interrupted: bool
 ) -> tuple[str, ...]:
+    if scan is None:
+        return (
+            f"The search was interrupted before the {len(listed)} candidates were scanned: only the misfit is told.",
+        )
     notes = [f"{len(listed)} candidates, {len(scan.effects)} with their shapes, were scanned."]
     if scan.lost:
         notes.append(f"Cannot be told from the parameters already there: {', '.join(scan.lost)}.")

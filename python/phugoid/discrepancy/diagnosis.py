@@ -37,6 +37,7 @@ class Diagnosis:
     threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass; findings have
                 theirs, in log-likelihood itself.
     notes       what was done, in words.
+    interrupted whether the search was ended by Ctrl-C: what is here was found until then.
     seconds     that it took.
     """
 
@@ -46,9 +47,11 @@ class Diagnosis:
     ranking: tuple[Scored, ...]
     threshold: float
     notes: tuple[str, ...]
+    interrupted: bool
     seconds: float
-    _search: Search
-    _final: Refit
+    _search: Search | None = None
+    _final: Refit | None = None
+    _saved: Extension | None = None  # where it comes from a file
 
     @property
     def found(self) -> bool:
@@ -61,6 +64,9 @@ class Diagnosis:
 
     @cached_property
     def _extension(self) -> Extension:
+        if self._saved is not None:
+            return self._saved
+        assert self._search is not None and self._final is not None
         base, final, search = self._search.base, self._final, self._search
         n = base.linear.n_rows
         more = len(final.fit.model.parameter_names) - len(base.fit.model.parameter_names)
@@ -87,7 +93,7 @@ class Diagnosis:
         figures = [misfit_figure(self.misfit, self.fit)[0]]
         if self.ranking:
             figures.append(ranking_figure(self.ranking, self.threshold)[0])
-        if self._final.candidates:
+        if self._saved is not None or (self._final is not None and self._final.candidates):
             extension = self.extend()
             figures.append(findings_figure(self.fit, extension)[0])
             figures.append(gain_figure(extension.gain, self.fit.model.units)[0])
@@ -97,6 +103,17 @@ class Diagnosis:
         """Writes one HTML page that a colleague understands: what was wrong, the evidence, the cause and its rivals,
         the new equation, the gain."""
         report(self, path)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the diagnosis, for `load`: fit, findings, ranking, misfit in words, extended model with fit and gain.
+
+        HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON; raises as `Fit.save` does.
+        What `load` gives has all of this, ``summary``, ``plot`` and ``report`` too; the misfit is told anew from the
+        fit's residuals.
+        """
+        from .saved import save_diagnosis
+
+        save_diagnosis(self, path)
 
     def __repr__(self) -> str:
         what = ", ".join(f.cause or f.status for f in self.findings) or "nothing"

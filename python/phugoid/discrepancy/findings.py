@@ -14,7 +14,7 @@ from .scan import NEARLY, Scan
 from .search import Found, Search, is_physical
 from .telling import telling_manoeuvre
 
-__all__ = ["finding_of", "ranking_of"]
+__all__ = ["advice_of", "finding_of", "ranking_of"]
 
 
 # Aliases that are named beside a cause.
@@ -67,7 +67,6 @@ def finding_of(search: Search, final: Refit, found: Found) -> Finding:
         threshold=found.threshold,
         explanation=c.explanation,
         units={n: final.fit.parameters[n].unit for n in parameters},
-        advice=_advice(search, final, c, aliases),
         rivals=dict(found.rivals),
     )
 
@@ -81,8 +80,17 @@ def _rings(frequencies: Sequence[float]) -> str:
     )
 
 
+def advice_of(search: Search, final: Refit, candidate: Candidate | None, aliases: Sequence[str]) -> str:
+    """Which manoeuvre would tell a candidate from its aliases; "" where there are none, and after Ctrl-C."""
+    if candidate is None or not aliases:
+        return ""
+    try:
+        return _advice(search, final, candidate, aliases)
+    except (PhugoidError, np.linalg.LinAlgError, KeyboardInterrupt):
+        return ""  # advice only: what was found stays
+
+
 def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequence[str]) -> str:
-    """Which manoeuvre would tell a candidate from its aliases."""
     others = [c for c in final.candidates if c is not candidate]
     named = {c.name: c for c in reversed(search.candidates)}
     refits = [search.refit([*others, named[name]], final.fit) for name in aliases]
@@ -90,10 +98,7 @@ def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequenc
     if not rivals:
         return ""
     search.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")
-    try:
-        return telling_manoeuvre(final, rivals)
-    except (PhugoidError, np.linalg.LinAlgError, KeyboardInterrupt):
-        return ""  # advice only: what was found stays
+    return telling_manoeuvre(final, rivals)
 
 
 def ranking_of(search: Search, scan: Scan) -> list[Scored]:

@@ -32,6 +32,8 @@ def headline(diagnosis: Any) -> str:
     findings = diagnosis.findings
     named = [f for f in findings if f.cause]
     kind = outcome(findings)
+    if kind == "nothing" and diagnosis.interrupted:
+        return "The search was interrupted before anything was found: that says nothing about what is missing."
     if kind == "nothing":
         text = "Nothing significant is missing from the model, as far as these data and these candidates tell."
         if diagnosis.misfit.structured:

@@ -23,7 +23,8 @@ fn run(problem: &Collocation, xi: &[f64], options: &Options) -> Solution {
 /// Truth in standard errors.
 fn errors(problem: &Collocation, solution: &Solution) -> Vec<f64> {
     let wanted: Vec<usize> = (0..TRUTH.len()).collect();
-    let found = information(problem, &solution.xi, &solution.multipliers, &wanted, &[]).unwrap();
+    let found =
+        information(problem, &solution.xi, &solution.multipliers, &wanted, &[], &mut || true).unwrap();
     let error = |i: usize| (solution.xi[i] - TRUTH[i]) / found.covariance[i * wanted.len() + i].sqrt();
     wanted.iter().map(|&i| error(i)).collect()
 }

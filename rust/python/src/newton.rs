@@ -3,7 +3,9 @@
 use std::time::Duration;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1};
+use phugoid::diagnosis::{NoInformation, information as information_of};
 use phugoid::solver::{Control, Iteration, Settings, Solution, solve};
+use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
 use crate::errors::named;
@@ -89,8 +91,10 @@ impl PySolution {
 }
 
 /// Covariance (k, k) of some variables, the Newton step (k,) that is left, groups of variables that the
-/// data do not determine, and whether the point is a saddle; `None` where something is not finite.
+/// data do not determine, and whether the point is a saddle; `None` where something is not finite. `stop` is asked now
+/// and then: where it says so, and at a Ctrl-C that nobody has taken, KeyboardInterrupt.
 #[pyfunction]
+#[pyo3(signature = (problem, xi, multipliers, wanted, held, stop = None))]
 #[allow(clippy::type_complexity)] // a tuple for Python
 pub fn information<'py>(
     py: Python<'py>,
@@ -99,10 +103,27 @@ pub fn information<'py>(
     multipliers: PyReadonlyArray1<'py, f64>,
     wanted: Vec<usize>,
     held: Vec<usize>,
+    stop: Option<Py<PyAny>>,
 ) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Vec<Vec<usize>>, bool)>> {
     let (nlp, xi, lambda) = (problem.inner(), xi.as_slice()?, multipliers.as_slice()?);
-    let Ok(found) = py.detach(|| phugoid::diagnosis::information(nlp, xi, lambda, &wanted, &held)) else {
-        return Ok(None);
+    let mut error: Option<PyErr> = None;
+    let mut go_on = || {
+        let asked = Python::attach(|py| {
+            py.check_signals()?;
+            stop.as_ref().map_or(Ok(false), |s| s.call0(py)?.extract::<bool>(py))
+        });
+        let stopped = asked.unwrap_or_else(|e| {
+            error = Some(e);
+            true
+        });
+        !stopped
+    };
+    let found = match py.detach(|| information_of(nlp, xi, lambda, &wanted, &held, &mut go_on)) {
+        Ok(found) => found,
+        Err(NoInformation::NotFinite) => return Ok(None),
+        Err(NoInformation::Stopped) => {
+            return Err(error.unwrap_or_else(|| PyKeyboardInterrupt::new_err("stopped")));
+        }
     };
     let covariance = PyArray1::from_vec(py, found.covariance).reshape([wanted.len(), wanted.len()])?;
     Ok(Some((covariance, PyArray1::from_vec(py, found.step), found.undetermined, found.saddle)))

@@ -20,6 +20,21 @@ pub struct Information {
     pub saddle: bool,
 }
 
+/// Why there is none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoInformation {
+    /// A derivative is not finite there, or the constraints depend on each other.
+    NotFinite,
+    /// It was told not to go on.
+    Stopped,
+}
+
+impl From<NotFinite> for NoInformation {
+    fn from(_: NotFinite) -> Self {
+        Self::NotFinite
+    }
+}
+
 /// Parts of a weak direction below this, relative to the greatest, do not count.
 const PART: f64 = 0.1;
 /// A variable trades off too when it moves by more than this part of its standard error while the one that moves most,
@@ -32,15 +47,20 @@ const LEFT: f64 = 1e-11;
 /// first block, Z a basis of the null space of A: the inverse of the observed information, the states
 /// following their equations. Variables `held` (fixed, at a bound) do not vary.
 ///
+/// `go_on` is asked between its parts, which take long where there are many states.
+///
 /// # Errors
-/// [`NotFinite`] when a derivative is not finite there, or the constraints depend on each other.
+/// [`NoInformation::NotFinite`] when a derivative is not finite there, or the constraints depend on each other;
+/// [`NoInformation::Stopped`] when it was told not to go on.
 pub fn information(
     nlp: &dyn Nlp,
     xi: &[f64],
     lambda: &[f64],
     wanted: &[usize],
     held: &[usize],
-) -> Result<Information, NotFinite> {
+    go_on: &mut dyn FnMut() -> bool,
+) -> Result<Information, NoInformation> {
+    let mut unless_stopped = || if go_on() { Ok(()) } else { Err(NoInformation::Stopped) };
     let (n, m, k) = (nlp.n(), nlp.m(), wanted.len());
     let mut hessian = vec![0.0; nlp.hessian_structure().len()];
     let mut jacobian = vec![0.0; nlp.jacobian_structure().len()];
@@ -49,9 +69,11 @@ pub fn information(
     nlp.jacobian(xi, &mut jacobian)?;
     nlp.gradient(xi, &mut gradient)?;
     nlp.constraints(xi, &mut c)?;
+    unless_stopped()?;
     let mut kkt = kkt_for(nlp, &state_units(nlp, xi));
     kkt.set_refinement(true);
-    kkt.factorize(&hessian, &jacobian).map_err(|_| NotFinite)?;
+    kkt.factorize(&hessian, &jacobian).map_err(|_| NoInformation::NotFinite)?;
+    unless_stopped()?;
     let mut holding = vec![false; n];
     held.iter().for_each(|&i| holding[i] = true);
 
@@ -90,6 +112,7 @@ pub fn information(
 
     let mut covariance = vec![0.0; k * k];
     while found.is_positive() {
+        unless_stopped()?;
         kkt.covariance(wanted, &mut covariance);
         // Rounding may leave a little curvature where there is none: such a trade is set aside as others are.
         let Some((lead, trade)) = confounded(&covariance, wanted, border) else {

@@ -8,7 +8,7 @@ mod response;
 mod whitening;
 
 pub use answers::{Outputs, Place, answers};
-pub use covariance::{Information, information};
+pub use covariance::{Information, NoInformation, information};
 pub use forward::Forward;
 pub use passage::Predictors;
 pub use response::Response;

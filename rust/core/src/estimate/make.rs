@@ -36,7 +36,7 @@ impl Fit {
         let reported = problem.posed().noise_report(xi);
         let mut errors = vec![f64::NAN; problem.n()];
         let mut covariance = vec![f64::NAN; n_theta * n_theta];
-        match information(problem, xi, &solution.multipliers, &wanted, &held) {
+        match information(problem, xi, &solution.multipliers, &wanted, &held, &mut || true) {
             Err(_) => {
                 warnings.push("there are no standard errors: the information matrix is singular".into())
             }

@@ -133,8 +133,10 @@ def estimate(
     problem = transcription.problem(model, experiments, noise.resolve(model.output_names, spreads, given))
     xi = starting_point(problem, model, experiments, parameters, given, warm)
     known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
+    near = isinstance(start, Fit)
     with Progress.of(progress, model.name) as watch:
-        solution = solver.solve(problem, xi, _warm(warm, transcription, problem, xi), watch, states_known=known)
+        again = _warm(warm, transcription, problem, xi)
+        solution = solver.solve(problem, xi, again, watch, states_known=known, near=near)
     return make_fit(model, experiments, noise, transcription, problem, solution)
 
 

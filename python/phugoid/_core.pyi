@@ -325,6 +325,7 @@ def newton(
     time_limit: float | None,
     gauss_newton: bool,
     regression: bool,
+    wide: bool,
     watch: Callable[..., object] | None,
 ) -> NewtonSolution: ...
 

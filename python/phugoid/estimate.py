@@ -145,7 +145,8 @@ def estimate(
     with interrupts() as pressed:
         with Progress.of(progress, model.name) as watch:
             before = _warm(warm, transcription, problem, xi)
-            solution = solver.solve(problem, xi, before, _until(pressed, watch), states_known=known)
+            near = isinstance(start, Fit)
+            solution = solver.solve(problem, xi, before, _until(pressed, watch), states_known=known, near=near)
         stopped = solution.status == "interrupted"
         # One more than ended the run.
         enough = max(pressed(), 1) + 1 if stopped else 1

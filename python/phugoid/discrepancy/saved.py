@@ -77,6 +77,7 @@ def load_diagnosis(path: str | os.PathLike[str]) -> Diagnosis:
 _READ: Mapping[str, Callable[[Any], Any]] = {
     "aliases": tuple,
     "interval": lambda pair: tuple(map(io.to_float, pair)),
+    "ringing": lambda each: tuple(map(io.to_float, each)),
     "parameters": lambda each: {name: tuple(map(io.to_float, pair)) for name, pair in each.items()},
     "units": dict,
     **dict.fromkeys(

@@ -60,6 +60,7 @@ class Ipopt:
         warm: Solution | None = None,
         watch: Callable[[Iteration], None] | None = None,
         states_known: bool = False,
+        near: bool = False,
     ) -> Solution:
         """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration.
 
@@ -68,7 +69,7 @@ class Ipopt:
         curvature of the log-likelihood from then on; scaled anew each time that a standard deviation has come down
         far, or defects that are small beside the signal would be large beside the noise, and pass for a better fit.
 
-        ``states_known`` makes no difference.
+        ``states_known`` and ``near`` make no difference.
 
         Raises EvaluationError where a function is not finite at the start, MissingDependency without cyipopt.
         """

@@ -50,10 +50,12 @@ class Newton:
         warm: Solution | None = None,
         watch: Callable[[Iteration], None] | None = None,
         states_known: bool = False,
+        near: bool = False,
     ) -> Solution:
         """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration.
 
         ``states_known``: the states in ``xi`` are measured, so that a regression on them makes sense.
+        ``near``: they and the parameters are those of a fit, so that there is no need to look elsewhere.
 
         Raises EvaluationError where a function is not finite at the start.
         """
@@ -76,6 +78,7 @@ class Newton:
             None if self.time_limit is None else float(self.time_limit),
             self.gauss_newton,
             bool(regression and not warm),
+            not near,
             each if watch is not None else None,
         )
         history += [line(*entries[:6]) for entries in found.history]

@@ -132,7 +132,7 @@ pub fn information<'py>(
 /// Minimises from xi without the interpreter lock. `watch` is called with each line of the table; a
 /// KeyboardInterrupt, from it or from Ctrl-C, ends the run with the best point so far.
 #[pyfunction]
-#[pyo3(signature = (problem, xi, multipliers, max_iterations, tolerance, time_limit, gauss_newton, regression, watch))]
+#[pyo3(signature = (problem, xi, multipliers, max_iterations, tolerance, time_limit, gauss_newton, regression, wide, watch))]
 #[allow(clippy::too_many_arguments)] // options, all by name in Python
 pub fn newton(
     py: Python<'_>,
@@ -144,6 +144,7 @@ pub fn newton(
     time_limit: Option<f64>,
     gauss_newton: bool,
     regression: bool,
+    wide: bool,
     watch: Option<Py<PyAny>>,
 ) -> PyResult<PySolution> {
     let nlp = problem.inner();
@@ -155,6 +156,7 @@ pub fn newton(
         time_limit: time_limit.map(Duration::from_secs_f64),
         gauss_newton,
         regression,
+        wide,
     };
     let mut error: Option<PyErr> = None;
     let mut each = |i: &Iteration| {

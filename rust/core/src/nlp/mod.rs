@@ -90,6 +90,12 @@ pub trait Nlp: Send + Sync {
     fn chains(&self) -> Option<&Chains> {
         None
     }
+    /// Border variables in which outputs and constraints are not linear, jointly linear in the other ones.
+    fn nonlinear(&self) -> Vec<usize> {
+        Vec::new()
+    }
+    /// Moves these variables to another place to start from; which one, `draw` says.
+    fn move_elsewhere(&self, _xi: &mut [f64], _variables: &[usize], _draw: u64) {}
     /// Threads that a solver may use beside; 0 for as many as there are cores.
     fn threads(&self) -> usize {
         0

@@ -18,6 +18,7 @@ mod iteration;
 mod normal;
 mod point;
 mod search;
+mod separable;
 mod settings;
 mod solution;
 mod start;
@@ -83,13 +84,27 @@ pub fn solve(
     settings: &Settings,
     watch: &mut dyn FnMut(&Iteration) -> Control,
 ) -> Result<Solution, NotFinite> {
+    let plain = Settings { regression: false, ..settings.clone() };
     let mut run = Run::new(nlp, start, multipliers, settings)?;
     let mut status = run.go(watch)?;
-    let lost = matches!(status, Status::Failed | Status::Diverging | Status::Infeasible);
-    if settings.regression && lost {
+    // Not long, where it leads nowhere.
+    let iterations = run.history.last().map_or(0, |l| l.number);
+    let capped =
+        Settings { max_iterations: settings.max_iterations.min(3 * iterations + 10), ..plain.clone() };
+    if let Some(rival) = run.rival.take() {
+        status = run.challenge(status, &rival, &capped, watch)?;
+    }
+    if settings.regression && settings.wide && run.doubtful(status) {
+        for place in Run::new(nlp, start, None, &plain)?.further_places(start) {
+            status = run.challenge(status, &place, &plain, watch)?;
+            if !run.doubtful(status) {
+                break;
+            }
+        }
+    }
+    if settings.regression && status.lost() {
         // A regression may lead astray, as where parameters are in exponents. Once more without.
-        let settings = Settings { regression: false, ..settings.clone() };
-        let mut again = Run::new(nlp, start, multipliers, &settings)?;
+        let mut again = Run::new(nlp, start, multipliers, &plain)?;
         again.take_over(&mut run);
         status = again.go(watch)?;
         return Ok(again.finish(status));
@@ -131,6 +146,8 @@ struct Run<'a> {
     count: Evaluations,
     history: Vec<Iteration>,
     detail: String,
+    /// Where the regression from the start itself ended, where another place was chosen.
+    rival: Option<Vec<f64>>,
 }
 
 impl<'a> Run<'a> {
@@ -174,6 +191,7 @@ impl<'a> Run<'a> {
             count: Evaluations::default(),
             history: Vec::with_capacity(settings.max_iterations.min(1000) + 1),
             detail: String::new(),
+            rival: None,
         };
         run.here.evaluate(nlp, &run.units, &mut run.count)?;
         Ok(run)
@@ -184,6 +202,34 @@ impl<'a> Run<'a> {
         self.began = other.began;
         self.count = other.count;
         self.history = std::mem::take(&mut other.history);
+    }
+
+    /// Whether another place should be tried.
+    fn doubtful(&self, status: Status) -> bool {
+        status.lost() || status == Status::Unidentifiable || (!status.unfinished() && self.cornered())
+    }
+
+    /// Runs from another place, and becomes that run where it ends better: with a greater likelihood, and at an end.
+    fn challenge(
+        &mut self,
+        status: Status,
+        place: &[f64],
+        settings: &'a Settings,
+        watch: &mut dyn FnMut(&Iteration) -> Control,
+    ) -> Result<Status, NotFinite> {
+        if status.unfinished() {
+            return Ok(status);
+        }
+        let mut other = Run::new(self.nlp, place, None, settings)?;
+        other.take_over(self);
+        let end = other.go(watch)?;
+        let rank = |s: Status, run: &Run<'_>| (s.lost() || s.unfinished(), run.here.objective);
+        if rank(end, &other) < rank(status, self) {
+            *self = other;
+            return Ok(end);
+        }
+        self.take_over(&mut other);
+        Ok(if end == Status::Interrupted { end } else { status })
     }
 
     fn go(&mut self, watch: &mut dyn FnMut(&Iteration) -> Control) -> Result<Status, NotFinite> {

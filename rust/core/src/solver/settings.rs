@@ -21,6 +21,9 @@ pub struct Settings {
     /// Whether to start with a regression of the parameters on the states as they are: for states that
     /// are measured.
     pub regression: bool,
+    /// Whether that of a model that is not linear in its parameters looks elsewhere, too: not from a start that is
+    /// known to be near.
+    pub wide: bool,
 }
 
 impl Default for Settings {
@@ -31,6 +34,7 @@ impl Default for Settings {
             time_limit: None,
             gauss_newton: true,
             regression: false,
+            wide: true,
         }
     }
 }

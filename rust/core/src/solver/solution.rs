@@ -39,8 +39,7 @@ pub struct Solution {
 impl Run<'_> {
     /// The point to end at, and what is to be told of it.
     pub(super) fn finish(mut self, status: Status) -> Solution {
-        let unfinished = matches!(status, Status::IterationLimit | Status::TimeLimit | Status::Interrupted);
-        if unfinished || status == Status::Acceptable {
+        if status.unfinished() || status == Status::Acceptable {
             // The best point so far, not the last that was tried on trust.
             self.go_back_if_better();
         }

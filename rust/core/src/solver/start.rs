@@ -1,7 +1,8 @@
 //! A regression before the first step: where the states are measured, the parameters that make defects
 //! and output residuals small at the states as they are (the equation-error method, with both the
 //! equations and the outputs). Noise in the states biases it, but it takes no iteration over
-//! trajectories and lands near enough for Newton's method to take over.
+//! trajectories and lands near enough for Newton's method to take over. A model that is not linear in its
+//! parameters has one of its own: [`super::separable`].
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,46 +13,117 @@ use crate::nlp::Reach;
 /// Most passes: a model linear in its parameters needs three or so for the weights to settle.
 const PASSES: usize = 12;
 /// A pass that gains less than this part ends it.
-const ENOUGH: f64 = 1e-3;
+pub(super) const ENOUGH: f64 = 1e-3;
 /// Weights of defects and outputs stay within this factor of what they start from: residuals that are
 /// zero because a measurement is the state say nothing.
 const RANGE: f64 = 1e6;
 /// A parameter whose influence on the equations falls to this part of what it was (squared) is lost.
-const LOST: f64 = 1e-6;
+pub(super) const LOST: f64 = 1e-6;
 /// Part of the diagonal that is added to it, so that parameters without influence stay where they are.
 const RIDGE: f64 = 1e-10;
+
+/// What a regression of the border variables keeps.
+pub(super) struct Regression {
+    /// The variables.
+    pub free: Vec<usize>,
+    /// Of these, which the model is not linear in, the others given.
+    pub nonlinear: Vec<bool>,
+    /// The profiled variables at the start.
+    pub first: Vec<f64>,
+    /// For each border variable its place among the free ones.
+    place: Vec<usize>,
+    normal: Normal,
+    n_x: usize,
+}
+
+impl Regression {
+    pub fn n_x(&self) -> usize {
+        self.n_x
+    }
+
+    /// Number of border variables.
+    pub fn border(&self) -> usize {
+        self.place.len()
+    }
+}
+
+/// The equations of a Gauss-Newton step, scaled so that their diagonal is 1.
+pub(super) struct Equations {
+    a: DMatrix<f64>,
+    b: DVector<f64>,
+    scale: DVector<f64>,
+}
+
+impl Equations {
+    /// The step with these parts added to the diagonal.
+    pub fn step(&self, damping: impl Fn(usize) -> f64) -> Option<DVector<f64>> {
+        let mut a = self.a.clone();
+        for i in 0..a.nrows() {
+            a[(i, i)] += RIDGE + damping(i);
+        }
+        let step = a.cholesky()?.solve(&self.b.component_mul(&self.scale)).component_mul(&self.scale);
+        step.iter().all(|x| x.is_finite()).then_some(step)
+    }
+
+    /// The step of some, the others held.
+    pub fn step_but(&self, held: &[bool]) -> Option<DVector<f64>> {
+        let keep = |i: usize, j: usize| if i == j { 1.0 } else { 0.0 };
+        let n = self.a.nrows();
+        let a = DMatrix::from_fn(n, n, |i, j| if held[i] || held[j] { keep(i, j) } else { self.a[(i, j)] });
+        let b = DVector::from_fn(n, |i, _| if held[i] { 0.0 } else { self.b[i] });
+        Equations { a, b, scale: self.scale.clone() }.step(|_| 0.0)
+    }
+}
 
 impl Run<'_> {
     /// Regression of the border variables on defects and outputs, the states held; the standard deviations
     /// follow the residuals. Does nothing where it cannot improve.
     pub(super) fn regress(&mut self) {
-        let Some(chains) = self.nlp.chains() else { return };
-        let (border, n_x) = (chains.border, chains.n_x);
-        let profiled = self.nlp.profiled();
-        let first: Vec<f64> = self.here.xi[profiled.clone()].to_vec();
-        let start = self.here.clone();
-        let free: Vec<usize> =
-            (0..border).filter(|i| !profiled.contains(i) && self.bounds.0[*i] < self.bounds.1[*i]).collect();
-        if free.is_empty() {
-            return;
+        let Some(mut r) = self.regression() else { return };
+        if self.settings.wide && r.nonlinear.contains(&true) {
+            self.regress_separably(&mut r);
+        } else {
+            self.regress_linearly(&mut r);
         }
-        let mut place = vec![usize::MAX; border];
-        free.iter().enumerate().for_each(|(k, &i)| place[i] = k);
+        self.merit = super::Merit::default();
+    }
 
-        let structure = self.nlp.jacobian_structure();
-        let mut normal = Normal::new(structure, &place, free.len(), self.units.rows);
-        let influence = self.influence(&place, free.len());
+    pub(super) fn regression(&self) -> Option<Regression> {
+        let chains = self.nlp.chains()?;
+        let profiled = self.nlp.profiled();
+        let free: Vec<usize> = (0..chains.border)
+            .filter(|i| !profiled.contains(i) && self.bounds.0[*i] < self.bounds.1[*i])
+            .collect();
+        if free.is_empty() {
+            return None;
+        }
+        let mut place = vec![usize::MAX; chains.border];
+        free.iter().enumerate().for_each(|(k, &i)| place[i] = k);
+        let nonlinear = self.nlp.nonlinear();
+        Some(Regression {
+            nonlinear: free.iter().map(|i| nonlinear.contains(i)).collect(),
+            first: self.here.xi[profiled].to_vec(),
+            normal: Normal::new(self.nlp.jacobian_structure(), &place, free.len(), self.units.rows),
+            n_x: chains.n_x,
+            free,
+            place,
+        })
+    }
+
+    fn regress_linearly(&mut self, r: &mut Regression) {
+        let start = self.here.clone();
+        let influence = self.influence(r);
         let mut done = false;
         for _ in 0..PASSES {
-            self.noise_of_outputs(&first);
-            let weights = self.weights_of_defects(n_x);
-            let Some(step) = self.regression_step(&mut normal, &free, &place, &weights) else { break };
+            self.noise_of_outputs(&r.first);
+            let weights = self.weights_of_defects(r.n_x);
+            let Some(step) = self.equations(r, &weights).and_then(|e| e.step(|_| 0.0)) else { break };
             let before = self.loss(&weights);
             let mut alpha = 1.0_f64;
             let mut gained = None;
             while alpha > 0.05 {
                 self.trial.xi.copy_from_slice(&self.here.xi);
-                for (&i, d) in free.iter().zip(step.iter()) {
+                for (&i, d) in r.free.iter().zip(step.iter()) {
                     let x = &mut self.trial.xi[i];
                     *x = alpha.mul_add(*d, *x).clamp(self.bounds.0[i], self.bounds.1[i]);
                 }
@@ -75,35 +147,34 @@ impl Run<'_> {
             }
         }
         if done {
-            self.noise_of_outputs(&first);
+            self.noise_of_outputs(&r.first);
         }
         // Where a parameter has lost its influence on the equations, noise has led it astray.
-        let after = self.influence(&place, free.len());
+        let after = self.influence(r);
         let astray = influence.iter().zip(&after).any(|(before, after)| *after < LOST * before);
         if !done || astray || self.here.evaluate(self.nlp, &self.units, &mut self.count).is_err() {
             self.here.copy(&start);
         }
-        self.merit = super::Merit::default();
     }
 
     /// Squared norm of the column of each free parameter in the scaled Jacobian of the constraints.
-    fn influence(&mut self, place: &[usize], k: usize) -> Vec<f64> {
-        let mut squares = vec![0.0; k];
+    pub(super) fn influence(&mut self, r: &Regression) -> Vec<f64> {
+        let mut squares = vec![0.0; r.free.len()];
         self.count.jacobian += 1;
         if self.nlp.jacobian(&self.here.xi, &mut self.jacobian).is_err() {
             return squares;
         }
         let s = self.nlp.jacobian_structure();
-        for ((&r, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.jacobian) {
-            if let Some(&column) = place.get(c as usize).filter(|p| **p != usize::MAX) {
-                squares[column] += (v / self.units.of(r as usize)).powi(2);
+        for ((&row, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.jacobian) {
+            if let Some(&column) = r.place.get(c as usize).filter(|p| **p != usize::MAX) {
+                squares[column] += (v / self.units.of(row as usize)).powi(2);
             }
         }
         squares
     }
 
     /// Standard deviations as the residuals say; those whose residuals are nothing keep their start.
-    fn noise_of_outputs(&mut self, first: &[f64]) {
+    pub(super) fn noise_of_outputs(&mut self, first: &[f64]) {
         let roots = self.nlp.profiled();
         self.count.gradient += 1;
         if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() {
@@ -115,7 +186,7 @@ impl Run<'_> {
     }
 
     /// 1/σ² of the defects of each state.
-    fn weights_of_defects(&self, n_x: usize) -> Vec<f64> {
+    pub(super) fn weights_of_defects(&self, n_x: usize) -> Vec<f64> {
         // Boundary conditions are none.
         let defects = &self.here.c[..self.units.rows];
         let count = (defects.len() / n_x) as f64;
@@ -127,7 +198,7 @@ impl Run<'_> {
     }
 
     /// φ + ½ Σ c²/σ²
-    fn loss(&mut self, weights: &[f64]) -> f64 {
+    pub(super) fn loss(&mut self, weights: &[f64]) -> f64 {
         if self.here.evaluate_objective(self.nlp, &mut self.count).is_err() {
             return f64::INFINITY;
         }
@@ -136,44 +207,33 @@ impl Run<'_> {
         self.here.objective + 0.5 * defects
     }
 
-    /// The Gauss-Newton step of the free border variables, the states held.
-    fn regression_step(
-        &mut self,
-        normal: &mut Normal,
-        free: &[usize],
-        place: &[usize],
-        weights: &[f64],
-    ) -> Option<DVector<f64>> {
+    /// Those of the Gauss-Newton step of the free border variables, the states held.
+    pub(super) fn equations(&mut self, r: &mut Regression, weights: &[f64]) -> Option<Equations> {
         let nlp = self.nlp;
-        let k = free.len();
+        let k = r.free.len();
         self.count.jacobian += 1;
         self.count.gauss_newton += 1;
         self.count.gradient += 1;
         nlp.jacobian(&self.here.xi, &mut self.jacobian).ok()?;
         nlp.gauss_newton(&self.here.xi, 1.0, &mut self.hessian).ok()?;
         nlp.gradient(&self.here.xi, &mut self.gradient).ok()?;
-        normal.sum(nlp.jacobian_structure(), &self.jacobian, place, &self.here.c, weights);
-        let mut a = DMatrix::from_fn(k, k, |i, j| if j <= i { normal.square(i, j) } else { 0.0 });
-        let mut b = DVector::from_fn(k, |i, _| -normal.right(i));
+        r.normal.sum(nlp.jacobian_structure(), &self.jacobian, &r.place, &self.here.c, weights);
+        let mut a = DMatrix::from_fn(k, k, |i, j| if j <= i { r.normal.square(i, j) } else { 0.0 });
+        let mut b = DVector::from_fn(k, |i, _| -r.normal.right(i));
         let s = nlp.hessian_structure();
-        for ((&r, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.hessian) {
-            let (Some(&i), Some(&j)) = (place.get(r as usize), place.get(c as usize)) else { continue };
+        for ((&row, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.hessian) {
+            let (Some(&i), Some(&j)) = (r.place.get(row as usize), r.place.get(c as usize)) else { continue };
             if i != usize::MAX && j != usize::MAX {
                 a[(i.max(j), i.min(j))] += v;
             }
         }
-        free.iter().enumerate().for_each(|(i, &x)| b[i] -= self.gradient[x]);
+        r.free.iter().enumerate().for_each(|(i, &x)| b[i] -= self.gradient[x]);
         let scale = DVector::from_fn(k, |i, _| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 1.0 });
         for i in 0..k {
             for j in 0..=i {
                 a[(i, j)] *= scale[i] * scale[j];
             }
-            a[(i, i)] += RIDGE;
         }
-        let factor = a.cholesky()?;
-        let mut step = b.component_mul(&scale);
-        factor.solve_mut(&mut step);
-        let step = step.component_mul(&scale);
-        step.iter().all(|x| x.is_finite()).then_some(step)
+        Some(Equations { a, b, scale })
     }
 }

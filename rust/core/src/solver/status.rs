@@ -39,6 +39,16 @@ impl Status {
         Status::Failed,
     ];
 
+    /// Whether it is an end that leads nowhere.
+    pub(super) fn lost(self) -> bool {
+        matches!(self, Status::Failed | Status::Diverging | Status::Infeasible)
+    }
+
+    /// Whether something stopped the run before its end.
+    pub(super) fn unfinished(self) -> bool {
+        matches!(self, Status::IterationLimit | Status::TimeLimit | Status::Interrupted)
+    }
+
     /// What it means and what to do.
     pub fn hint(self) -> &'static str {
         match self {

@@ -15,6 +15,7 @@ mod objective;
 mod pieces;
 mod posed;
 mod samples;
+mod separable;
 mod shooting;
 mod steps;
 mod tableau;

@@ -176,6 +176,14 @@ impl Nlp for Shooting {
         self.pool.as_ref().map_or(0, rayon::ThreadPool::current_num_threads)
     }
 
+    fn nonlinear(&self) -> Vec<usize> {
+        self.posed.nonlinear()
+    }
+
+    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
+        self.posed.move_elsewhere(xi, variables, draw);
+    }
+
     fn profiled(&self) -> Range<usize> {
         self.profiled_noise()
     }

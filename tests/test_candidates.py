@@ -13,11 +13,11 @@ from scipy.signal import butter, sosfiltfilt
 
 import phugoid as ph
 from phugoid import _core
-from phugoid.delayed import at_delays
-from phugoid.discrepancy.along import lagged, late_smooth
-from phugoid.discrepancy.candidates import FAMILIES
-from phugoid.discrepancy.scales import trim_of
-from phugoid.rebuilt import rebuilt
+from phugoid.discrepancy.candidates.along import lagged, late_smooth
+from phugoid.discrepancy.candidates.library import FAMILIES
+from phugoid.discrepancy.candidates.scales import trim_of
+from phugoid.modelling.delayed import at_delays
+from phugoid.modelling.rebuilt import rebuilt
 
 TRUTH = {"CL0": -0.045, "CLa": 0.9, "Cm0": 0.02, "Cma": -4.0, "Cmq": -2.0, "Cmde": -6.0, "b_az": 0.3}
 SIGMA = {"alpha": 0.0005, "q": 0.001, "az": 0.005}

@@ -15,8 +15,8 @@ matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt
 
-from phugoid.convergence_plot import plot_convergence
 from phugoid.errors import DataError
+from phugoid.figures.convergence import plot_convergence
 from phugoid.solvers import Iteration
 
 

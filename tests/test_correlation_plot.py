@@ -15,8 +15,8 @@ matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt
 
-from phugoid.correlation_plot import plot_correlation
 from phugoid.errors import DataError, UnknownName
+from phugoid.figures.correlation import plot_correlation
 from phugoid.parameters import Estimate, Estimates
 
 

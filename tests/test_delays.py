@@ -108,8 +108,8 @@ def test_the_estimate_is_the_maximum_and_its_error_the_curvature_there() -> None
 @pytest.mark.parametrize("interpolation", ["linear", "cubic"])
 def test_rates_of_signals_are_those_of_the_interpolation(interpolation: str) -> None:
     """Derivatives of the transcribed program with respect to a delay, while the base stays."""
-    from phugoid.delayed import at_delays
-    from phugoid.late import _moved
+    from phugoid.estimation.late import _moved
+    from phugoid.modelling.delayed import at_delays
 
     m, data, base = model(), record(interpolation), {"tau": 0.2, "late": 0.1}
     slim = at_delays(m, base)

@@ -21,14 +21,14 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 import phugoid as ph
-from phugoid.discrepancy.extension import Extension, Gain
-from phugoid.discrepancy.figures import findings_figure, gain_figure, ranking_figure
-from phugoid.discrepancy.finding import Finding, Scored
-from phugoid.discrepancy.mathml import equation
-from phugoid.discrepancy.misfit import misfit
-from phugoid.discrepancy.page import report
-from phugoid.discrepancy.words import diagnosis_summary, headline, outcome
+from phugoid.discrepancy.misfit.misfit import misfit
+from phugoid.discrepancy.page.figures import findings_figure, gain_figure, ranking_figure
+from phugoid.discrepancy.page.page import report
+from phugoid.discrepancy.page.words import diagnosis_summary, headline, outcome
+from phugoid.discrepancy.search.extension import Extension, Gain
+from phugoid.discrepancy.search.finding import Finding, Scored
 from phugoid.errors import DataError, UnknownName
+from phugoid.pages.mathml import equation
 
 NAN = math.nan
 VOID = {"meta", "img", "mspace", "br"}

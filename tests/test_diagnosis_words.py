@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from phugoid.discrepancy.finding import Finding, Scored
-from phugoid.discrepancy.words import _nearest, finding_lines, headline, value_of
+from phugoid.discrepancy.page.words import _nearest, finding_lines, headline, value_of
+from phugoid.discrepancy.search.finding import Finding, Scored
 
 LAG = Finding(
     cause="CL:lag_alpha",

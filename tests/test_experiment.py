@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from phugoid.data.experiment import Experiment
 from phugoid.errors import DataError, PhugoidError, did_you_mean
-from phugoid.experiment import Experiment
 
 T = np.linspace(0.0, 1.0, 11)
 NAN, INF = float("nan"), float("inf")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.remarks import remarks
+from phugoid.report.remarks import remarks
 
 DOSE = 320.0  # mg
 

@@ -11,8 +11,8 @@ import pytest
 from scipy import signal
 
 import phugoid as ph
-from phugoid.empirical import find_period
-from phugoid.frequency_plot import plot_frequency_response
+from phugoid.figures.frequency import plot_frequency_response
+from phugoid.linear.empirical import find_period
 
 matplotlib.use("Agg")
 

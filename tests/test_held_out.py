@@ -7,8 +7,8 @@ import pytest
 from oscillator import measured, model
 
 import phugoid as ph
-from phugoid.discrepancy.held_out import on_other_data
-from phugoid.discrepancy.refit import Refit
+from phugoid.discrepancy.search.held_out import on_other_data
+from phugoid.discrepancy.search.refit import Refit
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ from scipy.stats import multivariate_normal
 
 import phugoid as ph
 from phugoid import _core
-from phugoid.discrepancy.joint import JointWhitening
-from phugoid.discrepancy.strands import Strand
-from phugoid.discrepancy.whitening import Rows
+from phugoid.discrepancy.colour.joint import JointWhitening
+from phugoid.discrepancy.colour.strands import Strand
+from phugoid.discrepancy.colour.whitening import Rows
 
 A = np.array([[0.8, 0.1, 0.0], [0.5, 0.3, 0.0], [-0.2, 0.4, 0.6]])
 ROOT = np.array([[1.0, 0.0, 0.0], [0.5, 0.2, 0.0], [0.0, 0.1, 2.0]])

@@ -9,11 +9,11 @@ import pytest
 from linear_case import run
 
 import phugoid as ph
-from phugoid import linear_fit
-from phugoid.modal_blocks import Blocks
-from phugoid.modal_regression import regression
-from phugoid.sampled import Sampled
-from phugoid.state_space import modal_parts
+from phugoid.linear import linear_fit
+from phugoid.linear.modal_blocks import Blocks
+from phugoid.linear.modal_regression import regression
+from phugoid.linear.sampled import Sampled
+from phugoid.linear.state_space import modal_parts
 
 
 def system(poles: tuple[complex, ...], m: int = 1, p: int = 1, seed: int = 1) -> ph.StateSpace:

@@ -17,13 +17,13 @@ import hidden
 
 import phugoid as ph
 from phugoid import _core
-from phugoid.discrepancy.candidate import Candidate
-from phugoid.discrepancy.least_squares import Whitened
-from phugoid.discrepancy.linearised import Linearised, collocated
-from phugoid.discrepancy.prediction import Channel
-from phugoid.discrepancy.whitening import Whitening
+from phugoid.discrepancy.candidates.candidate import Candidate
+from phugoid.discrepancy.colour.prediction import Channel
+from phugoid.discrepancy.colour.whitening import Whitening
+from phugoid.discrepancy.search.least_squares import Whitened
+from phugoid.discrepancy.search.linearised import Linearised, collocated
 from phugoid.guess import spread
-from phugoid.held import held_model
+from phugoid.validation.held import held_model
 
 SIGMA = {"x": 0.01, "v": 0.02, "a": 0.03}
 NOISE = ph.Gaussian(SIGMA)

@@ -26,12 +26,12 @@ from matplotlib import pyplot as plt
 from records import find
 
 import phugoid as ph
-from phugoid.discrepancy.colour import colour_of
-from phugoid.discrepancy.figures import misfit_figure
-from phugoid.discrepancy.misfit import ChannelMisfit, misfit
-from phugoid.discrepancy.spectrum import spectrum_of
+from phugoid.discrepancy.colour.colour import colour_of
+from phugoid.discrepancy.colour.spectrum import spectrum_of
+from phugoid.discrepancy.misfit.misfit import ChannelMisfit, misfit
+from phugoid.discrepancy.page.figures import misfit_figure
 from phugoid.errors import DataError, UnknownName
-from phugoid.rebuilt import rebuilt
+from phugoid.modelling.rebuilt import rebuilt
 from phugoid.records import Record
 
 N, DT = 600, 0.1
@@ -345,7 +345,7 @@ def test_of_process_noise_innovations_are_looked_at() -> None:
 
 
 def test_bands_need_more_than_chance() -> None:
-    from phugoid.discrepancy.series import channel_series
+    from phugoid.discrepancy.colour.series import channel_series
 
     said = [spectrum_of(channel_series([record(az=white(seed))], "az"), 1e-3).bands for seed in range(40)]
     assert sum(map(bool, said)) <= 1

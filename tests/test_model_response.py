@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import butter, lfilter, lsim
 
 import phugoid as ph
-from phugoid.linear import linearise, model_response
+from phugoid.linear.linearise import linearise, model_response
 
 HZ = np.linspace(0.05, 3.0, 20)
 

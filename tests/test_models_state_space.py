@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.linear import linearise, model_response
+from phugoid.linear.linearise import linearise, model_response
 
 FREQUENCIES = np.linspace(0.01, 3.0, 40)
 

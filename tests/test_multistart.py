@@ -23,9 +23,9 @@ import pytest
 
 import phugoid as ph
 from phugoid import DataError, EvaluationError, Experiment, Model, ModelError, OptionError
-from phugoid.optima import group
 from phugoid.results import Multistart, Outcome
-from phugoid.workers import _PROBLEMS
+from phugoid.starts.optima import group
+from phugoid.starts.workers import _PROBLEMS
 
 T = np.linspace(0.0, 8.0, 100)
 TRUTH = {"tau": 0.8, "a": 2.0}

@@ -18,8 +18,8 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from phugoid.errors import DataError, OptionError, UnknownName
+from phugoid.figures.parameters import plot_parameters
 from phugoid.parameters import Estimate, Estimates
-from phugoid.parameters_plot import plot_parameters
 
 
 @pytest.fixture(autouse=True)

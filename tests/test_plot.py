@@ -17,8 +17,8 @@ from matplotlib import pyplot as plt
 
 import phugoid as ph
 from phugoid.errors import DataError, OptionError, UnknownName
+from phugoid.figures.fit import plot_fit, plot_record
 from phugoid.parameters import Estimate, Estimates
-from phugoid.plot import plot_fit, plot_record
 from phugoid.records import Record
 
 N = 60

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from phugoid import DataError, Experiment, OptionError, multirate
+from phugoid import DataError, Experiment, OptionError
+from phugoid.data import multirate
 
 RATE = 200.0
 N = 2000

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, sosfilt
 
 import phugoid as ph
-from phugoid.state_space import modal_parts
+from phugoid.linear.state_space import modal_parts
 
 RECORDS = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 FILES = [RECORDS.parent / "reference" / f"gvt_{name}.txt" for name in "ABC"]

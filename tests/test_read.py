@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phugoid import io
+from phugoid.data.read import read
 from phugoid.errors import DataError
-from phugoid.read import read
+from phugoid.saving import json_file as io
 
 NAN = float("nan")
 SHARED = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))

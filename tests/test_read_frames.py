@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from phugoid.data.read import read
 from phugoid.errors import DataError
-from phugoid.read import read
 
 T = np.arange(4) * 0.5
 COLUMNS = {"t": T, "alpha [deg]": [0.0, 90.0, 180.0, 0.0], "mode": ["a", "b", "a", "b"]}

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from phugoid.data.read import read
 from phugoid.errors import DataError
-from phugoid.read import read
 
 SHARED = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 T = np.arange(5) * 0.1

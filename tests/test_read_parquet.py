@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from phugoid.data.read import read
 from phugoid.errors import DataError, MissingDependency
-from phugoid.read import read
 
 T = np.arange(4) * 0.5
 

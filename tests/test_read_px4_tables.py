@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from phugoid.data.read import read
 from phugoid.errors import DataError
-from phugoid.read import read
 
 SHARED = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 

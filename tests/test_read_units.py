@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from phugoid.data.read import read
+from phugoid.data.readers.units import convert, si
 from phugoid.errors import DataError
-from phugoid.read import read
-from phugoid.readers.units import convert, si
 
 ONE = np.array([1.0])
 

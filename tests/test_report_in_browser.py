@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.discrepancy.misfit import misfit
-from phugoid.discrepancy.page import report
+from phugoid.discrepancy.misfit.misfit import misfit
+from phugoid.discrepancy.page.page import report
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium to render the pages with")

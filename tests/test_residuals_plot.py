@@ -16,10 +16,10 @@ from matplotlib import pyplot as plt
 from scipy.signal import lfilter, welch
 
 import phugoid as ph
+from phugoid.discrepancy.misfit.residuals_figure import plot_residuals
 from phugoid.errors import DataError, UnknownName
 from phugoid.parameters import Estimate, Estimates
 from phugoid.records import Record
-from phugoid.residuals_plot import plot_residuals
 
 N, DT = 400, 0.05
 

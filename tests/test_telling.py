@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.discrepancy.flights import Flights
-from phugoid.discrepancy.flown import Flown
-from phugoid.discrepancy.lanes import Lanes
-from phugoid.discrepancy.manoeuvres import planned
-from phugoid.discrepancy.refit import Refit, refit
-from phugoid.discrepancy.telling import TELLS, advised, telling_manoeuvre
+from phugoid.discrepancy.search.lanes import Lanes
+from phugoid.discrepancy.search.refit import Refit, refit
+from phugoid.discrepancy.telling.flights import Flights
+from phugoid.discrepancy.telling.flown import Flown
+from phugoid.discrepancy.telling.manoeuvres import planned
+from phugoid.discrepancy.telling.telling import TELLS, advised, telling_manoeuvre
 
 TRUTH = {"k": 4.0, "d": 0.8, "b": 1.0}
 SIGMA = {"x": 0.01, "v": 0.02}

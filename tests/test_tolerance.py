@@ -10,7 +10,7 @@ import pytest
 
 import phugoid as ph
 from phugoid.cli.options import tolerances
-from phugoid.plot import plot_fit
+from phugoid.figures.fit import plot_fit
 from phugoid.records import Record
 
 

@@ -27,7 +27,7 @@ from records import find
 
 import phugoid as ph
 from phugoid import DataError, Gaussian, ModelError, OptionError, Parameter
-from phugoid.biases import biases
+from phugoid.validation.biases import biases
 
 TRUTH = {"k": 2.0, "c": 0.5, "b": 0.3}
 SIGMA = {"x": 0.05, "v": 0.1}

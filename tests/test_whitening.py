@@ -12,9 +12,9 @@ from scipy.linalg import block_diag, solve_discrete_lyapunov, toeplitz
 from scipy.signal import lfilter
 from scipy.stats import chi2, multivariate_normal
 
-from phugoid.discrepancy.prediction import autoregressive
-from phugoid.discrepancy.strands import Strand, strands_of
-from phugoid.discrepancy.whitening import Rows, Whitening
+from phugoid.discrepancy.colour.prediction import autoregressive
+from phugoid.discrepancy.colour.strands import Strand, strands_of
+from phugoid.discrepancy.colour.whitening import Rows, Whitening
 
 AR = [[], [0.9], [1.6, -0.8], [0.5, 0.0, 0.3], [-0.7]]
 

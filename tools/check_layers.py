@@ -19,40 +19,27 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "tabular", "symbols", "declared", "parameters", "noise", "densities", "noise_kinds",
-    "rebuilt", "delayed", "model",
-    "filtering", "checked", "channelwise",
-    "preprocess", "experiment", "multirate", "readers", "read", "unit_check", "transcription", "shooting",
-    "hdf5_file",
-    "filter_error", "guess", "solvers", "interrupts", "progress", "records", "io", "figure_style",
-    "tolerance", "match", "time_panels", "plot",
-    "correlations",
-    "correlation_plot", "parameters_plot", "convergence_plot", "frequency_plot", "response", "mode_table",
-    "inputs", "state_space", "models", "modal_response", "sampled", "hankel", "modal_regression", "identified",
-    "subspace", "modal_blocks", "mode_places", "linear_fit", "empirical", "summary",
-    "validation", "differentiate", "regression", "equations", "equation_error_result",
-    "equation_error", "integration", "refinement",
-    "result", "fitted",
-    "refine", "late", "simulate", "separate", "filter_variables", "filter_result", "filter_fit", "estimate",
-    "jacobians", "gauge", "linear", "frequency", "modes",
-    "trim", "export", "saving",
-    "biases", "held", "validate", "discrepancy", "loading", "residuals_plot", "remarks", "report_validation",
-    "planning", "reconstruction", "report",
-    "outcome", "optima", "starts", "journal", "workers", "waterfall",
-    "gathered", "multistart_result", "multistart", "uncertainty", "results", "cli",
-    "__init__", "__main__",
+    "_core", "errors", "tabular", "symbols", "parameters", "noise", "modelling", "data", "transcription", "guess",
+    "solvers", "interrupts", "progress", "records", "tolerance", "match", "correlations", "figures", "regression",
+    "integration", "refinement", "summary", "result", "process_noise", "estimation", "simulate", "linear", "inputs",
+    "models", "export", "saving", "validation", "pages", "discrepancy", "loading", "planning", "reconstruction",
+    "report", "starts", "uncertainty", "results", "cli", "__init__", "__main__",
+]
+DISCREPANCY = [
+    "colour", "misfit", "candidates", "search", "telling", "page", "findings", "diagnosis", "saved", "diagnose",
 ]
 # fmt: on
 # Arrows back: methods of `Fit` that stand where people look for them, such as `validate`, which estimates anew, and
 # `plot_residuals`, which asks what a diagnosis asks; and a summary shows how far a fit may be trusted. They are
-# imported when called; `outcome` is a type only.
+# imported when called; of `starts` a type only. A diagnosis has `save` in the same way.
 BACK = {
-    *(("result", m) for m in ("export", "outcome", "report", "residuals_plot", "saving", "uncertainty", "validate")),
+    *(("result", m) for m in ("discrepancy", "export", "report", "saving", "starts", "uncertainty", "validation")),
     ("summary", "uncertainty"),
+    ("diagnosis", "saved"),
 }
 
 Import = tuple[int, str]  # line, top-level module
-Finder = Callable[[Path, int], Iterator[Import]]  # of a file so many levels below the root
+Finder = Callable[[Path, int, list[str]], Iterator[Import]]  # of a file so many levels below the root
 
 
 def flatten(tree: str) -> Iterator[str]:
@@ -72,7 +59,7 @@ def flatten(tree: str) -> Iterator[str]:
             name += char
 
 
-def rust_imports(path: Path, depth: int) -> Iterator[Import]:
+def rust_imports(path: Path, depth: int, order: list[str]) -> Iterator[Import]:
     """What `crate::` leads to, or as many `super::` as the file is deep. Comments do not count."""
     text = re.sub(r"//[^\n]*", "", path.read_text())
     text = re.sub(r"/\*.*?\*/", lambda m: "\n" * m[0].count("\n"), text, flags=re.S)
@@ -83,12 +70,12 @@ def rust_imports(path: Path, depth: int) -> Iterator[Import]:
             yield line, "*"
         for name in flatten(rest):
             macro = re.match(r"\w+!", rest)
-            inside = match[0].startswith("super") and name not in RUST  # `super` within an inline `mod tests`
+            inside = match[0].startswith("super") and name not in order  # `super` within an inline `mod tests`
             if name and name != "self" and not macro and not inside:
                 yield line, name
 
 
-def python_imports(path: Path, depth: int) -> Iterator[Import]:
+def python_imports(path: Path, depth: int, order: list[str]) -> Iterator[Import]:
     """What the file imports from the package, within functions and for type checkers too."""
     for node in ast.walk(ast.parse(path.read_text(), str(path))):
         if isinstance(node, ast.Import):
@@ -103,10 +90,10 @@ def python_imports(path: Path, depth: int) -> Iterator[Import]:
             package, _, inner = name.partition(".")
             if package == "phugoid":
                 top = inner.partition(".")[0]
-                yield node.lineno, top if top in PYTHON else "__init__"
+                yield node.lineno, top if top in order else "__init__"
 
 
-def check(root: Path, source: str, order: list[str], imports: Finder, facade: str) -> Iterator[str]:
+def check(root: Path, source: str, order: list[str], imports: Finder, facade: str = "__init__") -> Iterator[str]:
     """Problems in the files below `source`; `facade` may import from all of them."""
     folder = root / source
     for path in sorted(p for p in folder.rglob("*") if p.suffix in {".rs", ".py", ".pyi"}):
@@ -118,7 +105,7 @@ def check(root: Path, source: str, order: list[str], imports: Finder, facade: st
             yield f"{name}:1: module `{module}` stands in no order: put it into tools/check_layers.py"
             continue
         depth = len(parts) - (parts[-1] == "mod")  # how many `super::` or leading dots reach the root
-        for line, target in imports(path, depth):
+        for line, target in imports(path, depth, order):
             if target not in order:
                 yield f"{name}:{line}: `{target}` stands in no order: import it from its own module"
             elif order.index(target) > order.index(module) and (module, target) not in BACK:
@@ -137,7 +124,8 @@ def main() -> int:
     problems = [
         *check(root, "rust/core/src", RUST, rust_imports, facade="lib"),
         *check_manifest(root),
-        *check(root, "python/phugoid", PYTHON, python_imports, facade="__init__"),
+        *check(root, "python/phugoid", PYTHON, python_imports),
+        *check(root, "python/phugoid/discrepancy", DISCREPANCY, python_imports),
     ]
     print(*problems, sep="\n", end="\n" if problems else "")
     return 1 if problems else 0

@@ -13,12 +13,12 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 
 from . import inputs, models, results
 from ._core import Expr, __version__
-from .densities import Density, Huber, Laplace, StudentT
-from .differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
-from .discrepancy.candidates import candidates
+from .data.experiment import Experiment
+from .data.multirate import multirate
+from .data.read import read
+from .discrepancy.candidates.library import candidates
 from .discrepancy.diagnose import diagnose
-from .discrepancy.misfit import misfit
-from .equation_error import equation_error
+from .discrepancy.misfit.misfit import misfit
 from .errors import (
     DataError,
     EvaluationError,
@@ -27,32 +27,31 @@ from .errors import (
     OptionError,
     PhugoidError,
 )
-from .estimate import estimate
-from .experiment import Experiment
+from .estimation.estimate import estimate
 from .export import export_c, export_fmu
-from .filter_error import FilterError
-from .frequency import frequency_response
-from .linear import linearise
-from .linear_fit import fit_linear
+from .linear.frequency import frequency_response
+from .linear.linear_fit import fit_linear
+from .linear.linearise import linearise
+from .linear.modes import modes
+from .linear.state_space import StateSpace
+from .linear.subspace import subspace
+from .linear.trim import trim
 from .loading import load
 from .match import match
-from .model import Model
-from .modes import modes
-from .multirate import multirate
-from .multistart import multistart
-from .noise import Gaussian, Sigma
-from .noise_kinds import PerExperiment, PerOutput
+from .modelling.model import Model
+from .noise.densities import Density, Huber, Laplace, StudentT
+from .noise.kinds import PerExperiment, PerOutput
+from .noise.noise import Gaussian, Sigma
 from .parameters import Parameter
 from .planning.optimum import optimal_plan
 from .planning.planned import plan, plans
-from .read import read
 from .reconstruction.reconstruct import reconstruct
+from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
+from .regression.equation_error import equation_error
 from .result import Fit
-from .shooting import MultipleShooting, SingleShooting
 from .simulate import simulate
 from .solvers import Ipopt, Newton
-from .state_space import StateSpace
-from .subspace import subspace
+from .starts.multistart import multistart
 from .symbols import (
     Table,
     acos,
@@ -80,8 +79,9 @@ from .symbols import (
     where,
 )
 from .tolerance import Tolerance
-from .transcription import Collocation
-from .trim import trim
+from .transcription.collocation import Collocation
+from .transcription.filter_error import FilterError
+from .transcription.shooting import MultipleShooting, SingleShooting
 
 
 def __dir__() -> list[str]:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from . import _core
 from ._core import Expr
+from .data.experiment import Experiment
 from .errors import DataError, ModelError, did_you_mean
-from .experiment import Experiment
-from .model import Model
+from .modelling.model import Model
 
 __all__ = ["check_names", "measured_states", "parameter_start", "state_start"]
 

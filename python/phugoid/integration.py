@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from . import _core
 from ._core import Expr
-from .equations import Equation, Evaluation
 from .errors import EvaluationError
-from .figure_style import LIMIT, SERIES, plain
+from .figures.style import LIMIT, SERIES, plain
 from .guess import measured_states
-from .model import Model
+from .modelling.model import Model
 from .records import Record
+from .regression.equations import Equation, Evaluation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

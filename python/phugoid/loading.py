@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from . import io, saving
 from .discrepancy.saved import load_diagnosis
+from .saving import fit_file as saving
+from .saving import json_file as io
 
 __all__ = ["load"]
 

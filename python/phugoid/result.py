@@ -12,25 +12,26 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from . import plot, summary, tabular
+from . import summary, tabular
 from ._core import Expr
-from .convergence_plot import plot_convergence
-from .correlation_plot import plot_correlation
+from .data.experiment import Experiment
 from .errors import DataError, ModelError, OptionError, did_you_mean
-from .experiment import Experiment
-from .filter_error import FilterError
+from .figures import fit as plot
+from .figures.convergence import plot_convergence
+from .figures.correlation import plot_correlation
+from .figures.parameters import plot_parameters
 from .integration import IntegrationError, integration_error
-from .model import Model
-from .noise import Noise
-from .noise_kinds import PerExperiment
+from .modelling.model import Model
+from .noise.kinds import PerExperiment
+from .noise.noise import Noise
 from .parameters import Estimate, Estimates
-from .parameters_plot import plot_parameters
 from .records import Record
 from .refinement import Refinement
-from .shooting import Transcription
 from .solvers import Iteration, Solution
 from .tolerance import Tolerance
-from .transcription import Collocation
+from .transcription.collocation import Collocation
+from .transcription.filter_error import FilterError
+from .transcription.shooting import Transcription
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -40,13 +41,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from .outcome import Outcome
+    from .starts.outcome import Outcome
     from .uncertainty.bands import Bands
     from .uncertainty.bootstrap import Bootstrap
     from .uncertainty.coloured import Coloured
     from .uncertainty.correlation import Correlation
     from .uncertainty.profile import Profiles
-    from .validation import Validation
+    from .validation.result import Validation
 
 __all__ = ["Fit"]
 
@@ -316,7 +317,7 @@ class Fit:
         self, record: int | str = 0, channels: Sequence[str] | None = None
     ) -> tuple[Figure, dict[str, Axes]]:
         """The residuals of an experiment over time, their autocorrelation and their spectrum; see `plot_residuals`."""
-        from .residuals_plot import plot_residuals
+        from .discrepancy.misfit.residuals_figure import plot_residuals
 
         return plot_residuals(self, record, channels)
 
@@ -361,7 +362,7 @@ class Fit:
         model's channels or with fewer samples than unknowns. An experiment that the fit was
         made on, and a fit that has not converged, are among the ``warnings`` of the result.
         """
-        from .validate import validate
+        from .validation.validate import validate
 
         return validate(self, other, biases=biases, values=values, tolerances=tolerances)
 
@@ -379,7 +380,7 @@ class Fit:
         ``validation``: of this fit, as a section. ``files``, such as data and model, are listed with their SHA-256;
         ``command`` is quoted.
         """
-        from .report import report
+        from .report.report import report
 
         report(self, path, validation=validation, files=files, command=command)
 
@@ -412,7 +413,7 @@ class Fit:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the fit with its data to a versioned file, which `load` reads: HDF5 for ``.h5`` and ``.hdf5``, where
         arrays are datasets with units (extra ``hdf5``); JSON else. Raises DataError where that cannot be done."""
-        from .saving import save
+        from .saving.fit_file import save
 
         save(self, path)
 

@@ -1,33 +1,33 @@
 """What functions give back: for annotations and `isinstance`. Nobody makes these by hand."""
 
-from .discrepancy.candidate import Candidate, Place
-from .discrepancy.collection import Candidates
+from .discrepancy.candidates.candidate import Candidate, Place
+from .discrepancy.candidates.collection import Candidates
+from .discrepancy.candidates.points import Points
 from .discrepancy.diagnosis import Diagnosis
-from .discrepancy.extension import Extension, Gain
-from .discrepancy.finding import Finding, Scored
-from .discrepancy.misfit import Misfit
-from .discrepancy.points import Points
-from .equation_error import EquationError
+from .discrepancy.misfit.misfit import Misfit
+from .discrepancy.search.extension import Extension, Gain
+from .discrepancy.search.finding import Finding, Scored
 from .integration import IntegrationError
+from .linear.mode_table import Mode, Modes
+from .linear.response import FrequencyResponse
+from .linear.trim import Trim
 from .match import Match
-from .mode_table import Mode, Modes
-from .multistart import Multistart
-from .optima import Optimum
-from .outcome import Outcome
 from .parameters import Estimate
 from .planning.plan import Excursion, Plan, Plans
 from .reconstruction.reconstruct import Reconstruction
 from .records import Record
 from .refinement import Refinement
-from .response import FrequencyResponse
+from .regression.equation_error import EquationError
 from .solvers import Iteration
-from .trim import Trim
+from .starts.multistart import Multistart
+from .starts.optima import Optimum
+from .starts.outcome import Outcome
 from .uncertainty.bands import Bands
 from .uncertainty.bootstrap import Bootstrap
 from .uncertainty.coloured import Coloured
 from .uncertainty.correlation import Correlation, WeakDirection
 from .uncertainty.profile import Profile, Profiles
-from .validation import Validation
+from .validation.result import Validation
 
 __all__ = [
     "Bands",

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _core
+from .data.experiment import Experiment
+from .data.multirate import distinct
+from .data.unit_check import check_units
 from .errors import DataError, EvaluationError, ModelError, OptionError, did_you_mean
-from .experiment import Experiment
+from .estimation.late import simulated_late
 from .guess import measured_states
-from .late import simulated_late
-from .model import Model
-from .multirate import distinct
+from .modelling.model import Model
 from .records import Record
 from .result import Fit
-from .unit_check import check_units
 
 __all__ = ["first_values", "simulate"]
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ..data.experiment import Experiment
+from ..data.read import read
 from ..errors import DataError, OptionError
-from ..experiment import Experiment
-from ..read import read
 from .options import names, pairs, span
 
 __all__ = ["Reading"]

@@ -13,9 +13,9 @@ import typer
 from ..discrepancy.diagnose import diagnose as find_missing
 from ..discrepancy.diagnosis import Diagnosis
 from ..errors import OptionError, PhugoidError
-from ..io import SUFFIXES
 from ..result import Fit
-from ..saving import load
+from ..saving.fit_file import load
+from ..saving.json_file import SUFFIXES
 from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of

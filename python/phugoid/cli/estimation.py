@@ -7,16 +7,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .. import _core
+from ..data.experiment import Experiment
 from ..errors import ModelError, OptionError, listing
-from ..estimate import estimate
-from ..experiment import Experiment
-from ..filter_error import FilterError
-from ..model import Model
-from ..rebuilt import rebuilt
+from ..estimation.estimate import estimate
+from ..modelling.model import Model
+from ..modelling.rebuilt import rebuilt
 from ..result import Fit
-from ..shooting import Transcription
 from ..solvers import Ipopt, Newton
-from ..transcription import Collocation
+from ..transcription.collocation import Collocation
+from ..transcription.filter_error import FilterError
+from ..transcription.shooting import Transcription
 from .bar import bar
 from .options import fixes, numbers
 

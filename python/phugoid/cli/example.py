@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from ..errors import OptionError
-from ..model import Model
+from ..modelling.model import Model
 from .examples import EXAMPLES, Example, example_of
 from .guard import guard
 from .model_file import load_model

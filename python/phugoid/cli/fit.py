@@ -11,9 +11,9 @@ from typing import Annotated
 import typer
 
 from ..errors import OptionError, PhugoidError
-from ..io import SUFFIXES
 from ..result import Fit
-from ..validation import Validation
+from ..saving.json_file import SUFFIXES
+from ..validation.result import Validation
 from .data_files import Reading
 from .estimation import Estimation
 from .guard import INTERRUPTED, NOT_CONVERGED, guard, told

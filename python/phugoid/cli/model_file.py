@@ -12,10 +12,10 @@ from types import ModuleType
 from typing import Any
 
 from ..errors import DataError, ModelError, did_you_mean, listing
-from ..io import DIAGNOSIS, FORMAT, SUFFIXES
-from ..model import Model
+from ..modelling.model import Model
 from ..result import Fit
-from ..saving import load
+from ..saving.fit_file import load
+from ..saving.json_file import DIAGNOSIS, FORMAT, SUFFIXES
 
 __all__ = ["load_model", "load_source"]
 

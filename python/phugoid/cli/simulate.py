@@ -11,12 +11,12 @@ from typing import Annotated, Any, TextIO
 import typer
 
 from ..errors import ModelError, OptionError, listing
-from ..io import SUFFIXES
 from ..match import match
-from ..model import Model
+from ..modelling.model import Model
 from ..records import Record
 from ..result import Fit
-from ..saving import load
+from ..saving.fit_file import load
+from ..saving.json_file import SUFFIXES
 from ..simulate import simulate as integrate
 from .data_files import Reading
 from .guard import guard

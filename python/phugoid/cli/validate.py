@@ -11,7 +11,7 @@ import typer
 
 from ..errors import OptionError, PhugoidError
 from ..result import Fit
-from ..validation import Validation
+from ..validation.result import Validation
 from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of, write_report

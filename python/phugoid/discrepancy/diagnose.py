@@ -10,23 +10,23 @@ from typing import Any
 
 import numpy as np
 
+from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, OptionError
-from ..experiment import Experiment, as_experiments
-from ..filter_error import FilterError
 from ..interrupts import interrupts
 from ..result import Fit
-from ..validate import shared
-from .candidate import Candidate
-from .candidates import candidates as library
-from .collection import Candidates
+from ..transcription.filter_error import FilterError
+from ..validation.validate import shared
+from .candidates.candidate import Candidate
+from .candidates.collection import Candidates
+from .candidates.library import candidates as library
 from .diagnosis import Diagnosis
-from .finding import Scored
 from .findings import advice_of, finding_of, ranking_of
-from .linearised import collocated
-from .misfit import misfit
-from .refit import Refit
-from .scan import Scan
-from .search import MOST, Found, Search
+from .misfit.misfit import misfit
+from .search.finding import Scored
+from .search.linearised import collocated
+from .search.refit import Refit
+from .search.scan import Scan
+from .search.search import MOST, Found, Search
 
 __all__ = ["diagnose"]
 

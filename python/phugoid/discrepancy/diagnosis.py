@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..result import Fit
-from .extension import Extension, Gain
-from .figures import findings_figure, gain_figure, misfit_figure, ranking_figure
-from .finding import Finding, Scored
-from .misfit import Misfit
-from .page import report
-from .refit import Refit
-from .search import Search
-from .words import diagnosis_summary
+from .misfit.misfit import Misfit
+from .page.figures import findings_figure, gain_figure, misfit_figure, ranking_figure
+from .page.page import report
+from .page.words import diagnosis_summary
+from .search.extension import Extension, Gain
+from .search.finding import Finding, Scored
+from .search.refit import Refit
+from .search.search import Search
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

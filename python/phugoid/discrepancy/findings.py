@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..errors import PhugoidError
-from .candidate import Candidate
-from .finding import Finding, Scored
-from .refit import Refit
-from .scan import NEARLY, Scan
-from .search import Found, Search, is_physical
-from .telling import telling_manoeuvre
+from .candidates.candidate import Candidate
+from .search.finding import Finding, Scored
+from .search.refit import Refit
+from .search.scan import NEARLY, Scan
+from .search.search import Found, Search, is_physical
+from .telling.telling import telling_manoeuvre
 
 __all__ = ["advice_of", "finding_of", "ranking_of"]
 

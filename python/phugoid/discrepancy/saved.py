@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
-from .. import io
 from ..errors import DataError
-from ..saving import fit_from, fit_payload, fit_unit
+from ..saving import json_file as io
+from ..saving.fit_file import fit_from, fit_payload, fit_unit
 from .diagnosis import Diagnosis
-from .extension import Extension, Gain
-from .finding import Finding, Scored
-from .misfit import misfit
+from .misfit.misfit import misfit
+from .search.extension import Extension, Gain
+from .search.finding import Finding, Scored
 
 __all__ = ["load_diagnosis", "save_diagnosis"]
 

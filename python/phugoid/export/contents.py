@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import ModelError, OptionError
-from ..linear import labels_of, numbers_of
-from ..model import Model
+from ..linear.linearise import labels_of, numbers_of
+from ..modelling.model import Model
 from ..result import Fit
 
 __all__ = ["Contents", "checked_name", "contents_of", "identifier"]

@@ -17,7 +17,7 @@ import numpy as np
 
 from .._core import Expr, __version__
 from ..errors import DataError, MissingDependency, OptionError
-from ..model import Model
+from ..modelling.model import Model
 from ..result import Fit
 from .contents import Contents, contents_of, identifier
 from .graph import number

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import DataError
-from ..model import Model
+from ..modelling.model import Model
 from ..result import Fit
 from .contents import checked_name, contents_of, identifier
 from .writer import source

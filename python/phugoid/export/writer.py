@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .._core import Expr, __version__
-from ..jacobians import Jacobians
+from ..linear.jacobians import Jacobians
 from .contents import Contents
 from .graph import HELPERS, Graph, number
 from .tables import LOOKUP, definition

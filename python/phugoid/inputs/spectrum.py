@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import OptionError, did_you_mean
-from ..mode_table import Mode
+from ..linear.mode_table import Mode
 from .grid import grid, number
 
 __all__ = ["spectrum", "step_width"]

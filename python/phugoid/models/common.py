@@ -9,9 +9,9 @@ import numpy as np
 
 from .._core import Expr
 from ..errors import ModelError, OptionError, listing
-from ..model import Model
+from ..linear.state_space import StateSpace
+from ..modelling.model import Model
 from ..parameters import Parameter
-from ..state_space import StateSpace
 
 __all__ = ["add_feedthrough", "add_outputs", "channels_of", "counted", "summed"]
 

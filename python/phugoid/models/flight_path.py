@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError, listing
-from ..model import Model
+from ..modelling.model import Model
 from ..parameters import Parameter
 from ..symbols import atan2, sqrt
 from .kinematics import Vector, cross, in_plane, in_space, plus, rotation

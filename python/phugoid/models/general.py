@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from .._core import Expr
 from ..errors import OptionError, did_you_mean
-from ..model import Model
-from ..state_space import StateSpace, as_state_space
+from ..linear.state_space import StateSpace, as_state_space
+from ..modelling.model import Model
 from .canonical import chains, observer_form
 from .common import add_feedthrough, add_outputs, channels_of, counted, summed
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 from .._core import Expr
-from ..model import Model
+from ..modelling.model import Model
 from ..symbols import cos, sin, tan
 
 __all__ = ["Vector", "cross", "in_plane", "in_space", "plus", "rotation"]

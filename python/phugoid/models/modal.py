@@ -10,9 +10,9 @@ import numpy as np
 
 from .._core import Expr
 from ..errors import OptionError
-from ..model import Model
+from ..linear.state_space import ModalParts, StateSpace, as_state_space, modal_parts
+from ..modelling.model import Model
 from ..parameters import Parameter
-from ..state_space import ModalParts, StateSpace, as_state_space, modal_parts
 from .common import add_feedthrough, add_outputs, channels_of, counted
 
 __all__ = ["modal"]

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from ..data.experiment import Experiment
 from ..errors import ModelError, OptionError, listing
-from ..experiment import Experiment
-from ..model import Model
-from ..noise import Gaussian
+from ..modelling.model import Model
+from ..noise.noise import Gaussian
 from ..result import Fit
 
 __all__ = ["first_states", "own_values", "sigmas_of", "source_of", "value_of", "values_of"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..figure_style import LIMIT, SERIES, STYLE, WIDTH, labelled, plain
+from ..figures.style import LIMIT, SERIES, STYLE, WIDTH, labelled, plain
 from .plan import Plan, relative_errors
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data.experiment import Experiment
 from ..errors import EvaluationError, OptionError
-from ..experiment import Experiment
 from ..inputs.grid import number
-from ..model import Model
+from ..modelling.model import Model
 from ..result import Fit
 from .plan import Criterion, Plan, criterion_of
 from .planned import plan

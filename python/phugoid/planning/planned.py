@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, listing
-from ..experiment import Experiment, as_experiments
-from ..model import Model
+from ..modelling.model import Model
 from ..parameters import Estimate, Estimates
 from ..records import Record
 from ..result import Fit
-from ..transcription import Collocation
+from ..transcription.collocation import Collocation
 from .assumed import first_states, own_values, sigmas_of, source_of, value_of, values_of
 from .information import Information
 from .plan import Criterion, Excursion, Plan, Plans

@@ -17,17 +17,17 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ..discrepancy.linearised import Linearised
+from ..data.experiment import Experiment
+from ..discrepancy.search.linearised import Linearised
 from ..errors import EvaluationError
-from ..estimate import estimate
-from ..experiment import Experiment
-from ..model import Model
-from ..noise import Gaussian
+from ..estimation.estimate import estimate
+from ..modelling.model import Model
+from ..noise.noise import Gaussian
 from ..records import Record
 from ..result import Fit
-from ..shooting import SingleShooting
 from ..simulate import first_values, simulate
-from ..transcription import Collocation
+from ..transcription.collocation import Collocation
+from ..transcription.shooting import SingleShooting
 
 __all__ = ["predicted", "sensitivities"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from .. import _core
+from ..data.experiment import Experiment
 from ..errors import ModelError
-from ..experiment import Experiment
-from ..model import Model
+from ..modelling.model import Model
 from ..records import Record
 from ..result import Fit
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..differentiate import SmoothingSpline
+from ..data.experiment import Experiment, as_experiments
 from ..errors import ModelError, OptionError
-from ..estimate import estimate
-from ..experiment import Experiment, as_experiments
-from ..model import Model
+from ..estimation.estimate import estimate
+from ..modelling.model import Model
 from ..models.flight_path import flight_path
 from ..parameters import Estimate, plus_minus, text_table
+from ..regression.differentiate import SmoothingSpline
 from ..result import Fit
 from ..summary import corrected as with_coloured_errors
 from .corrected import corrected

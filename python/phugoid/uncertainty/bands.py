@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..discrepancy.linearised import Linearised, collocated
+from ..data.experiment import Experiment
+from ..discrepancy.search.linearised import Linearised, collocated
 from ..errors import DataError, OptionError, UnknownName, did_you_mean
-from ..experiment import Experiment
-from ..filter_error import FilterError
 from ..guess import spread
 from ..parameters import Estimates
 from ..records import Record
 from ..result import Fit
-from ..transcription import Collocation
-from ..validate import found_anew
+from ..transcription.collocation import Collocation
+from ..transcription.filter_error import FilterError
+from ..validation.validate import found_anew
 from .coloured import Colouring
 from .filter_bands import elsewhere, within
 from .resample import Parametric

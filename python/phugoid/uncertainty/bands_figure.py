@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..figure_style import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
+from ..figures.style import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, OptionError
-from ..estimate import estimate
-from ..filter_error import FilterError
-from ..outcome import Outcome, Problem
+from ..estimation.estimate import estimate
 from ..parameters import Estimates, text_table
 from ..result import Fit
-from ..starts import stream
+from ..starts.outcome import Outcome, Problem
+from ..starts.starts import stream
+from ..transcription.filter_error import FilterError
 from .blocks import Blocks, block_length
 from .disturbed import Disturbed
 from .resample import Coloured, Parametric, Resampler

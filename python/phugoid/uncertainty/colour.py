@@ -14,10 +14,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..discrepancy.autoregression import Autoregression, burg
-from ..discrepancy.prediction import Channel
-from ..discrepancy.strands import Strand
-from ..discrepancy.whitening import Rows, Whitening
+from ..discrepancy.colour.autoregression import Autoregression, burg
+from ..discrepancy.colour.prediction import Channel
+from ..discrepancy.colour.strands import Strand
+from ..discrepancy.colour.whitening import Rows, Whitening
 from .grids import Grid
 
 __all__ = ["Laid", "Links", "Process", "common", "fitted", "innovations", "links"]

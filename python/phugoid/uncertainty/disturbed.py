@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
-from ..filter_error import FilterError
 from ..result import Fit
-from ..starts import stream
+from ..starts.starts import stream
+from ..transcription.filter_error import FilterError
 from .filtered import of_fit
 from .resample import Resampler
 

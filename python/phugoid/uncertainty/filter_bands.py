@@ -13,13 +13,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
-from ..experiment import Experiment
-from ..filter_error import FilterError
-from ..filter_variables import Objective
+from ..process_noise.variables import Objective
 from ..records import Record
 from ..result import Fit
-from ..validate import found_anew
+from ..transcription.filter_error import FilterError
+from ..validation.validate import found_anew
 from .filtered import Filtered, of_fit
 
 __all__ = ["elsewhere", "within"]

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..discrepancy.linearised import dataset
-from ..experiment import Experiment
-from ..filter_error import FilterError
-from ..model import Model
+from ..data.experiment import Experiment
+from ..discrepancy.search.linearised import dataset
+from ..modelling.model import Model
+from ..process_noise.separate import Separated
 from ..result import Fit
-from ..separate import Separated
+from ..transcription.filter_error import FilterError
 
 __all__ = ["Filtered", "of_fit"]
 

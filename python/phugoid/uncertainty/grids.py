@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..discrepancy.linearised import Linearised
+from ..discrepancy.search.linearised import Linearised
 
 __all__ = ["Grid", "grids_of"]
 

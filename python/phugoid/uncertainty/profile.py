@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError, UnknownName, did_you_mean, listing
-from ..outcome import Outcome
 from ..parameters import text_table
 from ..result import Fit
+from ..starts.outcome import Outcome
 from .runs import common_to, run_all
 from .walk import End, Side, Sides
 

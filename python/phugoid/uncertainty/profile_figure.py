@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..figure_style import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
+from ..figures.style import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

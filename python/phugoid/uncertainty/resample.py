@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._core import Expr
-from ..densities import Density, Huber, Laplace, StudentT
-from ..discrepancy.linearised import dataset
+from ..discrepancy.search.linearised import dataset
 from ..errors import OptionError
-from ..noise import Gaussian, Noise
-from ..noise_kinds import PerExperiment, PerOutput
+from ..noise.densities import Density, Huber, Laplace, StudentT
+from ..noise.kinds import PerExperiment, PerOutput
+from ..noise.noise import Gaussian, Noise
 from ..result import Fit
 from .coloured import Colouring
 from .tangents import Tangents, linearised

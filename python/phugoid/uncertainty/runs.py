@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..discrepancy.linearised import dataset
+from ..discrepancy.search.linearised import dataset
 from ..errors import OptionError
-from ..filter_error import FilterError
-from ..gathered import Watch, check_progress, gathered
-from ..outcome import Outcome, Problem
 from ..result import Fit
 from ..solvers import Newton
+from ..starts.gathered import Watch, check_progress, gathered
+from ..starts.outcome import Outcome, Problem
+from ..transcription.filter_error import FilterError
 
 __all__ = ["NEAR", "Runs", "common_to", "run_all"]
 
@@ -54,7 +54,7 @@ def run_all(
     caller: str,
 ) -> Runs:
     """Runs all starts; Ctrl-C ends it with what is there."""
-    from ..workers import Crew  # executors are loaded by whoever runs something
+    from ..starts.workers import Crew  # executors are loaded by whoever runs something
 
     check_progress(caller, progress)
     crew = Crew(executor, problem)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..discrepancy.linearised import Linearised, collocated
+from ..discrepancy.search.linearised import Linearised, collocated
 from ..errors import EvaluationError, OptionError
-from ..filter_error import FilterError
 from ..result import Fit
-from ..transcription import Collocation
+from ..transcription.collocation import Collocation
+from ..transcription.filter_error import FilterError
 from .scores import Scores
 
 __all__ = ["Tangents", "cheap", "linearised"]

@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 from .. import _core
+from ..data.experiment import Experiment
 from ..errors import PhugoidError
-from ..estimate import estimate
-from ..experiment import Experiment
-from ..model import Model
-from ..outcome import Outcome, Problem
+from ..estimation.estimate import estimate
+from ..modelling.model import Model
+from ..modelling.rebuilt import rebuilt
 from ..parameters import Estimates
-from ..rebuilt import rebuilt
+from ..process_noise.separate import Separated
 from ..result import Fit
-from ..separate import Separated
+from ..starts.outcome import Outcome, Problem
 
 __all__ = ["End", "Side", "Sides"]
 

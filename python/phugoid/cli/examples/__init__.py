@@ -9,9 +9,9 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
+from ...data.experiment import Experiment
 from ...errors import OptionError, listing
-from ...experiment import Experiment
-from ...model import Model
+from ...modelling.model import Model
 from ...records import Record
 from ...simulate import simulate
 

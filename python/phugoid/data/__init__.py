@@ -1,0 +1,1 @@
+"""Experiments: records read, filtered, put together, checked."""

@@ -1,0 +1,139 @@
+"""Numbers of a record as they must be: what could spoil an estimate without a trace is refused, with its place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import DataError
+
+__all__ = ["FloatArray", "check_input", "check_output", "columns", "moves", "real", "times", "units", "where"]
+
+FloatArray = NDArray[np.float64]
+
+
+def where(experiment: str, kind: str, channel: str) -> str:
+    """How messages call a channel."""
+    return f"experiment '{experiment}', {kind} '{channel}'"
+
+
+def times(experiment: str, t: ArrayLike) -> FloatArray:
+    """(N,) times in s, at least 2, strictly increasing; DataError for others."""
+    where = f"experiment '{experiment}', time"
+    time = real(t, where)
+    if time.ndim != 1:
+        raise DataError(f"{where}: has shape {time.shape}; give one value per sample (1-D)")
+    if time.size < 2:
+        raise DataError(f"{where}: has {time.size} sample(s); at least 2 are needed")
+    bad = np.flatnonzero(~np.isfinite(time))
+    if bad.size:
+        raise DataError(f"{where}: sample {bad[0]} is {time[bad[0]]}: drop samples without a time")
+    bad = np.flatnonzero(np.diff(time) <= 0.0)
+    if bad.size:
+        i = int(bad[0]) + 1
+        raise DataError(
+            f"{where}: sample {i} ({float(time[i])!r} s) does not come after sample {i - 1} "
+            f"({float(time[i - 1])!r} s); time must increase strictly: "
+            "sort the record or drop repeated samples"
+        )
+    return time
+
+
+def columns(experiment: str, kind: str, group: Mapping[str, ArrayLike] | None, t: FloatArray) -> dict[str, FloatArray]:
+    """Name -> (N,) of channels at times (N,); DataError for what is no such mapping."""
+    if group is None:
+        return {}
+    if not isinstance(group, Mapping):
+        raise DataError(
+            f"experiment '{experiment}': {kind}s must be a mapping of names to arrays, "
+            f"such as {{'q': q}}, but is a {type(group).__name__}"
+        )
+    found = {}
+    for channel, values in group.items():
+        place = where(experiment, kind, channel)
+        column = real(values, place, t)
+        if column.ndim != 1:
+            raise DataError(f"{place}: has shape {column.shape}; give one value per sample (1-D)")
+        if column.size != t.size:
+            raise DataError(f"{place}: has {column.size} values, but time has {t.size}")
+        found[str(channel)] = column
+    return found
+
+
+def check_input(where: str, values: FloatArray, t: FloatArray) -> None:
+    """Raises DataError for an input with a gap."""
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise DataError(
+            f"{where}: {_sample(bad[0], t)} is {values[bad[0]]}"
+            f"{f' (and {bad.size - 1} more)' if bad.size > 1 else ''}; "
+            "inputs may not have missing values: fill or cut"
+        )
+
+
+def check_output(where: str, values: FloatArray, t: FloatArray) -> None:
+    """Raises DataError for an output with an infinite sample, or without any."""
+    bad = np.flatnonzero(np.isinf(values))
+    if bad.size:
+        raise DataError(f"{where}: {_sample(bad[0], t)} is {values[bad[0]]}; mark a missing sample with NaN")
+    if np.isnan(values).all():
+        raise DataError(f"{where}: is NaN throughout; remove the output from model and data")
+
+
+def moves(values: FloatArray) -> bool:
+    """Whether the samples that are there differ by more than rounding."""
+    present = values[np.isfinite(values)]
+    return bool(present.size) and bool(np.ptp(present) > 4.0 * np.finfo(np.float64).eps * np.abs(present).max())
+
+
+def _sample(i: int | np.intp, t: FloatArray | None) -> str:
+    return f"sample {i}" if t is None or i >= t.size else f"sample {i} (t = {t[i]:.6g} s)"
+
+
+def units(name: str, given: Mapping[str, str] | None) -> dict[str, str]:
+    """Units of the channels of the experiment ``name``; DataError where they are no texts by name."""
+    if not isinstance(given, (Mapping, type(None))) or not all(isinstance(u, str) for u in (given or {}).values()):
+        raise DataError(f"experiment '{name}': units are texts by name, such as {{'q': 'rad/s'}}, not {given!r}")
+    return dict(given or {})
+
+
+def real(values: ArrayLike, where: str, t: FloatArray | None = None) -> FloatArray:
+    """A read-only float64 copy of any shape; None, pandas' NA and masked samples become NaN."""
+    if isinstance(values, np.ma.MaskedArray):
+        # np.asarray would drop the mask and let the junk beneath pass for data.
+        values = np.ma.filled(values.astype(np.float64), np.nan)
+    try:
+        raw = np.asarray(values)
+    except ValueError as error:
+        raise DataError(f"{where}: is no array of numbers ({error})") from None
+    if raw.dtype.kind == "O":
+        numbers = [_scalar(value, i, where, t) for i, value in enumerate(raw.flat)]
+        raw = np.array(numbers, dtype=np.float64).reshape(raw.shape)
+    if raw.dtype.kind not in "biuf":
+        advice = {
+            "c": "holds complex numbers: give real ones",
+            "U": "holds text: convert it to numbers",
+            "S": "holds text: convert it to numbers",
+            "M": "holds dates: give seconds, such as (t - t[0]) / np.timedelta64(1, 's')",
+            "m": "holds time differences: give seconds, such as t / np.timedelta64(1, 's')",
+        }
+        raise DataError(f"{where}: {advice.get(raw.dtype.kind, f'has type {raw.dtype}: give numbers')}")
+    result = np.array(raw, dtype=np.float64)
+    result.setflags(write=False)
+    return result
+
+
+def _scalar(value: Any, i: int, where: str, t: FloatArray | None) -> float:
+    # pandas' NA is known by its type's name: importing pandas only to compare would be dear.
+    if value is None or type(value).__name__ in ("NAType", "NaTType"):
+        return float("nan")
+    # float() would drop the imaginary part of numpy's complex numbers.
+    if not isinstance(value, (str, complex, np.complexfloating)):
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            pass
+    raise DataError(f"{where}: {_sample(i, t)} is {value!r}, which is not a real number")

@@ -1,0 +1,377 @@
+"""Measured time histories: `Experiment` holds one record.
+
+Everything that could spoil an estimate without a trace (unsorted time, gaps in an input, a text cell, a dead
+sensor) is refused here, with the channel, the sample and the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..errors import DataError, listing
+from ..tabular import experiment_dataset, experiment_frame
+from . import checked
+from .channelwise import Columns, Signal
+from .checked import FloatArray
+from .preprocess import Preprocessing
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+__all__ = ["Experiment", "FloatArray", "Interpolation", "Signal", "as_experiments"]
+
+Interpolation = Literal["linear", "cubic"]
+
+
+class Experiment(Preprocessing):
+    """One record of measured inputs and outputs over N samples; immutable.
+
+    t              (N,) time in s, strictly increasing, at least 2 samples; the spacing may vary.
+    inputs         name -> (N,), finite.
+    outputs        name -> (N,); NaN marks a missing sample.
+    name           how messages and plots call the record.
+    interpolation  how inputs run between samples: ``"linear"`` or ``"cubic"``. A wrong assumption here looks
+                   like an error of the model.
+    channels       name -> (N,): columns not yet told apart. A model finds here what it does not find in
+                   ``inputs`` and ``outputs``; extra channels do no harm.
+    units          name -> unit, for labels; nothing is converted.
+
+    Filters, detrending and changes of the sampling rate are methods, each of which gives a new record whose ``history``
+    says what was done.
+
+    Lists, numpy arrays and pandas Series are taken (and copied). Bad input raises DataError, which names the
+    channel, the sample's index and its time.
+
+    >>> run = Experiment([0.0, 0.1, 0.2], inputs={"de": [0, 1, 1]}, outputs={"q": [0.0, float("nan"), 0.2]})
+    >>> run
+    Experiment('experiment', 3 samples, 0 to 0.2 s, inputs: de, outputs: q (1 missing))
+    >>> run.window(0.1, 0.2).t
+    array([0.1, 0.2])
+    """
+
+    def __init__(
+        self,
+        t: ArrayLike,
+        inputs: Mapping[str, ArrayLike] | None = None,
+        outputs: Mapping[str, ArrayLike] | None = None,
+        name: str = "experiment",
+        interpolation: Interpolation = "linear",
+        *,
+        channels: Mapping[str, ArrayLike] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> None:
+        self._name = str(name)
+        if interpolation not in get_args(Interpolation):
+            raise DataError(
+                f"experiment '{self._name}': interpolation '{interpolation}' is not known; take 'linear' or 'cubic'"
+            )
+        self._interpolation: Interpolation = interpolation
+        self._t = checked.times(self._name, t)
+        self._inputs = checked.columns(self._name, "input", inputs, self._t)
+        self._outputs = checked.columns(self._name, "output", outputs, self._t)
+        self._channels = checked.columns(self._name, "channel", channels, self._t)
+        self._units = checked.units(self._name, units)
+        self._signals: dict[str, Signal] = {}
+        self._mesh_times: FloatArray | None = None
+        self._history: tuple[str, ...] = ()
+        self._left_out: Mapping[str, str] = {}  # of the file: name -> why it is no channel
+        for channel, values in self._inputs.items():
+            checked.check_input(checked.where(self._name, "input", channel), values, self._t)
+        for channel, values in self._outputs.items():
+            checked.check_output(checked.where(self._name, "output", channel), values, self._t)
+
+    @property
+    def name(self) -> str:
+        """How messages and plots call the record."""
+        return self._name
+
+    @property
+    def t(self) -> FloatArray:
+        """Time of the samples in s, shape (N,), read-only."""
+        return self._t
+
+    @property
+    def inputs(self) -> Mapping[str, FloatArray]:
+        """The channels given as inputs: name -> (N,), read-only."""
+        return MappingProxyType(self._inputs)
+
+    @property
+    def outputs(self) -> Mapping[str, FloatArray]:
+        """The channels given as outputs: name -> (N,), read-only; NaN where a sample is missing."""
+        return MappingProxyType(self._outputs)
+
+    @property
+    def channels(self) -> Mapping[str, FloatArray]:
+        """The columns that may serve as either: name -> (N,), read-only."""
+        return MappingProxyType(self._channels)
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the channels where known (from the file's header, or as given)."""
+        return MappingProxyType(self._units)
+
+    def signal(self, name: str) -> Signal | None:
+        """How an input was sampled at times of its own, and what is taken of it.
+
+        Times (s), samples, delay (s), order of the derivative; None for an input that has a sample at each time of the
+        record.
+        """
+        return self._signals.get(name)
+
+    def samples(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Times (s) and values that an input is interpolated between: its own, or those of the record."""
+        own = self._signals.get(name)
+        return (self._t, self.input(name)) if own is None else (own[0], own[1])
+
+    def own_samples(self, names: Sequence[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """`samples` of those inputs that have some of their own, taken as they are: neither late nor differentiated."""
+        return {n: self.samples(n) for n in names if n in self._signals and self._signals[n][2:] == (0.0, 0)}
+
+    @property
+    def mesh_times(self) -> FloatArray | None:
+        """Times that a mesh follows where these are not the sample times; None where they are."""
+        return self._mesh_times
+
+    @property
+    def interpolation(self) -> Interpolation:
+        """How inputs run between samples."""
+        return self._interpolation
+
+    @property
+    def history(self) -> tuple[str, ...]:
+        """What was done to the record since it was read or made: a sentence a step, in order."""
+        return self._history
+
+    @property
+    def n(self) -> int:
+        """Number of samples, N."""
+        return int(self._t.size)
+
+    def __len__(self) -> int:
+        return self.n
+
+    def __repr__(self) -> str:
+        parts = [f"{self.n} samples", f"{self._t[0]:g} to {self._t[-1]:g} s"]
+        groups = {"inputs": self._inputs, "outputs": self._outputs, "channels": self._channels}
+        parts += [f"{kind}: {' '.join(group)}" for kind, group in groups.items() if group]
+        missing = sum(int(np.isnan(values).sum()) for values in self._outputs.values())
+        return f"Experiment('{self._name}', {', '.join(parts)}{f' ({missing} missing)' if missing else ''})"
+
+    def input(self, name: str) -> FloatArray:
+        """The input channel ``name``, shape (N,); DataError where there is none."""
+        return self._resolve(name, self._inputs, "input")
+
+    def output(self, name: str) -> FloatArray:
+        """The output channel ``name``, shape (N,), NaN where missing; DataError where there is none."""
+        return self._resolve(name, self._outputs, "output")
+
+    def check_for(
+        self, model_inputs: Sequence[str], model_outputs: Sequence[str], known_sigma: Collection[str] = ()
+    ) -> None:
+        """Raises DataError unless a model with these inputs and outputs can be estimated from this record.
+
+        Every name must be there, inputs without gaps, outputs with at least one sample. An output that never
+        changes is refused, since its σ cannot be estimated, unless it is in ``known_sigma``.
+        """
+        for name in model_inputs:
+            where = checked.where(self._name, "input", name)
+            checked.check_input(where, self.input(name), self._t)
+            if name in self._signals:
+                checked.check_input(where, self._signals[name][1], self._signals[name][0])
+        for name in model_outputs:
+            values, where = self.output(name), checked.where(self._name, "output", name)
+            checked.check_output(where, values, self._t)
+            if name not in known_sigma and not checked.moves(values):
+                present = values[~np.isnan(values)]
+                what = f"is {present[0]:g} throughout" if present.size > 1 else "has a single sample"
+                raise DataError(
+                    f"{where}: {what} (zero variance), so its σ cannot be estimated; "
+                    "remove the output from the model or give its σ as known"
+                )
+
+    def window(self, t0: float, t1: float, name: str | None = None) -> Experiment:
+        """The samples with ``t0 <= t <= t1`` (s), time unchanged; DataError where fewer than 2 are left."""
+        # Sample times such as 0.1*k carry rounding: without slack window(0, 0.3) would lose its last sample.
+        slack = 1e-6 * float(np.median(np.diff(self._t)))
+        kept = (self._t >= t0 - slack) & (self._t <= t1 + slack)
+        if int(kept.sum()) < 2:
+            raise DataError(
+                f"experiment '{self._name}': the window {t0:g} to {t1:g} s holds {int(kept.sum())} samples; "
+                f"the record runs from {self._t[0]:g} to {self._t[-1]:g} s"
+            )
+
+        def cut(group: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+            return {key: values[kept] for key, values in group.items()}
+
+        times = None if self._mesh_times is None else self._mesh_times[_between(self._mesh_times, self._t[kept])]
+        cut_out = Experiment(
+            self._t[kept],
+            cut(self._inputs),
+            cut(self._outputs),
+            self._name if name is None else name,
+            self._interpolation,
+            channels=cut(self._channels),
+            units=self._units,
+        )
+        left_out = self.n - cut_out.n
+        step = [f"window {cut_out.t[0]:g} to {cut_out.t[-1]:g} s"] if left_out else []
+        return cut_out._sampled(self._signals, times)._after(self, *step)
+
+    def rename(self, names: Mapping[str, str]) -> Experiment:
+        """The same record with channels renamed, ``{"old": "new"}``; DataError for unknown or taken names."""
+        present = self._names()
+        for old in names:
+            if old not in present:
+                raise DataError(f"{self._absent('channel', old)}{listing(old, present)}")
+
+        def renamed(group: Mapping[str, Any]) -> dict[str, Any]:
+            result = {names.get(key, key): values for key, values in group.items()}
+            if len(result) < len(group):
+                taken = next(new for old, new in names.items() if old in group and new in group)
+                raise DataError(f"experiment '{self._name}': two channels would be called '{taken}'")
+            return result
+
+        units = {names.get(key, key): unit for key, unit in self._units.items()}
+        other = Experiment(
+            self._t,
+            renamed(self._inputs),
+            renamed(self._outputs),
+            self._name,
+            self._interpolation,
+            channels=renamed(self._channels),
+            units=units,
+        )
+        other._sampled({names.get(key, key): s for key, s in self._signals.items()}, self._mesh_times)
+        changed = [f"{old} to {new}" for old, new in names.items() if old != new]
+        return other._after(self, *([f"renamed {', '.join(changed)}"] if changed else []))
+
+    def with_outputs(self, outputs: Mapping[str, ArrayLike], name: str | None = None) -> Experiment:
+        """The same inputs with ``outputs`` (name -> (N,)) in place of the measured ones: simulated data."""
+        other = Experiment(
+            self._t,
+            self._inputs,
+            outputs,
+            self._name if name is None else name,
+            self._interpolation,
+            channels=self._channels,
+            units=self._units,
+        )
+        return other._sampled(self._signals, self._mesh_times)._after(self, f"outputs replaced: {', '.join(outputs)}")
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The channels by time (s), one column each.
+
+        An input that has samples of its own stands at their times, and there are rows for these too; NaN where a
+        channel has no sample. ``attrs`` holds name, units, interpolation and history. Raises DataError where an input
+        and an output of one name differ, MissingDependency without pandas.
+        """
+        return experiment_frame(self)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The channels over ``time`` (s), each with ``units`` and its ``role`` (input, output or channel) among its
+        attributes. An input that has samples of its own has an axis of its own, ``time_<input>``.
+
+        Raises DataError where an input and an output of one name differ, MissingDependency without xarray.
+        """
+        return experiment_dataset(self)
+
+    def _after(self, before: Experiment, *steps: str) -> Experiment:
+        """This record with the history of the one that it was made of, and what was done since."""
+        self._history = (*before._history, *steps)
+        self._left_out = before._left_out
+        return self
+
+    def _times(self) -> tuple[str, FloatArray]:
+        return self._name, self._t
+
+    def _columns_of(self) -> Columns:
+        return {"input": self._inputs, "output": self._outputs, "channel": self._channels}
+
+    def _signals_of(self) -> Mapping[str, Signal]:
+        return self._signals
+
+    def _between(self, signal: Signal) -> FloatArray:
+        own, values = (part.tolist() for part in signal[:2])
+        return np.array(_core.interpolate(self._interpolation, own, values, self._t.tolist()))
+
+    def _stepped(
+        self,
+        step: str,
+        columns: Columns,
+        signals: Mapping[str, Signal],
+        t: FloatArray | None = None,
+        cubic: bool = False,
+    ) -> Experiment:
+        groups = (columns["input"], columns["output"])
+        kind: Interpolation = "cubic" if cubic else self._interpolation
+        other = Experiment(
+            self._t if t is None else t, *groups, self._name, kind, channels=columns["channel"], units=self._units
+        )
+        # At new times a mesh follows these.
+        return other._sampled(signals, self._mesh_times if t is None else None)._after(self, step)
+
+    def _sampled(self, signals: Mapping[str, Signal], mesh_times: FloatArray | None) -> Experiment:
+        """The same record with inputs that have samples of their own, and a mesh that follows other times."""
+        self._signals = dict(signals)
+        if mesh_times is not None:
+            # A mesh spans the record.
+            inner = mesh_times[(mesh_times > self._t[0]) & (mesh_times < self._t[-1])]
+            self._mesh_times = np.concatenate([self._t[:1], inner, self._t[-1:]])
+        return self
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # Pickling (multistart in other processes) forgets that the arrays are read-only.
+        self.__dict__.update(state)
+        self.__dict__.setdefault("_history", ())  # pickled by an older version
+        for values in (self._t, *self._inputs.values(), *self._outputs.values(), *self._channels.values()):
+            values.setflags(write=False)
+
+    def _absent(self, kind: str, channel: str) -> str:
+        return f"experiment '{self._name}' has no {kind} '{channel}'."
+
+    def _names(self) -> list[str]:
+        return list(dict.fromkeys([*self._inputs, *self._outputs, *self._channels]))
+
+    def _resolve(self, name: str, group: Mapping[str, FloatArray], kind: str) -> FloatArray:
+        for source in (group, self._channels):
+            if name in source:
+                return source[name]
+        if name in self._names():
+            other = "output" if kind == "input" else "input"
+            raise DataError(
+                f"{self._absent(kind, name)} It is there as an {other}: "
+                f"give it among the {kind}s too if the model uses it as an {kind}."
+            )
+        if name in self._left_out:
+            raise DataError(f"{self._absent(kind, name)} The file has it, but it {self._left_out[name]}.")
+        there = [*group, *self._channels]
+        raise DataError(f"{self._absent(kind, name)}{listing(name, there)} Use .rename({{...}}) where names differ.")
+
+
+def _between(times: FloatArray, t: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray((times >= t[0]) & (times <= t[-1]))
+
+
+def as_experiments(data: Any, caller: str) -> list[Experiment]:
+    """One experiment or several as a list; DataError, in the caller's name, for anything else or repeated names."""
+    runs = [data] if isinstance(data, Experiment) else list(data) if isinstance(data, (list, tuple)) else None
+    if runs is None or not all(isinstance(e, Experiment) for e in runs):
+        first = data if runs is None else next(e for e in runs if not isinstance(e, Experiment))
+        raise DataError(
+            f"{caller}: data is an Experiment or a list of them, not {type(first).__name__}; make one with "
+            "ph.read (of a file or a data frame) or ph.Experiment (of arrays)"
+        )
+    if not runs:
+        raise DataError(f"{caller}: the list of experiments is empty")
+    names = [e.name for e in runs]
+    if len(set(names)) < len(names):
+        twice = next(n for n in names if names.count(n) > 1)
+        raise DataError(f"{caller}: two experiments are called '{twice}'; give each a name of its own")
+    return runs

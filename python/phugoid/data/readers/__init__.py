@@ -1,0 +1,68 @@
+"""Readers, a kind of file each: all give a `Source`, columns by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ...errors import DataError
+from .source import Source
+
+__all__ = ["open_source"]
+
+
+def open_source(
+    data: Any, time: str | None, wanted: set[str], columns: Sequence[str] | None, delimiter: str | None
+) -> Source:
+    """The columns of a table in memory, or of a file, whose ending tells its kind.
+
+    time    name in the file of the column that gives the times; None: not told.
+    wanted  names that are asked for: what is dear to read is left unless it is among them.
+    """
+    from .frames import is_frame, read_frame
+
+    if is_frame(data):
+        return read_frame(data, time)
+    path = _path(data)
+    ending = path.suffix.lower()
+    if not path.is_file():
+        from .px4_tables import find_tables, read_px4_tables
+
+        tables = find_tables(path)
+        if tables:
+            return read_px4_tables(path, tables, time)
+        if path.is_dir():
+            raise DataError(f"{path}: is a folder without tables of a PX4 log (such as log_vehicle_attitude_0.csv)")
+    if ending == ".mat":
+        from .matlab import read_matlab
+
+        return read_matlab(path, time, columns)
+    if ending in (".h5", ".hdf5", ".hdf", ".he5"):
+        from .hdf5 import read_hdf5
+
+        return read_hdf5(path, time, columns)
+    if ending in (".parquet", ".pq"):
+        from .parquet import read_parquet
+
+        return read_parquet(path, time)
+    if ending == ".ulg":
+        from .ulog import read_ulog
+
+        return read_ulog(path, time, wanted)
+    if ending == ".bin":
+        from .ardupilot import read_ardupilot
+
+        return read_ardupilot(path, time, wanted)
+    from .text import read_text
+
+    return read_text(path, columns, delimiter)
+
+
+def _path(data: Any) -> Path:
+    try:
+        return Path(data)
+    except TypeError:
+        raise DataError(
+            f"read: give the path of a file, or a table of pandas, polars or xarray, not {data!r:.60}"
+        ) from None

@@ -1,0 +1,109 @@
+"""What every reader gives: columns by name, and where each has its time from."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from ...errors import DataError, MissingDependency, PhugoidError, did_you_mean
+
+__all__ = ["KINDS", "Column", "Source", "contents", "existing", "load", "reading", "split_unit", "stem"]
+
+KINDS = ".mat, .h5, .hdf5, .parquet, .ulg, .bin"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a file.
+
+    name    as the file has it, without the unit.
+    values  gives the values, (N,), when asked by the name that the user gave the column, which messages tell.
+    unit    "" where the file tells none.
+    header  name and unit as written, where these were one text.
+    times   name of the column that holds its times; None: the one that the user calls the time.
+    """
+
+    name: str
+    values: Callable[[str], ArrayLike]
+    unit: str = ""
+    header: str = ""
+    times: str | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """The columns of a file or of a table given in its place.
+
+    where     what messages call it.
+    name      what the experiment is called unless the user says otherwise.
+    left_out  name -> why it is no column, for what somebody may ask for.
+    """
+
+    where: str
+    name: str
+    columns: list[Column]
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+
+def stem(path: Path) -> str:
+    """The file's name without its ending: ``run1`` of ``run1.csv.gz``."""
+    name = path.name.removesuffix(".gz")
+    return name.rsplit(".", 1)[0] if "." in name[1:] else name
+
+
+def existing(path: Path) -> None:
+    """Raises DataError unless the path leads to a file; it names the one that may be meant."""
+    if path.is_dir():
+        raise DataError(f"{path}: is a folder, not a file")
+    if not path.is_file():
+        near = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
+        raise DataError(f"{path}: there is no such file.{did_you_mean(path.name, near)}")
+
+
+def contents(path: Path) -> bytes:
+    """The bytes of a file; DataError where it is absent or cannot be read."""
+    existing(path)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def load(module: str, kind: str, extra: str) -> Any:
+    """An optional package, imported; MissingDependency tells the command that installs it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise MissingDependency(f'to read {kind} needs {package} ({error}): pip install "phugoid[{extra}]"') from error
+
+
+@contextmanager
+def reading(where: str | Path, kind: str) -> Iterator[None]:
+    """Turns what a foreign reader raises into a DataError that names the file.
+
+    Damaged bytes lead the packages that parse them to exceptions of any type, so none is left out.
+    """
+    try:
+        yield
+    except PhugoidError:
+        raise
+    except Exception as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise DataError(f"{where}: is not {kind}, or is damaged or cut short ({why})") from None
+
+
+def split_unit(header: str) -> tuple[str, str]:
+    """Name and unit of ``alpha [deg]`` or ``alpha (deg)``; unit "" where there is none or it is ``-``."""
+    match = re.fullmatch(r"(.+?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]", header)
+    # A whole number in brackets is an index, as in PX4's "xyz[0]", and part of the name.
+    if match and not match[2].isdigit():
+        return match[1], "" if match[2] == "-" else match[2]
+    return header, ""

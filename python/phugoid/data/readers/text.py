@@ -1,0 +1,186 @@
+"""Text tables: CSV, TSV and their kin, as flight-test tools write them, also gzipped."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import DataError
+from ..experiment import FloatArray
+from .source import KINDS, Column, Source, contents, split_unit, stem
+
+__all__ = ["read_text"]
+
+
+def read_text(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> Source:
+    """The columns of a text table, whose cells become numbers when they are asked for.
+
+    columns    names of all columns in order, in place of a header.
+    delimiter  None: found out from the file.
+
+    Lines that begin with ``#`` or ``%`` are comments. DataError names the line of a row that has too many or too few
+    cells, and the line and the column of a cell that is no number.
+    """
+    table = _parse(path, columns, delimiter)
+    parts = zip(table.names, table.units, table.headers, strict=True)
+    found = [Column(n, partial(_numbers, table, j), unit, header) for j, (n, unit, header) in enumerate(parts)]
+    return Source(table.file, stem(path), found)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A text table cut into cells; ``headers`` as written, ``names`` and ``units`` split from them."""
+
+    file: str
+    headers: list[str]
+    names: list[str]
+    units: list[str]
+    lines: list[int]
+    rows: list[list[str]]
+
+
+_MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
+
+
+def _parse(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> _Table:
+    file = str(path)
+    content: list[tuple[int, str]] = []
+    comment = ""
+    for number, line in enumerate(_text(path).replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
+        stripped = line.strip()
+        if stripped.startswith(("#", "%")):
+            comment = comment if content else stripped.lstrip("#% ")
+        elif stripped:
+            content.append((number, line))
+    if not content:
+        raise DataError(f"{file}: is empty")
+    # The third line is surely data: a header and a row of units may stand before it.
+    split = _splitter(file, delimiter, content[min(2, len(content) - 1)][1])
+    first = split(_glued(content[0][1]))
+    if columns is not None:
+        if isinstance(columns, str):
+            raise DataError(f"columns='{columns}' is text: give a list of names")
+        headers = list(columns)
+        start = 1 if all(_is_text(cell) for cell in first if cell) else 0
+    elif _is_text(next((cell for cell in first if cell), "")):
+        headers, start = first, 1
+    elif len(split(_glued(comment))) == len(first) and all(map(_is_text, split(_glued(comment)))):
+        headers, start = split(_glued(comment)), 0  # as numpy.savetxt(header=...) writes it
+    else:
+        raise DataError(
+            f"{file}, line {content[0][0]}: a header is missing (the line holds numbers); "
+            f"name its {len(first)} columns with columns=[...] "
+            "(--columns at the command line)"
+        )
+    headers = [header or f"column{j}" for j, header in enumerate(headers, start=1)]
+    lines = [number for number, _ in content[start:]]
+    rows = [split(line) for _, line in content[start:]]
+    names, units = map(list, zip(*map(split_unit, headers), strict=True)) if headers else ([], [])
+    if start == 1 and rows and len(rows[0]) == len(names) and all(_is_text(cell) for cell in rows[0] if cell):
+        units = [cell.strip("[]()- ") for cell in rows.pop(0)]
+        lines.pop(0)
+    for number, row in zip(lines, rows, strict=True):
+        if len(row) != len(names):
+            source = "columns=[...] names" if columns is not None else "the header has"
+            raise DataError(f"{file}, line {number}: has {len(row)} fields, but {source} {len(names)}")
+    if not rows:
+        raise DataError(f"{file}: has a header but no rows of data")
+    for name in names:
+        if names.count(name) > 1:
+            raise DataError(f"{file}: two columns are called '{name}'; name all columns with columns=[...]")
+    return _Table(file, headers, names, units, lines, rows)
+
+
+def _text(path: Path) -> str:
+    raw = contents(path)
+    if raw.startswith(b"\x1f\x8b"):
+        import gzip
+        import zlib
+
+        try:
+            raw = gzip.decompress(raw)
+        except (OSError, EOFError, zlib.error) as error:
+            raise DataError(f"{path}: the gzip file is damaged or cut short ({error})") from None
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):  # "Unicode text" of spreadsheets
+        with contextlib.suppress(UnicodeDecodeError):
+            return raw.decode("utf-16")
+    if b"\0" in raw[:4096]:
+        raise DataError(
+            f"{path}: is not a text table, and its ending is of no other kind that is known ({KINDS}); load it "
+            "with its own reader (pandas.read_excel) and give the table to ph.read"
+        )
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")  # a degree sign in a unit, written by older Windows tools
+
+
+def _splitter(file: str, delimiter: str | None, sample: str) -> Any:
+    """A function that cuts a line into stripped fields."""
+    if delimiter is None:
+        # A tab may be mere alignment among blanks: it delimits only where no field has a blank inside.
+        tabs = "\t" in sample and not any(" " in cell.strip() for cell in sample.split("\t"))
+        delimiter = "\t" if tabs else ";" if ";" in sample else "," if "," in sample else None
+    elif not delimiter.strip(" "):
+        delimiter = None
+
+    def split(line: str) -> list[str]:
+        if delimiter is None:
+            return line.split()
+        if '"' in line:
+            import csv
+
+            try:
+                return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+            except csv.Error as error:
+                raise DataError(f"{file}: is no table of text ({error})") from None
+        return [cell.strip() for cell in line.split(delimiter)]
+
+    return split
+
+
+def _glued(header: str) -> str:
+    """Keeps a unit with its name where blanks delimit: ``alpha [deg]`` becomes ``alpha[deg]``."""
+    return re.sub(r"\s+(?=[\[(])", "", header)
+
+
+def _is_text(cell: str) -> bool:
+    if cell.lower() in _MISSING:
+        return False
+    try:
+        float(cell)
+    except ValueError:
+        return True
+    return False
+
+
+def _numbers(table: _Table, j: int, name: str) -> FloatArray:
+    cells = [row[j] for row in table.rows]
+    try:
+        return np.fromiter(map(float, cells), dtype=np.float64, count=len(cells))
+    except ValueError:
+        pass
+    values = np.empty(len(cells))
+    for i, cell in enumerate(cells):
+        try:
+            values[i] = np.nan if cell.lower() in _MISSING else float(cell)
+        except ValueError:
+            decimal = re.fullmatch(r"[+-]?\d+,\d+.*", cell)
+            comma = (
+                " (a decimal comma? write points, or give ph.read(pandas.read_csv(..., decimal=',')))"
+                if decimal
+                else ""
+            )
+            raise DataError(
+                f"{table.file}, line {table.lines[i]}, column '{name}': '{cell}' is not a number{comma}; "
+                "leave a missing sample empty or NaN, or leave the column out by naming inputs=[...] and "
+                "outputs=[...]"
+            ) from None
+    return values

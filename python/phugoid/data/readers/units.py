@@ -1,0 +1,170 @@
+"""Units of flight-test records and what they are in SI."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import DataError, listing
+from ..experiment import FloatArray
+
+__all__ = ["convert", "differ", "si"]
+
+_DEG = math.pi / 180.0
+_FT = 0.3048
+_LB = 0.45359237
+_G0 = 9.80665  # standard gravity, exact by definition, as foot, pound and nautical mile are
+
+# Unit -> (the unit in SI, factor). "g" is the load factor's: nobody records a flight in grams.
+_TABLE: dict[str, tuple[str, float]] = {
+    **{unit: (unit, 1.0) for unit in ("s", "m", "kg", "rad", "N", "Pa", "K", "W", "J", "Hz", "V", "A", "T")},
+    "": ("", 1.0),
+    "%": ("", 0.01),
+    **{"min": ("s", 60.0), "h": ("s", 3600.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9)},
+    **{"deg": ("rad", _DEG), "mrad": ("rad", 1e-3), "rev": ("rad", 2.0 * math.pi)},
+    **{"km": ("m", 1e3), "cm": ("m", 1e-2), "mm": ("m", 1e-3)},
+    **{"ft": ("m", _FT), "in": ("m", _FT / 12.0), "nmi": ("m", 1852.0)},
+    **{"kt": ("m/s", 1852.0 / 3600.0), "mph": ("m/s", 5280.0 * _FT / 3600.0), "fpm": ("m/s", _FT / 60.0)},
+    **{"rpm": ("rad/s", math.pi / 30.0)},
+    **{"g": ("m/s^2", _G0), "mg": ("m/s^2", 1e-3 * _G0)},
+    **{"t": ("kg", 1e3), "lb": ("kg", _LB), "slug": ("kg", _LB * _G0 / _FT)},
+    **{"kN": ("N", 1e3), "lbf": ("N", _LB * _G0)},
+    **{"kPa": ("Pa", 1e3), "hPa": ("Pa", 100.0), "mbar": ("Pa", 100.0), "bar": ("Pa", 1e5)},
+    **{"psi": ("Pa", _LB * _G0 / (_FT / 12.0) ** 2), "psf": ("Pa", _LB * _G0 / _FT**2), "inHg": ("Pa", 3386.389)},
+    **{"kW": ("W", 1e3), "hp": ("W", 550.0 * _FT * _LB * _G0)},
+    **{"mV": ("V", 1e-3), "mA": ("A", 1e-3), "Gauss": ("T", 1e-4), "mGauss": ("T", 1e-7), "degR": ("K", 5.0 / 9.0)},
+}
+_ALSO = {
+    **{"°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "sec": "s", "second": "s"},
+    **{"seconds": "s", "msec": "ms", "usec": "us", "hr": "h", "feet": "ft", "foot": "ft", "inch": "in", "meter": "m"},
+    **{"meters": "m", "metre": "m", "metres": "m", "NM": "nmi", "kts": "kt", "knot": "kt", "knots": "kt"},
+    **{"mbars": "mbar", "lbs": "lb", "slugs": "slug", "dps": "deg/s", "mps": "m/s", "fps": "ft/s", "kmh": "km/h"},
+    **{"kph": "km/h", "g0": "g", "gn": "g", "-": "", "1": "", "none": "", "kelvin": "K", "°R": "degR", "/s": "1/s"},
+}
+# Temperatures whose zero is not that of K: (offset added first, factor).
+_OFFSET = {"degC": (273.15, 1.0), "°C": (273.15, 1.0), "degF": (459.67, 5.0 / 9.0), "°F": (459.67, 5.0 / 9.0)}
+
+# What the units of SI are made of, so that newtons are no pascals.
+_BASE: dict[str, dict[str, int]] = {
+    **{unit: {unit: 1} for unit in ("s", "m", "kg", "rad", "K", "A")},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "Pa": {"kg": 1, "m": -1, "s": -2},
+    "J": {"kg": 1, "m": 2, "s": -2},
+    "W": {"kg": 1, "m": 2, "s": -3},
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    "T": {"kg": 1, "s": -2, "A": -1},
+    "Hz": {"s": -1},
+}
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """``si = factor * (value + offset)``, in the unit that ``label`` writes, of these dimensions."""
+
+    label: str
+    factor: float
+    dimensions: tuple[tuple[str, int], ...]
+    offset: float = 0.0
+
+
+def si(unit: str) -> str | None:
+    """The unit in SI that takes the place of this one, ``"rad/s"`` of ``"deg/s"``; None for an unknown unit.
+
+    >>> si("ft/s^2"), si("kt"), si("furlong")
+    ('m/s^2', 'm/s', None)
+    """
+    scale = _scale(unit)
+    return None if scale is None else scale.label
+
+
+def convert(values: FloatArray, unit: str, into: str, where: str) -> FloatArray:
+    """Values in ``unit`` given in ``into``; DataError, with ``where``, for units unknown or of different kinds.
+
+    >>> convert(np.array([180.0, 90.0]), "deg", "rad", "alpha")
+    array([3.14159265, 1.57079633])
+    """
+    scales = []
+    for text in (unit, into):
+        scale = _scale(text)
+        if scale is None:
+            raise DataError(
+                f"{where}: the unit '{text}' is not known.{listing(text, [*filter(None, _TABLE), *_OFFSET])}"
+            )
+        scales.append(scale)
+    source, target = scales
+    if source.dimensions != target.dimensions:
+        raise DataError(f"{where}: '{unit}' cannot become '{into}': they are units of different kinds")
+    if source == target:
+        return values
+    return np.asarray((values + source.offset) * (source.factor / target.factor) - target.offset)
+
+
+def differ(unit: str, other: str) -> bool:
+    """Whether a number in one unit means something else in the other; False where either is not known.
+
+    Radians are no dimension here: who writes ``1/s`` for an angular rate means ``rad/s``.
+
+    >>> differ("deg", "rad"), differ("1/s", "rad/s"), differ("m", "m/s"), differ("furlong", "m")
+    (True, False, True, False)
+    """
+    scales = [_scale(text) for text in (unit, other)]
+    one, two = scales
+    if one is None or two is None:
+        return False
+    kinds = [{(d, p) for d, p in scale.dimensions if d != "rad"} for scale in (one, two)]
+    return kinds[0] != kinds[1] or one.offset != two.offset or not math.isclose(one.factor, two.factor, rel_tol=1e-9)
+
+
+def _scale(unit: str) -> _Scale | None:
+    """Of a unit as people write it: ``deg/s``, ``m/s**2``, ``m s^-2``, ``kg*m²``; None where a part is not known."""
+    text = unit.strip().replace("²", "^2").replace("³", "^3").replace("**", "^").replace("µ", "u").replace("μ", "u")
+    text = text.replace("·", "*")
+    if text in _OFFSET:
+        offset, factor = _OFFSET[text]
+        return _Scale("K", factor, (("K", 1),), offset)
+    text = _ALSO.get(text, _ALSO.get(text.lower(), text))
+    factor, label = 1.0, ""
+    dimensions: dict[str, int] = {}
+    if not re.fullmatch(r"([^*/ ]+([*/ ]|\s*[*/]\s*))*[^*/ ]*", text) or text.endswith(("/", "*")):
+        return None
+    # "m/s/s": each division holds for the one factor after it.
+    for sign, atom in re.findall(r"([*/ ]?)\s*([^*/ ]+)\s*", text):
+        match = re.fullmatch(r"([A-Za-z°%]+?)\^?(-?\d+)?", atom)
+        if atom == "1" and not label:
+            label = "1"
+            continue
+        known = _atom(match[1]) if match else None
+        if match is None or known is None:
+            return None
+        base, size = known
+        power = int(match[2] or 1)
+        if "/" in base and (sign == "/" or power != 1):
+            return None  # per knot, or knots squared: no one writes these, and no label would be right
+        label += (sign.strip() or ("*" if label else "")) + (base if power == 1 else f"{base}^{power}")
+        signed = -power if sign == "/" else power
+        factor *= size**signed
+        for part, p in _parts(base):
+            dimensions[part] = dimensions.get(part, 0) + p * signed
+    return _Scale(label, factor, tuple(sorted((d, p) for d, p in dimensions.items() if p)))
+
+
+def _atom(text: str) -> tuple[str, float] | None:
+    """A unit of the table, in capitals too where these cannot be mistaken: DEG, FT, KTS."""
+    text = _ALSO.get(text, text)
+    if text not in _TABLE and text.lower() != "kn":  # KN is knots to one and kilonewtons to another
+        lowered = {key.lower(): key for key in _TABLE}
+        text = _ALSO.get(text.lower(), lowered.get(text.lower(), text))
+    return _TABLE.get(text)
+
+
+def _parts(base: str) -> list[tuple[str, int]]:
+    """The dimensions of a unit in SI as the table writes it: of ``m/s^2`` the metre once, the second less twice."""
+    parts: list[tuple[str, int]] = []
+    for i, piece in enumerate(filter(None, base.split("/"))):
+        name, _, power = piece.partition("^")
+        signed = int(power or 1) * (-1 if i else 1)
+        parts += [(d, p * signed) for d, p in _BASE[name].items()]
+    return parts

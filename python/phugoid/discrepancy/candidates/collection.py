@@ -1,0 +1,133 @@
+"""Candidates, by number and by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import overload
+
+from ...errors import DataError, ModelError, UnknownName, did_you_mean
+from ...parameters import text_table
+from .candidate import Candidate
+from .effect import Effect
+from .points import Points
+from .scales import Scales
+
+__all__ = ["Candidates"]
+
+# Whoever looks for the scale of an input whose derivatives are free does not find it.
+_LEFT_OUT = " What the model's parameters can do already is left out."
+
+
+class Candidates(Sequence[Candidate]):
+    """Things that a model may be missing: a sequence, read-only, also by name.
+
+    >>> from phugoid import Model, candidates
+    >>> m = Model("oscillator")
+    >>> x, v = m.states("x v")
+    >>> k, c = m.parameters("k c")
+    >>> m.dynamics(x=v, v=-k*x - c*v)
+    >>> m.outputs(x=x)
+    >>> library = candidates(m)
+    >>> library["v':x^3"]
+    <v':x^3: v' has a part that goes with the cube of x>
+    >>> library.only("v':x*").names
+    ("v':x^2", "v':x*v", "v':x^2*v", "v':x^3", "v':x|x|")
+    """
+
+    def __init__(self, candidates: Iterable[Candidate] = ()) -> None:
+        self._all = tuple(candidates)
+        self._by_name: dict[str, Candidate] = {}
+        parameters: dict[str, str] = {}
+        for c in self._all:
+            if not isinstance(c, Candidate):
+                raise ModelError(f"candidates: {c!r} is a {type(c).__name__}, not a candidate")
+            if c.name in self._by_name:
+                raise ModelError(f"candidates: '{c.name}' is there twice")
+            self._by_name[c.name] = c
+            for name in c.parameters:
+                if name in parameters:
+                    raise ModelError(f"candidates: '{parameters[name]}' and '{c.name}' both name a parameter '{name}'")
+                parameters[name] = c.name
+
+    @overload
+    def __getitem__(self, key: int | str) -> Candidate: ...
+    @overload
+    def __getitem__(self, key: slice) -> Candidates: ...
+    def __getitem__(self, key: int | str | slice) -> Candidate | Candidates:
+        if isinstance(key, slice):
+            return Candidates(self._all[key])
+        if isinstance(key, str):
+            if key not in self._by_name:
+                raise UnknownName(f"there is no candidate '{key}'.{did_you_mean(key, self._by_name)}{_LEFT_OUT}")
+            return self._by_name[key]
+        return self._all[key]
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def __iter__(self) -> Iterator[Candidate]:
+        return iter(self._all)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._by_name if isinstance(key, str) else key in self._all
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names, in order."""
+        return tuple(self._by_name)
+
+    def __add__(self, other: Iterable[Candidate]) -> Candidates:
+        """Both; raises ModelError where a name is in both."""
+        return Candidates([*self._all, *other])
+
+    def without(self, *names: str) -> Candidates:
+        """All but some, by name or by pattern: ``without("CL:periodic", "*:lag_*")``.
+
+        Raises UnknownName for a name or pattern that fits none.
+        """
+        out = self._matching(names)
+        return Candidates(c for c in self._all if c.name not in out)
+
+    def only(self, *names: str) -> Candidates:
+        """Some, by name or by pattern: ``only("CL:*", "de:delay")``."""
+        kept = self._matching(names)
+        return Candidates(c for c in self._all if c.name in kept)
+
+    def _matching(self, patterns: Sequence[str]) -> set[str]:
+        found: set[str] = set()
+        for pattern in patterns:
+            # A product's own star is no wild card.
+            fits = {pattern} if pattern in self._by_name else {n for n in self._by_name if fnmatchcase(n, pattern)}
+            if not fits:
+                raise UnknownName(
+                    f"there is no candidate '{pattern}'.{did_you_mean(pattern, self._by_name)}{_LEFT_OUT}"
+                )
+            found |= fits
+        return found
+
+    def on(self, points: Sequence[Points], trim: Mapping[str, float] | None = None) -> Candidates:
+        """The same with centres, widths and grids for a record; without those of which it can say nothing, since a
+        variable does not vary or (sign forms) does not change sign. Others' candidates stay as they are."""
+        if not points:
+            raise DataError("candidates: there are no points")
+        scales = Scales.of(points, trim)
+        bound = [c.on(scales) if isinstance(c, Effect) else c for c in self._all]
+        return Candidates(c for c in bound if not isinstance(c, Effect) or c.worthwhile())
+
+    @property
+    def families(self) -> dict[str, int]:
+        """How many there are of each family."""
+        counts: dict[str, int] = {}
+        for c in self._all:
+            family = c.family if isinstance(c, Effect) else "other"
+            counts[family] = counts.get(family, 0) + 1
+        return counts
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{count} {family}" for family, count in self.families.items())
+        return f"<{len(self)} candidates: {counts}>" if counts else "<no candidates>"
+
+    def __str__(self) -> str:
+        rows = [[c.name, c.explanation, ", ".join(c.parameters), str(len(c.shapes))] for c in self._all]
+        return text_table(["candidate", "explanation", "parameters", "shapes"], rows, "lllr")

@@ -1,0 +1,281 @@
+"""The library of candidates: what a model may be missing, made from the model itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from itertools import combinations
+from typing import Any, Literal
+
+from ...errors import ModelError, OptionError, did_you_mean
+from ...modelling.model import Model
+from ..misfit.phrases import per_second
+from .candidate import Place
+from .collection import Candidates
+from .directions import Directions
+from .effect import Effect, unused
+from .lags import LaggedVariable
+from .periodic import Periodic
+from .places import Anatomy, Variable
+from .points import Points
+from .scales import Scales, trim_of
+from .sensors import SensorDelay, SensorLag, SensorScale
+from .terms import FORMS, Rate, Term, where
+from .transformations import DeadBand, InputBias, InputDelay, InputLag, InputScale, Saturation
+from .user_terms import read_terms
+
+__all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
+
+# In the order in which duplicates count: the first stays.
+FAMILIES = (
+    "own",
+    "bias",
+    "scale",
+    "drift",
+    "linear",
+    "square",
+    "product",
+    "cube",
+    "damping",
+    "quadratic",
+    "absolute",
+    "sign",
+    "rate",
+    "lag",
+    "delay",
+    "deadband",
+    "saturation",
+    "periodic",
+)
+# Those with a signal that depends on no shape: only they can be seen to be the same at single points.
+_STATIC = FAMILIES[: FAMILIES.index("lag")]
+
+
+def candidates(
+    model: Model,
+    *,
+    points: Sequence[Points] | None = None,
+    trim: Mapping[str, float] | None = None,
+    terms: Mapping[str, Any] | None = None,
+    leave_out: Collection[str] = (),
+    equations: Literal["own", "all"] = "own",
+    base: Model | None = None,
+) -> Candidates:
+    """Everything that the library can think of that the model may be missing, with canonical names.
+
+    In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms, squares,
+    products and cubes of states and inputs, x^2 v for rates v, x|x|, |x|, sign(x), first-order lags, a periodic
+    disturbance. In outputs:
+    bias, scale, drift, delay, lag, linear terms, squares and products of rates, derivatives of rates. On inputs: scale,
+    bias, dead-band, saturation, lag, delay. What the model's parameters can do already is left out, and so is what
+    another candidate says too: names of `FAMILIES` that stand first win.
+
+    points     paths that the scales are taken from: centres of powers, widths of rounded corners, grids of time
+               constants and frequencies. Without, those of `Scales`; ``library.on(points)`` does it later.
+    trim       name -> value at which powers of a state or an input are centred.
+    terms      terms of your own by place, ``{"Cm": [alpha*q**2], "q'": ..., "y:alpha": ..., "Cm:my name": ...}``.
+    leave_out  families to leave out, such as "periodic" or "cube".
+    equations  "all" offers terms in every state equation, also where they would only rename a quantity's.
+    base       an earlier form of the model: what its extensions added is not doubted in turn.
+
+    Raises ModelError for terms that cannot be, that the model has already or that are there twice; OptionError for
+    unknown families and trims.
+
+    >>> from phugoid import Model
+    >>> m = Model("servo")
+    >>> w, = m.states(w="rad/s")
+    >>> u, = m.inputs(u="V")
+    >>> c, k = m.parameters("c k")
+    >>> m.dynamics(w=-c*w + k*u)
+    >>> m.outputs(w=w)
+    >>> candidates(m, leave_out=("lag", "cube", "periodic", "delay")).names[:4]
+    ("w':bias", "w':w^2", "w':u^2", "w':w*u")
+    """
+    _check(model, trim, leave_out, equations, base)
+    model.check()
+    trim = dict(trim or {})
+    trim |= {late: trim[of] for late, (of, _) in model.delays.inputs.items() if of in trim}
+    scales = Scales.of(points, trim) if points is not None else Scales(trim=trim)
+    anatomy = Anatomy(model, equations == "all", base)
+    names = _Names(model)
+    own = list(_own(model, anatomy, scales, terms or {}, names))
+    made = [c for c in _library(anatomy, scales, names) if c.family not in leave_out]
+    kept = _distinct(own, made, Directions(model, scales))
+    return Candidates(c for c in kept if points is None or c.worthwhile())
+
+
+def _check(model: Any, trim: Any, leave_out: Any, equations: Any, base: Any) -> None:
+    for m in (model, base):
+        if not (isinstance(m, Model) or (m is None and model is not None)):
+            raise ModelError(f"candidates: give a Model, not a {type(m).__name__}")
+    if equations not in ("own", "all"):
+        raise OptionError(f'candidates: equations is "own" or "all", not {equations!r}')
+    for name in trim or {}:
+        known = [*model.state_names, *(n for n, _ in model._core.inputs)]
+        if name not in known:
+            raise OptionError(f"candidates: trim names '{name}', no state or input.{did_you_mean(name, known)}")
+    if isinstance(leave_out, str):
+        raise OptionError(f"candidates: leave_out is several families, as in leave_out=({leave_out!r},)")
+    for family in leave_out:
+        if family not in FAMILIES:
+            hint = did_you_mean(str(family), FAMILIES)
+            raise OptionError(f"candidates: there is no family '{family}'.{hint} There are: {', '.join(FAMILIES)}.")
+
+
+class _Names:
+    """Names of new parameters: none twice, none of the model's."""
+
+    def __init__(self, model: Model) -> None:
+        core = model._core
+        self._taken = {*model.state_names, *model.parameter_names, *model.output_names, "time"}
+        self._taken |= {name for name, *_ in core.quantities} | {name for name, _ in core.inputs}
+
+    def __call__(self, wanted: str) -> str:
+        return unused(re.sub(r"\W+", "_", wanted).strip("_"), self._taken)
+
+
+def _own(model: Model, anatomy: Anatomy, scales: Scales, terms: Mapping[str, Any], names: _Names) -> Iterator[Effect]:
+    for place, what, e in read_terms(model, terms):
+        name = f"{anatomy.shown(place)}:{what}"
+        words = f"{where(place)} has a part that goes with {str(e).replace('**', '^')}"
+        coefficient = names(f"{_stem(place)}_{what}")
+        yield Term(name, place, words, "own", scales, (coefficient,), variables=tuple(e.symbols), given=e)
+
+
+def _stem(place: Place) -> str:
+    """Beginning of the names of coefficients there."""
+    return {"equation": f"{place.name}_dot", "output": f"y_{place.name}"}.get(place.kind, place.name)
+
+
+def _library(anatomy: Anatomy, scales: Scales, names: _Names) -> Iterator[Effect]:
+    for place in anatomy.places:
+        if place.kind == "output":
+            yield from _in_output(anatomy, place, scales, names)
+        else:
+            yield from _in_equation(anatomy, place, scales, names)
+    for variable in anatomy.variables:
+        if variable.kind == "input" and anatomy.used(variable.symbol):
+            yield from _on_input(anatomy, variable, scales, names)
+
+
+def _term(
+    anatomy: Anatomy, place: Place, form: str, factors: Sequence[Variable], scales: Scales, names: _Names
+) -> Term:
+    f, shown = FORMS[form], [v.shown for v in factors]
+    coefficient = names(f"{_stem(place)}_{f.suffix.format(*shown)}")
+    name = f"{anatomy.shown(place)}:{f.what.format(*shown)}"
+    symbols = tuple(v.symbol for v in factors)
+    unit = anatomy.model.units.get(place.name, "") if place.kind == "output" else ""
+    if form == "drift" and unit:
+        unit = per_second(unit)
+    return Term(
+        name,
+        place,
+        "",
+        form.partition(",")[0],
+        scales,
+        (coefficient,),
+        variables=symbols,
+        form=form,
+        shown=tuple(shown),
+        unit=unit if form in ("bias", "drift") else "",
+    )
+
+
+def _in_equation(anatomy: Anatomy, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
+    variables = anatomy.variables
+
+    def term(form: str, *factors: Variable) -> Term:
+        return _term(anatomy, place, form, factors, scales, names)
+
+    yield term("bias")
+    for form in ("linear", "square"):
+        yield from (term(form, v) for v in variables)
+    yield from (term("product", v, w) for v, w in combinations(variables, 2))
+    states = [v for v in variables if v.kind == "state"]
+    yield from (term("damping", v, w) for v, w in combinations(states, 2) if w.rate)
+    yield from (term("damping, rate first", v, w) for v, w in combinations(states, 2) if v.rate)
+    for form in ("cube", "quadratic", "absolute"):
+        yield from (term(form, v) for v in variables)
+    yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
+    shown, stem, words = anatomy.shown(place), _stem(place), where(place)
+    for v in variables:
+        yield LaggedVariable(
+            f"{shown}:lag_{v.shown}",
+            place,
+            f"{words} follows {v.shown} with a lag (unsteady effect)",
+            "lag",
+            scales,
+            (names(f"{stem}_lag_{v.shown}"),),
+            (names(f"tau_{stem}_{v.shown}"),),
+            variables=(v.symbol,),
+        )
+    coefficients = names(f"{stem}_sin"), names(f"{stem}_cos")
+    yield Periodic(
+        f"{shown}:periodic",
+        place,
+        f"a periodic disturbance acts on {words}",
+        "periodic",
+        scales,
+        coefficients,
+        (names(f"{stem}_frequency"),),
+    )
+
+
+def _in_output(anatomy: Anatomy, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
+    shown, y = anatomy.shown(place), place.name
+    rates = [v for v in anatomy.variables if v.rate]
+
+    def term(form: str, *factors: Variable) -> Term:
+        return _term(anatomy, place, form, factors, scales, names)
+
+    yield term("bias")
+    words = f"the measurement of {y} is scaled wrongly"
+    yield SensorScale(f"{shown}:scale", place, words, "scale", scales, (names(f"k_{y}"),))
+    yield term("drift")
+    yield from (term("linear", v) for v in anatomy.variables)
+    yield from (term("square", v) for v in rates)
+    yield from (term("product", v, w) for v, w in combinations(rates, 2))
+    yield from (Rate.of(place, shown, v.symbol, names(f"y_{y}_{v.shown}_dot"), scales) for v in rates)
+    words = f"the measurement of {y} follows with a lag (sensor or filter)"
+    yield SensorLag(f"{shown}:lag", place, words, "lag", scales, (), (names(f"lag_{y}"),))
+    if y not in anatomy.model.delays.outputs:
+        yield SensorDelay(f"{shown}:delay", place, f"{y} is measured late", "delay", scales, (), (names(f"tau_{y}"),))
+
+
+def _on_input(anatomy: Anatomy, variable: Variable, scales: Scales, names: _Names) -> Iterator[Effect]:
+    u, symbol = variable.shown, variable.symbol
+    place, variables = Place("input", symbol), (symbol,)
+    yield InputScale(
+        f"{u}:scale", place, f"{u} acts with another scale", "scale", scales, (names(f"k_{u}"),), variables=variables
+    )
+    yield InputBias(
+        f"{u}:bias", place, f"{u} acts with an offset", "bias", scales, (names(f"b_{u}"),), variables=variables
+    )
+    shaped: list[tuple[Callable[..., Effect], str, str, str]] = [
+        (DeadBand, "deadband", f"deadband_{u}", f"small deflections of {u} do nothing (dead-band, play)"),
+        (Saturation, "saturation", f"saturation_{u}", f"large deflections of {u} are cut off (saturation)"),
+        (InputLag, "lag", f"lag_{u}", f"{u} acts with a lag (first-order actuator)"),
+    ]
+    if symbol not in anatomy.model.delays.inputs:
+        shaped.append((InputDelay, "delay", f"tau_{u}", f"{u} acts late (transport delay)"))
+    for make, family, parameter, words in shaped:
+        yield make(f"{u}:{family}", place, words, family, scales, (), (names(parameter),), variables=variables)
+
+
+def _distinct(own: Sequence[Effect], made: Sequence[Effect], directions: Directions) -> list[Effect]:
+    """Those that say something new, in the order made, the user's own last; of the user's all must be new."""
+    ranked = [*own, *sorted(made, key=lambda c: FAMILIES.index(c.family))]
+    ranked = [c for c in ranked if c.family in _STATIC]
+    dropped: set[int] = set()
+    for c, verdict in zip(ranked, directions.verdicts(ranked), strict=True):
+        if c.family == "own" and verdict.spanned:
+            raise ModelError(
+                f"terms: {c.name}: the model has this already, its parameters change the equations in just that way"
+            )
+        if c.family == "own" and verdict.twin is not None:
+            twin = ranked[verdict.twin].name
+            raise ModelError(f"terms: {c.name} and {twin} are the same but for a factor and what the model has")
+        if verdict.spanned or verdict.twin is not None:
+            dropped.add(id(c))
+    return [c for c in (*made, *own) if id(c) not in dropped]

@@ -1,0 +1,120 @@
+"""Where a model may be wrong, and what its equations may depend on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..._core import Expr
+from ...modelling.model import Model
+from .candidate import Place
+
+__all__ = ["Anatomy", "Variable"]
+
+_ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A state or an input: its symbol in the equations, and the name to show for it."""
+
+    symbol: str
+    shown: str
+    kind: str  # "state" or "input"
+    rate: bool = False  # an angular rate, or the derivative of another state
+    speed: bool = False  # what friction may turn with
+
+
+class Anatomy:
+    """Variables and places of a model.
+
+    A quantity is a place where parameters stand in it; others define something exactly. A state equation is one where
+    parameters stand in it, and no quantity that is a place: else its terms belong to the quantity. Equations without
+    either are exact kinematics (theta' = q).
+
+    With ``every_equation`` all state equations are places that hold parameters or quantities that do. ``base`` is an
+    earlier form of the model: states and quantities that it had not are nothing to doubt.
+    """
+
+    def __init__(self, model: Model, every_equation: bool = False, base: Model | None = None) -> None:
+        self.model, core = model, model._core
+        self.quantities = {name: e for name, e, *_ in core.quantities}
+        self.dynamics = {name: e for name, e, *_ in core.dynamics}
+        self.outputs = {name: e for name, e, *_ in core.outputs}
+        self._parameters = {*model.parameter_names}
+        first = base or model
+        known = {*first.state_names, *(name for name, *_ in first._core.quantities)}
+        uncertain = {n for n, e in self.quantities.items() if self._parameters.intersection(e.symbols)}
+        derived: set[str] = set()  # from parameters, by whatever way
+        for name, e in self.quantities.items():
+            if name in uncertain or derived.intersection(e.symbols):
+                derived.add(name)
+        ties = {name for name in uncertain if not self._varies(name)}
+        equations = []
+        for name, e in self.dynamics.items():
+            own = bool(self._parameters.intersection(e.symbols))
+            through = {*e.symbols}.intersection(derived - ties)
+            if (every_equation and (own or through)) or (own and not through):
+                equations.append(name)
+        self.places = [Place("quantity", name) for name in self.quantities if name in uncertain & known]
+        self.places += [Place("equation", name) for name in equations if name in known]
+        self.places += [Place("output", name) for name in self.outputs]
+        self._exact = {
+            n: e for n, e in self.dynamics.items() if not {*e.symbols}.intersection(self._parameters | derived)
+        }
+        rates = {name for name in model.state_names if self._is_rate(name)}
+        units = model.units
+        self.variables = [
+            Variable(
+                name,
+                name,
+                "state",
+                name in rates,
+                # By its unit; where nothing is said of any, it might be.
+                name in rates or units.get(name, "").endswith("/s") or not (rates or name in units),
+            )
+            for name in model.state_names
+            if name in known
+        ]
+        self.variables += self._inputs()
+
+    def _varies(self, quantity: str) -> bool:
+        names = {*self.model.state_names, *(n for n, _ in self.model._core.inputs), "time"}
+        symbols = {*self.quantities[quantity].symbols}
+        return bool(symbols & names) or any(self._varies(n) for n in symbols.intersection(self.quantities))
+
+    def _is_rate(self, name: str) -> bool:
+        """An angular rate by its unit, or what another state's derivative is by exact kinematics."""
+        if self.model.units.get(name, "") in _ANGULAR_RATES:
+            return True
+        slopes = [Expr(e.diff(name)).constant for state, e in self._exact.items() if state != name]
+        return any(slope for slope in slopes)
+
+    def _inputs(self) -> list[Variable]:
+        """Inputs as they stand in the equations: a late one for the plain one where only that is used."""
+        late = {name: of for name, (of, _) in self.model.delays.inputs.items()}
+        found = []
+        for name, _ in self.model._core.inputs:
+            if name in late:
+                shown = name if self.used(late[name]) else late[name]
+                found.append(Variable(name, shown, "input"))
+            elif self.used(name) or name not in late.values():
+                found.append(Variable(name, name, "input"))
+        return found
+
+    def used(self, symbol: str) -> bool:
+        """Whether a symbol stands in any equation."""
+        groups = (self.quantities, self.dynamics, self.outputs)
+        return any(symbol in e.symbols for group in groups for e in group.values())
+
+    def expression(self, place: Place) -> Expr:
+        """What stands at a place."""
+        groups = {"quantity": self.quantities, "equation": self.dynamics, "output": self.outputs}
+        return groups[place.kind][place.name]
+
+    def shown(self, place: Place) -> str:
+        """First part of a candidate's name."""
+        if place.kind == "equation":
+            return f"{place.name}'"
+        inputs = (name for name, _ in self.model._core.inputs)
+        clash = place.kind == "output" and (place.name in self.quantities or place.name in inputs)
+        return f"y:{place.name}" if clash else place.name

@@ -1,0 +1,182 @@
+"""Terms: expressions of states and inputs, times a coefficient, in a quantity, a state equation or an output."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._core import Expr
+from ...modelling.model import Model
+from ...symbols import smooth_abs, smooth_sign
+from .along import evaluated, of
+from .candidate import Place
+from .effect import Effect, Extension, largest_coefficient
+from .points import Points
+from .scales import Scales
+
+__all__ = ["FORMS", "Form", "Rate", "Term", "where"]
+
+_Array = NDArray[np.float64]
+
+# Kinks and jumps are rounded over these parts of a variable's range. With the latter, friction that truly jumps comes
+# out 0.5 to 1 % too large, with 0.02 in its place 4 %; with 0.002 Newton's method takes three times the steps where a
+# servo sticks for a third of the time.
+_KINK, _JUMP = 0.003, 0.005
+
+
+@dataclass(frozen=True)
+class Form:
+    """How a term is made of its factors.
+
+    make    expression from (centred) factors and their ranges.
+    what    how the canonical name is put together; ``{0}``, ``{1}`` stand for the factors.
+    suffix  the same in the name of the coefficient.
+    words   the same in the explanation.
+    centred whether factors are taken from their trims.
+    """
+
+    make: Callable[..., Expr]
+    what: str
+    suffix: str
+    words: str
+    centred: bool = True
+
+
+FORMS: Mapping[str, Form] = {
+    "bias": Form(lambda: Expr(1.0), "bias", "bias", "has a constant part"),
+    "linear": Form(lambda x, _: x, "{0}", "{0}", "has a part that goes with {0}", centred=False),
+    "square": Form(lambda x, _: x**2, "{0}^2", "{0}2", "has a part that goes with the square of {0}"),
+    "cube": Form(lambda x, _: x**3, "{0}^3", "{0}3", "has a part that goes with the cube of {0}"),
+    "product": Form(
+        lambda x, _, y, __: x * y, "{0}*{1}", "{0}_{1}", "has a part that goes with the product of {0} and {1}"
+    ),
+    "damping": Form(
+        lambda x, _, v, __: x**2 * v, "{0}^2*{1}", "{0}2_{1}", "has a damping by {1} that goes with the square of {0}"
+    ),
+    # The same where the rate is declared before: factors of a name stand in that order.
+    "damping, rate first": Form(
+        lambda v, _, x, __: v * x**2, "{0}*{1}^2", "{0}_{1}2", "has a damping by {0} that goes with the square of {1}"
+    ),
+    # Its slope has no jump, so nothing needs rounding.
+    "quadratic": Form(
+        lambda x, _: x * abs(x),
+        "{0}|{0}|",
+        "{0}_abs_{0}",
+        "has a part that goes with {0} times its size (quadratic damping, where {0} is a rate)",
+    ),
+    "absolute": Form(
+        lambda x, span: smooth_abs(x, _KINK * span), "|{0}|", "abs_{0}", "has a part that goes with the size of {0}"
+    ),
+    # Friction turns with the motion itself, not about a trim.
+    "sign": Form(
+        lambda x, span: smooth_sign(x, _JUMP * span),
+        "sign({0})",
+        "sign_{0}",
+        "jumps with the sign of {0} (Coulomb friction, where {0} is a rate)",
+        centred=False,
+    ),
+    "drift": Form(lambda t: t, "drift", "drift", "drifts in proportion to time", centred=False),
+}
+
+
+def where(place: Place) -> str:
+    """A place in words."""
+    if place.kind == "output":
+        return f"the measurement of {place.name}"
+    return f"{place.name}'" if place.kind == "equation" else place.name
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Term(Effect):
+    """A coefficient times an expression: one of `FORMS` of its ``variables``, called as ``shown``, or ``given``."""
+
+    form: str = ""
+    shown: tuple[str, ...] = ()
+    given: Expr | None = None
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.form:  # in words with the centres of this record
+            centres = [self._centre(name) for name in self.variables]
+            names = [
+                f"({n} {-c:+g})".replace("+", "+ ").replace("-", "- ") if c else n
+                for n, c in zip(self.shown, centres, strict=True)
+            ]
+            object.__setattr__(self, "explanation", f"{where(self.place)} {FORMS[self.form].words.format(*names)}")
+
+    @property
+    def centred(self) -> bool:
+        # Lever arms at sensors multiply rates as they are: outputs are not centred.
+        return bool(self.form) and FORMS[self.form].centred and self.place.kind != "output"
+
+    def _centre(self, name: str) -> float:
+        return self.scales.centre(name) if self.centred else 0.0
+
+    @property
+    def expression(self) -> Expr:
+        """What the coefficient multiplies."""
+        if self.given is not None:
+            return self.given
+        form = FORMS[self.form]
+        if self.form == "drift":  # zero at the first sample
+            return Expr(form.make(_less(Expr.symbol("time"), self.scales.begin)))
+        factors: list[object] = []
+        for name in self.variables:
+            factors += [_less(Expr.symbol(name), self._centre(name)), self.scales.span(name)]
+        return Expr(form.make(*factors))
+
+    def worthwhile(self) -> bool:
+        return super().worthwhile() and (self.form != "sign" or self.scales.crosses(self.variables[0]))
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        return evaluated(self.expression, points)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        c = extension.parameter(self.coefficients[0], unit=self.unit)
+        e = self.expression
+        term = c if e.constant == 1.0 else c * e
+        extension.put(self.place, extension.at(self.place) + term)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        largest = largest_coefficient(self, {}, points)
+        if self.family in ("bias", "drift"):  # an offset beyond the whole range would have been seen by eye
+            largest /= 2.0
+        return {self.coefficients[0]: (-largest, largest)}
+
+
+def _less(x: Expr, centre: float) -> Expr:
+    return x - centre if centre else x
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rate(Effect):
+    """The derivative of a state in an output, by the right-hand side of its equation: a sensor off the centre of
+    gravity sees the angular acceleration."""
+
+    stage: int = 5  # after all that changes the equation
+
+    @staticmethod
+    def of(place: Place, shown: str, state: str, coefficient: str, scales: Scales) -> Rate:
+        """For the output of that place, and what to call it, and a state."""
+        name, words = f"{shown}:{state}'", f"has a part that goes with the derivative of {state} (a lever arm)"
+        return Rate(name, place, f"{where(place)} {words}", "rate", scales, (coefficient,), variables=(state,))
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        return of(points.rates, self.variables[0], points, "rate of")[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        rate = extension.at(Place("equation", self.variables[0]))
+        c = extension.parameter(self.coefficients[0])
+        extension.put(self.place, extension.at(self.place) + c * rate)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        largest = largest_coefficient(self, {}, points)
+        return {self.coefficients[0]: (-largest, largest)}

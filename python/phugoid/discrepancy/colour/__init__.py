@@ -1,0 +1,1 @@
+"""Coloured residuals: their spectrum, and how they are made white."""

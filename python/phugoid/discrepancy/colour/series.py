@@ -1,0 +1,117 @@
+"""The residuals of one channel in one experiment, on the grid of its own sampling."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...records import Record
+
+__all__ = ["Series", "channel_series", "same_rate"]
+
+_Array = NDArray[np.float64]
+
+# A gap counts at most so many samples on the grid: nothing is remembered across a longer one.
+_LONGEST_GAP = 64
+_FAR = 8.0  # robust standard deviations of an outlier
+_ALONE = 11  # samples of which two at most are outliers
+_SAME = 0.9999  # correlation from which on two variables are one
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Series:
+    """Residuals of one channel in one experiment; n samples present, G places on their grid.
+
+    experiment  its name.
+    outliers    times of samples far off their neighbours, s, which are left out of the others.
+    t           (n,) times of the samples that are there, s.
+    r           (n,) residuals; with process noise the innovations, which are what should be white there.
+    at          (n,) place of each on the grid of step dt.
+    dt          s, median spacing of the samples: of a channel slower than others, its own.
+    regressors  name -> (n,): states, inputs, and their rates (with a prime: ``q'``), which change in this experiment;
+                and ``time`` since its first sample.
+    """
+
+    experiment: str
+    outliers: _Array
+    t: _Array
+    r: _Array
+    at: NDArray[np.int64]
+    dt: float
+    regressors: Mapping[str, _Array]
+
+    def on_grid(self, values: _Array) -> _Array:
+        """(G,) or (G, m): values at the samples, (n,) or (n, m), NaN where none is."""
+        grid = np.full((int(self.at[-1]) + 1, *values.shape[1:]), np.nan)
+        grid[self.at] = values
+        return grid
+
+
+def channel_series(records: Sequence[Record], channel: str) -> list[Series]:
+    """One for each experiment where the channel has two samples or more."""
+    found = []
+    for record in records:
+        r = record.innovations.get(channel, record.residuals.get(channel))
+        if r is None:
+            continue
+        there = np.flatnonzero(np.isfinite(r))
+        if there.size < 2:
+            continue
+        out = _outliers(r[there])
+        outliers, there = record.t[there[out]], there[~out]
+        t = record.t[there]
+        steps = np.diff(t)
+        dt = float(np.median(steps))
+        # Jitter of the stamps is left aside: a sample is so many steps after the one before.
+        places = np.clip(np.rint(steps / dt), 1, _LONGEST_GAP).astype(np.int64)
+        at = np.concatenate([np.zeros(1, np.int64), np.cumsum(places)])
+        found.append(Series(record.name, outliers, t, r[there], at, dt, _regressors(record, there)))
+    return found
+
+
+def same_rate(series: Sequence[Series]) -> tuple[list[Series], list[Series]]:
+    """Those sampled at the rate that most samples have, and the others."""
+    main = max(series, key=lambda s: sum(o.r.size for o in series if _same(o.dt, s.dt)))
+    return [s for s in series if _same(s.dt, main.dt)], [s for s in series if not _same(s.dt, main.dt)]
+
+
+def _outliers(r: _Array) -> NDArray[np.bool_]:
+    """(n,) Whether a sample is far off the median of its neighbours, and alone: many in a row are a misfit."""
+    from scipy.ndimage import median_filter
+
+    none = np.zeros(r.size, dtype=bool)
+    if r.size < 2 * _ALONE:
+        return none
+    off = np.abs(r - median_filter(r, 5, mode="nearest"))
+    scale = float(np.median(off[off > 0.0])) / 0.6745 if off.any() else 0.0
+    if float(np.mean(off > 0.0)) < 0.5:  # quantised: the median says nothing of the scatter
+        return none
+    far = off > _FAR * scale
+    return np.asarray(far & (np.convolve(far, np.ones(_ALONE), "same") < 2.5))
+
+
+def _same(one: float, other: float) -> bool:
+    return abs(one - other) < 0.01 * other
+
+
+def _regressors(record: Record, there: NDArray[np.int64]) -> dict[str, _Array]:
+    own = {"time": record.t - record.t[0], **record.states, **record.inputs}
+    # States run smoothly along the fitted path, so central differences of it are rates without noise.
+    rates = {f"{name}'": np.gradient(values, record.t) for name, values in own.items()}
+    del rates["time'"]
+    # The rate of what rests is rounding.
+    rates = {name: values for name, values in rates.items() if _moves(own[name.removesuffix("'")])}
+    found: dict[str, _Array] = {}
+    for name, values in (own | rates).items():
+        x = values[there]
+        # The rate of an angle is often a state itself: told of once.
+        if _moves(x) and not any(abs(np.corrcoef(x, y)[0, 1]) > _SAME for y in found.values()):
+            found[name] = x
+    return found
+
+
+def _moves(values: _Array) -> bool:
+    return bool(np.isfinite(values).all() and np.ptp(values) > 1e-9 * np.abs(values).max())

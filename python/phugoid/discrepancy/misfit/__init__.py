@@ -1,0 +1,1 @@
+"""What a simulation gets wrong, in numbers, words and figures."""

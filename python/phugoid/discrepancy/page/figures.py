@@ -1,0 +1,195 @@
+"""Figures of a diagnosis: what the extension changes, the ranking of the candidates, and the gain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import DataError, UnknownName, listing
+from ...figures.style import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, STYLE, WIDTH, labelled, plain
+from ...records import Record
+from ..misfit.figure import misfit_figure
+from ..misfit.phrases import number
+from ..search.extension import Extension, Gain
+from ..search.finding import Scored
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["findings_figure", "gain_figure", "misfit_figure", "ranking_figure"]
+
+_BARS = 12
+
+
+def findings_figure(
+    fit: Any, extension: Extension, channels: Sequence[str] | None = None, record: int | None = None
+) -> tuple[Figure, dict[str, Axes]]:
+    """Per channel: residuals before and after, and beneath what the extension changes in the model's output.
+
+    channels  names; None: the three of which the RMS falls most.
+    record    index of the experiment; None: the one where residuals fall most, in parts of what they were.
+
+    The change is the output of the extended model minus that of the base model, each at its own estimates: the added
+    effect with what the other parameters made of it. Returns the figure and the axes by ``"<channel>"`` and
+    ``"<channel> change"``. Raises UnknownName for a channel that is not there.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib import rc_context
+
+    if record is None:
+        falls = [_fall(b, a) for b, a in zip(fit.records, extension.fit.records, strict=True)]
+        record = int(np.argmin(falls))
+    before, after = fit.records[record], extension.fit.records[record]
+    known = [name for name in before.residuals if name in after.residuals]
+    if channels is None:
+        channels = sorted(known, key=lambda name: _finite(extension.gain.change(name)))[:3]
+    for name in channels:
+        if name not in known:
+            raise UnknownName(f"the fit has no channel '{name}'.{listing(name, known)}")
+    if not channels:
+        raise DataError("findings_figure: there is no channel to draw")
+    panels: dict[str, Any] = {}
+    with rc_context(STYLE):
+        figure, axes = plt.subplots(
+            2 * len(channels),
+            1,
+            sharex=True,
+            figsize=(WIDTH, 1.9 * len(channels) + 0.6),
+            layout="constrained",
+            gridspec_kw={"height_ratios": [1.5, 1.0] * len(channels)},
+            squeeze=False,
+        )
+        for i, name in enumerate(channels):
+            top, bottom = axes[2 * i, 0], axes[2 * i + 1, 0]
+            panels[name], panels[f"{name} change"] = top, bottom
+            for axis in (top, bottom):
+                axis.axhline(0.0, color=INPUT, linewidth=0.5)
+            many = before.n > 5000
+            top.plot(before.t, before.residuals[name], color=GREY, linewidth=1.1, label="before", rasterized=many)
+            top.plot(after.t, after.residuals[name], color=MODEL, linewidth=0.8, label="after", rasterized=many)
+            change = after.outputs[name] - before.outputs[name]
+            bottom.plot(after.t, change, color=STATE, linewidth=1.0, label="change of the model's output")
+            unit = before.units.get(name, "")
+            top.set_ylabel(plain(labelled("residual", {"residual": unit})))
+            bottom.set_ylabel("change")
+            old, now = before.rms()[name], after.rms()[name]
+            title = f"{name}: RMS {number(old, 3)} to {number(now, 3)} {unit}"
+            top.set_title(plain(title), loc="left", fontsize=8.5)
+        handles = [*panels[channels[0]].get_lines()[1:], panels[f"{channels[0]} change"].get_lines()[1]]
+        figure.legend(handles=handles, loc="outside upper right", ncols=3, frameon=False, fontsize=7.5)
+        axes[-1, 0].set_xlabel(plain(f"time in '{before.name}', s" if len(fit.records) > 1 else "time, s"))
+        axes[-1, 0].margins(x=0.01)
+        figure.align_ylabels()
+    return figure, panels
+
+
+def _fall(before: Record, after: Record) -> float:
+    """Mean over the channels of the RMS after over that before."""
+    old, now = before.rms(), after.rms()
+    ratios = [now[name] / old[name] for name in old if old[name] > 0.0 and np.isfinite(now.get(name, np.nan))]
+    return float(np.mean(ratios)) if ratios else np.inf
+
+
+def _finite(value: float) -> float:
+    return value if np.isfinite(value) else np.inf
+
+
+def ranking_figure(ranking: Sequence[Scored], threshold: float, best: int = _BARS) -> tuple[Figure, dict[str, Axes]]:
+    """Bars of the best candidates: twice the expected gain in log-likelihood, against the threshold.
+
+    Filled bars use residuals whitened, ticks noise without the best few terms, which candidates are ranked by, circles
+    residuals taken as white, which mislead. Hatched are candidates with a remark: hard to tell from the parameters
+    there. Returns the figure and the axes by ``"ranking"``. Raises DataError where there is none.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib import rc_context
+    from matplotlib.ticker import FuncFormatter
+
+    if not ranking:
+        raise DataError("ranking_figure: there are no candidates")
+    shown = sorted(ranking, key=lambda s: s.ranking, reverse=True)[:best]
+    with rc_context({**STYLE, "hatch.linewidth": 0.4}):
+        figure, axis = plt.subplots(figsize=(WIDTH, 0.24 * len(shown) + 0.9), layout="constrained")
+        low = max(1.0, 0.3 * min(threshold, *(s.statistic for s in shown)))
+        for row, scored in enumerate(shown):
+            passed = scored.statistic > threshold
+            axis.barh(
+                row,
+                max(scored.statistic, 0.0),
+                0.66,
+                color=MEASURED if passed else "#B5CFE0",
+                hatch="////" if scored.remark else None,
+                edgecolor="white",
+                linewidth=0.0,
+                label=None,
+            )
+            axis.plot(scored.ranking, row, "|", ms=9.0, mec=RESIDUAL, mew=1.6)
+            axis.plot(scored.white, row, "o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9)
+        axis.axvline(threshold, color=MODEL, linewidth=1.1)
+        axis.set_xscale("log")
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_xlim(left=low)
+        axis.set_yticks(range(len(shown)), [plain(s.name) for s in shown])
+        axis.tick_params(axis="y", length=0.0)
+        axis.invert_yaxis()
+        axis.set_xlabel("expected 2 Δ log-likelihood")
+        handles = _ranking_key(threshold, any(s.remark for s in shown))
+        figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), frameon=False, fontsize=7.0)
+    return figure, {"ranking": axis}
+
+
+def _ranking_key(threshold: float, remarks: bool) -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    key: list[Any] = [
+        Patch(color=MEASURED, label="residuals whitened"),
+        Line2D([], [], linestyle="", marker="|", ms=7.0, mec=RESIDUAL, mew=1.6, label="as ranked"),
+        Line2D([], [], linestyle="", marker="o", ms=3.6, mfc="white", mec=RESIDUAL, mew=0.9, label="taken as white"),
+        Line2D([], [], color=MODEL, linewidth=1.1, label=f"threshold {threshold:.0f}"),
+    ]
+    if remarks:
+        key.append(Patch(facecolor=MEASURED, hatch="////", edgecolor="white", label="see its remark"))
+    return key
+
+
+def gain_figure(gain: Gain, units: Mapping[str, str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+    """RMS of the residuals after over before, per channel: fitted data (dots) and data held out (diamonds).
+
+    Returns the figure and the axes by ``"gain"``. Raises DataError for a gain without channels.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib import rc_context
+
+    names = list(gain.channels)
+    if not names:
+        raise DataError("gain_figure: the gain has no channels")
+    held_out = [gain.change(name, held_out=True) for name in names]
+    with rc_context(STYLE):
+        figure, axis = plt.subplots(figsize=(WIDTH, 0.3 * len(names) + 0.9), layout="constrained")
+        axis.axvline(100.0, color=INPUT, linewidth=0.6)
+        rows = np.arange(len(names))
+        apart = 0.12 if np.isfinite(held_out).any() else 0.0
+        fitted = np.array([100.0 * (1.0 + gain.change(name)) for name in names])
+        other = np.array([100.0 * (1.0 + change) for change in held_out])
+        for row, a, b in zip(rows, fitted, other, strict=True):
+            axis.plot([100.0, a], [row - apart] * 2, color=MEASURED, linewidth=1.4)
+            axis.plot([100.0, b], [row + apart] * 2, color=MODEL, linewidth=1.4)
+        axis.plot(fitted, rows - apart, "o", color=MEASURED, ms=4.5, label="fitted")
+        if np.isfinite(other).any():
+            axis.plot(other, rows + apart, "D", color=MODEL, ms=4.0, label="held out")
+        labels = []
+        for name in names:
+            unit = (units or {}).get(name, "")
+            sizes = f"{number(gain.rms_before[name], 3)} to {number(gain.rms_after[name], 3)} {unit}".rstrip()
+            labels.append(plain(f"{name}: {sizes}"))
+        axis.set_yticks(rows, labels)
+        axis.tick_params(axis="y", length=0.0)
+        axis.invert_yaxis()
+        axis.margins(x=0.06, y=0.08)
+        axis.set_xlabel("RMS of residuals after, % of before (left of the line is better)")
+        figure.legend(loc="outside upper right", ncols=2, frameon=False, fontsize=7.5)
+    return figure, {"gain": axis}

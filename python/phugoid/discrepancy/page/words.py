@@ -1,0 +1,192 @@
+"""A diagnosis in plain words."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import Any, Literal
+
+from ...parameters import Estimate
+from ..misfit.phrases import number, percent
+from ..search.finding import Finding
+
+__all__ = ["Outcome", "alias_set", "diagnosis_summary", "finding_lines", "headline", "outcome", "value_of", "with_sign"]
+
+Outcome = Literal["named", "nothing", "unexplained"]
+
+_WIDTH = 110
+# Of the residuals' power, what can be predicted and is worth a word though nothing is named.
+_MOSTLY = 0.9
+
+
+def outcome(findings: Sequence[Finding]) -> Outcome:
+    """Which of the three ends a diagnosis has come to."""
+    if any(f.cause for f in findings):
+        return "named"
+    return "unexplained" if findings else "nothing"
+
+
+def headline(diagnosis: Any) -> str:
+    """The outcome in one sentence."""
+    findings = diagnosis.findings
+    named = [f for f in findings if f.cause]
+    kind = outcome(findings)
+    if kind == "nothing" and diagnosis.interrupted:
+        return "The search was interrupted before anything was found: that says nothing about what is missing."
+    if kind == "nothing":
+        text = "Nothing significant is missing from the model, as far as these data and these candidates tell."
+        if diagnosis.misfit.structured:
+            text += " The residuals are not white, but no candidate explains them better than coloured noise does."
+            channels = [c for c in diagnosis.misfit.channels.values() if c.predictable > _MOSTLY]
+            if channels:
+                most = max(channels, key=lambda c: c.predictable)
+                text += (
+                    f" Yet {percent(most.predictable)} of their power in {most.name} follows from what came before: "
+                    "that is noise with a long memory, or something that is none of these candidates."
+                )
+        return text
+    if kind == "unexplained":
+        return "The misfit is significant, but its cause is not established."
+    *first, last = (alias_set(f) for f in named)
+    text = f"The model misses {', '.join(first)}{' and ' if first else ''}{last}."
+    surrogates = [f.cause for f in named if f.status == "surrogate"]
+    if len(surrogates) == len(named):
+        text += " What fits is a surrogate, outside its physical range: the cause itself may be another."
+    elif surrogates:
+        what = "are surrogates, which fit" if len(surrogates) > 1 else "is a surrogate, which fits"
+        text += f" Of these {', '.join(surrogates)} {what} outside of what is physical."
+    if any(not f.cause for f in findings):
+        text += " A part of the misfit stays without an established cause."
+    return text
+
+
+def alias_set(finding: Finding) -> str:
+    """The cause, or what it is one of."""
+    if not finding.cause:
+        return "a cause not established"
+    if not finding.aliases:
+        return finding.cause
+    return f"one of {{{', '.join([finding.cause, *finding.aliases])}}}"
+
+
+def value_of(finding: Finding) -> str:
+    """Coefficient with its standard error, unit and interval; "" where there is none."""
+    if not math.isfinite(finding.coefficient):
+        return ""
+    error = finding.std_error if finding.std_error > 0.0 else math.nan  # there is none at the edge of a range
+    text = repr(Estimate("", finding.coefficient, error, finding.unit)).removeprefix(" = ")
+    low, high = finding.interval
+    if not math.isfinite(error):
+        return f"{text}, at the edge of its range, and so without a standard error"
+    if math.isfinite(low) and math.isfinite(high):
+        text += f" (95 %: {' to '.join(_ends(low, high))})"
+    return text
+
+
+def _ends(low: float, high: float) -> tuple[str, str]:
+    """Both ends with as many digits as tell them apart."""
+    largest = max(abs(low), abs(high))
+    digits = 3
+    if high > low:
+        digits = max(digits, 2 + math.floor(math.log10(largest)) - math.floor(math.log10(high - low)))
+    return number(low, digits), number(high, digits)
+
+
+def _wave(finding: Finding) -> str:
+    """Amplitude and frequency of a periodic disturbance, whose coefficients depend on the choice of its phase."""
+    values = [value for value, _ in finding.parameters.values()]
+    if not finding.cause.endswith(":periodic") or len(values) != 3:
+        return ""
+    sine, cosine, rate = values
+    return f"Amplitude {number(math.hypot(sine, cosine), 3)}, at {number(rate / (2.0 * math.pi), 3)} Hz."
+
+
+def _estimated(finding: Finding) -> list[str]:
+    """What its parameters were estimated to be."""
+    wave, value = _wave(finding), value_of(finding)
+    if wave:
+        return [wave]
+    lines = [f"Estimated: {value}."] if value else []
+    others = [
+        repr(Estimate(name, value, error if error > 0.0 else math.nan, finding.units.get(name, "")))
+        for name, (value, error) in list(finding.parameters.items())[1:]
+    ]
+    return [*lines, f"With {', '.join(others)}."] if others else lines
+
+
+def with_sign(value: float) -> str:
+    """A gain, to what can be told of it; "-" where there is none."""
+    return f"{value:+.1f}" if math.isfinite(value) else "-"
+
+
+def finding_lines(finding: Finding) -> list[str]:
+    """Sentences on one finding, without its name."""
+    lines = []
+    if finding.explanation:
+        # Names begin with small letters as they please: no capital is put on one.
+        said = (
+            f"That is, {finding.explanation}"
+            if finding.cause
+            else finding.explanation[:1].upper() + finding.explanation[1:]
+        )
+        lines.append(f"{said.rstrip('.')}.")
+    if finding.cause:
+        lines += _estimated(finding)
+    if finding.status == "surrogate":
+        lines.append("A surrogate: it fits, but its coefficient is outside of what is physical.")
+    gain = f"Gain in log-likelihood, residuals whitened: {with_sign(finding.gain)} (threshold {finding.threshold:.1f})"
+    if math.isfinite(finding.held_out_gain):
+        gain += f"; on data held out: {with_sign(finding.held_out_gain)}"
+    if math.isfinite(finding.gain):
+        lines.append(f"{gain}.")
+    if finding.cause and finding.held_out_gain <= 0.0:
+        lines.append("Beside the other causes it does not help to predict the data held out: doubt it.")
+    if finding.aliases:
+        rivals = [
+            f"{name} ({with_sign(finding.rivals[name])})" if name in finding.rivals else name
+            for name in finding.aliases
+        ]
+        doubted = "is not proved" if finding.ringing else "does not predict"
+        told = "The data do not tell it from" if finding.cause else f"What fits, but {doubted}"
+        lines.append(f"{told}: {', '.join(rivals)}.")
+    if finding.advice:
+        lines.append(finding.advice)
+    return lines
+
+
+def diagnosis_summary(diagnosis: Any) -> str:
+    """What was found, the evidence, and what is left open, for the terminal.
+
+    ``diagnosis`` has .fit, .misfit, .findings, .ranking, .threshold, .notes and .seconds, as a `Diagnosis` does.
+    """
+    parts = [f"{diagnosis.fit.model.name}: diagnosis ({diagnosis.seconds:.1f} s)", _filled(headline(diagnosis), "")]
+    for i, finding in enumerate(diagnosis.findings, start=1):
+        head = f"{i}. {alias_set(finding)}"
+        parts.append("\n".join([head, *(_filled(line, "   ") for line in finding_lines(finding))]))
+    if not diagnosis.ranking:
+        parts.append("No candidates were tried.")
+    elif not diagnosis.findings:
+        parts.append(_filled(_nearest(diagnosis), ""))
+    residuals = [_filled(line, "  ", "    ") for line in diagnosis.misfit.summary().split("\n")]
+    parts.append("\n".join(["Residuals of the model as it was:", *residuals]))
+    if diagnosis.notes:
+        parts.append("\n".join(["Notes:", *(_filled(note, "  ", "    ") for note in diagnosis.notes)]))
+    return "\n\n".join(parts)
+
+
+def _nearest(diagnosis: Any) -> str:
+    """How near the best candidate came."""
+    best = max(diagnosis.ranking, key=lambda s: s.statistic)
+    text = (
+        f"Of {len(diagnosis.ranking)} candidates the nearest is {best.name}, with {best.statistic:.1f} of the "
+        f"{diagnosis.threshold:.1f} that are needed in twice the log-likelihood"
+    )
+    if best.statistic <= diagnosis.threshold:
+        return f"{text}."
+    return f"{text}, to first order; fitted in full, or on data held out, it did not prove itself."
+
+
+def _filled(text: str, first: str, rest: str | None = None) -> str:
+    indent = first if rest is None else rest
+    return textwrap.fill(text, _WIDTH, initial_indent=first, subsequent_indent=indent, break_long_words=False)

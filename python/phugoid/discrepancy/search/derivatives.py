@@ -1,0 +1,123 @@
+"""Derivatives of a model along a path, by symbols."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _core
+from ..._core import Expr
+from ..candidates.candidate import Place
+
+__all__ = ["Derivatives", "Values"]
+
+_Array = NDArray[np.float64]
+
+
+class Derivatives:
+    """f, g, quantities, and derivatives of f and g with respect to states, parameters and places, compiled.
+
+    ``whole`` is the model as the user has it, of which ``model`` may be the one with delays taken out.
+    """
+
+    def __init__(self, model: Any, whole: Any) -> None:
+        core = model._core
+        self.states, self.outputs = list(model.state_names), list(model.output_names)
+        self.parameters = list(model.parameter_names)
+        inputs = [name for name, _ in core.inputs]
+        quantities = [name for name, *_ in core.quantities]
+        # What is added to a quantity is a symbol of its own, nothing in the end.
+        extra = {name: f"added to {name}" for name in quantities}
+        known: dict[str, Any] = {}
+        for name, e, *_ in core.quantities:
+            known[name] = e.substitute(known) + Expr.symbol(extra[name])
+        none: dict[str, float] = dict.fromkeys(extra.values(), 0.0)
+        f = [Expr(e.substitute(known)) for _, e, *_ in core.dynamics]
+        g = [Expr(e.substitute(known)) for _, e, *_ in core.outputs]
+        # In a late output, written out for an earlier time, quantities have no name: where its delay is as fitted, it
+        # is the output of the whole model at its own time.
+        by_name = {name: Expr(e.substitute(known)) for name, e, *_ in whole._core.outputs}
+        g_of_quantities = [by_name[name] for name in self.outputs]
+        order = [name for name, *_ in core.dynamics]
+        f = [f[order.index(name)] for name in self.states]
+        self._entries: list[tuple[str, Any, int, int]] = []  # what, which, row, output of the evaluator
+        asked: list[Expr] = []
+
+        def ask(what: str, which: Any, row: int, e: Expr) -> None:
+            e = Expr(e.substitute(none))
+            if e.constant == 0.0:
+                return
+            self._entries.append((what, which, row, len(asked)))
+            asked.append(e)
+
+        for k, e in enumerate(f):
+            ask("f", 0, k, e)
+        for k, e in enumerate(g):
+            ask("g", 0, k, e)
+        for k, name in enumerate(quantities):
+            ask("quantities", 0, k, Expr(known[name]))
+        for i, e in enumerate(g):
+            for k, name in enumerate([*self.states, *self.parameters]):
+                if name in e.symbols:
+                    ask("by_state" if k < len(self.states) else "by_parameter", name, i, e.diff(name))
+        self.places: list[tuple[Place, str]] = [(Place("quantity", n), s) for n, s in extra.items()]
+        self.places += [(Place("input", n), n) for n in inputs]
+        for place, symbol in self.places:
+            for k, e in enumerate(f):
+                if symbol in e.symbols:
+                    ask("place f", place, k, e.diff(symbol))
+            for k, e in enumerate(g_of_quantities if place.kind == "quantity" else g):
+                if symbol in e.symbols:
+                    ask("place g", place, k, e.diff(symbol))
+        self.n_quantities = len(quantities)
+        used = {symbol for e in asked for symbol in e.symbols}
+        # Those of conditions on the ends of records stand in no equation.
+        self._used = [i for i, name in enumerate(self.parameters) if name in used]
+        aux = _core.Model("derivatives")
+        for i in self._used:
+            aux.parameter(self.parameters[i], "", 0.0, -np.inf, np.inf, None, False, False, False, None)
+        for name in inputs:
+            aux.input(name, "")
+        for name in self.states:
+            aux.state(name, "")
+            aux.equation(name, 0.0, None)
+        for k, e in enumerate(asked):
+            aux.output(f"e{k} of phugoid", e, "", None)
+        self._evaluator = _core.Evaluator(aux)
+
+    def __call__(self, theta: _Array, columns: _Array) -> Values:
+        n = columns.shape[1]
+        rows = self._evaluator.outputs(theta[self._used], columns) if self._entries else np.empty((0, n))
+        n_x, n_y = len(self.states), len(self.outputs)
+        v = Values(
+            np.zeros((n_x, n)),
+            np.zeros((n_y, n)),
+            np.zeros((self.n_quantities, n)),
+            np.zeros((n_y, n_x, n)),
+            np.zeros((n_y, len(self.parameters), n)),
+        )
+        for place, _ in self.places:
+            v.by_place[place] = (np.zeros((n_x, n)), np.zeros((n_y, n)))
+        for k, name in enumerate(self.states):
+            slope = np.zeros((n_x, n))
+            slope[k] = 1.0
+            v.by_place[Place("equation", name)] = (slope, np.zeros((n_y, n)))
+        for what, which, row, k in self._entries:
+            if what in ("f", "g", "quantities"):
+                getattr(v, what)[row] = rows[k]
+            elif what == "by_state":
+                v.by_state[row, self.states.index(which)] = rows[k]
+            elif what == "by_parameter":
+                v.by_parameter[row, self.parameters.index(which)] = rows[k]
+            else:
+                v.by_place[which][what == "place g"][row] = rows[k]
+        return v
+
+
+class Values:
+    def __init__(self, f: _Array, g: _Array, quantities: _Array, by_state: _Array, by_parameter: _Array) -> None:
+        self.f, self.g, self.quantities = f, g, quantities
+        self.by_state, self.by_parameter = by_state, by_parameter
+        self.by_place: dict[Place, tuple[_Array, _Array]] = {}

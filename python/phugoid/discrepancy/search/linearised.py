@@ -1,0 +1,393 @@
+"""A fit linearised: residuals, and how the outputs answer to parameters, first states and forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _core
+from ...data.experiment import Experiment
+from ...errors import EvaluationError
+from ...estimation.estimate import estimate
+from ...guess import spread
+from ...result import Fit
+from ...transcription.collocation import Collocation
+from ..candidates.candidate import Candidate, Place
+from ..candidates.points import Points
+from ..colour.strands import strands_of
+from ..colour.whitening import Rows
+from .derivatives import Derivatives
+
+__all__ = ["Linearised", "collocated", "dataset"]
+
+_Array = NDArray[np.float64]
+_Indices = NDArray[np.intp]
+
+# Signals are worked on together as long as they have no more numbers: that bounds the memory.
+_NUMBERS = 1_000_000
+# Tangents whose singular value, in units of the noise, is below this part of the greatest are rounding.
+_NOTHING = 1e-9
+_DEPENDENT = "diagnose: the fit cannot be linearised: its equations depend on each other"
+
+
+def dataset(fit: Fit) -> Sequence[Experiment]:
+    """The data of a fit; of one from a file what its records hold."""
+    if fit.experiments:
+        return fit.experiments
+    return [
+        Experiment(
+            r.t, dict(r.inputs), dict(r.measured), r.name, "cubic" if r.interpolation == "cubic" else "linear"
+        )._sampled({name: (*own, 0.0, 0) for name, own in r.input_samples.items()}, None)
+        for r in fit.records
+    ]
+
+
+def collocated(fit: Fit) -> Fit:
+    """The fit by collocation, with its solution at hand: estimated again from it where it is another."""
+    inner = fit._moved or fit
+    if isinstance(inner.transcription, Collocation) and inner.solution is not None:
+        return fit
+    return estimate(fit.model, dataset(fit), noise=fit.noise, start=fit)
+
+
+class Linearised:
+    """The outputs of a collocation fit as a linear function of what may change in its model.
+
+    Rows stand for samples that were measured, output by output, within these experiment by experiment:
+
+    rows      (n_y, n_experiments) slices into them.
+    times     (n_rows,) s.
+    residuals (n_rows,) measured minus model.
+    sigmas    (n_y,) standard deviations of the noise as fitted.
+    tangents  (n_rows, k) changes of the outputs by the free parameters and first states: an orthogonal basis in units
+              of the noise, k their number (less where data or conditions leave less).
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        inner = fit._moved or fit
+        assert inner.solution is not None and isinstance(inner.transcription, Collocation)
+        self.fit, self.inner = fit, inner
+        self.model, self.experiments = inner.model, inner.experiments
+        names = self.model.output_names
+        spreads = {name: spread(self.experiments, name) for name in names}
+        noise = inner.noise.resolve(names, spreads, inner.as_start(inner.noise))
+        self._problem = inner.transcription.problem(self.model, self.experiments, noise)
+        self._xi = inner.solution.xi
+        present = [[np.isfinite(e.output(name)) for e in self.experiments] for name in names]
+        counts = np.array([[int(p.sum()) for p in line] for line in present])
+        ends = np.cumsum(counts.ravel()).reshape(counts.shape)
+        self.rows = [
+            [slice(end - n, end) for end, n in zip(*line, strict=True)] for line in zip(ends, counts, strict=True)
+        ]
+        self._present = present
+        self.n_rows = int(counts.sum())
+        self.times = self._stacked(lambda _, e: self.experiments[e].t)
+        self.residuals = self._stacked(lambda name, e: inner.records[e].residuals[name])
+        self.sigmas = np.array([self._sigma(name) for name in names])
+        self._evaluate()
+
+    def _sigma(self, output: str) -> float:
+        """Of the noise as the fit has it; where that is nothing of the kind, of the residual."""
+        label = f"sigma_{output}"
+        if label in self.inner.parameters:
+            return self.inner.parameters[label].value
+        known = self.inner.noise.known_sigmas(self.model.output_names)
+        if output in known:
+            return float(known[output])
+        i = self.model.output_names.index(output)
+        r = self.residuals[slice(self.rows[i][0].start, self.rows[i][-1].stop)]
+        return float(np.sqrt(np.mean(r**2))) or 1.0
+
+    def _stacked(self, channel: Callable[[str, int], _Array]) -> _Array:
+        parts = [
+            channel(name, e)[self._present[i][e]]
+            for i, name in enumerate(self.model.output_names)
+            for e in range(len(self.experiments))
+        ]
+        return np.concatenate(parts)
+
+    def scale(self) -> _Array:
+        """(n_rows,) standard deviation of the noise in each row."""
+        scale = np.empty(self.n_rows)
+        for sigma, line in zip(self.sigmas, self.rows, strict=True):
+            scale[line[0].start : line[-1].stop] = sigma
+        return scale
+
+    def _evaluate(self) -> None:
+        """Derivatives of f and g along the path, at all points, by symbols."""
+        model, problem, record = self.model, self._problem, self.inner.records
+        derivatives = Derivatives(model, self.fit.model)
+        self.points: list[Points] = []
+        self._slopes: list[Mapping[Place, _Array]] = []  # place -> (n_x, mesh points)
+        self._direct: list[Mapping[Place, _Array]] = []  # place -> (n_y, samples)
+        self._by_state: list[_Array] = []  # (n_y, n_x, samples)
+        self._by_variable: list[_Array] = []  # (n_y, n_theta, samples)
+        self.sample_points: list[_Indices] = []  # places among the points
+        self._places: list[_Indices] = []  # of the problem's points among them
+        n_theta, xi = problem.n_theta, self._xi
+        values = problem.values(xi[: len(problem.estimands)].tolist())
+        first = problem.first_point
+        late = {of: name for name, (of, _) in self.fit.model.delays.inputs.items()}
+        for e, experiment in enumerate(self.experiments):
+            theta = np.empty(len(model.parameter_names))
+            for (_, p, own), (value, _) in zip(problem.estimands, values, strict=True):
+                if own is None or own == e:
+                    theta[p] = value
+            t = problem.point_times(e)
+            x = xi[n_theta + first[e] * problem.n_states : n_theta + first[e + 1] * problem.n_states]
+            columns = np.vstack([t, *problem.point_inputs(e), x.reshape(t.size, -1).T])
+            order = np.argsort(t, kind="stable")  # samples between mesh points stand after all mesh points
+            columns, place_of = columns[:, order], np.argsort(order)
+            found = derivatives(theta, columns)
+            if not all(np.isfinite(part).all() for part in (found.f, found.g, found.by_state, found.by_parameter)):
+                raise EvaluationError(f"diagnose: the model is not finite along the path of '{experiment.name}'")
+            for of, name in late.items():  # what acts on an input, acts on it late
+                by_place, inputs = found.by_place, [n for n, _ in model._core.inputs]
+                (f, g), (more_f, more_g) = by_place[Place("input", of)], by_place[Place("input", name)]
+                by_place[Place("input", of)] = f + more_f, g + more_g
+                columns[1 + inputs.index(of)] = columns[1 + inputs.index(name)]
+            at = place_of[problem.sample_points(e)]
+            mesh = place_of[: record[e].mesh_t.size]
+            self.sample_points.append(at)
+            self._places.append(place_of)
+            self._by_state.append(found.by_state[:, :, at])
+            by_variable = np.zeros((len(model.output_names), n_theta, at.size))
+            for i, ((_, p, own), (_, slope)) in enumerate(zip(problem.estimands, values, strict=True)):
+                if own is None or own == e:
+                    by_variable[:, i] = slope * found.by_parameter[:, p, at]
+            self._by_variable.append(by_variable)
+            self._slopes.append({place: f[:, mesh] for place, (f, _) in found.by_place.items()})
+            self._direct.append({place: g[:, at] for place, (_, g) in found.by_place.items()})
+            self.points.append(self._points(experiment.name, columns, found))
+
+    def _points(self, name: str, columns: _Array, found: Any) -> Points:
+        """The path at all points; slopes of inputs and outputs by differences along time."""
+        model, t = self.model, columns[0]
+
+        def rate(v: _Array) -> _Array:
+            return np.gradient(v, t)
+
+        inputs = [n for n, _ in model._core.inputs]
+        values = dict(zip([*inputs, *model.state_names], columns[1:], strict=True))
+        rates = {n: rate(values[n]) for n in inputs} | dict(zip(model.state_names, found.f, strict=True))
+        outputs = dict(zip(model.output_names, found.g, strict=True))
+        values |= dict(zip((n for n, *_ in model._core.quantities), found.quantities, strict=True))
+        return Points(name, t, values, rates, outputs, {n: rate(v) for n, v in outputs.items()})
+
+    @cached_property
+    def moves(self) -> tuple[_Array, _Array]:
+        """Tangents as they come: changes of the outputs (n_rows, k) in units of the noise, and of variables (n, k)."""
+        columns, answers = self.directions()
+        return columns, answers[: self._problem.n_theta].copy()
+
+    def directions(self) -> tuple[_Array, _Array]:
+        """As `moves`, with changes of the variables (n_theta + n_samples n_x, k): then of the states at all samples."""
+        problem, held = self._problem, self._held()
+        n_theta, n_x = problem.n_theta, problem.n_states
+        wanted = [i for i in range(n_theta) if i not in held]
+        for first, record in zip(problem.first_point[:-1], self.inner.records, strict=True):
+            # The last states too: in an unstable motion all first states but those on one line are out of reach.
+            for point in (first, first + record.mesh_t.size - 1):
+                wanted += range(n_theta + n_x * point, n_theta + n_x * (point + 1))
+        found = _core.tangents(problem, self._xi, held, wanted)
+        if found is None:
+            raise EvaluationError(_DEPENDENT)
+        answers, forward = found
+        if forward and problem.boundary_states:
+            answers = self._conditions(wanted) @ answers
+        columns = self._outputs(answers).T / self.scale()[:, None]
+        size = np.linalg.norm(columns, axis=0)
+        kept = size > 0
+        return columns[:, kept] / size[kept], answers[kept].T / size[kept]
+
+    def _conditions(self, variables: Sequence[int]) -> _Array:
+        """(k, n) combinations of variables that leave the conditions on the beginnings of the records met."""
+        problem = self._problem
+        conditions = np.zeros((len(problem.boundary_states), problem.n))
+        rows, columns = problem.jacobian_structure()
+        values = problem.jacobian(self._xi)
+        assert values is not None  # the path was evaluated before
+        there = rows >= problem.m - conditions.shape[0]
+        np.add.at(conditions, (rows[there] - (problem.m - conditions.shape[0]), columns[there]), values[there])
+        conditions = conditions[:, list(variables)]
+        conditions /= np.linalg.norm(conditions, axis=1, keepdims=True)
+        _, sizes, vt = np.linalg.svd(conditions)
+        return np.asarray(vt[int((sizes > _NOTHING * sizes[0]).sum()) :])
+
+    @cached_property
+    def tangents(self) -> _Array:
+        """See the class."""
+        basis, values, _ = np.linalg.svd(self.moves[0], full_matrices=False)
+        return np.asarray(basis[:, values > _NOTHING * values[:1]] * self.scale()[:, None])
+
+    @cached_property
+    def structure(self) -> Rows:
+        """How the rows hang together."""
+        strands = [[s.from_row(r.start) for r in line for s in strands_of(self.times[r])] for line in self.rows]
+        # What a late sensor measured together with others it measured at their time, not at its own.
+        measured = np.concatenate(
+            [e.t[np.isfinite(e.output(name))] for name in self.model.output_names for e in dataset(self.fit)]
+        )[self.measured_rows]
+        groups: dict[tuple[int, ...], list[_Indices]] = {}
+        complete: list[_Indices] = []
+        for e in range(len(self.experiments)):
+            lines = [line[e] for line in self.rows]
+            times = np.unique(np.concatenate([measured[rows] for rows in lines]))
+            table = np.full((times.size, len(lines)), -1)
+            for i, rows in enumerate(lines):
+                table[np.searchsorted(times, measured[rows]), i] = np.arange(rows.start, rows.stop)
+            whole = np.flatnonzero((table >= 0).all(axis=1))
+            for strand in strands_of(times[whole]):
+                complete += [table[whole[strand.rows][run]] for run in strand.runs]
+            patterns, which = np.unique(table >= 0, axis=0, return_inverse=True)
+            for k, pattern in enumerate(patterns):
+                there = np.flatnonzero(pattern)
+                some = table[which.ravel() == k]
+                groups.setdefault(tuple(there.tolist()), []).append(some[:, there])
+        together = [(outputs, np.vstack(at)) for outputs, at in groups.items()]
+        return Rows(strands, together, complete)
+
+    def over_time(self, rows: _Array) -> list[_Array]:
+        """Sums of rows (n_rows,) of the same time, in the order of time, for each experiment."""
+        found = []
+        for e in range(len(self.experiments)):
+            mine = np.concatenate([np.arange(line[e].start, line[e].stop) for line in self.rows])
+            _, which = np.unique(self.times[mine], return_inverse=True)
+            found.append(np.bincount(which.ravel(), weights=rows[mine]).astype(np.float64))
+        return found
+
+    @property
+    def places(self) -> set[Place]:
+        """Where candidates can act."""
+        return {*self._slopes[0], *(Place("output", name) for name in self.model.output_names)}
+
+    @cached_property
+    def counts(self) -> list[int]:
+        """(n_y,) samples of each output that were measured."""
+        data = dataset(self.fit)
+        return [sum(int(np.isfinite(e.output(name)).sum()) for e in data) for name in self.model.output_names]
+
+    @property
+    def n_measured(self) -> int:
+        """All samples that were measured."""
+        return sum(self.counts)
+
+    @cached_property
+    def measured_rows(self) -> _Indices:
+        """(n_rows,) places of the rows among all samples that were measured: a late sensor loses some."""
+        delays = self.fit.model.delays.outputs
+        all_rows, first = [], 0
+        for name, line in zip(self.model.output_names, self.rows, strict=True):
+            late = self.fit.parameters[delays[name]].value if name in delays else 0.0
+            for e, rows in zip(dataset(self.fit), line, strict=True):
+                t = e.t[np.isfinite(e.output(name))]
+                at = np.searchsorted(t, self.times[rows] + late)
+                before, after = np.clip(at - 1, 0, None), np.clip(at, None, t.size - 1)
+                nearer = np.abs(t[after] - self.times[rows] - late) <= np.abs(t[before] - self.times[rows] - late)
+                all_rows.append(first + np.where(nearer, after, before))
+                first += t.size
+        return np.concatenate(all_rows)
+
+    def place(self, name: str) -> int:
+        """Of a parameter among the variables."""
+        return [n for n, *_ in self._problem.estimands].index(name)
+
+    def value(self, name: str, step: _Array, covariance: _Array) -> tuple[float, float]:
+        """Of a parameter of the model after a step of the variables, and its standard error."""
+        i = self.place(name)
+        n = len(self._problem.estimands)
+        _, slope = self._problem.values(self._xi[:n].tolist())[i]
+        value, _ = self._problem.values((self._xi + np.pad(step, (0, self._xi.size - step.size)))[:n].tolist())[i]
+        return value, float(abs(slope) * np.sqrt(covariance[i, i]))
+
+    def without_states(self, columns: _Array, parameters: _Array) -> _Array:
+        """What is left of answers (k, n_rows), in units of the noise, when first states alone take part in them.
+
+        ``parameters`` (k, n_theta) is how parameters took part.
+        """
+        outputs, moves = self.moves
+        unit = np.linalg.norm(moves, axis=1)
+        moves = moves[unit > 0] / unit[unit > 0, None]
+        u, values, vt = np.linalg.svd(moves)
+        rank = int((values > _NOTHING * values[:1]).sum())
+        basis, sizes, _ = np.linalg.svd(outputs @ vt[rank:].T, full_matrices=False)
+        basis = basis[:, sizes > _NOTHING * sizes[:1]]
+        if parameters.any():
+            part = (parameters[:, unit > 0] / unit[unit > 0]) @ u[:, :rank] / values[:rank]
+            columns = columns - part @ (outputs @ vt[:rank].T).T
+        return np.asarray(columns - (columns @ basis) @ basis.T)
+
+    def _held(self) -> list[int]:
+        """Variables that do not move: the noise's, and parameters fixed or at a bound."""
+        problem = self._problem
+        lower, upper = problem.bounds()
+        names = [name for name, *_ in problem.estimands]
+        held = [i for i, name in enumerate(names) if lower[i] == upper[i] or self.inner.parameters[name].bounds_active]
+        return held + list(range(len(names), problem.n_theta))
+
+    @cached_property
+    def _derivatives(self) -> tuple[_Array, _Array, _Indices]:
+        """Of the outputs at all samples, by states (samples, n_y, n_x) and by variables (samples, n_y, n_theta); and
+        which row each is (samples, n_y), -1 where nothing was measured."""
+        rows = [np.full((p.size, len(self.rows)), -1) for p in self.sample_points]
+        for i, line in enumerate(self.rows):
+            for e, own in enumerate(line):
+                rows[e][self._present[i][e], i] = np.arange(own.start, own.stop)
+        by_state, by_variable = (
+            np.ascontiguousarray(np.concatenate(parts, axis=2).transpose(2, 0, 1))
+            for parts in (self._by_state, self._by_variable)
+        )
+        return by_state, by_variable, np.vstack(rows)
+
+    def _outputs(self, answers: _Array) -> _Array:
+        """(k, n_rows) changes of the outputs by those of variables and states."""
+        by_state, by_variable, rows = self._derivatives
+        k, n_theta = answers.shape[0], self._problem.n_theta
+        states = answers[:, n_theta:].reshape(k, len(rows), -1).transpose(1, 2, 0)
+        changes = by_state @ states + by_variable @ answers[:, :n_theta].T
+        out = np.empty((k, self.n_rows))
+        out[:, rows[rows >= 0]] = changes[rows >= 0].T
+        return out
+
+    def columns(self, effects: Sequence[tuple[Candidate, Mapping[str, float]]]) -> tuple[_Array, _Array, list[slice]]:
+        """The outputs' answers to the coefficients of candidates at a shape.
+
+        (k, n_rows) answers, (k, n_theta) how parameters took part in them, and which of the k are each effect's. What
+        differs by tangents is the same answer: parameters and first states take part in the least way, or none.
+        """
+        ends = np.cumsum([0, *(1 if c.unit_amplitude else len(c.coefficients) for c, _ in effects)]).tolist()
+        groups = [slice(a, b) for a, b in pairwise(ends)]
+        answers = np.zeros((ends[-1], self.n_rows))
+        parameters = np.zeros((ends[-1], self._problem.n_theta))
+        by_place: dict[Place, list[int]] = {}
+        for i, (c, _) in enumerate(effects):
+            by_place.setdefault(c.place, []).append(i)
+        most = max(1, _NUMBERS // sum(p.t.size for p in self.points))
+        for place, members in by_place.items():
+            for begin in range(0, len(members), most):
+                some = members[begin : begin + most]
+                signals = [np.vstack([effects[i][0].signals(p, effects[i][1]) for i in some]) for p in self.points]
+                at = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in some])
+                answers[at], parameters[at] = self._answers(place, signals)
+        return answers, parameters, groups
+
+    def _answers(self, place: Place, signals: Sequence[_Array]) -> tuple[_Array, _Array]:
+        """Answers to signals at a place, (k, points) for each experiment."""
+        if place.kind == "output":
+            slopes = np.zeros((sum(r.mesh_t.size for r in self.inner.records), self._problem.n_states))
+            direct = np.zeros(self._derivatives[2].shape)
+            direct[:, self.model.output_names.index(place.name)] = 1.0
+        else:
+            slopes = np.vstack([by[place].T for by in self._slopes])
+            direct = np.vstack([by[place].T for by in self._direct])
+        of_points = np.hstack([np.take(s, at, axis=1) for s, at in zip(signals, self._places, strict=True)])
+        mine = (self._problem, self._xi, self._held(), *self._derivatives)
+        found = _core.answers(*mine, *map(np.ascontiguousarray, (slopes, direct, of_points)))
+        if found is None:
+            raise EvaluationError(_DEPENDENT)
+        return found

@@ -1,0 +1,202 @@
+"""All candidates at one fit: what each would gain, from one linearisation.
+
+What tangents can imitate counts for nothing through any filter, so it is taken out of the effects' columns C once, in
+the metric of white noise: what is left is small where the motion is unstable and C is not. Through a filter F, with
+W = F C, Q an orthonormal basis of the whitened tangents and e what they leave of the residuals, W'W - (Q'W)'(Q'W) and
+W'e are all that the statistics need: whitened columns come and go, block by block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..candidates.candidate import Candidate
+from ..colour.joint import Filter
+from ..colour.prediction import Channel
+from ..colour.whitening import Whitening
+from .groups import Groups
+from .least_squares import Whitened
+from .linearised import Linearised
+
+__all__ = ["CONFOUNDED", "NEARLY", "Scan", "Statistics"]
+
+_Array = NDArray[np.float64]
+
+# Candidates whose effect on the outputs is but this part their own cannot be told from the parameters there, or hardly.
+CONFOUNDED, NEARLY = 0.003, 0.05
+# Terms that are taken out before the noise is modelled for ranking.
+_GREEDY = 3
+# Filters whose statistics are kept.
+_KEPT = 8
+# Of an effect's own part what is less than this, in units of the noise, is rounding.
+_ROUNDING = 1e-10
+# Where tangents imitate all but this of a column's square, what is left is not found by subtraction.
+_CANCELLED = 1e-5
+# Columns that are worked on together: they stay in the cache.
+_AT_ONCE = 32
+# Columns of more numbers are made again rather than kept while another scan is at work.
+_LARGE = 20_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """For each effect (a candidate at a shape), seen through a filter:
+
+    values      twice the gain in log-likelihood, to first order.
+    amplitudes  one-step estimates of its coefficients.
+    seen        the fit through the filter.
+    parts       (all columns,) of what is left of columns beside the tangents, products with what is left of residuals.
+    grams       products with each other within an effect, as `Groups` holds them.
+    """
+
+    values: _Array
+    amplitudes: Sequence[_Array]
+    seen: Whitened
+    parts: _Array
+    grams: list[_Array]
+
+
+class Scan:
+    """The effects of candidates on the outputs of a fit.
+
+    effects   candidate and shape; several for a candidate with shapes.
+    distinct  for each, the part of its effect that the parameters there cannot imitate.
+    lost      names of candidates without such a part.
+    """
+
+    def __init__(self, linear: Linearised, candidates: Sequence[Candidate]) -> None:
+        self.linear = linear
+        effects = [(c, shape) for c in candidates for shape in c.shapes]
+        self.white = Whitened(linear, _white(linear))
+        columns, parameters, groups = linear.columns(effects)
+        along = self._without_tangents(columns)
+        # What first states alone cannot imitate, of the tangents and of how parameters took part.
+        tangents, each = self.white.basis.T, np.eye(parameters.shape[1])
+        rest = linear.without_states(
+            np.pad(tangents, ((0, len(each)), (0, 0))), np.pad(each, ((len(tangents), 0), (0, 0)))
+        )
+        imitated = np.hstack([along, parameters]) @ np.asarray(np.linalg.qr(rest.T, mode="r")).T
+        scale = linear.scale()
+        sizes = [np.sum((columns[g] / scale) ** 2) for g in groups]
+        own = np.sqrt(sizes)
+        whole = np.sqrt([s + np.sum(imitated[g] ** 2) for s, g in zip(sizes, groups, strict=True)])
+        distinct = own / np.maximum(whole, 1e-300)
+        kept = np.flatnonzero((distinct > CONFOUNDED) & (own > _ROUNDING))
+        self.effects: list[tuple[Candidate, Mapping[str, float]]] = [effects[i] for i in kept]
+        self.groups = Groups([groups[i].stop - groups[i].start for i in kept])
+        for to, i in zip(self.groups.slices, kept, strict=True):
+            columns[to] = columns[groups[i]]
+        self._columns: _Array | None = columns[: sum(self.groups.sizes)]
+        self.distinct = distinct[kept]
+        there = {c.name for c, _ in self.effects}
+        self.lost = tuple(dict.fromkeys(c.name for c in candidates if c.name not in there))
+        self._clean: Whitening | None = None
+        self._last: list[tuple[Filter, Statistics]] = []
+
+    @property
+    def columns(self) -> _Array:
+        """(all columns, n_rows) the effects, without what tangents can imitate if the noise is white."""
+        if self._columns is None:
+            self._columns, _, _ = self.linear.columns(self.effects)
+            self._without_tangents(self._columns)
+        return self._columns
+
+    def _without_tangents(self, columns: _Array) -> _Array:
+        """Takes it out of columns, and gives what it was: (k, tangents) along the white basis."""
+        scale, basis = self.linear.scale()[:, None], self.white.basis
+        taken, put = basis / scale, (basis * scale).T
+        along = np.empty((columns.shape[0], basis.shape[1]))
+        for k in range(0, columns.shape[0], _AT_ONCE):
+            block = columns[k : k + _AT_ONCE]
+            along[k : k + _AT_ONCE] = block @ taken
+            block -= along[k : k + _AT_ONCE] @ put
+        return along
+
+    def forget(self) -> None:
+        """Drops columns that take much space: they can be made again."""
+        if self._columns is not None and self._columns.size > _LARGE:
+            self._columns = None
+
+    def through(self, filter: Filter) -> Statistics:
+        """Statistics through a filter; those of the last few filters are kept."""
+        for known, statistics in self._last:
+            if known is filter:
+                return statistics
+        seen = self.white if filter is self.white.filter else Whitened(self.linear, filter.on(self.linear.structure))
+        statistics = self._statistics(seen)
+        self._last = [(filter, statistics), *self._last[: _KEPT - 1]]
+        return statistics
+
+    def _along(self, seen: Whitened, vectors: _Array) -> tuple[_Array, _Array]:
+        assert isinstance(seen.filter, Whitening)  # channel by channel
+        return seen.filter.products(self.columns, vectors, self.groups.sizes)
+
+    def _statistics(self, seen: Whitened) -> Statistics:
+        errors, groups = seen.errors, self.groups
+        # The filter may be that of other residuals: what is left here is not less certain than its variance.
+        variance = min(float(errors @ errors) / max(errors.size - seen.basis.shape[1], 1), 1.0)
+        along, squares = self._along(seen, np.vstack([errors, seen.basis.T]))
+        parts, whole = along[:, 0].copy(), groups.grams(squares)
+        grams = groups.without(whole, along[:, 1:])
+        cancelled = groups.squares(grams) < _CANCELLED * groups.squares(whole)
+        for i in [i for i, g in enumerate(groups.slices) if cancelled[g].any()]:
+            beside = self._beside(seen, i)
+            parts[groups.slices[i]] = beside @ errors
+            groups.put(grams, i, beside @ beside.T)
+        explained, amplitudes = groups.solved(grams, parts)
+        return Statistics(explained / variance, [amplitudes[g] for g in groups.slices], seen, parts, grams)
+
+    def _beside(self, seen: Whitened, effect: int) -> _Array:
+        return seen.beside(self.columns[self.groups.slices[effect]])
+
+    def basis(self, statistics: Statistics, effect: int) -> _Array:
+        """(n_rows, k) orthonormal, of an effect's columns, whitened, without what tangents can imitate."""
+        columns = self._beside(statistics.seen, effect).T
+        if columns.shape[1] == 1:
+            return np.asarray(columns / max(float(np.linalg.norm(columns)), 1e-300))
+        return np.asarray(np.linalg.qr(columns)[0])
+
+    def cosines(self, statistics: Statistics, basis: _Array) -> _Array:
+        """(effects,) of the angles between all effects and that of a basis: the smaller within the other."""
+        return self.groups.cosines(statistics.grams, self._along(statistics.seen, basis.T)[0])
+
+    def clean(self) -> Whitening:
+        """The filter of the residuals without the few terms that explain most of them, taken as white.
+
+        Slow effects hide in a noise model that was made with them.
+        """
+        if self._clean is None:
+            _, errors = self._greedy(self.through(self.white.filter), _GREEDY)
+            own = self.white.residuals + self.linear.scale() * (errors - self.white.errors)
+            self._clean = Whitening.of(own, self.linear.structure)
+        return self._clean
+
+    def different(self, statistics: Statistics, count: int) -> list[int]:
+        """The effect that explains most, the one that explains most of what is left, and so on."""
+        return self._greedy(statistics, count)[0]
+
+    def _greedy(self, statistics: Statistics, count: int) -> tuple[list[int], _Array]:
+        """Takes out of the errors what explains most of them, one effect after the other: which, and what is left."""
+        errors, parts, grams = statistics.seen.errors.copy(), statistics.parts, statistics.grams
+        taken: list[int] = []
+        found = np.empty((errors.size, 0))
+        for number in range(min(count, len(self.effects))):
+            taken.append(int(np.argmax(self.groups.solved(grams, parts)[0])))
+            best = self._beside(statistics.seen, taken[-1]).T
+            new = np.linalg.qr(best - found @ (found.T @ best))[0]
+            found, inner = np.hstack([found, new]), new.T @ errors
+            errors -= new @ inner
+            if number + 1 < count:
+                along, _ = self._along(statistics.seen, new.T)
+                parts, grams = parts - along @ inner, self.groups.without(grams, along)
+        return taken, errors
+
+
+def _white(linear: Linearised) -> Whitening:
+    """The noise as the fit has it: white."""
+    channels = [Channel((np.empty(0),), np.array([sigma])) for sigma in linear.sigmas]
+    return Whitening(channels, linear.structure)

@@ -1,0 +1,1 @@
+"""Which manoeuvre would tell a cause from its rivals."""

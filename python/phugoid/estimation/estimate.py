@@ -1,0 +1,219 @@
+"""From a model and data to a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..data.checked import moves
+from ..data.experiment import Experiment, as_experiments
+from ..data.unit_check import check_units
+from ..errors import ModelError, OptionError
+from ..guess import check_names, measured_states, parameter_start, spread, state_start
+from ..interrupts import interrupts
+from ..modelling.model import Model
+from ..noise.noise import KINDS, Noise
+from ..process_noise.fit import better, doubtful, filter_error
+from ..process_noise.variables import split
+from ..progress import Progress
+from ..regression.result import EquationError
+from ..result import Fit
+from ..solvers import HINTS, Ipopt, Iteration, Newton, Solution
+from ..transcription.collocation import Collocation
+from ..transcription.filter_error import FilterError
+from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
+from .fitted import make_fit
+from .late import estimate_late
+from .refine import refined
+
+__all__ = ["estimate"]
+
+_Array = NDArray[np.float64]
+
+
+def estimate(
+    model: Model,
+    data: Experiment | Sequence[Experiment],
+    *,
+    transcription: Transcription | FilterError | None = None,
+    noise: Noise | None = None,
+    start: Mapping[str, Any] | Fit | EquationError | None = None,
+    solver: Newton | Ipopt | None = None,
+    progress: bool | Callable[[Iteration], None] = False,
+) -> Fit:
+    """The maximum-likelihood estimate of a model's parameters from measured data (Eq. ml_loglike of the paper).
+
+    ``data``: one experiment or several with shared parameters. Initial states are free.
+    ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number
+    or one value a sample), or a fit to go on from, or the result of `equation_error`. Parameters not named start as
+    declared, standard deviations at the spread of the measurements, states as measured where an output measures them
+    and else at 0.
+    ``transcription``: `Collocation`, `MultipleShooting` or `SingleShooting`, or `FilterError` where there is process
+    noise, such as turbulence; the latter has a solver of its own.
+    ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, or `PerExperiment` of these,
+    instead of the model's own.
+    ``solver``: `Newton` unless asked otherwise.
+    ``progress``: True prints the iterations; a function is called with each.
+
+    Ctrl-C ends the run and returns the best point so far, with status "interrupted". Pressed once more, while its
+    standard errors are computed, it leaves these out (NaN, and a warning); a third is as ever.
+
+    Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model is not
+    finite at the start. Not to converge is a status of the fit, not an error.
+    """
+    experiments = as_experiments(data, "estimate")
+    if not isinstance(model, Model):
+        raise ModelError(f"estimate: the first argument is a Model, not a {type(model).__name__}")
+    model.check()
+    check_units(model, experiments, "estimate")
+    transcription = transcription or Collocation()
+    noise = noise or model.noise_model
+    if not isinstance(transcription, (Collocation, FilterError, MultipleShooting, SingleShooting)):
+        raise OptionError(
+            "estimate: transcription is a Collocation, FilterError, MultipleShooting or SingleShooting, "
+            f"not {transcription!r}"
+        )
+    if not isinstance(noise, Noise):
+        raise OptionError(f"estimate: noise is {KINDS}, not {noise!r}")
+    if isinstance(transcription, FilterError) and solver is not None:
+        raise OptionError("estimate: FilterError has a solver of its own; leave out solver")
+    solver = solver or Newton()
+    if not isinstance(solver, (Newton, Ipopt)):
+        raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
+    collocated = isinstance(transcription, Collocation)
+    if isinstance(solver, Newton) and solver.regression and not collocated:
+        raise OptionError("estimate: a regression on states as measured makes sense with Collocation only")
+    if not isinstance(progress, bool) and not callable(progress):
+        raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
+    if not isinstance(start, (Mapping, Fit, EquationError, type(None))):
+        raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
+    if isinstance(transcription, Collocation) and transcription.refine:
+        # A mesh that is only finer needs no regression: the path is there.
+        again = replace(solver, regression=False) if isinstance(solver, Newton) else solver
+
+        def solve(mesh: Collocation, fit: Fit | None) -> Fit:
+            begin, by = (fit, again) if fit else (start, solver)
+            return estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
+
+        return refined(solve, transcription)
+
+    if model.delays:
+        if isinstance(transcription, FilterError):
+            raise OptionError("FilterError: delays are not supported")
+        options = {"transcription": transcription, "noise": noise, "solver": solver, "progress": progress}
+        return estimate_late(estimate, model, experiments, start, options)
+
+    moving = [_moving(e, model.output_names) for e in experiments]
+    for i, experiment in enumerate(experiments):
+        # An output that stands still in this experiment may move in another, which then gives its sigma.
+        elsewhere = set().union(*moving[:i], *moving[i + 1 :])
+        known_sigma = {*noise.known_sigmas(model.output_names), *elsewhere}
+        experiment.check_for(model.input_names, model.output_names, known_sigma)
+
+    if isinstance(transcription, FilterError):
+        if isinstance(start, EquationError):
+            start = start.as_start()
+        # Of parameters that each experiment has its own, states are measured with biases: their path is a fit's.
+        local = len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values())
+        if isinstance(start, Fit):
+            fit = filter_error(model, experiments, transcription, noise, start, progress)
+            return replace(fit, experiments=tuple(experiments))
+
+        def begun() -> Fit:
+            _, others = split(transcription, start or {})
+            return estimate(model, experiments, noise=noise, start=others, progress=progress)
+
+        early = begun() if transcription.output_error or local else None
+        fit = filter_error(model, experiments, transcription, noise, start, progress, early)
+        if early is None and doubtful(fit, transcription):
+            fit = better(fit, lambda: filter_error(model, experiments, transcription, noise, start, progress, begun()))
+        return replace(fit, experiments=tuple(experiments))
+
+    warm = start if isinstance(start, (Fit, EquationError)) else None
+    given: Mapping[str, Any] = _given(start, noise)
+    check_names(model, given, experiments, noise.names(model.output_names))
+    parameters = parameter_start(model, given)
+    spreads = {name: spread(experiments, name) for name in model.output_names}
+    problem = transcription.problem(model, experiments, noise.resolve(model.output_names, spreads, given))
+    xi = starting_point(problem, model, experiments, parameters, given, warm)
+    known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
+    with interrupts() as pressed:
+        with Progress.of(progress, model.name) as watch:
+            before = _warm(warm, transcription, problem, xi)
+            near = isinstance(start, Fit)
+            solution = solver.solve(problem, xi, before, _until(pressed, watch), states_known=known, near=near)
+        stopped = solution.status == "interrupted"
+        # One more than ended the run.
+        enough = max(pressed(), 1) + 1 if stopped else 1
+        fit = make_fit(model, experiments, noise, transcription, problem, solution, lambda: pressed() >= enough)
+        if pressed() and not stopped:  # whoever called is to know
+            fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
+    return fit
+
+
+def _until(pressed: Callable[[], int], watch: Callable[[Iteration], None] | None) -> Callable[[Iteration], None]:
+    """What ends a run at the iteration at which Ctrl-C was pressed."""
+
+    def each(line: Iteration) -> None:
+        if watch is not None:
+            watch(line)
+        if pressed():
+            raise KeyboardInterrupt
+
+    return each
+
+
+def _given(start: Any, noise: Noise) -> Mapping[str, Any]:
+    """Start values by name."""
+    if isinstance(start, Fit):
+        return start.as_start(noise)
+    return start.as_start() if isinstance(start, EquationError) else dict(start or {})
+
+
+def starting_point(
+    problem: _core.Problem,
+    model: Model,
+    experiments: Sequence[Experiment],
+    parameters: Mapping[str, float],
+    given: Mapping[str, Any],
+    warm: Fit | EquationError | None = None,
+) -> _Array:
+    """The decision variables to start from: parameters, those of the noise, states at all points."""
+    each = [list(parameter_start(model, given, e.name).values()) for e in experiments]
+    shared = list(parameters.values())
+    values = [(shared if e is None else each[e])[p] for _, p, e in problem.estimands]
+    parts = [np.array([*problem.variables(values), *problem.noise_start])]
+    for i, experiment in enumerate(experiments):
+        times = problem.point_times(i)
+        own = dict(zip(parameters, each[i], strict=True))
+        states = state_start(model, experiment, times, own, given)
+        if warm is not None and i < len(warm.records):
+            record = warm.records[i]
+            for k, name in enumerate(model.state_names):
+                if name in record.mesh_states:
+                    path = record.mesh_states[name]
+                    states[k] = _core.interpolate("cubic", record.mesh_t.tolist(), path.tolist(), times.tolist())
+        parts.append(states.T.ravel())
+    return np.concatenate(parts)
+
+
+def _warm(
+    fit: Fit | EquationError | None, transcription: Transcription, problem: _core.Problem, xi: _Array
+) -> Solution | None:
+    """The solution of an earlier fit, where the problem has the same size: its multipliers serve again."""
+    if fit is None or fit.solution is None or fit.solution.xi.size != xi.size:
+        return None
+    if type(fit.transcription) is not type(transcription):
+        return None
+    return fit.solution if fit.solution.multipliers.size == problem.m else None
+
+
+def _moving(experiment: Experiment, outputs: Sequence[str]) -> set[str]:
+    """The outputs that an experiment has and that are not constant there."""
+    there = {*experiment.outputs, *experiment.channels}
+    return {name for name in outputs if name in there and moves(experiment.output(name))}

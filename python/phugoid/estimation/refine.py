@@ -1,0 +1,100 @@
+"""Mesh refinement: segments are split, or the order raised, until the integration error is small."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..integration import IntegrationError
+from ..refinement import Refinement, Step
+from ..result import Fit
+from ..transcription.collocation import Collocation
+
+__all__ = ["refined"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+_PASSES = 10
+# The order is raised, one by one, while more than this part of the segments is too coarse, and while that helps.
+_MANY, _HIGHEST, _HELP = 0.5, 6, 4.0
+# A split aims at this part of the tolerance, in no more pieces than these.
+_AIM, _PIECES = 0.5, 8
+_POINTS = 2_000_000
+
+
+def refined(solve: Callable[[Collocation, Fit | None], Fit], transcription: Collocation) -> Fit:
+    """The fit on a mesh that is fine enough: ``solve`` estimates with a transcription, from a fit or the user's start.
+
+    Ends where the tolerance is met, after 10 passes, or with a pass that does not converge.
+    """
+    first = fit = solve(replace(transcription, refine=False), None)
+    steps: list[Step] = []
+    raised = 0.0  # largest error before the order was raised last
+    raising = True
+    while True:
+        found = fit.integration_error()
+        assert isinstance(fit.transcription, Collocation)  # or there was no error to estimate
+        worst = np.concatenate([each.worst for each in found])
+        step = Step(
+            order=fit.transcription.order,
+            segments=worst.size,
+            largest=float(worst.max()),
+            coarse=int((worst > transcription.tolerance).sum()),
+            iterations=fit.iterations,
+            log_likelihood=fit.log_likelihood,
+        )
+        steps.append(step)
+        points = step.segments * (step.order - 1)
+        if step.coarse == 0 or len(steps) > _PASSES or points > _POINTS or not fit.converged:
+            break
+        raising &= (not raised or step.largest < raised / _HELP) and not _bent(fit, found)
+        if raising and step.coarse > _MANY * step.segments and step.order < _HIGHEST:
+            order, edges, raised = step.order + 1, [e.edges for e in found], step.largest
+        else:
+            order, edges, raised = step.order, _split(fit, found, step.order, transcription.tolerance), 0.0
+        segments = tuple(tuple(e.tolist()) for e in edges)
+        fit = solve(replace(transcription, order=order, substeps=1, segments=segments, refine=False), fit)
+    return replace(fit, refinement=Refinement.of(first.parameters, fit.parameters, steps, transcription.tolerance))
+
+
+def _split(fit: Fit, found: Sequence[IntegrationError], order: int, tolerance: float) -> list[_Array]:
+    """Segment ends, with every segment that is too coarse divided as the order of the method asks for."""
+    divided = []
+    for record, each in zip(fit.records, found, strict=True):
+        ends = [float(each.edges[0])]
+        for a, b, error in zip(each.edges[:-1], each.edges[1:], each.worst, strict=True):
+            if error > tolerance:
+                pieces = math.ceil((error / (_AIM * tolerance)) ** (1.0 / (order + 1)))
+                ends += _between(float(a), float(b), min(max(pieces, 2), _PIECES), record.input_times)
+            ends.append(float(b))
+        divided.append(np.array(ends))
+    return divided
+
+
+def _bent(fit: Fit, found: Sequence[IntegrationError]) -> bool:
+    """Whether inputs bend inside a segment, so that a higher order would be lost there."""
+    for record, each in zip(fit.records, found, strict=True):
+        bends = record.input_times
+        ends = np.searchsorted(each.edges, bends)
+        near = np.minimum(
+            np.abs(bends - each.edges[np.minimum(ends, each.edges.size - 1)]),
+            np.abs(bends - each.edges[np.maximum(ends - 1, 0)]),
+        )
+        if record.inputs and record.interpolation == "linear" and near.max() > 1e-6 * np.diff(each.edges).min():
+            return True
+    return False
+
+
+def _between(a: float, b: float, pieces: int, samples: _Array) -> list[float]:
+    """Where to cut: at samples, where inputs bend, as long as there are any inside."""
+    cuts = a + (b - a) * np.arange(1, pieces) / pieces
+    slack = 1e-6 * (b - a)
+    inside = samples[(samples > a + slack) & (samples < b - slack)]
+    if inside.size:
+        cuts = np.unique(inside[np.abs(inside[None] - cuts[:, None]).argmin(axis=1)])
+    return [float(c) for c in cuts]

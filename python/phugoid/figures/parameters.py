@@ -1,0 +1,238 @@
+"""Figure of estimates with their 95 % intervals, of one fit or of several side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import DataError, OptionError, UnknownName, listing
+from ..parameters import Estimate, plus_minus
+from .style import GREY, SERIES, STYLE, WIDTH, plain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["plot_parameters"]
+
+_SIDE = 1.959963984540054  # standard errors on either side: 95 % of a normal distribution
+_ROW, _MORE = 0.21, 0.09  # inches: a parameter, and each fit more
+_PAGE, _LOWEST = 9.2, 0.1  # inches: all rows of a page, and the lowest of them
+_PERCENT = 100.0  # the scale ends here: a longer interval holds zero
+_SMALL = 0.01  # per cent; below, in millionths
+_WIDE = 10.0  # times the median from which on the scale is logarithmic
+_FAR = 3.0  # in comparisons the scale ends at so many times the median reach
+
+
+def plot_parameters(
+    fits: Sequence[Any], names: Sequence[str] | None = None, labels: Sequence[str] | None = None
+) -> tuple[Figure, dict[str, Axes]]:
+    """Estimates with the interval of ±1.96 standard errors, one row a parameter.
+
+    Units differ, so rows are scaled. Of one fit: deviation from the estimate in per cent of it (in millionths where all
+    are tiny), on a scale that is logarithmic away from zero where intervals differ much; one beyond 100 % holds zero.
+    Of several: deviation from the estimate of the first fit, in its standard errors, so that its intervals are all as
+    long and others stand off by what the first one believes to be chance. (A parameter that the first has no standard
+    error of is scaled by the next fit that has one.) What reaches beyond the scale ends in an arrow, with the number
+    beside it. On the right is the estimate of the first fit ± 1.96 standard errors.
+
+    fits    with .parameters; fits, regressions or anything else that has them.
+    names   the parameters to show, in this order; None: those of the model, without the noise's.
+    labels  what the fits are called in the legend; None: by model or records, whichever differ.
+
+    Standard errors are those of ``fit.parameters``, which take residuals for white. A parameter that no fit has a
+    standard error of (fixed, or at a bound) is left out; the foot of the figure tells.
+
+    Returns the figure and the axes by ``"parameters"``. Raises UnknownName for a parameter that no fit has, DataError
+    where there is none with a standard error, OptionError for labels that are not one a fit.
+    """
+    from matplotlib import pyplot as plt
+    from matplotlib import rc_context
+
+    called = _labels(fits, labels)
+    shown, without = _chosen(fits, names)
+    rows = [_row(fits, name) for name in shown]
+    limit = _limit(rows, len(fits))
+    # Of many parameters rows are lower, as long as their names can be read; then the figure grows beyond a page.
+    row = min(_ROW + _MORE * (len(fits) - 1), max(_PAGE / len(shown), _LOWEST + 0.5 * _MORE * (len(fits) - 1)))
+    letters = min(7.0, 72.0 * 0.85 * row)
+    with rc_context(STYLE):
+        height = row * len(shown) + 0.95 + (0.18 if without else 0.0)
+        figure, axis = plt.subplots(figsize=(WIDTH, height), layout="constrained")
+        axis.axvline(0.0, color=GREY, linewidth=0.7, zorder=0.5)
+        for i, each in enumerate(rows):
+            if i % 2:
+                axis.axhspan(i - 0.5, i + 0.5, color="#F5F5F5", linewidth=0.0, zorder=0.0)
+            for j, interval in enumerate(each):
+                if interval is not None:
+                    at = i + (j - 0.5 * (len(fits) - 1)) * 0.7 / len(fits)
+                    _draw(axis, at, *interval, limit, SERIES[j % len(SERIES)], alone=len(fits) == 1)
+            axis.annotate(
+                plain(_value(fits, shown[i])),
+                (1.0, i),
+                (6.0, 0.0),
+                xycoords=axis.get_yaxis_transform(),
+                textcoords="offset points",
+                va="center",
+                fontsize=letters,
+                annotation_clip=False,
+            )
+        axis.set_yticks(range(len(shown)), [plain(name) for name in shown], fontsize=letters)
+        axis.set_ylim(len(shown) - 0.5, -0.5)
+        axis.tick_params(axis="y", length=0.0)
+        if len(fits) == 1:
+            _scale(axis, rows, limit)
+        else:
+            axis.set_xlim(-1.12 * limit, 1.12 * limit)
+            axis.set_xlabel(plain(f"deviation from '{called[0]}', in its standard errors; 95 % intervals"))
+            _legend(figure, called)
+        title = getattr(getattr(fits[0], "model", None), "name", "") if len(fits) == 1 else ""
+        figure.suptitle(plain(f"{title}: parameters" if title else "parameters"), x=0.01, ha="left", fontsize=9.5)
+        if without:
+            figure.supxlabel(plain(f"without a standard error: {', '.join(without)}"), fontsize=6.5, x=0.01, ha="left")
+    return figure, {"parameters": axis}
+
+
+_Interval = tuple[float, float] | None  # deviation, and half of the interval's width, on the scale of its row
+
+
+def _row(fits: Sequence[Any], name: str) -> list[_Interval]:
+    there = [fit.parameters.get(name) for fit in fits]
+    first = next(e for e in there if e is not None and e.std_error > 0.0)
+    scale = first.std_error
+    if len(fits) == 1:
+        scale = abs(first.value) / _PERCENT
+    found: list[_Interval] = []
+    for e in there:
+        if e is None:
+            found.append(None)
+            continue
+        half = _SIDE * e.std_error if e.std_error > 0.0 else 0.0  # held: a point
+        found.append(((e.value - first.value) / scale, half / scale) if scale > 0.0 else (0.0, math.inf))
+    return found
+
+
+def _limit(rows: Sequence[Sequence[_Interval]], fits: int) -> float:
+    """Where the scale ends: at all there is, unless some reach far beyond the others."""
+    reach = np.array([max(abs(v[0]) + v[1] for v in row if v is not None) for row in rows])
+    largest = float(reach.max())
+    if fits == 1:
+        return min(largest, _PERCENT)
+    usual = _FAR * float(np.median(reach))
+    return largest if largest <= 1.3 * usual else usual
+
+
+def _scale(axis: Axes, rows: Sequence[Sequence[_Interval]], limit: float) -> None:
+    """Per cent on a linear scale, or on one that is logarithmic where intervals differ much in size."""
+    from matplotlib.ticker import FuncFormatter, NullLocator
+
+    halves = np.array([row[0][1] for row in rows if row[0] is not None])
+    usual = float(np.median(halves))
+    unit, size = ("%", 1.0) if limit > _SMALL else ("millionths", 1e4)
+    if limit > _WIDE * usual:
+        linear = 10.0 ** math.floor(math.log10(usual))
+        axis.set_xscale("symlog", linthresh=linear, linscale=0.7)
+        decades = [linear * 10.0**k for k in range(1 + math.floor(math.log10(limit / linear) + 1e-9))]
+        axis.set_xticks([-d for d in reversed(decades)] + [0.0, *decades])
+        axis.xaxis.set_minor_locator(NullLocator())
+    margin = 1.12 if axis.get_xscale() == "linear" else 1.4
+    axis.set_xlim(-margin * limit, margin * limit)
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * size:g}".replace("-", "−")))
+    kind = "" if axis.get_xscale() == "linear" else f" (logarithmic beyond ±{linear * size:g})"
+    axis.set_xlabel(f"95 % interval, {unit} of the estimate{kind}")
+
+
+def _draw(
+    axis: Axes, at: float, middle: float, half: float, limit: float, style: tuple[str, str], *, alone: bool
+) -> None:
+    colour, marker = style
+    low, high = max(middle - half, -limit), min(middle + half, limit)
+    if low < high:
+        axis.plot([low, high], [at, at], color=colour, linewidth=1.5, solid_capstyle="butt")
+    for out, side in ((middle - half < -limit, -1.0), (middle + half > limit, 1.0)):
+        if out:
+            arrow = "<" if side < 0.0 else ">"
+            axis.plot([side * 1.02 * limit], [at], arrow, color=colour, ms=4.0, clip_on=False, zorder=3)
+    if abs(middle) <= limit:
+        axis.plot([middle], [at], marker, color=colour, ms=4.0, mec="white", mew=0.5, label="estimate", zorder=3)
+    if alone and half > limit:
+        text, side, place = f"±{_percent(half)}", 1.0, 0.96 * limit
+    elif abs(middle) > limit:
+        side = math.copysign(1.0, middle)
+        text, place = f"{middle:+.3g}".replace("-", "−"), side * 0.99 * limit
+    else:
+        return
+    axis.annotate(
+        text,
+        (place, at),
+        (-3.0 * side, 3.5 if alone else 0.0),
+        textcoords="offset points",
+        ha="right" if side > 0.0 else "left",
+        va="center",
+        fontsize=6.0,
+        color=colour,
+    )
+
+
+def _percent(half: float) -> str:
+    return f"{half:.0f} %" if half < 1e5 else "more than 100 000 %"
+
+
+def _value(fits: Sequence[Any], name: str) -> str:
+    """The estimate that the row is about, with its interval."""
+    first: Estimate = next(
+        fit.parameters[name] for fit in fits if name in fit.parameters and fit.parameters[name].std_error > 0.0
+    )
+    return f"{plus_minus(first.value, _SIDE * first.std_error)} {first.unit}".rstrip().replace("-", "−", 1)
+
+
+def _legend(figure: Figure, called: Sequence[str]) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = []
+    for j, text in enumerate(called):
+        colour, marker = SERIES[j % len(SERIES)]
+        handles.append(Line2D([], [], color=colour, marker=marker, ms=4.0, linewidth=1.5, label=plain(text)))
+    figure.legend(handles=handles, loc="outside upper right", ncols=min(len(called), 3), frameon=False, fontsize=7.5)
+
+
+def _labels(fits: Sequence[Any], labels: Sequence[str] | None) -> list[str]:
+    if not fits:
+        raise DataError("plot_parameters: give one fit or several")
+    for fit in fits:
+        if not hasattr(fit, "parameters"):
+            raise DataError(f"plot_parameters: give fits, or other results with parameters, not a {type(fit).__name__}")
+    if labels is not None:
+        if isinstance(labels, str) or len(labels) != len(fits):
+            raise OptionError(f"plot_parameters: labels={labels!r} must be a list of {len(fits)}, one for each fit")
+        return [str(text) for text in labels]
+    models = [str(getattr(getattr(fit, "model", None), "name", "")) for fit in fits]
+    records = [", ".join(r.name for r in getattr(fit, "records", ())) for fit in fits]
+    kinds = [type(fit).__name__.lower() for fit in fits]
+    for names in (models, records, kinds, [f"{m}, {r}" for m, r in zip(models, records, strict=True)]):
+        if len(set(names)) == len(fits) and all(names):
+            return names
+    return [f"fit {i}" for i in range(1, len(fits) + 1)]
+
+
+def _chosen(fits: Sequence[Any], names: Sequence[str] | None) -> tuple[list[str], list[str]]:
+    """Names to show, and those that no fit has a standard error of."""
+    if isinstance(names, str):
+        raise DataError(f"plot_parameters: names='{names}' is text: give a list, such as names=['{names}']")
+    every = dict.fromkeys(name for fit in fits for name in fit.parameters)
+    if names is None:
+        noise = {name for fit in fits for name in getattr(fit, "noise_parameters", ())}
+        wanted = [name for name in every if name not in noise]
+    else:
+        wanted = list(dict.fromkeys(names))
+        for name in wanted:
+            if name not in every:
+                raise UnknownName(f"plot_parameters: there is no parameter '{name}'.{listing(name, every)}")
+    known = {n for fit in fits for n, e in fit.parameters.items() if e.std_error > 0.0}
+    shown = [name for name in wanted if name in known]
+    if not shown:
+        raise DataError("plot_parameters: no parameter has a standard error, so there is no interval to show")
+    return shown, [name for name in wanted if name not in known]

@@ -1,0 +1,231 @@
+"""A linear system in numbers: x' = A x + B u, y = C x + D u."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import MissingDependency, ModelError, listing
+from .mode_table import Modes, table_of
+from .response import FrequencyResponse
+
+__all__ = ["ModalParts", "StateSpace", "as_state_space", "modal_parts", "response_of"]
+
+_Array: TypeAlias = NDArray[np.float64]
+_Complex: TypeAlias = NDArray[np.complex128]
+
+# Beyond this condition of the (normalised) eigenvectors, the modes carry no digits worth having.
+_DISTINCT = 1e10
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StateSpace:
+    """A linear system in continuous time, x' = A x + B u, y = C x + D u (+ offset), with n states, m inputs, p outputs.
+
+    A, B, C, D        (n, n) in 1/s, (n, m), (p, n), (p, m). D may be left out: 0.
+    inputs, outputs   names of the channels; u, or u1, u2, ..., and y, or y1, y2, ..., unless given.
+    x0                experiment -> (n,): states at its first sample.
+    offsets           experiment -> (p,): what is added to each output there.
+    rate              of the samples it was identified from, Hz.
+    singular_values   of the subspace method, the greatest first: the order is where they sink into the noise.
+    suggested_order   the order that these values suggest.
+    residual_rms      output -> root mean square of measured minus simulated, over all experiments.
+    log_likelihood    of the outputs, each with white noise of the size of its residuals, without the constant
+                      -N n_y/2 ln 2 pi: of `fit_linear`.
+    warnings          what to beware of, in words.
+    states            names of the states; x, or x1, x2, ..., unless given.
+
+    Raises ModelError for shapes that do not fit each other, and numbers that are not finite.
+
+    >>> lag = StateSpace([[-2.0]], [[2.0]], [[1.0]])
+    >>> lag.frequency_response([0.0]).response
+    array([1.+0.j])
+    """
+
+    A: _Array
+    B: _Array
+    C: _Array
+    D: _Array = field(default_factory=lambda: np.empty((0, 0)))
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    x0: Mapping[str, _Array] = field(default_factory=dict)
+    offsets: Mapping[str, _Array] = field(default_factory=dict)
+    rate: float | None = None
+    singular_values: _Array | None = None
+    suggested_order: int | None = None
+    residual_rms: Mapping[str, float] = field(default_factory=dict)
+    log_likelihood: float | None = None
+    warnings: tuple[str, ...] = ()
+    states: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        a, b, c = (_matrix(name, getattr(self, name)) for name in "ABC")
+        n, m, p = a.shape[0], b.shape[1], c.shape[0]
+        d = np.zeros((p, m)) if np.size(self.D) == 0 else _matrix("D", self.D)
+        for name, value, shape in (("A", a, (n, n)), ("B", b, (n, m)), ("C", c, (p, n)), ("D", d, (p, m))):
+            if value.shape != shape:
+                raise ModelError(
+                    f"state space: {name} has shape {value.shape}; with {n} states, {m} inputs and {p} outputs (from "
+                    f"A, B and C) it must be {shape}"
+                )
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        for kind, count, letter in (("states", n, "x"), ("inputs", m, "u"), ("outputs", p, "y")):
+            names = tuple(getattr(self, kind)) or tuple(
+                [letter] if count == 1 else [f"{letter}{k + 1}" for k in range(count)]
+            )
+            if len(names) != count:
+                raise ModelError(f"state space: {len(names)} {kind} are named, but the matrices have {count}")
+            object.__setattr__(self, kind, names)
+
+    @property
+    def order(self) -> int:
+        """Number of states, n."""
+        return int(self.A.shape[0])
+
+    @property
+    def modes(self) -> Modes:
+        """Natural frequencies, damping ratios and time constants."""
+        return table_of(np.linalg.eigvals(self.A).astype(np.complex128))
+
+    def frequency_response(
+        self, frequencies_hz: ArrayLike, input: str | None = None, output: str | None = None
+    ) -> FrequencyResponse:
+        """C (j 2 pi f - A)^-1 B + D at F frequencies in Hz; ``input`` and ``output`` may be left out where there is
+        one.
+
+        Raises ModelError for names that are not there, DataError for frequencies out of order.
+        """
+        u = only("frequency_response", "input", input, self.inputs)
+        y = only("frequency_response", "output", output, self.outputs)
+        i, k = self.outputs.index(y), self.inputs.index(u)
+        frequencies = np.atleast_1d(np.asarray(frequencies_hz, dtype=np.float64))
+        response = response_of(
+            self.A, self.B[:, k : k + 1], self.C[i : i + 1], self.D[i : i + 1, k : k + 1], frequencies
+        )
+        return FrequencyResponse(frequencies, response[:, 0, 0], u, y)
+
+    def to_control(self, name: str | None = None) -> Any:
+        """The system as a `control.StateSpace` of python-control, with the names of states, inputs and outputs.
+
+        A dot in a name becomes an underscore, since python-control takes none. Offsets and initial states are left
+        behind. Raises MissingDependency without python-control.
+        """
+        try:
+            import control
+        except ImportError as error:
+            raise MissingDependency(
+                f'to_control needs python-control ({error}): pip install "phugoid[control]"'
+            ) from error
+        kinds = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
+        names = {kind: [one.replace(".", "_") for one in group] for kind, group in kinds.items()}
+        more = {} if name is None else {"name": name}
+        return control.StateSpace(self.A, self.B, self.C, self.D, **names, **more)
+
+    def __repr__(self) -> str:
+        return f"<StateSpace: {self.order} states, inputs: {' '.join(self.inputs)}, outputs: {' '.join(self.outputs)}>"
+
+    def __str__(self) -> str:
+        return f"{self!r}\n\n{self.modes}" + "".join(f"\n\nWarning: {w}" for w in self.warnings)
+
+
+@dataclass(frozen=True)
+class ModalParts:
+    """A system as the sum of its modes: y = sum over eigenvalues of c_i b_i u / (s - lambda_i), plus D u.
+
+    values (r,), complex: the real eigenvalues and of each pair the one with the positive imaginary part, 1/s.
+    inputs (r, m), outputs (p, r): b_i, and c_i, which is doubled for a pair, so that it adds the real part.
+    states (r, n): the modal coordinates are ``states @ x``.
+    """
+
+    values: _Complex
+    inputs: _Complex
+    outputs: _Complex
+    states: _Complex
+
+    @property
+    def paired(self) -> NDArray[np.bool_]:
+        """Which are pairs."""
+        return np.asarray(self.values.imag > 0.0)
+
+
+def modal_parts(A: _Array, B: _Array, C: _Array) -> ModalParts:
+    """The modes of a system with distinct eigenvalues, in the order of natural frequencies. ModelError for others."""
+    values, right = np.linalg.eig(A)
+    condition = np.linalg.cond(right) if values.size else 1.0
+    if not condition < _DISTINCT:
+        k, other = _nearest(values)
+        raise ModelError(
+            f"modal form: the eigenvalues {values[k]:.6g} and {values[other]:.6g} 1/s cannot be told apart; the modal "
+            "form is for distinct ones: take models.state_space"
+        )
+    left = np.linalg.inv(right)
+    chosen = [int(k) for k in np.lexsort((values.real, np.abs(values))) if values[k].imag >= 0.0]
+    double = np.where(values[chosen].imag > 0.0, 2.0, 1.0)
+    return ModalParts(
+        values=np.asarray(values[chosen], dtype=np.complex128),
+        inputs=np.asarray(left[chosen] @ B, dtype=np.complex128),
+        outputs=np.asarray(C @ right[:, chosen] * double, dtype=np.complex128),
+        states=np.asarray(left[chosen], dtype=np.complex128),
+    )
+
+
+def _nearest(values: _Complex) -> tuple[int, int]:
+    apart = np.abs(values[:, None] - values[None, :]) + np.diag(np.full(values.size, np.inf))
+    k, other = np.unravel_index(int(np.argmin(apart)), apart.shape)
+    return int(k), int(other)
+
+
+def response_of(A: _Array, B: Any, C: Any, D: Any, frequencies_hz: _Array) -> _Complex:
+    """C (j 2 pi f - A)^-1 B + D, (F, p, m), at frequencies in Hz. B, C and D may be complex, and differ with frequency.
+
+    ModelError at a frequency where the system has an undamped mode.
+    """
+    s = 2j * np.pi * frequencies_hz
+    pencil = s[:, None, None] * np.eye(A.shape[0]) - A
+    try:
+        inner = np.linalg.solve(pencil, np.broadcast_to(B, (s.size, *np.shape(B)[-2:])))
+    except np.linalg.LinAlgError:
+        raise ModelError(
+            "frequency_response: the model has an undamped mode, or an integrator, at one of the frequencies, where "
+            "its response is infinite: leave that frequency out"
+        ) from None
+    return np.asarray(C @ inner + D, dtype=np.complex128)
+
+
+def only(caller: str, kind: str, name: str | None, names: Sequence[str]) -> str:
+    """The channel asked for, or the only one."""
+    if name is None:
+        if len(names) != 1:
+            raise ModelError(
+                f"{caller}: there are several {kind}s: say which, {kind}=... There are: {', '.join(names)}."
+            )
+        return names[0]
+    if name not in names:
+        raise ModelError(f"{caller}: '{name}' is no {kind}.{listing(str(name), names)}")
+    return name
+
+
+def as_state_space(caller: str, system: Any) -> StateSpace:
+    """A `StateSpace`, or the matrices (A, B, C) or (A, B, C, D)."""
+    if isinstance(system, StateSpace):
+        return system
+    if isinstance(system, (tuple, list)) and len(system) in (3, 4):
+        return StateSpace(*system)
+    raise ModelError(f"{caller}: start is a StateSpace, or the matrices (A, B, C) or (A, B, C, D), not {system!r:.60}")
+
+
+def _matrix(name: str, value: Any) -> _Array:
+    try:
+        matrix = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ModelError(f"state space: {name} is no matrix of real numbers") from None
+    if matrix.ndim != 2:
+        raise ModelError(f"state space: {name} has shape {matrix.shape}; give a matrix")
+    if not np.isfinite(matrix).all():
+        raise ModelError(f"state space: {name} holds numbers that are not finite")
+    return matrix

@@ -1,0 +1,49 @@
+"""A core model again, with other inputs, parameters or equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from .. import _core
+from .._core import Expr
+
+__all__ = ["equations_of", "rebuilt"]
+
+Key = tuple[str, str]
+
+
+def equations_of(core: _core.Model) -> Iterator[tuple[Key, Expr]]:
+    """All right-hand sides by kind ("quantity", "equation", "output", or the end of a condition) and name."""
+    groups = {"quantity": core.quantities, "equation": core.dynamics, "output": core.outputs}
+    for kind, equations in groups.items():
+        for name, e, *_ in equations:
+            yield (kind, name), e
+    for end, state, e, _ in core.conditions:
+        yield (end, state), e
+
+
+def rebuilt(
+    old: _core.Model,
+    inputs: Iterable[tuple[str, str]],
+    declare: Callable[[_core.Model, Any], None],
+    change: Callable[[Key, Expr], Expr] = lambda _, e: e,
+) -> _core.Model:
+    """A model with the states of another, ``inputs`` as (name, unit), what ``declare`` makes of each of its parameters,
+    and its equations, keyed as by `equations_of`, passed through ``change``."""
+    core = _core.Model(old.name)
+    for name, unit in old.states:
+        core.state(name, unit)
+    for name, unit in inputs:
+        core.input(name, unit)
+    for declared in old.parameters:
+        declare(core, declared)
+    for name, e, _, source in old.quantities:
+        core.quantity(name, change(("quantity", name), e), source)
+    for name, e, _, source in old.dynamics:
+        core.equation(name, change(("equation", name), e), source)
+    for name, e, unit, source in old.outputs:
+        core.output(name, change(("output", name), e), unit, source)
+    for end, state, e, source in old.conditions:
+        core.condition(end, state, change((end, state), e), source)
+    return core

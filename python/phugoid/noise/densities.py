@@ -1,0 +1,248 @@
+"""Noise densities for measurements with outliers, and those that the user writes (Eq. metric_est_obj of the paper)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from .. import _core
+from .._core import Expr
+from ..errors import ModelError, did_you_mean
+from ..parameters import Parameter
+from .noise import Noise, Sigma, positive
+
+__all__ = ["Density", "Huber", "Laplace", "StudentT"]
+
+
+@dataclass(frozen=True)
+class StudentT(Noise):
+    """Student's t noise, independent on each output: heavy tails, so that outliers have little influence.
+
+    ``sigma`` as for `Gaussian`; it is the scale of the density: the standard deviation is sigma sqrt(dof/(dof - 2)) for
+    dof > 2.
+    ``dof``: degrees of freedom: a number (known, the same for all outputs), None (unknown, estimated for each output
+    as ``dof_<output>``), or either of them by output name. Few are heavy tails, many are Gaussian noise.
+    ``bounds``: of unknown degrees of freedom. At the upper one the noise is Gaussian for all the data say.
+    """
+
+    dof: float | Mapping[str, float | None] | None = 4.0
+    bounds: tuple[float, float] = (1.0, 100.0)
+    kind: ClassVar[str] = "student t"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        by_name = self.dof if isinstance(self.dof, Mapping) else {"": self.dof}
+        for name, dof in by_name.items():
+            if dof is not None and not positive(dof):
+                of = f" of '{name}'" if name else ""
+                raise ModelError(f"StudentT: dof{of} is a positive number, or None where unknown, not {dof!r}")
+        try:
+            low, high = self.bounds
+            sound = positive(low) and positive(high) and low < high
+        except (TypeError, ValueError):
+            sound = False
+        if not sound:
+            raise ModelError(f"StudentT: bounds of dof are a positive pair that increases, not {self.bounds!r}")
+        object.__setattr__(self, "bounds", (float(low), float(high)))
+        plain = {name: None if dof is None else float(dof) for name, dof in by_name.items()}
+        object.__setattr__(self, "dof", plain if isinstance(self.dof, Mapping) else plain[""])
+
+    def _dof(self, output: str) -> float | None:
+        # Those not named are as they are where nothing is said.
+        return self.dof.get(output, 4.0) if isinstance(self.dof, Mapping) else self.dof
+
+    def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
+        """``sigma_<output>``, then ``dof_<output>``."""
+        return super().names(outputs) + tuple(f"dof_{name}" for name in outputs if self._dof(name) is None)
+
+    @property
+    def description(self) -> str:
+        """What it is, and what sigma is."""
+        dof = f"{self.dof:g} degrees of freedom" if isinstance(self.dof, float) else "degrees of freedom estimated"
+        dof = "degrees of freedom by output" if isinstance(self.dof, Mapping) else dof
+        return f"Student's t, {dof}; sigma is its scale"
+
+    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
+        """Degrees of freedom, or start and bounds of them."""
+        dof = self._dof(output)
+        if dof is not None:
+            return (self.kind, [dof], None, [])
+        low, high = self.bounds
+        value = start.get(f"dof_{output}", min(max(10.0, low), high))
+        if not positive(value) or not low <= value <= high:
+            raise ModelError(f"the start {value!r} of dof_{output} lies outside its bounds {self.bounds}")
+        return (self.kind, [float(value), low, high], None, [])
+
+    def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
+        """The noise as the core takes it, with all starts and bounds."""
+        for name in self.dof if isinstance(self.dof, Mapping) else ():
+            if name not in outputs:
+                raise ModelError(f"StudentT: dof of '{name}', which is not an output.{did_you_mean(name, outputs)}")
+        return super().resolve(outputs, spread, start)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        return {**super().to_dict(), "dof": self.dof, "bounds": list(self.bounds)}
+
+
+@dataclass(frozen=True)
+class Huber(Noise):
+    """Noise that is Gaussian up to ``k`` times its scale and exponential beyond (Huber, 1964), independent on each
+    output: least squares for small residuals, absolute values for large ones.
+
+    ``sigma`` as for `Gaussian`; it is the scale of the density, and the standard deviation of its middle.
+    ``k``: the default 1.345 keeps 95 % of the efficiency of least squares where noise is Gaussian.
+    """
+
+    k: float = 1.345
+    kind: ClassVar[str] = "huber"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not positive(self.k):
+            raise ModelError(f"Huber: k is a positive number, not {self.k!r}")
+
+    @property
+    def description(self) -> str:
+        """What it is, and what sigma is."""
+        return f"Huber's, k = {self.k:g}; sigma is its scale"
+
+    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
+        """k."""
+        return (self.kind, [float(self.k)], None, [])
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        return {**super().to_dict(), "k": self.k}
+
+
+@dataclass(frozen=True)
+class Laplace(Noise):
+    """Laplace's noise, independent on each output: estimates minimise the sum of absolute residuals, but for a
+    smooth bottom, sqrt(e**2 + smoothing**2) instead of abs(e), e = residual / sigma.
+
+    ``sigma`` as for `Gaussian`; it is the scale of the density, which without smoothing is the mean absolute residual
+    (the standard deviation is sqrt(2) times that).
+    ``smoothing``: the smaller, the nearer to Laplace, and the more iterations it takes. Standard errors come from the
+    curvature, which only residuals within it have: they are rough where it is small.
+    """
+
+    smoothing: float = 0.1
+    kind: ClassVar[str] = "laplace"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not positive(self.smoothing):
+            raise ModelError(f"Laplace: smoothing is a positive number, not {self.smoothing!r}")
+
+    @property
+    def description(self) -> str:
+        """What it is, and what sigma is."""
+        return f"Laplace's, smoothing {self.smoothing:g}; sigma is its scale"
+
+    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
+        """The smoothing."""
+        return (self.kind, [float(self.smoothing)], None, [])
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        return {**super().to_dict(), "smoothing": self.smoothing}
+
+
+@dataclass(frozen=True, init=False)
+class Density(Noise):
+    """Noise with a log-density that you write, independent on each output.
+
+    ``log_density``: a function of the symbols of the residual (measured minus model), of its scale sigma, and, by name,
+    of the parameters; or an expression in symbols of these names (``residual``, ``sigma``, ...).
+    ``parameters``: name -> start, or a `Parameter` with bounds, of the density itself. Every output has its own,
+    estimated as ``<name>_<output>``.
+    ``sigma`` as for `Gaussian`. A log-density that does not depend on sigma needs known ones: ``sigma={"q": 1.0}``.
+
+    That it is normalised is up to you: its integral over the residual may be any constant, but where it
+    depends on an unknown sigma or on parameters, the estimates are wrong. ``log_likelihood`` compares with that of
+    other noise when the integral is sqrt(2 pi). It converges best where it falls off on both sides of 0.
+
+    >>> from phugoid import exp, log
+    >>> cauchy = Density(lambda r, sigma: -log(1 + (r/sigma)**2) - log(sigma))
+    >>> good = lambda e: exp(-e**2/2)
+    >>> def some_bad(r, sigma, share):
+    ...     return log((1 - share)*good(r/sigma) + share/10*good(r/(10*sigma))) - log(sigma)
+    >>> with_outliers = Density(some_bad, parameters={"share": Parameter(0.05, bounds=(0.001, 0.5))})
+    >>> with_outliers.names(["q"])
+    ('sigma_q', 'share_q')
+    """
+
+    log_density: Any = None
+    parameters: Mapping[str, Parameter | float] = field(default_factory=dict)
+    kind: ClassVar[str] = "custom"
+
+    def __init__(
+        self,
+        log_density: Callable[..., Any] | Expr,
+        sigma: Mapping[str, float | Sigma] | None = None,
+        parameters: Mapping[str, Parameter | float] | None = None,
+    ) -> None:
+        object.__setattr__(self, "sigma", {} if sigma is None else sigma)
+        super().__post_init__()
+        given = {} if parameters is None else parameters
+        if not isinstance(given, Mapping):
+            raise ModelError(f"Density: parameters are given by name, not as {given!r}")
+        declared: dict[str, Parameter] = {}
+        for name, value in given.items():
+            if not str(name).isidentifier() or name in ("residual", "sigma"):
+                raise ModelError(f"Density: {name!r} cannot be the name of a parameter")
+            try:
+                declared[name] = value if isinstance(value, Parameter) else Parameter(value)
+            except ModelError as error:
+                raise ModelError(f"Density: parameter '{name}': {error}") from None
+            if declared[name].prior is not None:
+                raise ModelError(f"Density: the parameter '{name}' has a prior, which parameters of noise cannot have")
+        object.__setattr__(self, "parameters", declared)
+        expression: Any = log_density
+        if not isinstance(log_density, Expr):
+            if not callable(log_density):
+                raise ModelError(f"Density: log_density is a function of residual and sigma, not {log_density!r}")
+            symbols = {name: Expr.symbol(name) for name in declared}
+            expression = log_density(Expr.symbol("residual"), Expr.symbol("sigma"), **symbols)
+            if not isinstance(expression, Expr):
+                raise ModelError(f"Density: log_density returned {expression!r}, not an expression of its symbols")
+        object.__setattr__(self, "log_density", expression)
+
+    def _free(self) -> dict[str, Parameter]:
+        return {name: p for name, p in self.parameters.items() if isinstance(p, Parameter) and not p.fixed}
+
+    def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
+        """``sigma_<output>``, then the parameters of each output."""
+        return super().names(outputs) + tuple(f"{p}_{name}" for name in outputs for p in self._free())
+
+    @property
+    def description(self) -> str:
+        """What it is, and what sigma is."""
+        return f"log-density {self.log_density}; sigma is its scale"
+
+    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
+        """The expression, and its parameters with starts and bounds."""
+        fixed = {name: p.start for name, p in self.parameters.items() if isinstance(p, Parameter) and p.fixed}
+        parameters = []
+        for name, p in self._free().items():
+            value = start.get(f"{name}_{output}", p.start)
+            try:
+                value = float(value)
+            except (TypeError, ValueError):
+                value = float("nan")
+            if not p.bounds[0] <= value <= p.bounds[1]:
+                raise ModelError(f"the start {value!r} of {name}_{output} lies outside its bounds {p.bounds}")
+            parameters.append((name, value, *p.bounds))
+        return (self.kind, [], self.log_density.substitute(fixed), parameters)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        declared = {
+            # JSON has no infinity.
+            name: [p.start, *(None if abs(b) == float("inf") else b for b in p.bounds), p.unit, p.fixed]
+            for name, p in self.parameters.items()
+            if isinstance(p, Parameter)
+        }
+        return {**super().to_dict(), "log_density": self.log_density.to_json(), "parameters": declared}

@@ -1,0 +1,141 @@
+"""Noise of different kinds: on each output, in each experiment, in a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from .. import _core
+from ..errors import ModelError, did_you_mean
+from ..parameters import Parameter
+from .densities import Density, Huber, Laplace, StudentT
+from .noise import Gaussian, Noise, Sigma, saved_sigma
+
+__all__ = ["PerExperiment", "PerOutput", "noise_from_dict"]
+
+
+@dataclass(frozen=True, init=False)
+class PerOutput(Noise):
+    """Independent noise of a different kind on different outputs.
+
+    ``outputs``: name -> `Gaussian`, `StudentT`, `Huber`, `Laplace` or `Density`; those not named have Gaussian noise.
+    ``sigma`` is taken from each: ``PerOutput({"az": StudentT({"az": 0.05})})``.
+    """
+
+    outputs: Mapping[str, Noise] = field(default_factory=dict)
+    kind: ClassVar[str] = "per output"
+
+    def __init__(self, outputs: Mapping[str, Noise], sigma: Mapping[str, float | Sigma] | None = None) -> None:
+        if not isinstance(outputs, Mapping):
+            raise ModelError(f"PerOutput: give noise by output, such as {{'az': StudentT()}}, not {outputs!r}")
+        scales = dict(sigma or {})
+        for name, noise in outputs.items():
+            joint = isinstance(noise, Gaussian) and (noise.correlated or noise.covariance is not None)
+            if not isinstance(noise, Noise) or isinstance(noise, PerOutput) or joint:
+                raise ModelError(f"PerOutput: the noise of '{name}' is an independent noise model, not {noise!r}")
+            if name in noise.sigma:
+                scales[name] = noise.sigma[name]
+        object.__setattr__(self, "sigma", scales)
+        object.__setattr__(self, "outputs", dict(outputs))
+        super().__post_init__()
+
+    def _of(self, output: str) -> Noise:
+        return self.outputs.get(output, Gaussian())
+
+    def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
+        """``sigma_<output>``, then the parameters of the densities."""
+        own = (n for name in outputs for n in self._of(name).names([name]) if n != f"sigma_{name}")
+        return super().names(outputs) + tuple(own)
+
+    @property
+    def description(self) -> str:
+        """What each output has."""
+        return "; ".join(f"{name}: {noise.description or 'Gaussian'}" for name, noise in self.outputs.items())
+
+    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
+        """That of the output's own noise."""
+        return self._of(output).shape(output, start)
+
+    def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
+        """The noise as the core takes it, with all starts and bounds."""
+        for name in self.outputs:
+            if name not in outputs:
+                raise ModelError(f"noise: '{name}' is not an output.{did_you_mean(name, outputs)}")
+        return super().resolve(outputs, spread, start)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        return {**super().to_dict(), "outputs": {name: noise.to_dict() for name, noise in self.outputs.items()}}
+
+
+@dataclass(frozen=True, init=False)
+class PerExperiment(Noise):
+    """Noise of one kind whose scales, correlations and other parameters each experiment has of its own.
+
+    ``noise``: any other noise model. The fit calls its parameters ``sigma_<output>[<experiment>]``; known ones are the
+    same everywhere.
+    """
+
+    noise: Noise = field(default_factory=Gaussian)
+    kind: ClassVar[str] = "per experiment"
+
+    def __init__(self, noise: Noise | None = None) -> None:
+        noise = Gaussian() if noise is None else noise
+        if not isinstance(noise, Noise) or isinstance(noise, PerExperiment):
+            raise ModelError(f"PerExperiment: give another noise model, such as Gaussian(), not {noise!r}")
+        object.__setattr__(self, "sigma", dict(noise.sigma))
+        object.__setattr__(self, "noise", noise)
+        super().__post_init__()
+
+    def known_sigmas(self, outputs: Sequence[str]) -> dict[str, float]:
+        """Those of the noise itself."""
+        return self.noise.known_sigmas(outputs)
+
+    def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
+        """Those of the noise itself: starts are for all experiments."""
+        return self.noise.names(outputs)
+
+    @property
+    def description(self) -> str:
+        """What each experiment has."""
+        return f"{self.noise.description or 'Gaussian'}, of each experiment its own"
+
+    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
+        """That of the noise itself."""
+        return self.noise.shape(output, start)
+
+    def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
+        """The noise as the core takes it, with all starts and bounds."""
+        return self.noise.resolve(outputs, spread, start).per_experiment()
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        return {"kind": self.kind, "noise": self.noise.to_dict()}
+
+
+def noise_from_dict(saved: Mapping[str, Any]) -> Noise:
+    """Reads what `to_dict` of any noise model made. Raises ModelError for a kind that is not known."""
+    kind = saved.get("kind")
+    if not isinstance(kind, str) or kind == Gaussian.kind:
+        return Gaussian.from_dict(saved)
+    if kind == PerExperiment.kind:
+        return PerExperiment(noise_from_dict(saved["noise"]))
+    sigma = saved_sigma(saved["sigma"])
+    if kind == StudentT.kind:
+        return StudentT(sigma, saved["dof"], tuple(saved["bounds"]))
+    if kind == Huber.kind:
+        return Huber(sigma, saved["k"])
+    if kind == Laplace.kind:
+        return Laplace(sigma, saved["smoothing"])
+    if kind == PerOutput.kind:
+        return PerOutput({name: noise_from_dict(n) for name, n in saved["outputs"].items()}, sigma)
+    if kind == Density.kind:
+
+        def parameter(start: float, low: float | None, high: float | None, unit: str, fixed: bool) -> Parameter:
+            bounds = (-float("inf") if low is None else low, float("inf") if high is None else high)
+            return Parameter(start, bounds, unit, fixed=fixed)
+
+        parameters = {name: parameter(*p) for name, p in saved["parameters"].items()}
+        return Density(_core.load_expression(saved["log_density"]), sigma, parameters)
+    raise ModelError(f"noise of kind '{kind}' is not known; was it saved by a newer version?")

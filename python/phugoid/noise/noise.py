@@ -1,0 +1,312 @@
+"""What the measurement noise is assumed to be: what all kinds share, and Gaussian noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import _core
+from ..errors import ModelError, did_you_mean
+
+__all__ = ["KINDS", "Gaussian", "Noise", "Sigma", "SigmaSpec", "saved_sigma"]
+
+KINDS = "a Gaussian, StudentT, Huber, Laplace, Density or PerOutput"
+"""What a noise model is, for messages."""
+
+SigmaSpec = tuple[bool, float, float, float]
+"""Known?, value or start, lower bound, upper bound."""
+
+
+@dataclass(frozen=True)
+class Sigma:
+    """An unknown scale of the noise of one output, in the output's unit: its standard deviation, where it is Gaussian.
+
+    ``start`` None starts at the standard deviation of the measurements, and a larger start is lowered to it;
+    ``bounds`` None allows 1e-9 to 1e6 times that.
+    """
+
+    start: float | None = None
+    bounds: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.start is not None and not positive(self.start):
+            raise ModelError(f"a standard deviation starts at a positive number, not {self.start!r}")
+        if self.bounds is not None:
+            try:
+                low, high = self.bounds
+                sound = 0 < low < high
+            except (TypeError, ValueError):
+                sound = False
+            if not sound:
+                raise ModelError(
+                    f"bounds of a standard deviation are a positive pair that increases, not {self.bounds!r}"
+                )
+            if self.start is not None and not low <= self.start <= high:
+                raise ModelError(
+                    f"the start {self.start} of a standard deviation lies outside its bounds {self.bounds}"
+                )
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What all noise models share: ``sigma`` gives the scale by output name, a number (known) or a `Sigma` (unknown).
+
+    Outputs not named have an unknown one.
+    """
+
+    sigma: Mapping[str, float | Sigma] = field(default_factory=dict)
+    kind: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.sigma, Mapping):
+            raise ModelError(f"noise: give standard deviations by output, such as {{'q': 0.01}}, not {self.sigma!r}")
+        for name, value in self.sigma.items():
+            if not isinstance(value, Sigma) and not positive(value):
+                raise ModelError(
+                    f"noise of '{name}': a known standard deviation is a positive number, not {value!r}; "
+                    "an unknown one is a Sigma"
+                )
+        plain = {name: s if isinstance(s, Sigma) else float(s) for name, s in self.sigma.items()}
+        object.__setattr__(self, "sigma", plain)
+
+    @property
+    def known(self) -> dict[str, float]:
+        """The known scales by output, of those named."""
+        return {name: s for name, s in self.sigma.items() if not isinstance(s, Sigma)}
+
+    def known_sigmas(self, outputs: Sequence[str]) -> dict[str, float]:
+        """The known scales of a model with these outputs."""
+        return self.known
+
+    def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
+        """What is estimated of the noise: ``sigma_<output>`` and others, in the order of a fit."""
+        return tuple(f"sigma_{name}" for name in outputs if name not in self.known)
+
+    @property
+    def description(self) -> str:
+        """For summaries; empty for the usual, independent Gaussian noise."""
+        return ""
+
+    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
+        """The density of an output as the core takes it."""
+        raise NotImplementedError
+
+    def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
+        """The noise as the core takes it, with all starts and bounds.
+
+        ``spread`` is the standard deviation of the measurements, ``start`` holds starts by name (`names`).
+        """
+        sigmas = self._sigmas(outputs, spread, start)
+        noise = _core.Noise.independent(sigmas, [self.shape(name, start) for name in outputs])
+        noise.check(outputs)
+        return noise
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it; `densities.noise_from_dict` reads it."""
+        return {"kind": self.kind, "sigma": self._sigma_dict()}
+
+    def _sigma_dict(self) -> dict[str, Any]:
+        def plain(s: float | Sigma) -> dict[str, Any]:
+            if not isinstance(s, Sigma):
+                return {"known": s}
+            return {"start": s.start, "bounds": list(s.bounds) if s.bounds else None}
+
+        return {name: plain(s) for name, s in self.sigma.items()}
+
+    def _sigmas(
+        self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]
+    ) -> list[SigmaSpec]:
+        """For each output: known?, value or start, lower bound, upper bound."""
+        for name in self.sigma:
+            if name not in outputs:
+                raise ModelError(f"noise: '{name}' is not an output.{did_you_mean(name, outputs)}")
+        resolved = []
+        for name in outputs:
+            spec = self.sigma.get(name, Sigma())
+            given = start.get(f"sigma_{name}")
+            if not isinstance(spec, Sigma):
+                if given is not None:
+                    raise ModelError(f"sigma_{name} is known ({spec}) and cannot be given a start as well")
+                resolved.append((True, float(spec), float(spec), float(spec)))
+                continue
+            scale = spread[name]
+            low, high = spec.bounds or (1e-9 * scale, 1e6 * scale)
+            value = given if given is not None else spec.start
+            if value is None:
+                value = min(max(scale, low), high)
+            if not positive(value):
+                raise ModelError(f"the start of sigma_{name} is a positive number, not {value!r}")
+            if not low <= value <= high and spec.bounds is None:
+                low, high = min(low, value), max(high, value)
+            if not low <= value <= high:
+                raise ModelError(f"the start {value} of sigma_{name} lies outside its bounds {spec.bounds}")
+            # No useful fit is worse than a constant. Beside others of its kind, an output with a start far above its
+            # spread would have no say in the first steps, and these can lead far away.
+            value = max(min(value, scale), low)
+            resolved.append((False, float(value), float(low), float(high)))
+        return resolved
+
+
+@dataclass(frozen=True)
+class Gaussian(Noise):
+    """Gaussian noise (Eq. pe_gaussian of the paper), independent on each output (Eq. r_diag) unless asked otherwise.
+
+    ``sigma`` gives, by output name, a number (a known standard deviation) or a `Sigma` (an unknown one); outputs
+    not named have an unknown one.
+    ``correlated``: the noise of different outputs may be correlated; the whole covariance matrix R is estimated, as
+    ``sigma_<output>`` and ``corr_<output>_<output>``. All standard deviations are unknown then. Bounds of a `Sigma`
+    hold for what is left of it given the noise of other outputs.
+    ``covariance``: R, known: an array (n_y, n_y) in the order of the model's outputs, or covariances by names,
+    ``{"q": {"q": 1e-4, "az": 2e-4}, "az": {"az": 1e-2}}`` (each pair once or twice; a pair left out is 0).
+
+    A sample of which only some outputs are present counts with the density of those, whatever the covariance.
+
+    >>> Gaussian({"q": 0.01, "az": Sigma(start=0.1)}).known
+    {'q': 0.01}
+    """
+
+    correlated: bool = False
+    covariance: ArrayLike | Mapping[str, Mapping[str, float]] | None = None
+    kind: ClassVar[str] = "gaussian"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.correlated, bool):
+            raise ModelError(f"Gaussian: correlated is True or False, not {self.correlated!r}")
+        if self.covariance is None:
+            if self.correlated and self.known:
+                raise ModelError(
+                    f"Gaussian: sigma_{next(iter(self.known))} is known, but correlated noise has all of them known "
+                    "(covariance=...) or none"
+                )
+            return
+        if self.correlated or self.sigma:
+            raise ModelError("Gaussian: covariance says all; leave out sigma and correlated")
+        object.__setattr__(self, "covariance", _covariance(self.covariance))
+
+    def known_sigmas(self, outputs: Sequence[str]) -> dict[str, float]:
+        """The known standard deviations of a model with these outputs."""
+        if self.covariance is None:
+            return self.known
+        return dict(zip(outputs, np.sqrt(np.maximum(np.diag(self.matrix(outputs)), 0)).tolist(), strict=True))
+
+    def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
+        """``sigma_<output>``, and of correlated noise ``corr_<output>_<output>``."""
+        if self.covariance is not None:
+            return ()
+        names = super().names(outputs)
+        if self.correlated:
+            names += tuple(f"corr_{a}_{b}" for i, a in enumerate(outputs) for b in outputs[i + 1 :])
+        return names
+
+    @property
+    def description(self) -> str:
+        """Empty for independent noise."""
+        if self.covariance is not None:
+            return "jointly Gaussian, covariance known"
+        return "jointly Gaussian, covariance estimated" if self.correlated else ""
+
+    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
+        """Nothing beside the scale."""
+        return ("gaussian", [], None, [])
+
+    def matrix(self, outputs: Sequence[str]) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """The known covariance, (n_y, n_y) in the order of the outputs. Raises ModelError where it does not fit."""
+        n = len(outputs)
+        if not isinstance(self.covariance, Mapping):
+            matrix = np.array(self.covariance, dtype=np.float64)
+            if matrix.shape != (n, n):
+                raise ModelError(
+                    f"noise: the covariance has shape {matrix.shape}, but there are {n} outputs ({', '.join(outputs)})"
+                )
+            return matrix
+        matrix = np.zeros((n, n))
+        for a, row in self.covariance.items():
+            for b, value in row.items():
+                for name in (a, b):
+                    if name not in outputs:
+                        raise ModelError(
+                            f"noise: '{name}' of the covariance is not an output.{did_you_mean(name, outputs)}"
+                        )
+                matrix[outputs.index(a), outputs.index(b)] = value
+        return matrix
+
+    def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
+        """The noise as the core takes it, with all starts and bounds."""
+        if self.covariance is not None:
+            for name in outputs:
+                if f"sigma_{name}" in start:
+                    raise ModelError(f"sigma_{name} is known (covariance) and cannot be given a start as well")
+            noise = _core.Noise.covariance(len(outputs), self.matrix(outputs).ravel().tolist())
+        elif self.correlated:
+            correlation = np.eye(len(outputs))
+            for i, a in enumerate(outputs):
+                for j, b in enumerate(outputs[i + 1 :], i + 1):
+                    value = start.get(f"corr_{a}_{b}", 0.0)
+                    if not (isinstance(value, (int, float)) and -1 < value < 1):
+                        raise ModelError(f"the start of corr_{a}_{b} is a number between -1 and 1, not {value!r}")
+                    correlation[i, j] = correlation[j, i] = value
+            noise = _core.Noise.correlated(self._sigmas(outputs, spread, start), correlation.ravel().tolist())
+        else:
+            return super().resolve(outputs, spread, start)
+        noise.check(outputs)
+        return noise
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it: output -> known value, or start and bounds; for other than independent noise with its
+        kind."""
+        sigmas = self._sigma_dict()
+        if not self.correlated and self.covariance is None:
+            return sigmas
+        return {"kind": self.kind, "sigma": sigmas, "correlated": self.correlated, "covariance": self.covariance}
+
+    @staticmethod
+    def from_dict(saved: Mapping[str, Any]) -> Gaussian:
+        """Reads `to_dict`."""
+        if isinstance(saved.get("kind"), str):
+            return Gaussian(saved_sigma(saved["sigma"]), saved["correlated"], saved["covariance"])
+        return Gaussian(saved_sigma(saved))
+
+
+def saved_sigma(saved: Mapping[str, Any]) -> dict[str, float | Sigma]:
+    """Scales by output, as saved."""
+
+    def sigma(s: Mapping[str, Any]) -> float | Sigma:
+        return s["known"] if "known" in s else Sigma(s["start"], tuple(s["bounds"]) if s["bounds"] else None)
+
+    return {name: sigma(s) for name, s in saved.items()}
+
+
+def positive(value: Any) -> bool:
+    """Whether it is a positive, finite number."""
+    try:
+        return bool(value > 0 and math.isfinite(value))
+    except (TypeError, ValueError):
+        return False
+
+
+def _covariance(given: Any) -> Any:
+    """Plain, so that options compare and are saved: names -> names -> value, both ways, or a tuple of rows."""
+    if isinstance(given, Mapping):
+        rows: dict[str, dict[str, float]] = {}
+        for a, row in given.items():
+            if not isinstance(row, Mapping):
+                raise ModelError(f"Gaussian: covariances by names are {{'a': {{'a': ..., 'b': ...}}}}, not {given!r}")
+            for b, value in row.items():
+                other = given.get(b, {}).get(a, value) if isinstance(given.get(b, {}), Mapping) else value
+                if not isinstance(value, (int, float)) or not math.isfinite(value) or other != value:
+                    raise ModelError(f"Gaussian: the covariance of '{a}' and '{b}' is not one number: {value!r}")
+                rows.setdefault(a, {})[b] = rows.setdefault(b, {})[a] = float(value)
+        return rows
+    try:
+        matrix = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
+        raise ModelError(f"Gaussian: covariance is a square matrix of numbers, or covariances by names, not {given!r}")
+    return tuple(map(tuple, matrix.tolist()))

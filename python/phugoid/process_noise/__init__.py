@@ -1,0 +1,1 @@
+"""The filter-error method: estimates with process noise."""

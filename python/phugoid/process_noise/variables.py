@@ -1,0 +1,167 @@
+"""The filter-error method in the variables that it is maximised in, and where these start."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..errors import ModelError, OptionError
+from ..modelling.model import Model
+from ..transcription.filter_error import FilterError
+
+__all__ = ["Objective", "intensity_start", "split"]
+
+_Array = NDArray[np.float64]
+
+
+class Objective:
+    """Minus the marginal log-likelihood and the parameters' priors, by the variables z: the model's parameters, the
+    logarithm of each unknown sigma, and the intensities q, of which the sign means nothing.
+
+    In q, and not its logarithm, the likelihood is smooth where there is no process noise: a maximum at q = 0 is one
+    like any other.
+    """
+
+    def __init__(
+        self, model: Model, problem: _core.Filter, path: _Array, bounds: tuple[_Array, _Array], n_q: int
+    ) -> None:
+        self.model, self.problem, self.path, self.bounds, self.n_q = model, problem, path, bounds, n_q
+        self.n_model = len(model.parameter_names)
+        self.n_sigma = len(problem.parameters) - self.n_model - n_q
+        self.priors = [(i, *p.prior) for i, p in enumerate(model.declared_parameters.values()) if p.prior]
+        self.reason = ""
+        self.evaluations = 0
+
+    def on(self, problem: _core.Filter) -> Objective:
+        """The same with another treatment of the noise between samples, from the path of this."""
+        path = problem.start(self.problem.states(self.path))
+        return Objective(self.model, problem, path, self.bounds, self.n_q)
+
+    @property
+    def sigmas(self) -> slice:
+        """The logarithms of sigma among z."""
+        return slice(self.n_model, self.n_model + self.n_sigma)
+
+    @property
+    def intensities(self) -> slice:
+        """The intensities among z."""
+        return slice(self.n_model + self.n_sigma, None)
+
+    def theta(self, z: _Array) -> _Array:
+        """The parameters as the core takes them."""
+        theta = z.copy()
+        theta[self.sigmas] = np.exp(-z[self.sigmas])
+        return theta
+
+    def likelihood(self, z: _Array) -> float:
+        """The marginal log-likelihood."""
+        found = self.problem.evaluate(self.theta(z), self.path, False)
+        return math.nan if isinstance(found, str) else found[0]
+
+    def __call__(self, z: _Array) -> tuple[float, _Array] | None:
+        """Value and gradient; None where there is none, and ``reason`` says why."""
+        theta = self.theta(z)
+        found = self.problem.evaluate(theta, self.path, True)
+        self.evaluations += 1
+        if isinstance(found, str):
+            self.reason = found
+            return None
+        likelihood, gradient, self.path, _ = found
+        gradient = -gradient
+        gradient[self.sigmas] *= -theta[self.sigmas]
+        value = -likelihood
+        for i, mean, std in self.priors:
+            value += 0.5 * ((z[i] - mean) / std) ** 2
+            gradient[i] += (z[i] - mean) / std**2
+        return float(value), gradient
+
+    def metric(self, z: _Array, measured: Sequence[int], intervals: int) -> _Array:
+        """About the Hessian: the expected information of the model's parameters, and of noise levels what their
+        number of samples gives."""
+        n = z.size
+        metric = np.zeros((n, n))
+        p = self.n_model
+        information = self.problem.information(self.theta(z), self.path)
+        if information is not None:
+            metric[:p, :p] = information.reshape(p, p)
+        for i, _, std in self.priors:
+            metric[i, i] += 1 / std**2
+        diagonal = np.diag(metric)[:p]
+        # What has no influence here must not make the metric singular.
+        floor = 1e-9 * np.maximum(diagonal, 1e-6 * diagonal.max(initial=1e-6))
+        metric[range(p), range(p)] += floor
+        noise = [2.0 * count for count in measured]
+        noise += [2.0 * intervals / max(q * q, 1e-300) for q in z[self.intensities]]
+        metric[range(p, n), range(p, n)] = noise
+        return metric
+
+    def hessian(self, z: _Array, metric: _Array, held: NDArray[np.bool_]) -> _Array | None:
+        """The Hessian by central differences of the gradient, steps of a hundredth of a standard error; rows and
+        columns of ``held`` variables are zero. None where the likelihood ends near by."""
+        path = self.path
+        hessian = np.zeros((z.size, z.size))
+        size = 0.01 / np.sqrt(np.diag(metric))
+        for i in np.flatnonzero(~held):
+            ends = []
+            for sign in (1, -1):
+                there = z.copy()
+                there[i] += sign * size[i]
+                ends.append(self(there))
+                self.path = path
+            if ends[0] is None or ends[1] is None:
+                return None
+            hessian[i] = (ends[0][1] - ends[1][1]) / (2 * size[i])
+        hessian[:, held] = 0.0
+        return 0.5 * (hessian + hessian.T)
+
+
+def intensity_start(
+    options: FilterError, model: Model, times: Sequence[_Array], states: Sequence[_Array], given: Any
+) -> list[float]:
+    """Where intensities start: as given (``q_<state>``), else at half of what would explain all motion of the state
+    as a random walk; from there they come down fast.
+
+    ``times`` and ``states``, (n_x, points): one array an experiment. Raises OptionError where a state stands still at
+    the start.
+    """
+    starts = []
+    for name in options.states:
+        if name in (options.intensities or {}):
+            if f"q_{name}" in given:
+                raise ModelError(f"start: q_{name} is known (intensities) and cannot be given a start as well")
+            starts.append((options.intensities or {})[name])
+            continue
+        if f"q_{name}" in given:
+            starts.append(_positive(f"q_{name}", given[f"q_{name}"]))
+            continue
+        row = model.state_names.index(name)
+        squares = [np.diff(x[row]) ** 2 / np.diff(t) for x, t in zip(states, times, strict=True)]
+        q = 0.5 * float(np.sqrt(np.concatenate(squares).mean()))
+        if not q > 0:
+            raise OptionError(
+                f"FilterError: state '{name}' is not measured by itself, so there is nothing to start 'q_{name}' from: "
+                f"give start={{'q_{name}': ...}}, or output_error=True"
+            )
+        starts.append(q)
+    return starts
+
+
+def _positive(name: str, value: Any) -> float:
+    try:
+        number = abs(float(value))
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0 < number < math.inf:
+        raise ModelError(f"the start of {name} is a positive number, not {value!r}")
+    return number
+
+
+def split(options: FilterError, start: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Starts of intensities, and all others."""
+    names = {f"q_{name}" for name in options.states}
+    return {n: v for n, v in start.items() if n in names}, {n: v for n, v in start.items() if n not in names}

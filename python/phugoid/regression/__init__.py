@@ -1,0 +1,1 @@
+"""Equation error: regression on measured states."""

@@ -1,0 +1,287 @@
+"""The equation-error method: regression on measured states, their slopes and the other outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data.experiment import Experiment, as_experiments
+from ..data.unit_check import check_units
+from ..errors import DataError, ModelError, OptionError
+from ..guess import check_names, parameter_start
+from ..modelling.model import Model
+from ..parameters import Estimate, Estimates
+from ..records import Record
+from .differentiate import Differentiator, FourierSmoothing, SavitzkyGolay, SmoothingSpline
+from .equations import Channel, Equation, Evaluation, channels, equations, groups, parameters_in
+from .least_squares import Regression, regress
+from .result import EquationError
+
+if TYPE_CHECKING:
+    pass
+
+__all__ = ["EquationError", "equation_error"]
+
+_Array: TypeAlias = NDArray[np.float64]
+_Mask: TypeAlias = NDArray[np.bool_]
+_Of = TypeVar("_Of", bound=Mapping[str, float])
+
+# A positive parameter falls no lower than this part of its start.
+_POSITIVE = 1e-12
+
+
+def equation_error(
+    model: Model,
+    data: Experiment | Sequence[Experiment],
+    *,
+    differentiation: Differentiator | None = None,
+    start: Mapping[str, float] | None = None,
+) -> EquationError:
+    """Regression estimate: the model's equations at the states as measured, without any integration.
+
+    Every state must be measured by an output of its own (``q=q + bias``). Measured states are smoothed; the left side
+    of a state equation is the slope of the smoothed channel, unless another output measures the slope itself; outputs
+    that measure no state are regression equations of their own. Equations that share parameters are solved together,
+    weighted with their residuals; by linear least squares where all are linear in the parameters, else by Gauss-Newton
+    from ``start`` (values by name; those not named as declared). Bounds, priors and fixed parameters are kept. Noise
+    in the states biases the estimate, which is what `estimate` is free of: this is a start for it, and a check.
+
+    ``differentiation``: `SmoothingSpline` (the default), `FourierSmoothing` or `SavitzkyGolay`.
+
+    Standard errors hold for coloured residuals (V. Klein and E. A. Morelli, Aircraft System Identification, AIAA 2006,
+    ch. 5). Directions that the data do not determine stay at the start, and are named.
+
+    Raises ModelError for a state that is not measured, DataError or OptionError for what cannot be right,
+    EvaluationError where an equation is not finite at the start.
+    """
+    runs = as_experiments(data, "equation_error")
+    if not isinstance(model, Model):
+        raise ModelError(f"equation_error: the first argument is a Model, not a {type(model).__name__}")
+    model.check()
+    way = differentiation or SmoothingSpline()
+    if not isinstance(way, (SmoothingSpline, FourierSmoothing, SavitzkyGolay)):
+        raise OptionError(f"equation_error: differentiation is SmoothingSpline(...) or another such, not {way!r}")
+    if not isinstance(start, (Mapping, type(None))):
+        raise OptionError(f"equation_error: start holds values by name, not {start!r}")
+    for run in runs:
+        run.check_for(model.input_names, model.output_names, model.output_names)
+    check_units(model, runs, "equation_error")
+    check_names(model, start or {}, runs)
+    values = [parameter_start(model, start or {}, run.name) for run in runs]  # those of each experiment
+    measured = channels(model, values[0])
+    listed = equations(model, measured, values[0], runs)
+    sides = [_Sides(model, run, measured, listed, way) for run in runs]
+
+    declared = model.declared_parameters
+    inside = parameters_in(model, listed, [n for n, p in declared.items() if not p.fixed])
+    found: dict[str, tuple[Regression, int]] = {}
+    collinear: list[tuple[tuple[str, ...], float]] = []
+    warnings: list[str] = []
+    together = groups(inside)
+    for members in together:
+        names = [n for n in model.parameter_names if any(n in inside[k] for k in members)]
+        unknowns = _unknowns(model, names, runs)
+        solved = _solve(model, unknowns, [listed[k] for k in members], members, sides, values)
+        for j, unknown in enumerate(unknowns):
+            found[unknown.label] = solved, j
+            for own in unknown.among(values):
+                own[unknown.name] = float(solved.values[j])
+        labels = [unknown.label for unknown in unknowns]
+        collinear += [(tuple(labels[j] for j in c.parameters), c.condition_index) for c in solved.collinear]
+        if not solved.settled:
+            warnings.append(f"the regression of {', '.join(labels)} did not settle: give another start, or fix some")
+    warnings += [_warning(names, index) for names, index in collinear]
+    everything = _unknowns(model, model.parameter_names, runs)
+    idle = [u.label for u in everything if not declared[u.name].fixed and u.label not in found]
+    if idle:
+        warnings.append(f"{', '.join(idle)} stands in no equation and stays at its start")
+    records = [side.record(own) for side, own in zip(sides, values, strict=True)]
+    return EquationError(
+        model=model,
+        parameters=Estimates(_estimate(model, u, u.among(values)[0][u.name], found.get(u.label)) for u in everything),
+        white_std_errors={u.label: _deviation(found.get(u.label), white=True) for u in everything},
+        r_squared={e.name: _r_squared(records, e.name) for e in listed},
+        sigmas={e.name: _rms(records, e.name) for e in listed},
+        groups=[tuple(listed[k].name for k in members) for members in together],
+        collinear=collinear,
+        records=records,
+        warnings=tuple(warnings),
+    )
+
+
+@dataclass(frozen=True)
+class _Unknown:
+    """A parameter, of all experiments or of one alone."""
+
+    label: str
+    name: str
+    experiment: int | None
+
+    def among(self, each: Sequence[_Of]) -> Sequence[_Of]:
+        """Those experiments' values that it belongs to."""
+        return each if self.experiment is None else each[self.experiment : self.experiment + 1]
+
+
+def _unknowns(model: Model, names: Sequence[str], runs: Sequence[Experiment]) -> list[_Unknown]:
+    declared = model.declared_parameters
+    found = []
+    for name in names:
+        if declared[name].per_experiment:
+            found += [_Unknown(f"{name}[{run.name}]", name, i) for i, run in enumerate(runs)]
+        else:
+            found.append(_Unknown(name, name, None))
+    return found
+
+
+class _Sides:
+    """What an experiment has for the equations: left-hand sides (E, N), which rows count, columns for the right."""
+
+    def __init__(
+        self,
+        model: Model,
+        run: Experiment,
+        measured: Sequence[Channel],
+        listed: Sequence[Equation],
+        way: Differentiator,
+    ) -> None:
+        self.model, self.run, self.measured, self.listed = model, run, measured, listed
+        smooth = {c.state: _smooth(run, c, way) for c in measured}
+        self.columns = np.vstack(
+            [run.t, *(run.input(n) for n in model.input_names), *(smooth[n][0] for n in model.state_names)]
+        )
+        # Beyond the first and the last sample of a state the smoothing only guesses.
+        covered = np.ones(run.n, dtype=bool)
+        for c in measured:
+            present = np.flatnonzero(np.isfinite(run.output(c.output)))
+            covered[: present[0]] = covered[present[-1] + 1 :] = False
+        own = [np.isfinite(run.output(e.channel.output if e.channel else e.name)) for e in listed]
+        self.mask: _Mask = np.array([covered & o for o in own])
+        left = [smooth[e.channel.state][1] if e.channel else run.output(e.name) for e in listed]
+        self.left = np.where(self.mask, np.array(left), 0.0)
+
+    def record(self, values: Mapping[str, float]) -> Record:
+        """Both sides at the result."""
+        right, _ = Evaluation(self.model, self.listed, [])(values, self.columns)
+        left = np.where(self.mask, self.left, np.nan)
+        first = 1 + len(self.model.input_names)
+        channel = dict(zip(self.model.state_names, self.columns[first:], strict=True))
+        states = {
+            c.state: (channel[c.state] - _number(c.offset, values)) / _number(c.slope, values) for c in self.measured
+        }
+        states = {name: states[name] for name in self.model.state_names}
+        units = dict(self.model.units)
+        for e in self.listed:
+            if e.channel and units.get(e.channel.output, units.get(e.channel.state)):
+                units[e.name] = f"{units.get(e.channel.output, units.get(e.channel.state))}/s"
+        names = [e.name for e in self.listed]
+        return Record(
+            name=self.run.name,
+            t=self.run.t,
+            inputs={n: self.run.input(n) for n in self.model.input_names},
+            outputs=dict(zip(names, right, strict=True)),
+            states=states,
+            measured=dict(zip(names, left, strict=True)),
+            residuals=dict(zip(names, left - right, strict=True)),
+            mesh_t=self.run.t,
+            mesh_states=states,
+            units=units,
+        )
+
+
+def _smooth(run: Experiment, channel: Channel, way: Differentiator) -> tuple[_Array, _Array]:
+    try:
+        return way.smooth(run.t, run.output(channel.output))
+    except DataError as error:
+        raise DataError(f"experiment '{run.name}', output '{channel.output}': {error}") from None
+
+
+def _solve(
+    model: Model,
+    unknowns: Sequence[_Unknown],
+    listed: Sequence[Equation],
+    members: Sequence[int],
+    sides: Sequence[_Sides],
+    values: Sequence[Mapping[str, float]],
+) -> Regression:
+    names = list(dict.fromkeys(u.name for u in unknowns))
+    evaluation = Evaluation(model, listed, names)
+    lefts = [side.left[members] for side in sides]
+    masks = [side.mask[members] for side in sides]
+
+    # Which unknowns, and which columns of the derivatives, an experiment has.
+    own = [[k for k, u in enumerate(unknowns) if u.experiment in (None, i)] for i in range(len(sides))]
+    columns = [[names.index(unknowns[k].name) for k in inside] for inside in own]
+
+    def rows(theta: _Array) -> list[tuple[_Array, _Array]]:
+        parts = []
+        for i, (side, left, mask) in enumerate(zip(sides, lefts, masks, strict=True)):
+            now = {**values[i], **{unknowns[k].name: theta[k] for k in own[i]}}
+            right, derivatives = evaluation(now, side.columns)
+            regressors = np.zeros((*mask.shape, theta.size))
+            regressors[:, :, own[i]] = np.where(mask[:, :, None], derivatives[:, :, columns[i]], 0.0)
+            parts.append((np.where(mask, left - right, 0.0), regressors))
+        return parts
+
+    start = np.array([u.among(values)[0][u.name] for u in unknowns])
+    for i, (side, mask) in enumerate(zip(sides, masks, strict=True)):
+        evaluation.check(*evaluation(values[i], side.columns), mask, side.run)
+    scales = np.empty(len(listed))
+    for i in range(len(listed)):
+        left = np.concatenate([left[i][mask[i]] for left, mask in zip(lefts, masks, strict=True)])
+        scales[i] = (float(left.std()) if left.size else 0.0) or 1.0
+    declared = [model.declared_parameters[u.name] for u in unknowns]
+    # What is estimated in its logarithm afterwards has to stay positive.
+    least = [_POSITIVE * p.start if p.transform == "log" else -np.inf for p in declared]
+    lower = np.maximum([p.bounds[0] for p in declared], least)
+    bounds = (lower, np.array([p.bounds[1] for p in declared]))
+    return regress(rows, masks, scales, start, bounds, [p.prior for p in declared], evaluation.linear)
+
+
+def _number(e: Any, values: Mapping[str, float]) -> float:
+    return float(e.evaluate({n: values[n] for n in e.symbols}))
+
+
+def _deviation(of: tuple[Regression, int] | None, white: bool = False) -> float:
+    if of is None:
+        return np.nan
+    solved, j = of
+    variance = (solved.white_covariance if white else solved.covariance)[j, j]
+    return float(np.sqrt(variance)) if variance >= 0 else np.nan
+
+
+def _estimate(model: Model, unknown: _Unknown, value: float, of: tuple[Regression, int] | None) -> Estimate:
+    p = model.declared_parameters[unknown.name]
+    side = of[0].active[of[1]] if of else 0
+    active: Any = {-1: "lower", 1: "upper"}.get(int(side))
+    return Estimate(unknown.label, value, _deviation(of), p.unit, p.start, p.bounds, p.fixed, active)
+
+
+def _warning(names: Sequence[str], index: float) -> str:
+    listed = ", ".join(names)
+    if np.isfinite(index):
+        return f"{listed} are nearly collinear (condition index {index:.0f}): errors of one are made up by the others"
+    if len(names) == 1:
+        return f"{listed} has no influence on the equations with these data, and stays at its start"
+    return f"{listed} cannot be told apart with these data: fix one of them, or give it a prior"
+
+
+def _joined(records: Sequence[Record], name: str) -> tuple[_Array, _Array]:
+    left = np.concatenate([r.measured[name] for r in records])
+    residual = np.concatenate([r.residuals[name] for r in records])
+    present = np.isfinite(residual)
+    return left[present], residual[present]
+
+
+def _r_squared(records: Sequence[Record], name: str) -> float:
+    left, residual = _joined(records, name)
+    scatter = float(((left - left.mean()) ** 2).sum()) if left.size else 0.0
+    return 1.0 - float((residual**2).sum()) / scatter if scatter > 0 else np.nan
+
+
+def _rms(records: Sequence[Record], name: str) -> float:
+    residual = _joined(records, name)[1]
+    return float(np.sqrt(np.mean(residual**2))) if residual.size else np.nan

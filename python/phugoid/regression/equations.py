@@ -1,0 +1,219 @@
+"""A model as regression equations: what each measured channel, or its slope, is said to be by the others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from .._core import Expr
+from ..data.experiment import Experiment
+from ..errors import EvaluationError, ModelError
+from ..guess import measured_states
+from ..modelling.model import Model
+
+__all__ = ["Channel", "Equation", "Evaluation", "channels", "equations", "groups", "parameters_in"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+# Draws of the parameters by which an output is compared with a state equation, and how near they have to be.
+_DRAWS, _SAME = 3, 1e-9
+
+
+@dataclass(frozen=True)
+class Channel:
+    """The output that measures a state: z = offset + slope * x, both in terms of parameters alone."""
+
+    state: str
+    output: str
+    offset: Expr
+    slope: Expr
+
+
+@dataclass(frozen=True)
+class Equation:
+    """``name`` is the output, or the state with a prime; ``right`` what the model makes of it.
+
+    In ``right`` the name of a state stands for the channel that measures it.
+    """
+
+    name: str
+    right: Expr
+    channel: Channel | None  # whose slope stands on the left; None: the output itself
+
+
+def channels(model: Model, values: Mapping[str, float]) -> list[Channel]:
+    """For each state the output that measures it. Raises ModelError, with the names of those not measured."""
+    found = measured_states(model, values)
+    lost = [name for name in model.state_names if name not in found]
+    if lost:
+        what = f"states {', '.join(lost)} are" if len(lost) > 1 else f"state {lost[0]} is"
+        raise ModelError(
+            f"equation_error: the {what} not measured by an output of its own, as in outputs(q=q + bias), and the "
+            "equation-error method needs every state: add the output with reconstructed values, or use estimate"
+        )
+    outputs = model.output_expressions()
+    listed = []
+    for state in model.state_names:
+        output = found[state][0]
+        e = Expr(outputs[output])
+        listed.append(Channel(state, output, e.substitute({state: 0.0}), e.diff(state)))
+    return listed
+
+
+def equations(
+    model: Model, measured: Sequence[Channel], values: Mapping[str, float], data: Sequence[Experiment]
+) -> list[Equation]:
+    """The state equations and those outputs that serve as no state's measurement.
+
+    A state equation is left out where an output measures the slope itself. Where it does but for a bias, both stay:
+    the slope tells the bias from the constants of the equation.
+    """
+    known: dict[str, Expr | float] = {}
+    for name, e, *_ in model._core.quantities:
+        known[name] = e.substitute(known)
+    inside = {c.state: (Expr.symbol(c.state) - c.offset) / c.slope for c in measured}
+    taken = {c.output for c in measured}
+    slopes = _measured_slopes(model, measured, values, data[0])
+    found = []
+    for (state, e, *_), channel in zip(model._core.dynamics, _in_order(model, measured), strict=True):
+        if state not in slopes:
+            right = e.substitute(known).substitute(inside)
+            found.append(Equation(f"{state}'", right * channel.slope, channel))
+    for name, e in model.output_expressions().items():
+        if name not in taken:
+            found.append(Equation(name, Expr(e).substitute(inside), None))
+    return found
+
+
+def _in_order(model: Model, measured: Sequence[Channel]) -> list[Channel]:
+    by_state = {c.state: c for c in measured}
+    return [by_state[state] for state, *_ in model._core.dynamics]
+
+
+def _measured_slopes(
+    model: Model, measured: Sequence[Channel], values: Mapping[str, float], run: Experiment
+) -> set[str]:
+    """States whose x' is an output: told by numbers, whatever the form of the two expressions."""
+    evaluator = _core.Evaluator(model._core)
+    random = np.random.default_rng(0)
+    declared = model.declared_parameters
+    taken = {c.output for c in measured}
+    picked = np.unique(np.linspace(0, run.n - 1, 50).astype(int))
+    u = [run.input(name)[picked] for name in model.input_names]
+    x = [np.interp(run.t[picked], *_present(run, c.output)) for c in measured]
+    candidates = {
+        (state, output): True for state in model.state_names for output in model.output_names if output not in taken
+    }
+    for _ in range(_DRAWS):
+        theta = np.array(
+            [
+                v if declared[n].fixed else np.clip(v + random.normal() * max(abs(v), 1.0), *declared[n].bounds)
+                for n, v in values.items()
+            ]
+        )
+        columns = np.vstack([run.t[picked], *u, *x])
+        slopes = dict(zip(model.state_names, evaluator.dynamics(theta, columns), strict=True))
+        outputs = dict(zip(model.output_names, evaluator.outputs(theta, columns), strict=True))
+        for state, output in candidates:
+            slope, rest = slopes[state], outputs[output] - slopes[state]
+            near = _SAME * np.abs(slope).max()
+            # A slope that stands still says nothing of how the two depend on the states.
+            candidates[state, output] &= bool(np.abs(rest).max() <= near < np.ptp(slope))
+    return {state for (state, _), same in candidates.items() if same}
+
+
+def _present(run: Experiment, output: str) -> tuple[_Array, _Array]:
+    z = run.output(output)
+    there = np.isfinite(z)
+    return run.t[there], z[there]
+
+
+def parameters_in(model: Model, listed: Sequence[Equation], free: Sequence[str]) -> list[set[str]]:
+    """The free parameters that matter to each equation."""
+    return [set(free).intersection(e.right.symbols) for e in listed]
+
+
+def groups(inside: Sequence[set[str]]) -> list[list[int]]:
+    """Numbers of the equations that share parameters, directly or through others; those without any stay out."""
+    found: list[tuple[set[str], list[int]]] = []
+    for k, names in enumerate(inside):
+        if not names:
+            continue
+        merged, members = set(names), [k]
+        for other in [g for g in found if g[0] & names]:
+            merged |= other[0]
+            members += other[1]
+            found.remove(other)
+        found.append((merged, sorted(members)))
+    return [members for _, members in sorted(found, key=lambda g: g[1])]
+
+
+class Evaluation:
+    """Right-hand sides and their derivatives with respect to parameters, compiled, at the samples of experiments."""
+
+    def __init__(self, model: Model, listed: Sequence[Equation], names: Sequence[str]) -> None:
+        self.listed, self.names = listed, names
+        used = set().union(*(e.right.symbols for e in listed))
+        self.order = [name for name in model.parameter_names if name in used]
+        aux = _core.Model("equations")
+        for name in self.order:
+            aux.parameter(name, "", 0.0, -np.inf, np.inf, None, False, False, False, None)
+        for name in model.input_names:
+            aux.input(name, "")
+        for name in model.state_names:
+            aux.state(name, "")
+            aux.equation(name, 0.0, None)
+        self.place: list[list[int]] = []
+        self.linear = True
+        count = 0
+        taken = {*self.order, *model.input_names, *model.state_names}
+        for equation in listed:
+            derivatives = []
+            aux.output(_fresh(f"e{count}", taken), equation.right, "", None)
+            count += 1
+            for j, name in enumerate(names):
+                if name in equation.right.symbols:
+                    d = equation.right.diff(name)
+                    self.linear &= not any(_depends(d, other) for other in names)
+                    aux.output(_fresh(f"e{count}", taken), d, "", None)
+                    count += 1
+                    derivatives.append(j)
+            self.place.append(derivatives)
+        self.evaluator = _core.Evaluator(aux)
+
+    def __call__(self, values: Mapping[str, float], columns: _Array) -> tuple[_Array, _Array]:
+        """Right-hand sides (E, N) and derivatives (E, N, p) for columns of time, inputs and state channels."""
+        rows = self.evaluator.outputs(np.array([values[n] for n in self.order]), columns)
+        right = np.empty((len(self.listed), columns.shape[1]))
+        derivatives = np.zeros((*right.shape, len(self.names)))
+        k = 0
+        for i, inside in enumerate(self.place):
+            right[i] = rows[k]
+            derivatives[i][:, inside] = rows[k + 1 : k + 1 + len(inside)].T
+            k += 1 + len(inside)
+        return right, derivatives
+
+    def check(self, right: _Array, derivatives: _Array, mask: NDArray[np.bool_], run: Experiment) -> None:
+        """Raises EvaluationError for the first number that is not finite where it is needed."""
+        wrong = mask & ~(np.isfinite(right) & np.isfinite(derivatives).all(axis=2))
+        if wrong.any():
+            i, k = np.argwhere(wrong)[0]
+            raise EvaluationError(
+                f"equation_error: experiment '{run.name}': the equation of {self.listed[i].name} is not finite at "
+                f"t = {run.t[k]:g} s with the measured states and the parameters at their start: give another start"
+            )
+
+
+def _depends(e: Expr, name: str) -> bool:
+    return name in e.symbols and e.diff(name).constant != 0.0
+
+
+def _fresh(name: str, taken: set[str]) -> str:
+    while name in taken:
+        name += "_"
+    return name

@@ -1,0 +1,1 @@
+"""Files of fits and of other results."""

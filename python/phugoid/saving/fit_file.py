@@ -1,0 +1,237 @@
+"""Fits saved and loaded, with the data they were made of.
+
+Version 1 of the format had neither experiments nor solution: such fits have none, and what needs these (a diagnosis)
+takes what the records hold, and estimates again from there.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data.experiment import Experiment, Signal
+from ..errors import DataError
+from ..modelling.model import Model
+from ..noise.kinds import noise_from_dict
+from ..parameters import Estimate, Estimates
+from ..records import Record
+from ..refinement import Refinement
+from ..result import Fit
+from ..solvers import Iteration, Solution
+from ..transcription.filter_error import FilterError
+from ..transcription.shooting import Transcription, from_dict, to_dict
+from . import json_file as io
+
+__all__ = ["fit_from", "fit_payload", "fit_unit", "load", "save"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+# Of records that the filter-error method leaves.
+_OF_FILTER = ("state_std", "innovations", "innovation_std")
+
+
+def save(fit: Fit, path: str | os.PathLike[str]) -> None:
+    """Writes a fit: HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON. See `Fit.save`."""
+    io.save_fit_dict(path, fit_payload(fit), lambda place: fit_unit(fit, place))
+
+
+def load(path: str | os.PathLike[str]) -> Fit:
+    """Reads a fit that `Fit.save` wrote, of this version or an older one; what the file is shows from its content.
+
+    Raises DataError for a missing, damaged or newer file, MissingDependency for HDF5 without h5py.
+    """
+    saved, version = io.load_fit_dict(path)
+    try:
+        return fit_from(saved, version)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
+
+
+def fit_payload(fit: Fit) -> dict[str, Any]:
+    """A fit as numbers, texts, lists, mappings and arrays."""
+    return {
+        "model": fit.model.to_json(),
+        "noise": fit.noise.to_dict(),
+        "transcription": fit.transcription.to_dict()
+        if isinstance(fit.transcription, FilterError)
+        else to_dict(fit.transcription),
+        "parameters": _listed(fit.parameters),
+        "initial_states": {name: _listed(group) for name, group in fit.initial_states.items()},
+        "covariance": fit.covariance,
+        "log_likelihood": fit.log_likelihood,
+        "records": [vars(r) for r in fit.records],
+        "status": fit.status,
+        "message": fit.message,
+        "iterations": fit.iterations,
+        "time": fit.time,
+        "warnings": list(fit.warnings),
+        "history": [vars(line) for line in fit.history],
+        "refinement": fit.refinement.to_dict() if fit.refinement else None,
+        "experiments": [_experiment_payload(e) for e in fit.experiments],
+        "solution": _solution_payload(fit.solution) if fit.solution else None,
+        "moved": fit_payload(fit._moved) if fit._moved else None,
+    }
+
+
+def _listed(group: Estimates) -> list[dict[str, Any]]:
+    return [{**vars(e), "bounds": list(e.bounds)} for e in group.values()]
+
+
+def _experiment_payload(e: Experiment) -> dict[str, Any]:
+    return {
+        "name": e.name,
+        "t": e.t,
+        "inputs": dict(e.inputs),
+        "outputs": dict(e.outputs),
+        "channels": dict(e.channels),
+        "units": dict(e.units),
+        "interpolation": e.interpolation,
+        "signals": {name: list(signal) for name, signal in e._signals_of().items()},
+        "mesh_times": e.mesh_times,
+        "history": list(e.history),
+    }
+
+
+def _solution_payload(solution: Solution) -> dict[str, Any]:
+    saved = {f.name: getattr(solution, f.name) for f in fields(solution)}
+    lower, upper = (_sparse(v) for v in solution.bound_multipliers)
+    return {
+        **saved,
+        "bound_multipliers": {"lower": lower, "upper": upper},
+        "history": [vars(line) for line in solution.history],
+    }
+
+
+def _sparse(values: _Array) -> dict[str, Any]:
+    """Few variables have bounds."""
+    at = np.flatnonzero(values)
+    return {"size": values.size, "at": at, "values": values[at]}
+
+
+def fit_unit(fit: Fit, place: tuple[str | int, ...]) -> str:
+    """Of an array: ``("records", 0, "outputs", "q")`` has the unit of q."""
+    if place[0] == "moved":
+        return fit_unit(fit._moved, place[1:]) if fit._moved else ""
+    if place[0] not in ("records", "experiments") or len(place) < 3:
+        return ""
+    kind, name = str(place[2]), str(place[-1])
+    if kind in ("t", "mesh_t", "mesh_times"):
+        return "s"
+    if kind in ("signals", "input_samples"):  # times and values
+        if place[-1] == 0:
+            return "s"
+        name = str(place[3])
+    units: Mapping[str, str] = fit.model.units
+    if place[0] == "experiments" and isinstance(place[1], int):
+        units = {**units, **fit.experiments[place[1]].units}
+    return units.get(name, "")
+
+
+def fit_from(saved: Mapping[str, Any], version: int) -> Fit:
+    """The fit of a payload."""
+    fit = Fit(
+        model=Model.from_json(saved["model"]),
+        noise=noise_from_dict(saved["noise"]),
+        transcription=_transcription(saved["transcription"]),
+        parameters=_estimates(saved["parameters"]),
+        initial_states={name: _estimates(group) for name, group in saved["initial_states"].items()},
+        covariance=io.to_array(saved["covariance"]),
+        log_likelihood=io.to_float(saved["log_likelihood"]),
+        records=[_record(r) for r in saved["records"]],
+        status=saved["status"],
+        message=saved["message"],
+        iterations=saved["iterations"],
+        time=io.to_float(saved["time"]),
+        warnings=tuple(saved["warnings"]),
+        history=_history(saved["history"]),
+        refinement=Refinement.from_dict(saved["refinement"]) if saved.get("refinement") else None,
+    )
+    if version == 1:
+        return fit
+    return replace(
+        fit,
+        experiments=tuple(_experiment(e) for e in saved["experiments"]),
+        solution=_solution(saved["solution"]) if saved["solution"] else None,
+        _moved=fit_from(saved["moved"], version) if saved["moved"] else None,
+    )
+
+
+def _history(lines: list[dict[str, Any]]) -> list[Iteration]:
+    whole = ("number", "trials")
+
+    def number(key: str, value: Any) -> Any:
+        return value if key in whole else io.to_float(value)
+
+    return [Iteration(**{k: number(k, v) for k, v in line.items()}) for line in lines]
+
+
+def _estimates(group: list[dict[str, Any]]) -> Estimates:
+    numbers = ("value", "std_error", "start")
+    return Estimates(
+        Estimate(
+            **{**e, **{k: io.to_float(e[k]) for k in numbers}, "bounds": tuple(map(io.to_float, e["bounds"]))},
+        )
+        for e in group
+    )
+
+
+def _record(saved: Mapping[str, Any]) -> Record:
+    groups = ("inputs", "outputs", "states", "measured", "residuals", "mesh_states")
+    each = {**{k: saved[k] for k in groups}, **{k: saved.get(k, {}) for k in _OF_FILTER}}
+    own = {n: (io.to_array(at), io.to_array(v)) for n, (at, v) in saved.get("input_samples", {}).items()}
+    return Record(
+        name=saved["name"],
+        units=saved["units"],
+        t=io.to_array(saved["t"]),
+        mesh_t=io.to_array(saved["mesh_t"]),
+        interpolation=saved.get("interpolation", "linear"),
+        input_samples=own,
+        **{k: _arrays(group) for k, group in each.items()},
+    )
+
+
+def _arrays(group: Mapping[str, Any]) -> dict[str, _Array]:
+    return {name: io.to_array(values) for name, values in group.items()}
+
+
+def _transcription(saved: Mapping[str, Any]) -> Transcription | FilterError:
+    return FilterError(**saved) if "states" in saved else from_dict(dict(saved))
+
+
+def _experiment(saved: Mapping[str, Any]) -> Experiment:
+    groups = (_arrays(saved["inputs"]), _arrays(saved["outputs"]))
+    channels, units = _arrays(saved["channels"]), saved["units"]
+    e = Experiment(
+        io.to_array(saved["t"]), *groups, saved["name"], saved["interpolation"], channels=channels, units=units
+    )
+    signals: dict[str, Signal] = {
+        name: (io.to_array(t), io.to_array(values), io.to_float(delay), int(order))
+        for name, (t, values, delay, order) in saved["signals"].items()
+    }
+    e._sampled(signals, None if saved["mesh_times"] is None else io.to_array(saved["mesh_times"]))
+    e._history = tuple(map(str, saved["history"]))
+    return e
+
+
+def _solution(saved: Mapping[str, Any]) -> Solution:
+    def whole(part: Mapping[str, Any]) -> _Array:
+        values = np.zeros(int(part["size"]))
+        values[np.asarray(part["at"], dtype=np.intp)] = io.to_array(part["values"])
+        return values
+
+    bounds = saved["bound_multipliers"]
+    return Solution(
+        **{
+            **saved,
+            "xi": io.to_array(saved["xi"]),
+            "multipliers": io.to_array(saved["multipliers"]),
+            "bound_multipliers": (whole(bounds["lower"]), whole(bounds["upper"])),
+            "time": io.to_float(saved["time"]),
+            "history": _history(saved["history"]),
+        }
+    )

@@ -1,0 +1,120 @@
+"""A saved fit as HDF5: every array a dataset with its unit, the rest JSON in the dataset ``document``.
+
+In the JSON an array is ``{"hdf5 dataset": "/records/0/outputs/q"}``. Datasets have checksums, so that a damaged file is
+found out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DataError, MissingDependency
+
+__all__ = ["MAGIC", "Reader", "Writer"]
+
+MAGIC = b"\x89HDF\r\n\x1a\n"
+"""The first bytes of an HDF5 file."""
+_KEY = "hdf5 dataset"
+_DOCUMENT = "document"
+# Arrays of fewer numbers gain nothing by compression.
+_SMALL = 64
+
+
+def _h5py(what: str) -> Any:
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingDependency(f'to {what} a fit as HDF5 needs h5py ({error}): pip install "phugoid[hdf5]"') from error
+    return h5py
+
+
+class Writer:
+    """A new file: `keep` for every array, then `finish`."""
+
+    def __init__(self, path: Path, unit: Callable[[tuple[str | int, ...]], str]) -> None:
+        # The times at which datasets were made are left out: the same fit gives the same bytes.
+        self._file = _h5py("save").File(path, "w", track_order=True)
+        self._unit = unit
+
+    def keep(self, array: NDArray[Any], place: tuple[str | int, ...]) -> dict[str, str]:
+        """Writes an array; returns what stands for it in the JSON."""
+        path = "/".join(_part(part) for part in place)
+        while path in self._file or path == _DOCUMENT:  # names that differ by a slash
+            path += "_"
+        large = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if array.size >= _SMALL else {}
+        checked = {"fletcher32": True, **large} if array.size else {}
+        data = np.asarray(array, dtype=np.float64) if array.dtype.kind == "f" else array
+        dataset = self._file.create_dataset(path, data=data, track_times=False, **checked)
+        if unit := self._unit(place):
+            dataset.attrs["units"] = unit
+        return {_KEY: f"/{path}"}
+
+    def finish(self, text: str, name: str, version: int) -> None:
+        """Writes the JSON, and what the file is."""
+        data = np.array([text.encode("utf-8")])
+        self._file.create_dataset(_DOCUMENT, data=data, track_times=False, chunks=(1,), fletcher32=True)
+        self._file.attrs["format"], self._file.attrs["version"] = name, version
+
+    def __enter__(self) -> Writer:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: object, trace: TracebackType | None) -> None:
+        self._file.close()
+
+
+class Reader:
+    """A file. DataError where it is damaged or holds something else."""
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self._path = path
+        h5py = _h5py("read")
+        self._file = self._try(lambda: h5py.File(path, "r"))
+
+    def name(self) -> Any:
+        """Of the format, as `Writer.finish` was told; None where there is none."""
+        return self._try(lambda: self._file.attrs.get("format"))
+
+    def text(self, name: str, what: str) -> str:
+        """The JSON; DataError where the format is not that of ``what``."""
+        found = self.name()
+        if found != name:
+            raise DataError(f"{self._path}: is not a {what} saved by phugoid (format {found!r} instead of '{name}')")
+        return str(self._try(lambda: bytes(self._file[_DOCUMENT][0]).decode("utf-8")))
+
+    def filled(self, value: Any) -> Any:
+        """The JSON's content with arrays in their places."""
+        if isinstance(value, dict):
+            where = value.get(_KEY)
+            if len(value) == 1 and isinstance(where, str) and where.startswith("/"):
+                return self._try(lambda: np.asarray(self._file[where][()]))
+            return {key: self.filled(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [self.filled(item) for item in value]
+        return value
+
+    def _try(self, read: Callable[[], Any]) -> Any:
+        # Damaged bytes lead h5py to exceptions of many types.
+        try:
+            return read()
+        except Exception as error:
+            what = str(error).strip("\"'") or type(error).__name__
+            raise DataError(f"{self._path}: is damaged or cut short ({what})") from error
+
+    def __enter__(self) -> Reader:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: object, trace: TracebackType | None) -> None:
+        self._file.close()
+
+
+def _part(part: str | int) -> str:
+    """A name as part of a path, where a slash divides and a dot stands for the group itself."""
+    text = str(part).replace("/", "∕")
+    return text if text.strip(".") else f"_{text}"

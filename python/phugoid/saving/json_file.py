@@ -1,0 +1,223 @@
+"""Saved fits as files: JSON, or HDF5 for much data; with a format name and a version, and never half a file.
+
+JSON has no NaN and no infinity: they are written as null and as ``"inf"`` or ``"-inf"``, which `to_float` and
+`to_array` read back. Floats keep every bit. In HDF5 arrays are datasets, and the rest is the same JSON (`hdf5_file`).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+from threading import get_ident
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DataError
+from . import hdf5_file
+
+__all__ = [
+    "DIAGNOSIS",
+    "FORMAT",
+    "SUFFIXES",
+    "VERSION",
+    "check_folder",
+    "format_of",
+    "from_json",
+    "load_fit_dict",
+    "save_fit_dict",
+    "to_array",
+    "to_float",
+    "to_json",
+    "write_page",
+]
+
+FORMAT = "phugoid-fit"
+VERSION = 2
+"""1: without experiments and solution; 2: with them, and HDF5."""
+DIAGNOSIS = "phugoid-diagnosis"
+_VERSIONS = {FORMAT: VERSION, DIAGNOSIS: 1}
+_WHAT = {FORMAT: "fit", DIAGNOSIS: "diagnosis"}
+SUFFIXES = (".h5", ".hdf5")
+"""Of files that are written as HDF5."""
+
+_Place: TypeAlias = tuple[str | int, ...]
+_Keep: TypeAlias = Callable[[NDArray[Any], _Place], Any]
+
+
+def to_json(obj: Mapping[str, Any], keep: _Keep | None = None, name: str = FORMAT) -> str:
+    """JSON text of ``obj`` under the format's name and version.
+
+    Takes None, bool, int, float, str, numpy scalars and arrays, and mappings, lists and tuples of them; ``keep`` says
+    what to write for an array at a place, unless its numbers. Raises DataError for anything else, with its place.
+
+    >>> to_json({"mesh": np.array([0.0, np.nan])})
+    '{"format": "phugoid-fit", "version": 2, "mesh": [0.0, null]}'
+    """
+    for reserved in ("format", "version"):
+        if reserved in obj:
+            raise DataError(f"the key '{reserved}' belongs to the file format: choose another")
+    document = {"format": name, "version": _VERSIONS[name], **_plain(obj, (), keep)}
+    return json.dumps(document, ensure_ascii=False, allow_nan=False)
+
+
+def from_json(text: str, source: str = "the text", name: str = FORMAT) -> tuple[dict[str, Any], int]:
+    """The dictionary that `to_json` took, with arrays as lists, and the version of the format ``name``.
+
+    Raises DataError where ``text`` is cut short, is no JSON, is of another format, or comes from a newer
+    version; ``source`` is how the message calls it.
+    """
+    try:
+        document = json.loads(text)
+    except json.JSONDecodeError as error:
+        what = "is empty" if not text.strip() else f"is no complete JSON (line {error.lineno}: {error.msg})"
+        raise DataError(f"{source}: {what}; the file is damaged or cut short, or is no saved {_WHAT[name]}") from None
+    found = document.pop("format", None) if isinstance(document, dict) else None
+    if found != name:
+        raise DataError(f"{source}: is not a {_WHAT[name]} saved by phugoid (format {found!r} instead of '{name}')")
+    version = document.pop("version", None)
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise DataError(f"{source}: has version {version!r} instead of a whole number; the file is damaged")
+    if version > _VERSIONS[name]:
+        raise DataError(
+            f"{source}: has version {version} of the format, but this phugoid reads up to {_VERSIONS[name]}: "
+            "install a newer phugoid"
+        )
+    return dict(document), version
+
+
+def save_fit_dict(
+    path: str | PathLike[str],
+    payload: Mapping[str, Any],
+    unit: Callable[[_Place], str] = lambda place: "",
+    name: str = FORMAT,
+) -> None:
+    """Writes the payload to ``path``, whole or not at all: the old file stays until then.
+
+    The suffix says how: HDF5 for ``.h5`` and ``.hdf5``, with ``unit`` of the array at a place as an attribute; JSON
+    else. Raises DataError where the file cannot be written, MissingDependency for HDF5 without h5py.
+    """
+    target = Path(path).resolve()  # through a link: the file is replaced, not the link
+    if not target.parent.is_dir():
+        raise DataError(f"{path}: cannot be saved, since there is no folder {target.parent}")
+    temporary = target.with_name(f".{target.name}.{os.getpid()}-{get_ident()}.tmp")
+    try:
+        if target.suffix.lower() in SUFFIXES:
+            with hdf5_file.Writer(temporary, unit) as file:
+                file.finish(to_json(payload, file.keep, name), name, _VERSIONS[name])
+        else:
+            temporary.write_text(to_json(payload, name=name), encoding="utf-8")
+        with open(temporary, "rb+") as written:
+            os.fsync(written.fileno())
+        os.replace(temporary, target)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be saved ({error.strerror or error})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load_fit_dict(path: str | PathLike[str], name: str = FORMAT) -> tuple[dict[str, Any], int]:
+    """The payload that `save_fit_dict` took, whatever the suffix says, and the version of the format.
+
+    DataError for a missing or damaged file, or another format; MissingDependency for HDF5 without h5py.
+    """
+    text = _text(path, _WHAT[name])
+    if text is not None:
+        return from_json(text, str(path), name)
+    with hdf5_file.Reader(path) as saved:
+        document, version = from_json(saved.text(name, _WHAT[name]), str(path), name)
+        return saved.filled(document), version
+
+
+def format_of(path: str | PathLike[str]) -> str:
+    """The name of the format of a saved file; where none is told that of a fit, whose reader says what is wrong."""
+    text = _text(path, "fit")
+    if text is None:
+        with hdf5_file.Reader(path) as saved:
+            found = saved.name()
+    else:
+        # The format stands first: the file may be large.
+        head = re.match(r'\s*\{\s*"format"\s*:\s*"([^"]*)"', text)
+        found = head[1] if head else FORMAT
+    return found if found in _VERSIONS else FORMAT
+
+
+def _text(path: str | PathLike[str], what: str) -> str | None:
+    """The text of a file; None where it is HDF5."""
+    try:
+        with open(path, "rb") as file:
+            binary = file.read(len(hdf5_file.MAGIC)) == hdf5_file.MAGIC
+        text = "" if binary else Path(path).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise DataError(f"{path}: there is no such file") from None
+    except UnicodeDecodeError:
+        raise DataError(f"{path}: is not a {what} saved by phugoid, or is damaged (it is no text)") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+    return None if binary else text
+
+
+def check_folder(path: str | PathLike[str]) -> None:
+    """DataError where the folder of a file to be written is not there: said before the work, not after."""
+    folder = Path(path).resolve().parent
+    if not folder.is_dir():
+        raise DataError(f"{path}: cannot be written (there is no folder {folder})")
+
+
+def write_page(path: str | PathLike[str], page: str) -> None:
+    """Writes a page or another text; DataError where that cannot be done."""
+    check_folder(path)
+    try:
+        Path(path).write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def to_float(value: Any) -> float:
+    """A number read back: null is NaN, ``"inf"`` is infinity.
+
+    >>> to_float(None), to_float("-inf"), to_float(0.1)
+    (nan, -inf, 0.1)
+    """
+    return math.nan if value is None else float(value)
+
+
+def to_array(value: Any) -> NDArray[np.float64]:
+    """A list of numbers (nested for more dimensions) read back as float64."""
+    return np.array(value, dtype=np.float64)
+
+
+def _plain(value: Any, place: _Place = (), keep: _Keep | None = None) -> Any:
+    """``value`` in what JSON has: dict, list, str, bool, int, finite float, null."""
+    if isinstance(value, np.ndarray):
+        if keep is not None and value.dtype.kind in "biuf":
+            return keep(value, place)
+        if value.dtype.kind in "iuf" and np.isfinite(value).all():
+            return value.tolist()
+        value = value.tolist()
+    elif isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        if math.isnan(value):
+            return None
+        return float(value) if math.isfinite(value) else str(float(value))
+    if isinstance(value, Mapping):
+        for key in value:
+            if not isinstance(key, str):
+                raise DataError(f"cannot save '{_name(place)}': its key {key!r} is not text")
+        return {key: _plain(item, (*place, key), keep) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item, (*place, i), keep) for i, item in enumerate(value)]
+    raise DataError(f"cannot save '{_name(place)}': a {type(value).__name__} has no place in JSON")
+
+
+def _name(place: _Place) -> str:
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")

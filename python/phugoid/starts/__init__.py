@@ -1,0 +1,1 @@
+"""Many starts, and tasks on any executor."""

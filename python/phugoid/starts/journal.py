@@ -1,0 +1,205 @@
+"""The journal of a multistart: one line of JSON for each finished start, so that an interrupted run can go on.
+
+The first line is a header that says which problem the journal belongs to. A line is written whole and at once; what a
+crash leaves of the last one is cut off when the journal is opened again. A journal serves one run at a time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import _core
+from ..errors import DataError
+from ..saving import json_file as io
+from ..transcription.filter_error import FilterError
+from .outcome import Outcome, Problem
+from .starts import Given, Uniform
+
+__all__ = ["FORMAT", "VERSION", "Journal", "fingerprint"]
+
+FORMAT = "phugoid-multistart"
+VERSION = 1
+
+Starts = Uniform | Given
+
+
+def fingerprint(problem: Problem, starts: Starts) -> dict[str, Any]:
+    """What makes an outcome what it is, in parts that a message can name: texts and numbers as they are, the model
+    and the data as hashes. The number of threads, where equations stand in the user's files, and what the model does
+    not use of the data have no part in it.
+    """
+    document = json.loads(problem.model._core.to_json())
+    for group in document.values():
+        for entry in group if isinstance(group, list) else ():
+            entry.pop("source", None)
+    mesh = problem.transcription
+    drawn = starts.ranges if isinstance(starts, Uniform) else None
+    parts = {
+        "model": _hash(json.dumps(document, sort_keys=True).encode()),
+        "data": {e.name: _data_hash(problem, e) for e in problem.experiments},
+        "transcription": repr(mesh if isinstance(mesh, FilterError) else replace(mesh, threads=0)),
+        "noise": problem.noise.to_dict(),
+        "solver": "default" if problem.solver is None else repr(problem.solver),
+        "start": {name: _brief(value) for name, value in problem.start.items()},
+        "ranges": {name: list(pair) for name, pair in drawn.items()} if drawn else "none: starts were given",
+        "seed": starts.seed if isinstance(starts, Uniform) else "none: starts were given",
+    }
+    return dict(json.loads(_line(parts)))
+
+
+class Journal:
+    """Finished starts in a file, read when it is opened and appended to from then on.
+
+    outcomes  number of the start -> what came of it, as read.
+
+    Raises DataError where the file cannot be used: it is no journal, it is that of another problem (the message says
+    what differs), a line within is damaged, or it cannot be read or written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], problem: Problem, starts: Starts) -> None:
+        self.path = Path(path)
+        header = {"format": FORMAT, "version": VERSION, "phugoid": _core.__version__, **fingerprint(problem, starts)}
+        first = _line(header)
+        try:
+            text = self.path.read_bytes() if self.path.exists() else b""
+            lines, sound = self._whole_lines(text, first)
+            self.outcomes = self._read(lines, header, starts)
+            self._file = open(self.path, "ab")  # noqa: SIM115
+            self._file.truncate(sound)
+            if not lines:
+                self._write(first)
+        except OSError as error:
+            raise DataError(f"journal {self.path}: cannot be read and written ({error.strerror})") from error
+
+    def append(self, outcome: Outcome) -> None:
+        """Writes one finished start; it is in the file when this returns."""
+        entry = {f.name: getattr(outcome, f.name) for f in fields(outcome)}
+        # Arrays (paths of states) are told by their hash, as all of the start is.
+        entry["start"] = {name: value for name, value in outcome.start.items() if np.ndim(value) == 0}
+        try:
+            self._write(_line({**entry, "start_hash": _start_hash(outcome.start)}))
+        except OSError as error:
+            raise DataError(f"journal {self.path}: cannot be written ({error.strerror})") from error
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._file.close()
+
+    def _write(self, line: bytes) -> None:
+        self._file.write(line)
+        self._file.flush()
+
+    def _whole_lines(self, text: bytes, first: bytes) -> tuple[list[bytes], int]:
+        """The lines that are complete, and how many bytes they are."""
+        sound = text.rfind(b"\n") + 1
+        if not sound and not first.startswith(text):
+            raise self._foreign("its first line is no header")
+        return text[:sound].splitlines(), sound
+
+    def _read(self, lines: list[bytes], header: Mapping[str, Any], starts: Starts) -> dict[int, Outcome]:
+        if not lines:
+            return {}
+        there = self._parsed(lines[0])
+        if not isinstance(there, dict) or there.get("format") != FORMAT:
+            raise self._foreign("its first line is no header")
+        if there.get("version") != VERSION:
+            raise self._foreign(f"it has version {there.get('version')!r} of the format instead of {VERSION}")
+        parts = [key for key in header if key not in ("format", "version", "phugoid")]
+        differing = [text for key in parts for text in _differences(key, there.get(key), header[key])]
+        if differing:
+            raise DataError(
+                f"journal {self.path}: belongs to another problem: {'; '.join(differing)}. "
+                "Name another file, or delete this one"
+            )
+        outcomes: dict[int, Outcome] = {}
+        for number, line in enumerate(lines[1:], 2):
+            try:
+                entry = self._parsed(line)
+                mark = entry.pop("start_hash")
+                for name in ("parameters", "std_errors"):
+                    entry[name] = {key: io.to_float(value) for key, value in entry[name].items()}
+                entry["log_likelihood"] = io.to_float(entry["log_likelihood"])
+                outcome = Outcome(**entry)
+                start = _start(starts, outcome.index)
+            except (AttributeError, KeyError, TypeError, ValueError):
+                raise DataError(f"journal {self.path}: line {number} is damaged; delete the line") from None
+            if start is None:
+                continue  # beyond the starts given now
+            if _start_hash(start) != mark:
+                raise DataError(
+                    f"journal {self.path}: belongs to another problem: start {outcome.index} differs. "
+                    "Name another file, or delete this one"
+                )
+            outcomes.setdefault(outcome.index, replace(outcome, start=start))
+        return outcomes
+
+    def _parsed(self, line: bytes) -> Any:
+        try:
+            return json.loads(line)
+        except ValueError:
+            return None
+
+    def _foreign(self, why: str) -> DataError:
+        return DataError(f"{self.path}: is no journal of a multistart ({why}); name another file")
+
+
+def _start(starts: Starts, index: int) -> dict[str, Any] | None:
+    if isinstance(starts, Given) and not 0 <= index < len(starts.starts):
+        return None
+    return starts(index)
+
+
+def _line(obj: Mapping[str, Any]) -> bytes:
+    return json.dumps(io._plain(obj), ensure_ascii=False, allow_nan=False).encode() + b"\n"
+
+
+def _hash(data: bytes) -> str:
+    return sha256(data).hexdigest()[:16]
+
+
+def _brief(value: Any) -> Any:
+    return _hash(np.asarray(value, dtype="<f8").tobytes()) if np.ndim(value) else float(value)
+
+
+def _start_hash(start: Mapping[str, Any]) -> str:
+    return _hash(json.dumps({name: _brief(value) for name, value in start.items()}, sort_keys=True).encode())
+
+
+def _data_hash(problem: Problem, experiment: Any) -> str:
+    channel: list[tuple[str, Callable[[str], Any]]] = []
+    channel += [(name, experiment.input) for name in problem.model.input_names]
+    channel += [(name, experiment.output) for name in problem.model.output_names]
+    whole = sha256(f"{experiment.interpolation} {[name for name, _ in channel]}".encode())
+    own = [part for pair in experiment.own_samples(problem.model.input_names).values() for part in pair]
+    for values in (experiment.t, *(get(name) for name, get in channel), *own):
+        # Any NaN is as good as another.
+        whole.update(np.where(np.isnan(values), np.nan, values).astype("<f8").tobytes())
+    return whole.hexdigest()[:16]
+
+
+def _differences(key: str, there: Any, here: Any) -> list[str]:
+    """Which parts differ, in words; hashes are not shown."""
+    if there == here:
+        return []
+    if key == "model":
+        return ["the model differs"]
+    if isinstance(there, dict) and isinstance(here, dict):
+        names = [*here, *(name for name in there if name not in here)]
+        changed = [name for name in names if there.get(name) != here.get(name)]
+        if key == "data":
+            return [f"the data of experiment '{name}' differ" for name in changed]
+        shown = [f"'{name}' is {_shown(there, name)} there and {_shown(here, name)} here" for name in changed]
+        return [f"{key}: {text}" for text in shown]
+    return [f"{key} is {there} there and {here} here"]
+
+
+def _shown(group: Mapping[str, Any], name: str) -> str:
+    return str(group[name]) if name in group else "absent"

@@ -1,0 +1,235 @@
+"""What came of many starts: which optima there are, and how many starts reached them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import EvaluationError, MissingDependency, PhugoidError
+from ..parameters import text_table
+from ..result import Fit
+from ..summary import _duration
+from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, same
+from .outcome import Outcome, Problem
+from .waterfall import plot_waterfall
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Multistart"]
+
+
+# A summary shows so many optima, so many of them with parameters, and so many numbers of starts that failed.
+_OPTIMA, _COLUMNS, _NUMBERS = 10, 4, 12
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Multistart:
+    """The result of `multistart`.
+
+    outcomes  what came of each start that is finished, in the order of their numbers.
+    n         how many starts were asked for.
+    status    "complete", or "interrupted" where outcomes are missing.
+    warnings  what went wrong with the executor, in words.
+    time      s, of the call; what a journal held already took none.
+    problem   what all starts share.
+    """
+
+    outcomes: tuple[Outcome, ...]
+    n: int
+    status: str
+    problem: Problem
+    warnings: tuple[str, ...] = ()
+    time: float = 0.0
+
+    @cached_property
+    def optima(self) -> tuple[Optimum, ...]:
+        """The optima that converged outcomes reached, best first: `group` with its default tolerances."""
+        return self.group()
+
+    def group(self, log_likelihood: float = LOG_LIKELIHOOD, parameters: float = PARAMETERS) -> tuple[Optimum, ...]:
+        """The optima that converged outcomes reached, best first.
+
+        Two outcomes are the same optimum where their log-likelihoods differ by no more than ``log_likelihood``, and
+        each parameter by no more than ``parameters`` standard errors; one without standard error (it is at a bound,
+        or cannot be identified) by no more than that part of its value.
+        """
+        return group(self.outcomes, log_likelihood, parameters)
+
+    @cached_property
+    def best(self) -> Fit:
+        """The fit at the best optimum, with states, outputs and residuals.
+
+        Outcomes are kept without time histories, so it is solved again when first asked for: from the values of the
+        best outcome, and where this leads elsewhere, from its start. Where no start converged, it is the fit from the
+        start that reached the highest log-likelihood; ``best.status`` tells.
+
+        Raises EvaluationError where no start led anywhere.
+        """
+        if not self.optima:
+            ended = [o for o in self.outcomes if np.isfinite(o.log_likelihood)]
+            if not ended:
+                raise EvaluationError(f"none of the {len(self.outcomes)} starts led to an estimate\n{self._failures()}")
+            return self.problem.fit(max(ended, key=lambda o: o.log_likelihood).start)
+        wanted = next(o for o in self.outcomes if o.index == self.optima[0].index)
+        fixed = {name for name, p in self.problem.model.declared_parameters.items() if p.fixed}
+        values = {name: value for name, value in wanted.parameters.items() if name not in fixed}
+        try:
+            fit = self.problem.fit({**wanted.start, **values})
+        except PhugoidError:  # rounding has put a value outside its bounds
+            return self.problem.fit(wanted.start)
+        reached = Outcome(0, {}, fit.status, "", fit.log_likelihood, fit.parameters.to_dict())
+        return fit if fit.converged and same(wanted, reached) else self.problem.fit(wanted.start)
+
+    @property
+    def success_rate(self) -> float:
+        """Which part of the finished starts reached the best log-likelihood, 0 to 1; NaN where none is finished.
+
+        Where several optima have it, all count.
+        """
+        return sum(o.count for o in self._best_optima()) / len(self.outcomes) if self.outcomes else float("nan")
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Status -> how many finished starts have it, the commonest first."""
+        return dict(Counter(o.status for o in self.outcomes).most_common())
+
+    def summary(self) -> str:
+        """Plain text: which optima there are, how many starts reached them, and which starts failed how."""
+        parts = [self._header()]
+        if self.optima:
+            parts += [self._optima_table(), self._parameter_table(), self._judgement()]
+        if any(not o.converged for o in self.outcomes):
+            parts.append(self._failures())
+        return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
+
+    def plot(self) -> tuple[Figure, dict[str, Axes]]:
+        """The waterfall figure: how far below the best each start ended, in order; optima are plateaus.
+
+        Returns the figure and its axes by name: ``"gap"``, and ``"not converged"`` where there are such starts.
+        """
+        rate = f", {100 * self.success_rate:.3g} % reached the best" if self.optima else ""
+        title = f"{self.problem.model.name}: {len(self.outcomes)} starts{rate}"
+        return plot_waterfall(self.outcomes, self.optima, title)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """One row a finished start, its number as index.
+
+        Columns: optimum (from 1, NA where none was reached), status, log_likelihood, iterations, time (s), message;
+        then each parameter by its name, ``std_error_<name>``, and ``start_<name>`` of what was drawn or given.
+        Raises MissingDependency without pandas.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise MissingDependency(f'to_pandas needs pandas ({error}): pip install "phugoid[pandas]"') from error
+        number = {index: i for i, optimum in enumerate(self.optima, 1) for index in optimum.indices}
+        plain_fields = ("status", "log_likelihood", "iterations", "time", "message")
+        rows = [
+            {
+                "optimum": number.get(o.index),
+                **{name: getattr(o, name) for name in plain_fields},
+                **o.parameters,
+                **{f"std_error_{name}": value for name, value in o.std_errors.items()},
+                **{f"start_{name}": value for name, value in o.start.items()},
+            }
+            for o in self.outcomes
+        ]
+        frame = pd.DataFrame(rows, index=pd.Index([o.index for o in self.outcomes], name="start"))
+        # Where the first starts failed, their parameters would stand last.
+        names = ["optimum", *plain_fields]
+        for prefix, key in (("", "parameters"), ("std_error_", "std_errors"), ("start_", "start")):
+            names += dict.fromkeys(f"{prefix}{name}" for o in self.outcomes for name in getattr(o, key))
+        return frame.reindex(columns=names).astype({"optimum": "Int64"})
+
+    def _best_optima(self) -> list[Optimum]:
+        return [o for o in self.optima if self.optima[0].log_likelihood - o.log_likelihood <= LOG_LIKELIHOOD]
+
+    def _header(self) -> str:
+        done, converged = len(self.outcomes), [o for o in self.outcomes if o.converged]
+        entries = {"starts": f"{self.n}, all finished"}
+        if self.status != "complete":
+            entries["starts"] = f"{done} of {self.n} finished; the same call with the same journal goes on"
+        entries["converged"] = f"{len(converged)}" + (f" ({100 * len(converged) / done:.3g} %)" if done else "")
+        if converged:
+            iterations = [o.iterations for o in converged]
+            entries["iterations"] = f"median {np.median(iterations):g}, most {max(iterations)}"
+        if done:
+            times = [o.time for o in self.outcomes]
+            entries["time"] = (
+                f"{_duration(self.time)}; a start: median {_duration(float(np.median(times)))}, "
+                f"most {_duration(max(times))}"
+            )
+        width = max(map(len, entries))
+        lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
+        return "\n".join([f"{self.problem.model.name}: multistart, {self.status}", *lines])
+
+    def _optima_table(self) -> str:
+        best, done = self.optima[0].log_likelihood, len(self.outcomes)
+        rows = [
+            [
+                str(i),
+                f"{o.log_likelihood:.3f}",
+                f"{best - o.log_likelihood:.3f}",
+                str(o.count),
+                f"{100 * o.count / done:.1f}",
+                str(o.index),
+            ]
+            for i, o in enumerate(self.optima[:_OPTIMA], 1)
+        ]
+        header = ["optimum", "log-likelihood", "below best", "starts", "in %", "such as start"]
+        rest = self.optima[_OPTIMA:]
+        more = f"\nand {len(rest)} more, of {sum(o.count for o in rest)} start(s)" if rest else ""
+        return text_table(header, rows, "rrrrrr") + more
+
+    def _parameter_table(self) -> str:
+        shown = self.optima[:_COLUMNS]
+        units = self.problem.model.units
+        header = ["parameter", "optimum 1", "std error", *(f"optimum {i + 1}" for i in range(1, len(shown))), "unit"]
+        rows = []
+        for name, value in shown[0].parameters.items():
+            error = shown[0].std_errors[name]
+            others = [f"{o.parameters[name]:.5g}" for o in shown[1:]]
+            text = f"{error:.2g}" if np.isfinite(error) else ""
+            rows.append([name, f"{value:.5g}", text, *others, units.get(name.removeprefix("sigma_"), "")])
+        return text_table(header, rows, "lrr" + "r" * (len(shown) - 1) + "l")
+
+    def _judgement(self) -> str:
+        best, done = self._best_optima(), len(self.outcomes)
+        count = sum(o.count for o in best)
+        text = (
+            f"{count} of {done} starts ({100 * self.success_rate:.3g} %) reached the best optimum. That it repeats is "
+            "evidence that it is the global one, not proof."
+        )
+        if count == 1:
+            text = f"1 of {done} starts reached the best optimum: there may well be a better one. Take more starts."
+        if len(best) > 1:
+            text += (
+                f"\nIt is {len(best)} optima with the same log-likelihood: the data do not tell their parameters apart."
+            )
+        return text
+
+    def _failures(self) -> str:
+        lines = []
+        for status, count in self.counts.items():
+            if status == "converged":
+                continue
+            those = [o for o in self.outcomes if o.status == status]
+            numbers = ", ".join(str(o.index) for o in those[:_NUMBERS]) + (", ..." if count > _NUMBERS else "")
+            lines.append(f"{status}: {count} start(s), number {numbers}\n  the first: {those[0].message}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Multistart of '{self.problem.model.name}': {self.status}, {len(self.outcomes)} of {self.n} starts, "
+            f"{len(self.optima)} optima, {100 * self.success_rate:.3g} % reached the best>"
+        )
+
+    def __str__(self) -> str:
+        return self.summary()

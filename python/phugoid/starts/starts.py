@@ -1,0 +1,160 @@
+"""Where the starts of a multistart come from: drawn from ranges, or given one by one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import ModelError, OptionError, PhugoidError, did_you_mean
+from ..guess import check_names, parameter_start, spread, state_start
+from ..noise.noise import Sigma
+from .outcome import Problem
+
+__all__ = ["Draw", "Given", "Range", "Uniform", "given", "plain", "stream", "uniform"]
+
+Range = tuple[float, float]
+Draw = Callable[[int, np.random.Generator], Mapping[str, Any]]
+
+
+def stream(seed: int, index: int) -> np.random.Generator:
+    """The random numbers of one start: its own, whatever other starts there are."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Starts drawn uniformly from ranges, by name in the model's order: parameters, sigmas, states."""
+
+    ranges: Mapping[str, Range]
+    seed: int
+
+    def __call__(self, index: int) -> dict[str, Any]:
+        """The start of that number."""
+        random = stream(self.seed, index)
+        # Rounding may carry a draw one bit past the end.
+        return {name: min(float(random.uniform(*pair)), pair[1]) for name, pair in self.ranges.items()}
+
+
+@dataclass(frozen=True)
+class Given:
+    """Starts as they were given."""
+
+    starts: Sequence[dict[str, Any]]
+
+    def __call__(self, index: int) -> dict[str, Any]:
+        """The start of that number."""
+        return self.starts[index]
+
+
+def uniform(problem: Problem, ranges: Any, seed: int) -> Uniform:
+    """Starts from ranges. Raises ModelError or OptionError for a range that cannot be right."""
+    if not isinstance(ranges, Mapping) or not ranges:
+        raise OptionError(f"ranges: give (low, high) by name, such as {{'Mw': (-1, 1)}}, not {ranges!r}")
+    model = problem.model
+    sigmas = [f"sigma_{name}" for name in model.output_names]
+    known = [
+        *dict.fromkeys([*model.parameter_names, *sigmas, *problem.noise.names(model.output_names)]),
+        *model.state_names,
+    ]
+    for name in ranges:
+        if name not in known:
+            raise ModelError(f"ranges: '{name}' is no parameter, sigma or state.{did_you_mean(str(name), known)}")
+    declared = model.declared_parameters
+    checked: dict[str, Range] = {}
+    for name in known:
+        if name not in ranges or name in checked:
+            continue
+        low, high = checked[name] = _pair(name, ranges[name])
+        bounds = (-math.inf, math.inf)
+        if name in declared:
+            if declared[name].fixed:
+                raise ModelError(
+                    f"ranges: '{name}' is fixed at {declared[name].start:g}: take it out of the ranges, or free it"
+                )
+            bounds = declared[name].bounds
+        elif name in sigmas:
+            bounds = _sigma_bounds(problem, name, low)
+        if not bounds[0] <= low < high <= bounds[1]:
+            raise ModelError(
+                f"ranges: '{name}' from {low:g} to {high:g} reaches outside its bounds "
+                f"({bounds[0]:g}, {bounds[1]:g}); move one of them"
+            )
+    drawn = Uniform(checked, seed)
+    _check(problem, drawn(0), _spreads(problem))
+    return drawn
+
+
+def given(problem: Problem, starts: Any, n: int | None, seed: int) -> Given:
+    """Starts from a sequence, or from a function of number and random numbers, each checked."""
+    if callable(starts):
+        made: list[Any] = [starts(i, stream(seed, i)) for i in range(1000 if n is None else n)]
+    elif isinstance(starts, Sequence) and not isinstance(starts, str) and starts:
+        if n is not None and n > len(starts):
+            raise OptionError(f"starts: there are {len(starts)}, but n = {n}: leave n out, or give more")
+        made = list(starts)[:n]
+    else:
+        raise OptionError(
+            "starts: give a list of start values by name, such as [{'Mw': 0.1}, {'Mw': 0.5}], "
+            f"or a function (number, random generator) -> values by name, not {starts!r}"
+        )
+    spreads = _spreads(problem)
+    for i, start in enumerate(made):
+        if not isinstance(start, Mapping):
+            raise OptionError(f"starts: number {i} holds no values by name, but is {start!r}")
+        made[i] = {name: plain(value) for name, value in start.items()}
+        try:
+            _check(problem, made[i], spreads)
+        except PhugoidError as error:
+            raise type(error)(f"starts: number {i}: {error}") from None
+    return Given(made)
+
+
+def _spreads(problem: Problem) -> dict[str, float]:
+    return {name: spread(problem.experiments, name) for name in problem.model.output_names}
+
+
+def _check(problem: Problem, own: Mapping[str, Any], spreads: Mapping[str, float]) -> None:
+    """Raises what `estimate` would for a start, without its work."""
+    model, start = problem.model, {**problem.start, **own}
+    check_names(model, start, problem.experiments, problem.noise.names(model.output_names))
+    parameters = parameter_start(model, start)
+    problem.noise.resolve(model.output_names, spreads, start)
+    if not start.keys().isdisjoint(model.state_names):
+        for experiment in problem.experiments:
+            state_start(model, experiment, experiment.t, parameters, start)
+
+
+def plain(value: Any) -> Any:
+    """A float or an array of floats where it is one; else as it is, for the checks to refuse."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return value
+    return float(array) if array.ndim == 0 else array
+
+
+def _pair(name: str, value: Any) -> Range:
+    try:
+        low, high = (float(v) for v in value)
+    except (TypeError, ValueError):
+        raise OptionError(f"ranges: '{name}' is a pair of numbers (low, high), not {value!r}") from None
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise OptionError(f"ranges: '{name}' from {low:g} to {high:g} is not finite: nothing can be drawn from it")
+    if low > high:
+        raise OptionError(f"ranges: '{name}' from {low:g} to {high:g} is reversed: give (low, high)")
+    if low == high:
+        raise OptionError(f"ranges: '{name}' from {low:g} to {high:g} leaves no room: use start={{'{name}': {low:g}}}")
+    return low, high
+
+
+def _sigma_bounds(problem: Problem, name: str, low: float) -> Range:
+    spec = problem.noise.sigma.get(name.removeprefix("sigma_"), Sigma())
+    if not isinstance(spec, Sigma):
+        raise ModelError(f"ranges: '{name}' is known ({spec:g}): take it out of the ranges")
+    if low <= 0:
+        raise OptionError(f"ranges: '{name}' starts at {low:g}: a standard deviation is positive")
+    return spec.bounds or (0.0, math.inf)

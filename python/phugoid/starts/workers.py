@@ -1,0 +1,272 @@
+"""Runs many starts, here or on an executor: a few in flight at a time, and no start lost with a worker that dies.
+
+A task is a start and the key of the problem. The problem itself travels only to a worker that does not know the key
+yet: it answers None, and the same start is sent again with the problem.
+
+A start whose worker died is run again: first beside others that were in flight with it, and then, if that ends in
+another death, alone. What dies alone is to blame itself, and is given up; nothing else ever is.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import time
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from dataclasses import dataclass
+from hashlib import sha256
+from itertools import chain
+from typing import Any
+
+from ..errors import OptionError
+from ..interrupts import interrupts
+from .outcome import Outcome, Problem
+
+__all__ = ["Crew"]
+
+# Wake up so often (s), since on some systems Ctrl-C does not interrupt a wait.
+_POLL = 0.5
+# Ask a cluster so often (s) how large it is.
+_CENSUS = 2.0
+# The pool fails its tasks within moments once it is broken; and a fresh pool starts its first worker (s).
+_BREAKING, _STARTING = 10.0, 60.0
+# Deaths after which a start runs alone, and is given up if it dies again.
+_ALONE = 2
+
+_KEPT = 4
+_PROBLEMS: dict[str, Problem] = {}
+"""In a worker: the problems that it knows, by key."""
+
+
+def run(key: str, payload: bytes | None, index: int, start: Mapping[str, Any], ticket: int) -> Outcome | None:
+    """A task. None where the worker does not know the problem and was not sent it.
+
+    ``ticket`` makes every task differ: Dask takes equal ones for the same, and answers from memory.
+    """
+    problem = _PROBLEMS.get(key)
+    if problem is None:
+        if payload is None:
+            return None
+        problem = pickle.loads(payload)
+        if len(_PROBLEMS) >= _KEPT:
+            _PROBLEMS.clear()
+        _PROBLEMS[key] = problem
+    outcome: Outcome = problem.outcome(index, start)
+    return outcome
+
+
+@dataclass
+class _Task:
+    index: int
+    start: Mapping[str, Any]
+    deaths: int = 0
+    carries: bool = False  # the problem
+
+
+class Crew:
+    """Runs starts of a problem on an executor (None: in this process).
+
+    Raises OptionError for what is no executor, or one that takes no work.
+    """
+
+    def __init__(self, executor: Any, problem: Problem) -> None:
+        if executor is not None and not isinstance(executor, Executor):
+            hint = "; of a Dask client take client.get_executor()" if hasattr(executor, "get_executor") else ""
+            raise OptionError(
+                f"executor: give a concurrent.futures.Executor, such as ProcessPoolExecutor(), not {executor!r}{hint}"
+            )
+        self.executor: Executor | None = executor
+        self.problem = problem
+        self._ours = False
+        self._heard = False
+        self._run_again: set[int] = set()
+        self._ended = ""
+        self._fresh: Iterator[_Task] = iter(())
+        self._waiting: tuple[deque[_Task], ...] = (deque(), deque(), deque())  # by deaths
+        self._flying: dict[Future[Outcome | None], _Task] = {}
+        self._tickets = 0
+        self._size, self._counted = 0, -_CENSUS
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What went wrong with workers, in words."""
+        found = []
+        if self._run_again:
+            again = f"{len(self._run_again)} start(s) were in flight and were run again"
+            pool = "a fresh pool of the same kind went on" if self._ours else "the executor went on"
+            where = pool if not self._ended else "the executor did not recover"
+            found.append(f"worker processes died: {again}; {where}")
+        if self._ended:
+            found.append(f"the executor took no more work ({self._ended}): the rest was run in this process")
+        return tuple(found)
+
+    def outcomes(self, starts: Iterable[tuple[int, Mapping[str, Any]]]) -> Generator[Outcome, None, None]:
+        """The outcomes as they come in. At Ctrl-C those that are there, and then KeyboardInterrupt."""
+        self._fresh = (_Task(index, start) for index, start in starts)
+        try:
+            if self.executor is not None:
+                payload = pickle.dumps(self.problem.single_threaded(), pickle.HIGHEST_PROTOCOL)
+                yield from self._there(payload, sha256(payload).hexdigest())
+            yield from self._here()
+        except KeyboardInterrupt:
+            for future in self._flying:
+                future.cancel()
+            with interrupts():
+                there = [f for f in self._flying if f.done() and not f.cancelled() and f.exception() is None]
+                landed = [outcome for future in there if (outcome := self._land(future)) is not None]
+            yield from landed
+            raise
+        finally:
+            idle = not self._flying
+            for future in self._flying:
+                future.cancel()
+            self._dismiss(wait=idle)
+
+    def _here(self) -> Iterator[Outcome]:
+        """In this process, what is left; last what was in flight when a worker died."""
+        for task in chain(self._waiting[0], self._fresh, self._waiting[1], self._waiting[2]):
+            outcome = self.problem.outcome(task.index, task.start)
+            if outcome.status == "interrupted":
+                raise KeyboardInterrupt
+            yield outcome
+
+    def _there(self, payload: bytes, key: str) -> Iterator[Outcome]:
+        """On the executor, until all is done or it takes no more."""
+        while True:
+            broken = self._submit(payload, key)
+            if not broken:
+                if not self._flying:
+                    return
+                done, _ = wait(self._flying, timeout=_POLL, return_when=FIRST_COMPLETED)
+                broken = any(isinstance(_failure(f), BrokenExecutor) for f in done)
+            if broken:
+                wait(self._flying, timeout=_BREAKING)
+                done = set(self._flying)
+            for future in done:
+                outcome = self._land(future)
+                if outcome is not None:
+                    yield outcome
+            if broken:
+                self._replace()
+
+    def _submit(self, payload: bytes, key: str) -> bool:
+        """Sends tasks up to the limit; whether the executor turned out to be broken."""
+        while self.executor is not None and (task := self._next()):
+            self._tickets += 1
+            carried = payload if task.carries else None
+            try:
+                future = self.executor.submit(run, key, carried, task.index, task.start, self._tickets)
+            except Exception as error:
+                self._waiting[task.deaths].appendleft(task)
+                if isinstance(error, BrokenExecutor):
+                    return True
+                if not self._heard and not self._flying:
+                    raise OptionError(f"executor: it takes no work ({error}); give one that is open") from error
+                self._end(f"{type(error).__name__}: {error}")
+            else:
+                self._flying[future] = task
+        return False
+
+    def _next(self) -> _Task | None:
+        """The next task to send, if there may be one more in flight. Those with more deaths behind them first."""
+        deaths = next((k for k in (2, 1) if self._waiting[k]), 0)
+        limit = 1 if deaths == _ALONE else self._workers() * (1 if deaths else 2)
+        if len(self._flying) >= limit or any(t.deaths != deaths for t in self._flying.values()):
+            return None
+        waiting = self._waiting[deaths]
+        return waiting.popleft() if waiting else next(self._fresh, None)
+
+    def _workers(self) -> int:
+        """How many starts the executor runs at a time."""
+        fixed = getattr(self.executor, "_max_workers", None)
+        if isinstance(fixed, int):
+            return max(fixed, 1)
+        now = time.monotonic()
+        if now - self._counted >= _CENSUS:
+            self._counted = now
+            client = getattr(self.executor, "_client", None)  # Dask's
+            try:
+                self._size = sum(client.nthreads().values())  # type: ignore[union-attr]
+            except Exception:
+                self._size = 0
+        return self._size or os.cpu_count() or 1
+
+    def _land(self, future: Future[Outcome | None]) -> Outcome | None:
+        """The outcome of a task that is done; None where it goes back among those that wait."""
+        task = self._flying.pop(future)
+        error = _failure(future)
+        if error is None:
+            outcome = future.result()
+            if outcome is None:
+                task.carries = True
+                self._waiting[task.deaths].appendleft(task)
+                return None
+            if outcome.status != "interrupted":
+                self._heard = True
+                return outcome
+            error = CancelledError("the worker was interrupted")
+        elif not _is_loss(error):
+            raise error
+        self._run_again.add(task.index)
+        if task.deaths == _ALONE:
+            message = "its worker was lost each time that it ran, at last with no other start in flight"
+            return Outcome(task.index, task.start, "killed", f"{message} ({type(error).__name__}: {error})")
+        # Dask has tried several times when it says so.
+        task.deaths = _ALONE if type(error).__name__ == "KilledWorker" else task.deaths + 1
+        task.carries = False
+        self._waiting[task.deaths].append(task)
+        return None
+
+    def _replace(self) -> None:
+        """A fresh pool in place of the broken one, if it works."""
+        fresh = _again(self.executor)
+        self._dismiss(wait=False)
+        if fresh is None:
+            self._end("it is broken, and no other of its kind could be made")
+            return
+        self.executor, self._ours = fresh, True
+        try:
+            fresh.submit(os.getpid).result(timeout=_STARTING)
+        except Exception as error:
+            self._end(
+                f"a fresh pool breaks before it has any start to run: {type(error).__name__}; does the script start "
+                "its work under if __name__ == '__main__'?"
+            )
+
+    def _end(self, why: str) -> None:
+        self._dismiss(wait=False)
+        self.executor, self._ended = None, why
+
+    def _dismiss(self, wait: bool) -> None:
+        """Shuts the pool, if it is ours."""
+        if self._ours and self.executor is not None:
+            self.executor.shutdown(wait=wait, cancel_futures=True)
+
+
+def _failure(future: Future[Any]) -> BaseException | None:
+    """Why a task gave no result."""
+    if not future.done():
+        return BrokenExecutor("no answer")
+    return CancelledError("cancelled") if future.cancelled() else future.exception()
+
+
+def _is_loss(error: BaseException) -> bool:
+    """Whether an error tells of the worker rather than of the task."""
+    lost = (BrokenExecutor, CancelledError, KeyboardInterrupt, SystemExit)
+    return isinstance(error, lost) or type(error).__module__.partition(".")[0] == "distributed"
+
+
+def _again(executor: Executor | None) -> Executor | None:
+    """Another pool of processes like the one given; None for any other executor."""
+    from concurrent.futures import ProcessPoolExecutor
+
+    if not isinstance(executor, ProcessPoolExecutor):
+        return None
+    names = ("max_workers", "mp_context", "initializer", "initargs", "max_tasks_per_child")
+    options = {name: getattr(executor, f"_{name}", None) for name in names}
+    try:
+        return type(executor)(**{name: value for name, value in options.items() if value})
+    except Exception:
+        return None

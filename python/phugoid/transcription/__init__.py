@@ -1,0 +1,1 @@
+"""How an estimation is posed: collocation, shooting, the filter-error method."""

@@ -1,0 +1,172 @@
+"""How an estimation problem becomes a nonlinear program."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..data.experiment import Experiment, FloatArray
+from ..errors import OptionError
+from ..modelling.model import Model
+
+__all__ = ["Collocation"]
+
+GridSpec = tuple[str, int, "list[float] | None"]
+_Array = NDArray[np.float64]
+_Signal = tuple[_Array, _Array, float, int]
+_Record = tuple[str, _Array, list[_Array], list[_Array], str, list[_Signal | None]]
+
+
+@dataclass(frozen=True)
+class Collocation:
+    """Legendre-Gauss-Lobatto collocation (Eq. oem_coll of the paper).
+
+    ``order`` is the number of points of a segment, ends included: 2 is the trapezoid, m integrates to order
+    2m - 2. By default every interval between samples is a segment; ``substeps`` divides each further;
+    ``segments`` gives a number of equal segments, or the times of their ends (s), instead, which need not be
+    sample times (a list of such for several experiments). ``threads`` 0 is one a core.
+
+    ``refine``: estimate the integration error of each segment, split those where it is above ``tolerance`` (in units
+    of the noise of the state's measurement; see `IntegrationError`), or raise the order where most are, and estimate
+    again, until none is. ``Fit.refinement`` says what was done and by how much the estimates moved.
+    """
+
+    order: int = 4
+    substeps: int = 1
+    segments: int | ArrayLike | Sequence[ArrayLike] | None = None
+    threads: int = 0
+    refine: bool = False
+    tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        if not whole(self.order) or not 2 <= self.order <= 64:
+            raise OptionError(f"Collocation: order is a whole number from 2 (trapezoid) to 64, not {self.order!r}")
+        if not whole(self.substeps) or self.substeps < 1:
+            raise OptionError(f"Collocation: substeps is a whole number from 1, not {self.substeps!r}")
+        if self.segments is not None and self.substeps != 1:
+            raise OptionError("Collocation: substeps divides sample intervals and segments replaces them; give one")
+        if not whole(self.threads) or self.threads < 0:
+            raise OptionError(f"Collocation: threads is a whole number from 0, not {self.threads!r}")
+        if not isinstance(self.refine, bool):
+            raise OptionError(f"Collocation: refine is True or False, not {self.refine!r}")
+        if not isinstance(self.tolerance, Real) or not 0 < self.tolerance < 1:
+            raise OptionError(f"Collocation: tolerance is a number between 0 and 1, not {self.tolerance!r}")
+        for name in ("order", "substeps", "threads"):
+            object.__setattr__(self, name, int(getattr(self, name)))
+        object.__setattr__(self, "segments", checked_segments("Collocation", self.segments))
+
+    def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
+        """The division into segments as the core takes it: one for all, or one an experiment.
+
+        Raises OptionError for segment ends that do not fit the experiments.
+        """
+        if self.segments is None:
+            if all(e.mesh_times is None for e in experiments):
+                return [("samples", self.substeps, None)]
+            return [
+                ("edges", 0, _divided(e.t if e.mesh_times is None else e.mesh_times, self.substeps))
+                for e in experiments
+            ]
+        return division("Collocation", self.segments, experiments)
+
+    def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Collocation:
+        """The nonlinear program."""
+        records = records_of(model, experiments)
+        return _core.Collocation(model._core, records, noise, self.order, self.grids(experiments), self.threads)
+
+    def __str__(self) -> str:
+        if self.segments is None:
+            grid = "one segment" if self.substeps == 1 else f"{self.substeps} segments"
+            grid += " between samples"
+        elif isinstance(self.segments, int):
+            grid = f"{self.segments} equal segments"
+        else:
+            grid = "given segments"
+        return f"collocation of order {self.order}, {grid}"
+
+
+def _divided(times: FloatArray, parts: int) -> list[float]:
+    """Times with every interval divided into parts."""
+    share = np.arange(parts * (times.size - 1) + 1) / parts
+    return [float(t) for t in np.interp(share, np.arange(times.size), times)]
+
+
+def records_of(model: Model, experiments: Sequence[Experiment]) -> list[_Record]:
+    """Experiments as the core takes them."""
+    return [
+        (
+            e.name,
+            np.ascontiguousarray(e.t),
+            [np.ascontiguousarray(e.input(n)) for n in model.input_names],
+            [np.ascontiguousarray(e.output(n)) for n in model.output_names],
+            e.interpolation,
+            [e.signal(n) for n in model.input_names],
+        )
+        for e in experiments
+    ]
+
+
+def division(what: str, segments: Any, experiments: Sequence[Experiment]) -> list[GridSpec]:
+    """Checked segments as the core takes them: one division for all, or one an experiment.
+
+    Raises OptionError for segment ends that do not fit the experiments.
+    """
+    if isinstance(segments, int):
+        return [("uniform", segments, None)]
+    lists: Any = segments if isinstance(segments[0], tuple) else (segments,)
+    if len(lists) != len(experiments):
+        raise OptionError(
+            f"{what}: segments holds {len(lists)} list(s) of segment ends for {len(experiments)} "
+            "experiment(s): give each its own"
+        )
+    for edges, experiment in zip(lists, experiments, strict=True):
+        first, last = experiment.t[[0, -1]]
+        if not np.allclose([edges[0], edges[-1]], [first, last], rtol=0, atol=1e-9 * (last - first)):
+            raise OptionError(
+                f"{what}: the segments run from {edges[0]:g} to {edges[-1]:g} s, but experiment "
+                f"'{experiment.name}' from {first:g} to {last:g} s: they must start and end alike"
+            )
+    return [("edges", 0, list(edges)) for edges in lists]
+
+
+def whole(value: Any) -> bool:
+    """Whether a value is a whole number."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def checked_segments(what: str, segments: Any) -> Any:
+    """None, a number, the ends of one experiment's segments, or a tuple of such: plain, so that options compare."""
+    if segments is None:
+        return None
+    if whole(segments):
+        if segments < 1:
+            raise OptionError(f"{what}: at least 1 segment is needed, not {segments}")
+        return int(segments)
+    wrong = OptionError(f"{what}: segments is a whole number or the times of segment ends, not {segments!r}")
+    if isinstance(segments, str) or not np.iterable(segments):
+        raise wrong
+    parts = list(segments)
+    if parts and all(np.ndim(part) == 1 for part in parts):
+        return tuple(_checked_ends(what, part, wrong) for part in parts)
+    return _checked_ends(what, parts, wrong)
+
+
+def _checked_ends(what: str, ends: Any, wrong: OptionError) -> tuple[float, ...]:
+    try:
+        array = np.array(ends, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise wrong from None
+    if array.ndim != 1 or array.size < 2 or not np.isfinite(array).all():
+        raise wrong
+    if not np.all(np.diff(array) > 0):
+        i = int(np.flatnonzero(np.diff(array) <= 0)[0]) + 1
+        raise OptionError(
+            f"{what}: segment ends increase, but number {i} ({array[i]:g} s) does not come after the last"
+        )
+    return tuple(array.tolist())

@@ -1,0 +1,158 @@
+"""The options of the filter-error method."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from numbers import Integral
+from typing import Any
+
+from .. import _core
+from ..data.experiment import Experiment, Signal
+from ..errors import OptionError, did_you_mean
+from ..modelling.model import Model
+
+__all__ = ["FEWEST", "FilterError"]
+
+# Runge-Kutta steps between samples, and terms of the noise there, to begin with.
+FEWEST = (1, 2)
+# How many pairs of these there are to choose from.
+_MESHES = 4
+
+
+@dataclass(frozen=True)
+class FilterError:
+    """The filter-error method: output error with process noise, such as turbulence.
+
+    White noise drives the ``states`` (one name or several), independently and with unknown intensity:
+    dx = f dt + q dW, so that ``q_<state>`` has the state's unit over √s. The others obey their equations exactly. The
+    marginal likelihood of all parameters is maximised, with the states integrated out: as by a Kalman filter where the
+    model is linear in its states, by the Laplace approximation elsewhere.
+
+    Noise does not wait for samples: between two of them it is a sum of ``terms`` orthonormal polynomials for each
+    state, of which two already bring into the other states what it does there meanwhile; the equations are integrated
+    with it in ``substeps`` Runge-Kutta steps (order 4). None: from 2 terms and 1 step on, more until yet more would
+    move no estimate by a tenth of its standard error; `Fit.transcription` says how many. Numbers given are kept.
+
+    ``output_error``: True starts from the fit of an ordinary `estimate` (``start=fit`` does so with one that is there
+    already). False does so where the way from the start values ends badly.
+
+    ``initial``: what is known of first states. (mean, standard deviation): that. Not named: nothing, a flat prior of
+    density 1. Either is integrated out. None: it is a parameter, as in the output-error method, and the likelihood with
+    q = 0 is that of output error; but where process noise can explain an output by itself, this likelihood grows
+    without bound as its sigma goes to 0. Likelihoods with different ``initial`` cannot be compared.
+
+    ``intensities``: known ones by state, q in the unit above; 0 is no noise. Those not named are estimated.
+
+    R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 5.
+
+    Raises OptionError for what cannot be right.
+    """
+
+    states: Sequence[str]
+    substeps: int | None = None
+    terms: int | None = None
+    initial: Mapping[str, tuple[float, float] | None] | None = None
+    output_error: bool = False
+    max_iterations: int = 200
+    intensities: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        names = (self.states,) if isinstance(self.states, str) else self.states
+        if not isinstance(names, Sequence) or not names or not all(isinstance(n, str) for n in names):
+            raise OptionError(f"FilterError: states names the states with process noise, not {self.states!r}")
+        for name, chosen in (("substeps", True), ("terms", True), ("max_iterations", False)):
+            value = getattr(self, name)
+            if chosen and value is None:
+                continue
+            if not isinstance(value, Integral) or isinstance(value, bool) or value < 1:
+                raise OptionError(f"FilterError: {name} is a whole number from 1, not {value!r}")
+        if not isinstance(self.output_error, bool):
+            raise OptionError(f"FilterError: output_error is True or False, not {self.output_error!r}")
+        if self.initial is not None and not isinstance(self.initial, Mapping):
+            raise OptionError(f"FilterError: initial maps states to (mean, std), not {self.initial!r}")
+        initial = {name: _prior(name, value) for name, value in (self.initial or {}).items()}
+        if self.intensities is not None and not isinstance(self.intensities, Mapping):
+            raise OptionError(f"FilterError: intensities are given by state, not as {self.intensities!r}")
+        known = {name: _known(name, value, names) for name, value in (self.intensities or {}).items()}
+        object.__setattr__(self, "states", tuple(names))
+        object.__setattr__(self, "intensities", known or None)
+        object.__setattr__(self, "initial", initial)
+
+    def problem(
+        self, model: Model, experiments: Sequence[Experiment], sigmas: list[tuple[bool, float, float, float]]
+    ) -> _core.Filter:
+        """The marginal likelihood. Raises OptionError for names that are no states."""
+        initial = self.initial or {}
+        for name in (*self.states, *initial):
+            if name not in model.state_names:
+                raise OptionError(f"FilterError: '{name}' is not a state.{did_you_mean(name, model.state_names)}")
+        for name in self.states:
+            if f"q_{name}" in model.parameter_names:
+                raise OptionError(
+                    f"FilterError: the intensity of state '{name}' is called 'q_{name}', as is a parameter of the "
+                    "model: rename the parameter"
+                )
+        records = [_record(model, e) for e in experiments]
+        priors = [initial.get(name, (0.0, math.inf)) for name in model.state_names]
+        steps, terms = self.mesh
+        return _core.Filter(model._core, records, sigmas, list(self.states), steps, terms, priors)
+
+    @property
+    def mesh(self) -> tuple[int, int]:
+        """Steps and terms; where they are to be chosen, the fewest."""
+        return int(self.substeps or FEWEST[0]), int(self.terms or FEWEST[1])
+
+    def meshes(self) -> list[FilterError]:
+        """Itself with numbers of steps and terms, from the fewest on; one alone where both are given."""
+        steps, terms = self.mesh
+        found = [replace(self, substeps=steps, terms=terms)]
+        while (self.substeps is None or self.terms is None) and len(found) < _MESHES:
+            steps, terms = steps * (1 + (self.substeps is None)), terms + (self.terms is None)
+            found.append(replace(self, substeps=steps, terms=terms))
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        initial = {name: list(pair) if pair else None for name, pair in (self.initial or {}).items()}
+        return {**vars(self), "states": list(self.states), "initial": initial}
+
+    def __str__(self) -> str:
+        steps, terms = self.mesh
+        text = f"filter error, process noise in {', '.join(self.states)}"
+        if (steps, terms) != FEWEST:
+            text += f", of {terms} term{'s' * (terms > 1)} and {steps} step{'s' * (steps > 1)} between samples"
+        return text
+
+
+def _record(model: Model, e: Experiment) -> tuple[str, Any, list[Any], list[Any], str, list[Signal | None]]:
+    """An experiment as the core takes it."""
+    inputs, outputs = [e.input(n) for n in model.input_names], [e.output(n) for n in model.output_names]
+    return e.name, e.t, inputs, outputs, e.interpolation, [e.signal(n) for n in model.input_names]
+
+
+def _prior(name: str, value: Any) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    try:
+        mean, std = map(float, value)
+    except (TypeError, ValueError):
+        mean = std = math.nan
+    if not (math.isfinite(mean) and 0 < std < math.inf):
+        raise OptionError(
+            f"FilterError: initial '{name}' is a mean and a positive standard deviation, or None, not {value!r}"
+        )
+    return mean, std
+
+
+def _known(name: str, value: Any, states: Sequence[str]) -> float:
+    if name not in states:
+        raise OptionError(f"FilterError: intensity of '{name}', which is none of states={tuple(states)!r}")
+    try:
+        q = float(value)
+    except (TypeError, ValueError):
+        q = math.nan
+    if not 0 <= q < math.inf:
+        raise OptionError(f"FilterError: the intensity of '{name}' is a number from 0, not {value!r}")
+    return q

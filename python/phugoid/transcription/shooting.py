@@ -1,0 +1,162 @@
+"""Shooting: the states follow from integration, not from equations of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from numbers import Real
+from typing import Any, TypeAlias
+
+from numpy.typing import ArrayLike
+
+from .. import _core
+from ..data.experiment import Experiment
+from ..errors import OptionError
+from ..modelling.model import Model
+from .collocation import Collocation, GridSpec, checked_segments, division, records_of, whole
+
+__all__ = ["MultipleShooting", "SingleShooting", "Transcription", "from_dict", "to_dict"]
+
+_INTEGRATORS = ("euler", "heun", "kutta", "rk4", "dopri5")
+
+
+@dataclass(frozen=True)
+class SingleShooting:
+    """Simulation from the first sample to the last (Eq. oem_ivp of the paper): unknowns are parameters and the
+    initial states alone.
+
+    The classical way, and a fragile one: where a simulation with poor parameters runs away, there is no likelihood
+    to improve. Collocation and multiple shooting do not mind.
+
+    ``integrator``: a Runge-Kutta method of fixed steps, "euler", "heun", "kutta", "rk4" or "dopri5", of orders 1 to 5.
+    A step leads from sample to sample; ``substeps`` divides it. Instead, ``step`` (s) is the greatest length of a step,
+    or ``steps`` their number in a segment, whatever the sample times; states at samples within a step come from the
+    cubic through its ends with the slopes there. Inputs bend at samples, so steps across them lose accuracy.
+    ``threads`` 0 is one a core.
+    """
+
+    integrator: str = "rk4"
+    substeps: int = 1
+    step: float | None = None
+    steps: int | None = None
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
+        """The division into segments as the core takes it."""
+        return [("uniform", 1, None)]
+
+    def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Shooting:
+        """The nonlinear program."""
+        return _problem(self, model, experiments, noise)
+
+    def __str__(self) -> str:
+        return f"single shooting, {_steps_in_words(self)}"
+
+
+@dataclass(frozen=True)
+class MultipleShooting:
+    """Simulation segment by segment (Eq. oem_ms of the paper): the states where segments start are unknowns too, and
+    each segment ends where the next one starts.
+
+    ``segments``: a number of equal segments, or the times of their ends (s), which need not be sample times (a list of
+    such for several experiments). The other options are those of `SingleShooting`.
+    """
+
+    segments: int | ArrayLike | Sequence[ArrayLike] = 20
+    integrator: str = "rk4"
+    substeps: int = 1
+    step: float | None = None
+    steps: int | None = None
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        _check(self)
+        if self.segments is None:
+            raise OptionError("MultipleShooting: segments is a number, or the times of segment ends, not None")
+        object.__setattr__(self, "segments", checked_segments("MultipleShooting", self.segments))
+
+    def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
+        """The division into segments as the core takes it: one for all, or one an experiment.
+
+        Raises OptionError for segment ends that do not fit the experiments.
+        """
+        return division("MultipleShooting", self.segments, experiments)
+
+    def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Shooting:
+        """The nonlinear program."""
+        return _problem(self, model, experiments, noise)
+
+    def __str__(self) -> str:
+        grid = f"{self.segments} equal segments" if isinstance(self.segments, int) else "given segments"
+        return f"multiple shooting, {grid}, {_steps_in_words(self)}"
+
+
+Transcription: TypeAlias = Collocation | MultipleShooting | SingleShooting
+_Shooting: TypeAlias = MultipleShooting | SingleShooting
+
+
+def _check(options: _Shooting) -> None:
+    what = type(options).__name__
+    if options.integrator not in _INTEGRATORS:
+        raise OptionError(f"{what}: integrator is one of {', '.join(_INTEGRATORS)}, not {options.integrator!r}")
+    for name in ("substeps", "threads", "steps"):
+        value, least = getattr(options, name), 0 if name == "threads" else 1
+        if name == "steps" and value is None:
+            continue
+        if not whole(value) or value < least:
+            raise OptionError(f"{what}: {name} is a whole number from {least}, not {value!r}")
+        object.__setattr__(options, name, int(value))
+    step = options.step
+    if step is not None:
+        if not isinstance(step, Real) or isinstance(step, bool) or not 0 < step < float("inf"):
+            raise OptionError(f"{what}: step is a positive number of seconds, not {step!r}")
+        object.__setattr__(options, "step", float(step))
+    if (options.substeps != 1) + (step is not None) + (options.steps is not None) > 1:
+        raise OptionError(f"{what}: substeps, step and steps are three ways to say the same; give one")
+
+
+def _problem(
+    options: _Shooting,
+    model: Model,
+    experiments: Sequence[Experiment],
+    noise: _core.Noise,
+) -> _core.Shooting:
+    steps: tuple[str, float] = ("samples", options.substeps)
+    if options.steps is not None:
+        steps = ("number", options.steps)
+    elif options.step is not None:
+        steps = ("length", options.step)
+    records = records_of(model, experiments)
+    grids = options.grids(experiments)
+    return _core.Shooting(model._core, records, noise, grids, options.integrator, steps, options.threads)
+
+
+def _steps_in_words(options: _Shooting) -> str:
+    if options.steps is not None:
+        return f"{options.steps} steps of {options.integrator} in a segment"
+    if options.step is not None:
+        return f"steps of {options.integrator} of {options.step:g} s at most"
+    if options.substeps == 1:
+        return f"one step of {options.integrator} between samples"
+    return f"{options.substeps} steps of {options.integrator} between samples"
+
+
+def to_dict(transcription: Transcription) -> dict[str, Any]:
+    """Kind and options but for threads, as plain data."""
+
+    def plain(value: Any) -> Any:
+        return [plain(v) for v in value] if isinstance(value, tuple) else value
+
+    options = {f.name: plain(getattr(transcription, f.name)) for f in fields(transcription) if f.name != "threads"}
+    return {"kind": type(transcription).__name__, **options}
+
+
+def from_dict(saved: Mapping[str, Any]) -> Transcription:
+    """What `to_dict` has made; without a kind it is collocation's. Raises KeyError or TypeError for anything else."""
+    kinds: dict[str, type[Transcription]] = {c.__name__: c for c in (Collocation, MultipleShooting, SingleShooting)}
+    options = dict(saved)
+    kind = kinds[options.pop("kind", "Collocation")]
+    return kind(**options)

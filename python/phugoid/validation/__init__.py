@@ -1,0 +1,1 @@
+"""A fit tried on data that it was not made on."""

@@ -1,0 +1,162 @@
+"""A fit held as it is, to be tried on other experiments: its model, its noise, and its mesh."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..data.experiment import Experiment
+from ..errors import OptionError
+from ..modelling.model import Model
+from ..modelling.rebuilt import rebuilt
+from ..noise.densities import Density, Huber, Laplace, StudentT
+from ..noise.kinds import PerExperiment, PerOutput
+from ..noise.noise import Gaussian, Noise
+from ..parameters import Estimates, Parameter
+from ..result import Fit
+from ..transcription.collocation import Collocation
+from ..transcription.filter_error import FilterError
+from ..transcription.shooting import SingleShooting, Transcription
+
+__all__ = ["estimates_of", "held_model", "held_noise", "mesh_for"]
+
+_Array = NDArray[np.float64]
+
+
+def held_model(model: Model, values: Mapping[str, float], free: Collection[str]) -> Model:
+    """The model with all parameters fixed at ``values`` but those in ``free``, which stay as declared."""
+
+    def declare(core: _core.Model, declared: Any) -> None:
+        name, unit, start, low, high, prior, _, local, log, scale = declared
+        if name in free:
+            core.parameter(name, unit, start, low, high, prior, False, local, log, scale)
+        else:
+            # Without bounds: a value at one may lie outside by rounding.
+            core.parameter(name, unit, values[name], -math.inf, math.inf, None, True, False, False, None)
+
+    return model._around(rebuilt(model._core, model._core.inputs, declare), model.delays)
+
+
+def held_noise(fit: Fit) -> tuple[Noise, tuple[str, ...]]:
+    """The fit's noise with every number known, and what to say of that.
+
+    Where each experiment of the fit has noise of its own, another experiment gets its mean: of variances and
+    covariances, weighted by samples. Raises OptionError for other numbers of which there are several.
+    """
+    outputs = fit.model.output_names
+    if not isinstance(fit.noise, PerExperiment):
+        return _known(fit.noise, outputs, fit.parameters.to_dict()), ()
+    inner, estimated = fit.noise.noise, fit.noise.noise.names(outputs)
+    if len(fit.records) == 1 or not estimated:  # one experiment's are called as shared ones are
+        return _known(inner, outputs, fit.parameters.to_dict()), ()
+    each = [{name: fit.parameters[f"{name}[{r.name}]"].value for name in estimated} for r in fit.records]
+    several = [name for name in estimated if not name.startswith(("sigma_", "corr_"))]
+    if several:
+        raise OptionError(
+            f"validate: each experiment of the fit has its own {several[0]}, and which another one has is not known: "
+            "fit with noise that is shared"
+        )
+    said = ("each experiment of the fit has its own noise: these have the mean of its variances, weighted by samples",)
+    if isinstance(inner, Gaussian) and inner.correlated:
+        weights = [r.n for r in fit.records]
+        matrices = [np.array(_known(inner, outputs, values).covariance) for values in each]  # type: ignore[attr-defined]
+        return Gaussian(covariance=np.average(matrices, axis=0, weights=weights)), said
+    pooled = {}
+    for name in estimated:
+        output = name.removeprefix("sigma_")
+        counts = [int(np.isfinite(r.measured[output]).sum()) for r in fit.records]
+        pooled[name] = math.sqrt(float(np.average([values[name] ** 2 for values in each], weights=counts)))
+    return _known(inner, outputs, pooled), said
+
+
+def _known(noise: Noise, outputs: Sequence[str], values: Mapping[str, float]) -> Noise:
+    """A noise model with ``values`` (``sigma_<output>``, ...) in place of what it estimates."""
+    sigma = {name: values.get(f"sigma_{name}", noise.known_sigmas(outputs).get(name, math.nan)) for name in outputs}
+    if isinstance(noise, Gaussian):
+        if noise.covariance is not None:
+            return noise
+        if not noise.correlated:
+            return Gaussian(sigma)
+        correlation = np.eye(len(outputs))
+        for i, a in enumerate(outputs):
+            for j, b in enumerate(outputs[i + 1 :], i + 1):
+                correlation[i, j] = correlation[j, i] = values[f"corr_{a}_{b}"]
+        scale = np.array([sigma[name] for name in outputs])
+        return Gaussian(covariance=correlation * np.outer(scale, scale))
+    if isinstance(noise, StudentT):
+        return replace(noise, sigma=sigma, dof={n: values.get(f"dof_{n}", noise._dof(n)) for n in outputs})
+    if isinstance(noise, (Huber, Laplace)):
+        return replace(noise, sigma=sigma)
+    if isinstance(noise, PerOutput):
+        own = {name: _known(noise._of(name), [name], {**values, f"sigma_{name}": sigma[name]}) for name in outputs}
+        return PerOutput(own)
+    assert isinstance(noise, Density)  # there is no other
+    each: dict[str, Noise] = {}
+    for name in outputs:
+        start = {
+            p: values.get(f"{p}_{name}", float(getattr(d, "start", math.nan))) for p, d in noise.parameters.items()
+        }
+        each[name] = Density(
+            noise.log_density, {name: sigma[name]}, {p: Parameter(v, fixed=True) for p, v in start.items()}
+        )
+    return PerOutput(each)
+
+
+def mesh_for(fit: Fit, experiments: Sequence[Experiment]) -> Transcription | FilterError:
+    """The fit's transcription for other experiments: where it counts or names segments, others as long.
+
+    A mesh that was refined for the fit is refined anew; process noise has the intensities of the fit.
+    """
+    t = fit.transcription
+    if isinstance(t, FilterError):
+        return replace(t, output_error=False, intensities={n: fit.parameters[f"q_{n}"].value for n in t.states})
+    if isinstance(t, Collocation) and fit.refinement is not None:
+        first = fit.refinement.steps[0].order
+        return Collocation(first, threads=t.threads, refine=True, tolerance=fit.refinement.tolerance)
+    lengths = [float(r.t[-1] - r.t[0]) for r in fit.records]
+    longest, shortest = max(float(e.t[-1] - e.t[0]) for e in experiments), min(lengths)
+    alike = np.allclose([*lengths, *(float(e.t[-1] - e.t[0]) for e in experiments)], shortest, rtol=1e-9, atol=0)
+    interval = float(np.median(np.concatenate([np.diff(e.t) for e in experiments])))
+
+    def number(size: float, of: float) -> int:
+        return max(math.ceil(of / size - 1e-9), 1)
+
+    if isinstance(t, SingleShooting):
+        if t.steps is None or alike:
+            return t
+        step = shortest / t.steps
+        if step > interval:
+            return replace(t, steps=number(step, longest))
+        return replace(t, steps=None, substeps=number(step, interval))
+    if t.segments is None or (alike and isinstance(t.segments, int)):
+        return t
+    if isinstance(t.segments, int):
+        length = shortest / t.segments
+    else:
+        ends: Any = t.segments if isinstance(t.segments[0], tuple) else (t.segments,)  # type: ignore[index]
+        length = float(np.median(np.concatenate([np.diff(each) for each in ends])))
+    if isinstance(t, Collocation) and length < 1.5 * interval:
+        return replace(t, segments=None, substeps=number(length, interval))
+    if fit.model.delays:  # which move the samples
+        return replace(t, segments=number(length, longest))
+    return replace(t, segments=[_at_samples(e.t, length) for e in experiments])
+
+
+def _at_samples(t: _Array, length: float) -> _Array:
+    """Ends of segments of about a length. Inputs bend at samples, which segments had better not straddle."""
+    count = math.ceil(float(t[-1] - t[0]) / length - 1e-9)
+    wanted = np.linspace(t[0], t[-1], count + 1)
+    after = np.clip(np.searchsorted(t, wanted), 1, t.size - 1)
+    nearest = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
+    return np.asarray(t[np.unique(nearest)])
+
+
+def estimates_of(estimates: Estimates, names: Collection[str]) -> Estimates:
+    """Those of the named parameters, also where each experiment has its own."""
+    return Estimates(e for e in estimates.values() if e.name in names or e.name.partition("[")[0] in names)

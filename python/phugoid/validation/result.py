@@ -1,0 +1,182 @@
+"""A fitted model on experiments that it was not fitted to."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from ..figures import fit as plot
+from ..match import Match
+from ..modelling.model import Model
+from ..noise.noise import Noise
+from ..parameters import Estimates, estimates_table, text_table
+from ..records import Record
+from ..tolerance import Tolerance
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Validation"]
+
+# Residuals are called coloured below this p-value, and their error an offset above this part of their mean square.
+_WHITE, _MOSTLY = 0.01, 0.5
+_WIDTH = 120  # of lines of text
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation:
+    """What `Fit.validate` gives back: the model as fitted, with only initial states and biases found anew.
+
+    model           as fitted.
+    noise           that of the fit, every number known.
+    fitted_to       names of the experiments that the fit was made on.
+    records         one an experiment: measured, outputs, residuals, states.
+    held            parameter -> value that was held.
+    freed           estimates of the biases (and what else was named), with standard errors.
+    initial_states  experiment -> state -> estimate of the state at the first sample. Standard errors, here and of
+                    ``freed``, take held parameters for exact and the noise for that of the fit.
+    log_likelihood  of these measurements, at the noise of the fit: as `Fit.log_likelihood`, without the constant
+                    -N n_y/2 ln 2 pi. On the same experiments it compares models, the greater the better.
+                    With process noise it is the marginal one.
+    chi_square      sum of squared residuals over the fit's variances (r' R^-1 r where noise is correlated); NaN where
+                    noise is not Gaussian or there is process noise. Where model and parameters are exact its
+                    expectation is ``degrees_of_freedom``: the number of measured values minus what was estimated.
+    matches         output -> `Match` over all experiments: Theil's coefficient and more. ``sigma`` in it is that of
+                    the fit's noise.
+    by_experiment   experiment -> output -> `Match`.
+    status          "converged", or what else happened; ``message`` says what to do then.
+    warnings        what to beware of, in words.
+    tolerances      output -> `Tolerance`, as given.
+
+    With process noise (`FilterError`) intensities are held too, initial states are integrated out, and outputs and
+    residuals are those of predictions from the samples before, since the most probable path follows any measurements;
+    ``sigma`` of a `Match` is what the root mean square of these residuals should be.
+    """
+
+    model: Model
+    noise: Noise
+    fitted_to: tuple[str, ...]
+    records: Sequence[Record]
+    held: Mapping[str, float]
+    freed: Estimates
+    initial_states: Mapping[str, Estimates]
+    log_likelihood: float
+    chi_square: float
+    degrees_of_freedom: int
+    matches: Mapping[str, Match]
+    by_experiment: Mapping[str, Mapping[str, Match]]
+    status: str
+    message: str
+    warnings: tuple[str, ...] = ()
+    tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the initial states and biases were found."""
+        return self.status == "converged"
+
+    @property
+    def _predicted(self) -> bool:
+        return any(r.innovations for r in self.records)
+
+    def summary(self) -> str:
+        """The validation in plain text: what was held and freed, how each output matches, and what that means."""
+        parts = [self._header()]
+        if self.freed:
+            parts.append(estimates_table(self.freed.values(), title="freed"))
+        parts.append(_match_table(self.matches.values()))
+        if len(self.records) > 1:
+            parts += [f"{name} alone\n{_match_table(each.values())}" for name, each in self.by_experiment.items()]
+        parts.append("\n".join(textwrap.fill(line, _WIDTH, subsequent_indent="  ") for line in self.in_words()))
+        return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
+
+    def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+        """The proof-of-match figure of an experiment: measured points with their tolerance bands, model, residuals,
+        inputs. Returns the figure and the axes by name, as `Fit.plot` does."""
+        return plot.plot_validation(self, record, channels)
+
+    def _header(self) -> str:
+        names = ", ".join(f"'{r.name}'" for r in self.records)
+        samples = sum(m.samples for m in self.matches.values())
+        first = sum(map(len, self.initial_states.values()))
+        entries = {
+            "validated on": f"{names}: {samples} measured values",
+            "fitted to": ", ".join(f"'{name}'" for name in self.fitted_to),
+            "status": f"{self.status}: {self.message}" if self.message else self.status,
+            "held": ", ".join(self.held) or "nothing",
+            "found anew": ", ".join([f"{first} initial states", *self.freed]),
+            "log-likelihood": f"{self.log_likelihood:.3f} at the noise of the fit",
+        }
+        if self._predicted:
+            entries["residuals"] = "of predictions from the samples before"
+        if math.isfinite(self.chi_square):
+            entries["chi-square"] = f"{self.chi_square:.1f} on {self.degrees_of_freedom} degrees of freedom"
+        if self.noise.description:
+            entries["noise"] = self.noise.description
+        width = max(map(len, entries))
+        lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
+        return "\n".join([f"{self.model.name}: validation", *lines])
+
+    def in_words(self) -> list[str]:
+        """What the numbers say, a sentence for each output."""
+        lines = []
+        for m in self.matches.values():
+            if not m.samples:
+                lines.append(f"{m.output}: nothing was measured that the model could be compared with.")
+                continue
+            said = []
+            if math.isfinite(m.sigma):
+                what = "what the fit makes one expect" if self._predicted else "the fit's noise"
+                said.append(f"RMS is {m.rms / m.sigma:.2g} times {what}")
+            if m.tolerance is not None:
+                said.append(f"{100 * m.inside:.1f} % of the samples lie within {m.tolerance.text(m.unit)}")
+            parts = {"a constant offset": m.bias, "a difference in amplitude": m.variance}
+            said += [f"the error is mostly {what}" for what, part in parts.items() if part > _MOSTLY]
+            if m.whiteness < _WHITE:
+                said.append(f"its residuals are coloured (lag-1 correlation {m.lag_one:.2f})")
+            elif math.isfinite(m.whiteness):
+                said.append("its residuals pass for white")
+            lines.append(f"{m.output}: {'; '.join(said)}.")
+        return lines
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"'{r.name}'" for r in self.records)
+        return (
+            f"<Validation of '{self.model.name}' on {names}: {self.status}, log-likelihood {self.log_likelihood:.6g}>"
+        )
+
+    def __str__(self) -> str:
+        return self.summary()
+
+
+def _match_table(matches: Iterable[Match]) -> str:
+    rows = []
+    for m in matches:
+        parts = "/".join(_number(100 * part, ".0f") for part in (m.bias, m.variance, m.covariance))
+        rows.append(
+            [
+                m.output,
+                m.unit,
+                _number(m.rms, ".4g"),
+                _number(m.sigma, ".4g"),
+                _number(m.r_squared, ".4f"),
+                _number(m.theil, ".4f"),
+                _number(m.theil_about_mean, ".4f"),
+                parts if math.isfinite(m.bias) else "",
+                _number(m.lag_one, ".2f"),
+                "<0.001" if m.whiteness < 0.001 else _number(m.whiteness, ".3f"),
+                _number(100 * m.inside, ".1f"),
+                str(m.samples),
+            ]
+        )
+    parts_of = "bias/var/cov, %"
+    header = ["output", "unit", "RMS", "σ of fit", "R²", "Theil U", "about mean", parts_of, "lag-1", "p white"]
+    return text_table([*header, "inside, %", "samples"], rows, "llrrrrrrrrrr")
+
+
+def _number(value: float, spec: str) -> str:
+    return format(value, spec) if math.isfinite(value) else ""

@@ -1,0 +1,252 @@
+"""Tries a fit on other experiments: `Fit.validate`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..data.experiment import Experiment, as_experiments
+from ..data.unit_check import check_units
+from ..errors import DataError, ModelError, OptionError, did_you_mean
+from ..estimation.estimate import estimate
+from ..guess import measured_states
+from ..match import Match, match
+from ..modelling.model import Model
+from ..noise.noise import Gaussian, Noise
+from ..records import Record
+from ..result import Fit
+from ..solvers import Newton
+from ..tolerance import Tolerance, tolerances_by_output
+from ..transcription.filter_error import FilterError
+from .biases import freed_by_default
+from .held import estimates_of, held_model, held_noise, mesh_for
+from .result import Validation
+
+__all__ = ["found_anew", "shared", "validate"]
+
+# Records share samples where as many as this agree to the bit.
+_SHARED = 3
+
+
+def validate(
+    fit: Fit,
+    other: Experiment | Sequence[Experiment],
+    *,
+    biases: Sequence[str] | None = None,
+    values: Mapping[str, float] | None = None,
+    tolerances: Mapping[str, float | Tolerance] | None = None,
+) -> Validation:
+    """What `Fit.validate` does; see there."""
+    model, experiments = fit.model, as_experiments(other, "validate")
+    limits = tolerances_by_output("validate", model.output_names, tolerances)
+    found, free, held, warnings = found_anew(fit, experiments, biases, {} if values is None else values)
+    noise, filtered = found.noise, isinstance(found.transcription, FilterError)
+    records = [_predicted(r) for r in found.records] if filtered else found.records
+    if not found.converged:
+        warnings += (f"the initial states and biases were not found ({found.status}): {found.message}",)
+    known = noise.known_sigmas(model.output_names)
+
+    def matches(records: Sequence[Record]) -> dict[str, Match]:
+        sizes = {n: _predicted_std(records, n) if filtered else known.get(n, math.nan) for n in model.output_names}
+        return {n: match(records, n, sizes[n], limits.get(n)) for n in model.output_names}
+
+    return Validation(
+        model=model,
+        noise=noise,
+        fitted_to=tuple(r.name for r in fit.records),
+        records=records,
+        held=held | {n: e.value for n, e in found.parameters.items() if filtered and n in found.noise_parameters},
+        freed=estimates_of(found.parameters, free),
+        initial_states=found.initial_states,
+        log_likelihood=found.log_likelihood,
+        chi_square=math.nan if filtered else _chi_square(noise, model.output_names, records),
+        degrees_of_freedom=_degrees(model, free, found),
+        matches=matches(records),
+        by_experiment={r.name: matches([r]) for r in records},
+        status=found.status,
+        message="" if found.converged else found.message,
+        warnings=(*warnings, *found.warnings),
+        tolerances=limits,
+    )
+
+
+def found_anew(
+    fit: Fit, experiments: Sequence[Experiment], biases: Any, values: Any
+) -> tuple[Fit, tuple[str, ...], dict[str, float], tuple[str, ...]]:
+    """The fit of initial states and biases alone to other experiments; which parameters are biases, the values of the
+    others, and what to beware of. Raises as `Fit.validate` does."""
+    free = _free(fit, biases, values)
+    held = _held(fit, free, values)
+    mesh = mesh_for(fit, experiments)
+    noise, warnings = held_noise(fit)
+    if not fit.converged:
+        warnings = (f"the fit itself has not converged ({fit.status}): {fit.message or 'see its summary'}", *warnings)
+    for e in experiments:
+        warnings += _check(fit, e, free)
+
+    slim = held_model(fit.model, held, free)
+    # A regression on measured states is for parameters, and these are held.
+    solver = None if isinstance(mesh, FilterError) else Newton(regression=False)
+    begin = _start(fit, slim, held, free)
+    found = estimate(slim, experiments, transcription=mesh, noise=noise, start=begin, solver=solver)
+    return found, free, held, warnings
+
+
+def _predicted(record: Record) -> Record:
+    """A record of the filter-error method with what is predicted from the samples before: its most probable path
+    follows any measurements."""
+    outputs = {name: record.measured[name] - r for name, r in record.innovations.items()}
+    return replace(record, outputs=outputs, residuals=record.innovations)
+
+
+def _predicted_std(records: Sequence[Record], output: str) -> float:
+    """What the root mean square of the innovations of an output should be."""
+    expected = np.concatenate([r.innovation_std[output][np.isfinite(r.innovations[output])] for r in records])
+    return float(np.sqrt(np.mean(expected**2))) if expected.size else math.nan
+
+
+def _free(fit: Fit, named: Any, values: Any) -> tuple[str, ...]:
+    """The parameters to estimate anew."""
+    model = fit.model
+    if not isinstance(values, Mapping):
+        raise OptionError(f"validate: values are given by parameter, such as {{'wind': 3.0}}, not as {values!r}")
+    for name in values:
+        _known_parameter(fit, str(name), "values")
+    if named is None:
+        return tuple(name for name in freed_by_default(model) if name not in values)
+    if isinstance(named, str) or not np.iterable(named):
+        raise OptionError(f"validate: biases is a list of names, such as ['b_q'], or () for none, not {named!r}")
+    names = [str(name) for name in named]
+    for name in names:
+        _known_parameter(fit, name, "biases")
+        if name in values:
+            raise OptionError(f"validate: '{name}' is to be estimated (biases) and given (values): leave one out")
+    return tuple(name for name in model.parameter_names if name in names)
+
+
+def _known_parameter(fit: Fit, name: str, where: str) -> None:
+    names = fit.model.parameter_names
+    if name in fit.noise_parameters:
+        raise ModelError(f"validate: {where}: '{name}' belongs to the noise, which is held as in the fit")
+    if name not in names:
+        base = name.partition("[")[0]
+        hint = f" Say '{base}', for all experiments." if base in names else did_you_mean(name, names)
+        raise ModelError(f"validate: {where}: '{name}' is no parameter of the model.{hint}")
+
+
+def _held(fit: Fit, free: Sequence[str], values: Mapping[str, Any]) -> dict[str, float]:
+    """Values of the parameters that are not free."""
+    held: dict[str, float] = {}
+    own = []
+    for name, declared in fit.model.declared_parameters.items():
+        if name in free:
+            continue
+        if name in values:
+            held[name] = _finite(f"the value of '{name}'", values[name])
+        elif declared.fixed:
+            held[name] = declared.start
+        elif declared.per_experiment:  # also of a fit to a single one: its value is that experiment's
+            own.append(name)
+        else:
+            held[name] = fit.parameters[name].value
+    if own:
+        listed, one = ", ".join(f"'{name}'" for name in own), own[0]
+        raise ModelError(
+            f"validate: each experiment of the fit has its own {listed}, and which value another one has is not known: "
+            f"give it in values={{'{one}': ...}}, or name it in biases=['{one}'] to estimate it anew"
+        )
+    return held
+
+
+def _check(fit: Fit, e: Experiment, free: Sequence[str]) -> tuple[str, ...]:
+    """Warnings on an experiment. Raises DataError for one that cannot serve."""
+    model = fit.model
+    check_units(model, [e], "validate")
+    there = {*e.channels}
+    lacking = [f"input '{n}'" for n in model.input_names if n not in there | {*e.inputs}]
+    lacking += [f"output '{n}'" for n in model.output_names if n not in there | {*e.outputs}]
+    if lacking:
+        names = [*dict.fromkeys([*e.inputs, *e.outputs, *e.channels])]
+        raise DataError(
+            f"validate: experiment '{e.name}' lacks what the model has: {', '.join(lacking)}. "
+            f"There are: {', '.join(names) or 'none'}. Use .rename({{...}}) where names differ."
+        )
+    measured = np.isfinite(np.array([e.output(n) for n in model.output_names]))
+    samples, unknown = int(measured.any(axis=0).sum()), len(model.state_names) + len(free)
+    if samples < unknown:
+        raise DataError(
+            f"validate: experiment '{e.name}' is too short: it has {samples} samples, and "
+            f"{len(model.state_names)} initial states and {len(free)} biases are to be found from them"
+        )
+    for record in fit.records:
+        same = shared(model, record, e)
+        if same:
+            what = f"shares {same} samples with" if same < e.n else "is" if e.n == record.n else "is part of"
+            return (
+                f"experiment '{e.name}' {what} the record '{record.name}' that the fit was made on: "
+                "how well it matches says nothing of other manoeuvres",
+            )
+    return ()
+
+
+def shared(model: Model, record: Record, e: Experiment) -> int:
+    """The number of samples that are the same in both, at the same times; 0 where any that both have differs."""
+    _, i, j = np.intersect1d(record.t, e.t, return_indices=True)
+    if i.size < _SHARED:
+        return 0
+    pairs = [(record.measured[n][i], e.output(n)[j]) for n in model.output_names]
+    pairs += [(record.inputs[n][i], e.input(n)[j]) for n in model.input_names]
+    return int(i.size) if all(np.array_equal(a, b, equal_nan=True) for a, b in pairs) else 0
+
+
+def _start(fit: Fit, slim: Model, held: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
+    """Freed parameters start at the fit's mean; states that no output measures at their mean along the fit."""
+    start = {}
+    for name in free:
+        found = [e.value for e in estimates_of(fit.parameters, [name]).values()]
+        if found:
+            start[name] = float(np.mean(found))
+    measured = measured_states(slim, {**held, **start})
+    for name in slim.state_names:
+        if name not in measured:
+            start[name] = float(np.mean(np.concatenate([r.states[name] for r in fit.records])))
+    return start
+
+
+def _chi_square(noise: Noise, outputs: Sequence[str], records: Sequence[Record]) -> float:
+    """Sum of r' R^-1 r over the samples, each with the rows and columns of R that are measured; NaN for other noise."""
+    if not isinstance(noise, Gaussian):
+        return math.nan
+    independent = noise.covariance is None
+    R = np.diag([noise.known[name] ** 2 for name in outputs]) if independent else noise.matrix(outputs)
+    total = 0.0
+    for record in records:
+        residuals = np.array([record.residuals[name] for name in outputs])
+        there = np.isfinite(residuals)
+        for pattern in np.unique(there, axis=1).T:
+            if pattern.any():
+                r = residuals[np.ix_(pattern, (pattern == there.T).all(axis=1))]
+                total += float(np.sum(r * np.linalg.solve(R[np.ix_(pattern, pattern)], r)))
+    return total
+
+
+def _degrees(model: Model, free: Sequence[str], found: Fit) -> int:
+    """Measured values minus what was estimated."""
+    values = sum(int(np.isfinite(r.residuals[name]).sum()) for r in found.records for name in model.output_names)
+    conditions = len({(end, state) for end, state, *_ in model._core.conditions})
+    states = max(len(model.state_names) - conditions, 0) * len(found.records)
+    return values - states - len(estimates_of(found.parameters, free))
+
+
+def _finite(what: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise OptionError(f"validate: {what} is {value!r}, not a finite number")
+    return number

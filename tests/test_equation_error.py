@@ -15,8 +15,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 import phugoid as ph
-from phugoid import Experiment, FourierSmoothing, Model, Parameter, SavitzkyGolay, SmoothingSpline
-from phugoid.regression import equation_error
+from phugoid import Experiment, FourierSmoothing, Model, Parameter, SavitzkyGolay, SmoothingSpline, equation_error
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 

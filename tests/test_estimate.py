@@ -22,8 +22,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 import phugoid as ph
-from phugoid import Collocation, DataError, Experiment, Fit, Gaussian, Ipopt, Model, Parameter, Sigma
-from phugoid.estimation import estimate
+from phugoid import Collocation, DataError, Experiment, Fit, Gaussian, Ipopt, Model, Parameter, Sigma, estimate
 from phugoid.solvers import Iteration
 
 T = np.linspace(0.0, 10.0, 101)

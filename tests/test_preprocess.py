@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from phugoid import DataError, Experiment, OptionError
-from phugoid.data import multirate
+from phugoid import DataError, Experiment, OptionError, multirate
 
 RATE = 200.0
 N = 2000

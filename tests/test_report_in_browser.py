@@ -69,6 +69,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         threshold=17.0,
         notes=("A note.",),
         seconds=1.0,
+        interrupted=False,
     )
     report(nothing, folder / "diagnosis.html")
     return {"fit": folder / "fit.html", "diagnosis": folder / "diagnosis.html"}

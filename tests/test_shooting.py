@@ -30,8 +30,8 @@ from phugoid import (
     OptionError,
     Parameter,
     SingleShooting,
+    estimate,
 )
-from phugoid.estimation import estimate
 
 T = np.linspace(0.0, 10.0, 101)
 # With the distance from the limit of small steps, in standard errors, that their steps leave.

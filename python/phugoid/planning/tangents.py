@@ -26,6 +26,7 @@ from ..noise.noise import Gaussian
 from ..records import Record
 from ..result import Fit
 from ..simulate import first_values, simulate
+from ..solvers import Newton
 from ..transcription.collocation import Collocation
 from ..transcription.shooting import SingleShooting
 
@@ -100,7 +101,9 @@ def _fitted(
         if name in {*run.outputs, *run.channels}:  # sampled as there
             outputs[name][~np.isfinite(run.output(name))] = np.nan
     start = {n: v for n, v in values.items() if n in model.parameter_names} | dict(record.states)
-    fit = estimate(model, run.with_outputs(outputs), transcription=mesh, noise=noise, start=start)
+    fit = estimate(
+        model, run.with_outputs(outputs), transcription=mesh, noise=noise, start=start, solver=Newton(regression=False)
+    )
     for name in model.output_names:
         residual = fit.records[0].residuals[name] / noise.known[name]
         off = float(np.sqrt(np.nanmean(residual**2))) if np.isfinite(residual).any() else 0.0

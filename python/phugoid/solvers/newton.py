@@ -28,7 +28,9 @@ class Newton:
     ``tolerance``: distance from the optimum, in standard errors, at which the last step is taken (what is left
     after it is about the square of that).
     ``regression``: start with a regression of the parameters on the measured states and outputs; None does so
-    where every state is measured or its start is given. ``gauss_newton`` False uses the exact Hessian from the start.
+    where every state is measured or its start is given. Where the model is not linear in its parameters, the linear
+    ones are projected out (Golub & Pereyra 1973) and other places are looked at, too, unless a fit is the start.
+    ``gauss_newton`` False uses the exact Hessian from the start.
     ``time_limit`` in seconds.
     """
 

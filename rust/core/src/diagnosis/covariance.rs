@@ -42,6 +42,8 @@ const PART: f64 = 0.1;
 const MOVES: f64 = 1e-3;
 /// The part of a variable's variance that the variables before it leave, below which it is one with them.
 const LEFT: f64 = 1e-11;
+/// A parameter with a standard error below this part of it is known, whatever others are.
+const KNOWN: f64 = 0.1;
 
 /// The inverse of the KKT matrix [H Aᵀ; A 0], H the Hessian of the Lagrangian, has Z (ZᵀHZ)⁻¹ Zᵀ for its
 /// first block, Z a basis of the null space of A: the inverse of the observed information, the states
@@ -115,7 +117,7 @@ pub fn information(
         unless_stopped()?;
         kkt.covariance(wanted, &mut covariance);
         // Rounding may leave a little curvature where there is none: such a trade is set aside as others are.
-        let Some((lead, trade)) = confounded(&covariance, wanted, border) else {
+        let Some((lead, trade)) = confounded(&covariance, wanted, xi, nlp.n_parameters()) else {
             break;
         };
         holding[lead] = true;
@@ -197,12 +199,12 @@ fn companions(d: &[f64], wanted: &[usize], sigmas: &[f64], far: f64) -> Vec<usiz
     moves.into_iter().filter(|m| m.1 > MOVES * most).map(|m| m.0).collect()
 }
 
-/// The first parameter (below `border`) that is one with those before it, as the covariance (k × k of `wanted`) has
+/// The first parameter (of `n`) that is one with those before it, as the covariance (k × k of `wanted`) has
 /// it: the one that has the greatest part in that, and all that have a part. Of a parameter and an initial state the
 /// covariance does not tell: those of an unstable motion are one to rounding, and known well.
-fn confounded(covariance: &[f64], wanted: &[usize], border: usize) -> Option<(usize, Vec<usize>)> {
+fn confounded(covariance: &[f64], wanted: &[usize], xi: &[f64], n: usize) -> Option<(usize, Vec<usize>)> {
     let k = wanted.len();
-    let known: Vec<usize> = (0..k).filter(|&i| wanted[i] < border && covariance[i * k + i] > 0.0).collect();
+    let known: Vec<usize> = (0..k).filter(|&i| wanted[i] < n && covariance[i * k + i] > 0.0).collect();
     // Rows of the Cholesky factor of the correlation matrix.
     let mut l: Vec<Vec<f64>> = Vec::with_capacity(known.len());
     for &i in &known {
@@ -215,6 +217,7 @@ fn confounded(covariance: &[f64], wanted: &[usize], border: usize) -> Option<(us
         let left = 1.0 - row.iter().map(|x| x * x).sum::<f64>();
         if left < LEFT {
             // What of those before it is left out of it: Lᵀ v = row.
+            let entries = row.clone();
             for j in (0..row.len()).rev() {
                 row[j] /= l[j][j];
                 let v = row[j];
@@ -225,6 +228,13 @@ fn confounded(covariance: &[f64], wanted: &[usize], border: usize) -> Option<(us
             let parts = row.iter().zip(&known).filter(|(v, _)| v.abs() > PART * most);
             let parts: Vec<(f64, usize)> = parts.map(|(v, &i)| (v.abs(), wanted[i])).collect();
             let lead = parts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?.1;
+            let error =
+                |v: usize| covariance[(0..k).find(|&i| wanted[i] == v).map_or(0, |i| i * k + i)].sqrt();
+            if parts.iter().all(|&(_, v)| error(v) < KNOWN * xi[v].abs()) {
+                // A combination is known far better than they are, as by an output without noise; but so are they.
+                l.push([entries, vec![left.max(f64::EPSILON).sqrt()]].concat());
+                continue;
+            }
             let mut trade: Vec<usize> = parts.into_iter().map(|p| p.1).collect();
             trade.sort_unstable();
             return Some((lead, trade));

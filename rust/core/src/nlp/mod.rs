@@ -90,6 +90,10 @@ pub trait Nlp: Send + Sync {
     fn chains(&self) -> Option<&Chains> {
         None
     }
+    /// Number of variables that are parameters, of the model and of the noise: the first.
+    fn n_parameters(&self) -> usize {
+        self.chains().map_or(self.n(), |c| c.border)
+    }
     /// Border variables in which outputs and constraints are not linear, jointly linear in the other ones.
     fn nonlinear(&self) -> Vec<usize> {
         Vec::new()

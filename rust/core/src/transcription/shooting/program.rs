@@ -176,6 +176,10 @@ impl Nlp for Shooting {
         self.pool.as_ref().map_or(0, rayon::ThreadPool::current_num_threads)
     }
 
+    fn n_parameters(&self) -> usize {
+        self.posed.parameters.len()
+    }
+
     fn nonlinear(&self) -> Vec<usize> {
         self.posed.nonlinear()
     }

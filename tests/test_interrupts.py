@@ -125,7 +125,7 @@ def test_ctrl_c_while_standard_errors_are_computed_keeps_the_optimum(here: Path)
 
 def test_a_third_is_as_ever_and_so_is_one_afterwards(here: Path) -> None:
     third = """
-    from phugoid import fitted
+    from phugoid.estimation import fitted
     def record(*rest):
         press()
         press()
@@ -169,7 +169,7 @@ def test_a_handler_of_the_users_own_is_left_alone(here: Path) -> None:
 )
 def test_many_runs_keep_what_is_done(here: Path, call: str, count: str) -> None:
     script = f"""
-    from phugoid.workers import Crew
+    from phugoid.starts.workers import Crew
     seen = []
     def watch(outcome):
         seen.append(outcome)
@@ -190,7 +190,8 @@ def test_many_runs_keep_what_is_done(here: Path, call: str, count: str) -> None:
 
 def test_a_diagnosis_tells_what_is_known(here: Path) -> None:
     script = """
-    from phugoid.discrepancy import diagnose as module, trials
+    from phugoid.discrepancy import diagnose as module
+    from phugoid.discrepancy.search import trials
     fit = ph.estimate(model, data)
     real = trials.Scan
     def scan(*rest):

@@ -47,6 +47,8 @@ mod jet;
 mod noises;
 mod path;
 mod sample;
+mod settings;
+mod smoothed;
 mod steps;
 
 use crate::error::Error;
@@ -54,7 +56,7 @@ use crate::experiment::Experiment;
 use crate::model::Model;
 use crate::noise::Noise;
 
-use dense::{add_transposed_product, dot};
+use dense::add_transposed_product;
 use flow::Flow;
 pub use innovations::Innovations;
 use jet::Jets;
@@ -62,20 +64,8 @@ use noises::Driven;
 pub use path::Lost;
 use path::{At, Found, Path, Run};
 use sample::Samples;
-
-/// What is assumed of the process noise.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
-    /// Names of the states that have it.
-    pub states: Vec<String>,
-    /// Runge-Kutta steps between samples.
-    pub substeps: usize,
-    /// Terms of the noise of each state within an interval, from 1.
-    pub terms: usize,
-    /// For each state of the model, mean and standard deviation of its first value, infinite for a flat prior of
-    /// density 1; or `None` to maximise over it.
-    pub initial: Vec<Option<(f64, f64)>>,
-}
+pub use settings::Settings;
+pub use smoothed::Smoothed;
 
 /// The marginal likelihood of a model's parameters. See the [module](self).
 ///
@@ -135,25 +125,6 @@ pub struct Marginal {
     pub path: Vec<f64>,
     /// Newton iterations that it took.
     pub iterations: usize,
-}
-
-/// The states of one record given all data and the parameters.
-#[derive(Clone, Debug, Default)]
-pub struct Smoothed {
-    /// n columns of N.
-    pub states: Vec<Vec<f64>>,
-    /// Their standard deviations, for parameters known.
-    pub deviations: Vec<Vec<f64>>,
-    /// Outputs there, n_y columns of N.
-    pub outputs: Vec<Vec<f64>>,
-    /// Their standard deviations, without that of a measurement's noise, for parameters known.
-    pub output_deviations: Vec<Vec<f64>>,
-    /// What a filter predicts of each sample from those before it.
-    pub innovations: Innovations,
-    /// Covariance of the first state, (n, n), for parameters known, and how it follows the model's parameters, (n, p).
-    pub first_covariance: Vec<f64>,
-    /// How the first state follows the model's parameters, (n, p).
-    pub first_follows: Vec<f64>,
 }
 
 impl Filter {
@@ -405,108 +376,5 @@ impl Filter {
             }
         }
         found.chain.border(&found.factor, &linear.by_p, &cross, &own, p)
-    }
-
-    /// Number of noises of an interval.
-    pub fn noises(&self) -> usize {
-        self.m
-    }
-
-    /// States and outputs of each record, columns of N, from its first state (rows of n) with noises that are given:
-    /// for each record N−1 rows of [`Filter::noises`], in standard deviations.
-    ///
-    /// # Panics
-    /// When lengths are wrong.
-    pub fn simulate(&self, theta: &[f64], first: &[f64], noises: &[f64]) -> Vec<[Vec<Vec<f64>>; 2]> {
-        let (n, mut rest) = (self.n(), noises);
-        assert_eq!(theta.len(), self.n_theta());
-        assert_eq!(first.len(), n * self.runs.len());
-        let each = self.runs.iter().zip(first.chunks_exact(n)).map(|(run, first)| {
-            let (e, after) = rest.split_at((run.samples() - 1) * self.m);
-            rest = after;
-            let at = self.at(theta, run);
-            let x = self.flow.along(&at.driving, &run.intervals, first, e);
-            let column = |i: usize| x.iter().skip(i).step_by(n).copied().collect();
-            let (outputs, _) = self.samples.outputs(&theta[..self.n_model], &run.data, self.n_data, &x);
-            [(0..n).map(column).collect(), outputs]
-        });
-        let found = each.collect();
-        assert!(rest.is_empty(), "more noises than the records have intervals");
-        found
-    }
-
-    /// States, outputs and innovations of each record at given parameters.
-    ///
-    /// # Errors
-    /// As [`Filter::evaluate`].
-    pub fn smooth(&self, theta: &[f64], path: &[f64]) -> Result<Vec<Smoothed>, Lost> {
-        let n = self.n();
-        let mut out = Vec::new();
-        for (run, start) in self.runs.iter().zip(self.paths(path)) {
-            let at = self.at(theta, run);
-            let found = at.path(start)?;
-            let x = &found.path.x;
-            let w = found.chain.covariances(&found.factor);
-            let column = |i: usize| x.iter().skip(i).step_by(n).copied().collect();
-            let deviation = |i: usize| w.iter().skip(i * n + i).step_by(n * n).map(|v| v.sqrt()).collect();
-            let (outputs, slopes) =
-                self.samples.outputs(&at.theta[..self.n_model], &run.data, self.n_data, x);
-            let n_y = outputs.len();
-            let output_deviation = |c: usize| {
-                let each = slopes.chunks_exact(n_y * n).zip(w.chunks_exact(n * n));
-                each.map(|(slopes, w)| quadratic(w, &slopes[c * n..(c + 1) * n]).max(0.0).sqrt()).collect()
-            };
-            out.push(Smoothed {
-                states: (0..n).map(column).collect(),
-                deviations: (0..n).map(deviation).collect(),
-                output_deviations: (0..n_y).map(output_deviation).collect(),
-                outputs,
-                innovations: innovations::innovations(&at, &found),
-                first_covariance: w[..n * n].to_vec(),
-                first_follows: self.border(&at, &found).1,
-            });
-        }
-        Ok(out)
-    }
-}
-
-/// vᵀ W v.
-fn quadratic(w: &[f64], v: &[f64]) -> f64 {
-    w.chunks_exact(v.len()).zip(v).map(|(row, own)| own * dot(row, v)).sum()
-}
-
-impl Settings {
-    fn noisy(&self, states: &[String]) -> Result<Vec<usize>, Error> {
-        let fail = |text: String| Err(Error::Option(format!("FilterError: {text}")));
-        if self.states.is_empty() {
-            return fail("states names no state; name those that process noise drives".into());
-        }
-        if self.substeps == 0 {
-            return fail("substeps is at least 1".into());
-        }
-        if self.terms == 0 {
-            return fail("terms is at least 1".into());
-        }
-        if self.initial.len() != states.len() {
-            return fail(format!("initial holds {} states, the model {}", self.initial.len(), states.len()));
-        }
-        let mut found = Vec::new();
-        for name in &self.states {
-            let Some(i) = states.iter().position(|s| s == name) else {
-                let hint = crate::error::did_you_mean(name, states.iter().map(String::as_str));
-                return fail(format!("'{name}' is not a state.{hint}"));
-            };
-            if found.contains(&i) {
-                return fail(format!("state '{name}' is named twice"));
-            }
-            found.push(i);
-        }
-        for (name, prior) in states.iter().zip(&self.initial) {
-            let sound = |&(mean, std): &(f64, f64)| mean.is_finite() && std > 0.0;
-            if prior.is_some() && !prior.as_ref().is_some_and(sound) {
-                return fail(format!("initial '{name}' is not a mean and a positive standard deviation"));
-            }
-        }
-        Ok(found)
     }
 }

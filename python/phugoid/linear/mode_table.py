@@ -137,7 +137,7 @@ def _mode(eigenvalue: complex, covariance: NDArray[np.float64]) -> Mode:
         error((re / size / (2.0 * math.pi), im / size / (2.0 * math.pi))) if size else nan,
         "Hz",
     )
-    ratio = -re / size if size else nan
+    ratio = 0.0 - re / size if size else nan  # 0, not -0, of a mode without damping
     damping = Estimate("damping ratio", ratio, error((-(im**2) / size**3, re * im / size**3)) if im else nan)
     constant = -1.0 / re if re else math.inf
     time_constant = Estimate("time constant", constant, error((1.0 / re**2, 0.0)) if re else nan, "s")
@@ -145,4 +145,4 @@ def _mode(eigenvalue: complex, covariance: NDArray[np.float64]) -> Mode:
 
 
 def _cell(e: Estimate) -> str:
-    return plus_minus(e.value, e.std_error)
+    return plus_minus(e.value, e.std_error or math.nan)  # what is held, as at a bound, has no error

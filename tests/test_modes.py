@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import butter, lfilter, lsim
 
 import phugoid as ph
+from phugoid.linear.mode_table import table_of
 
 POLES = (-0.4 + 5.0j, -0.8 + 12.0j)
 TRUTH = ph.StateSpace(
@@ -123,6 +124,12 @@ def test_the_table_reads_well(fit: ph.Fit) -> None:
     assert "±" in lines[2] and lines[2].endswith("j")
     assert repr(ph.modes(fit)) == "<Modes: 2 oscillating, 0 not>"
     assert len(ph.modes(fit)[:1]) == 1
+
+
+def test_a_mode_held_without_damping_shows_no_error_of_it() -> None:
+    held = np.diag([0.0, 1e-4])  # the real part at a bound
+    row = str(table_of(np.array([3j, -3j]), np.stack([held, held]))).splitlines()[2]
+    assert row.split() == ["0.4775", "±", "0.0016", "0", "inf", "0", "±", "3j"]
 
 
 def test_an_integrator_has_no_time_constant() -> None:

@@ -35,6 +35,8 @@ __all__ = ["diagnose"]
 _FEWEST, _EACH = 40, 5
 # Of an output's spread: a residual below it is rounding.
 _EXACT = 1e-9
+# Candidates without a direction of their own that a note names.
+_LOST_NAMED = 12
 
 
 def diagnose(
@@ -218,7 +220,9 @@ def _notes(
         )
     notes = [f"{len(listed)} candidates, {len(scan.effects)} with their shapes, were scanned."]
     if scan.lost:
-        notes.append(f"Cannot be told from the parameters already there: {', '.join(scan.lost)}.")
+        more = len(scan.lost) - _LOST_NAMED
+        names = ", ".join(scan.lost[:_LOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+        notes.append(f"Cannot be told from the parameters already there: {names}.")
     if others:
         notes.append(
             f"Gains were measured on {', '.join(e.name for e in others)}, with first states and sensor biases free."

@@ -15,7 +15,6 @@ from ..discrepancy.diagnosis import Diagnosis
 from ..errors import OptionError, PhugoidError
 from ..result import Fit
 from ..saving.fit_file import load
-from ..saving.json_file import SUFFIXES
 from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of
@@ -40,7 +39,7 @@ from .options import (
     UnitsOption,
     WindowOption,
 )
-from .results import check_targets, emit_json, fit_facts
+from .results import check_saved, check_targets, emit_json, fit_facts
 
 __all__ = ["diagnose"]
 
@@ -79,8 +78,7 @@ def diagnose(
     Exit code 1: the fit has not converged, or the misfit stays without a cause.
     """
     with guard(debug):
-        if save is not None and save.suffix.lower() not in (".json", *SUFFIXES):
-            raise OptionError(f"--save {save}: a saved diagnosis ends in .json, {' or '.join(SUFFIXES)}")
+        check_saved(save, "diagnosis")
         check_targets((), [save, report])
         how = Estimation.of(order, start, fix, solver, iterations)
         reading = Reading.of(time, rename, inputs, outputs, window, units, convert, columns)

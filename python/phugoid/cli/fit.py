@@ -10,9 +10,8 @@ from typing import Annotated
 
 import typer
 
-from ..errors import OptionError, PhugoidError
+from ..errors import PhugoidError
 from ..result import Fit
-from ..saving.json_file import SUFFIXES
 from ..validation.result import Validation
 from .data_files import Reading
 from .estimation import Estimation
@@ -39,7 +38,7 @@ from .options import (
     UnitsOption,
     WindowOption,
 )
-from .results import check_targets, emit_json, fit_facts, save_figures
+from .results import check_saved, check_targets, emit_json, fit_facts, save_figures
 
 __all__ = ["code_of", "fit"]
 
@@ -70,8 +69,7 @@ def fit(
 ) -> None:
     """Estimate the parameters of a model from one data file or several."""
     with guard(debug):
-        if save is not None and save.suffix.lower() not in (".json", *SUFFIXES):
-            raise OptionError(f"--save {save}: a saved fit ends in .json, {' or '.join(SUFFIXES)}")
+        check_saved(save, "fit")
         check_targets([plot], [save, report])
         how = Estimation.of(order, start, fix, solver, iterations)
         reading = Reading.of(time, rename, inputs, outputs, window, units, convert, columns)

@@ -13,9 +13,16 @@ from ..errors import OptionError
 from ..match import Match, match
 from ..parameters import Estimates
 from ..result import Fit
+from ..saving.json_file import SUFFIXES
 from ..summary import corrected
 
-__all__ = ["check_targets", "emit_json", "fit_facts", "match_facts", "save_figures"]
+__all__ = ["check_saved", "check_targets", "emit_json", "fit_facts", "match_facts", "save_figures"]
+
+
+def check_saved(path: Path | None, what: str) -> None:
+    """Raises OptionError, before any work is done, for an ending that ``--save`` does not know."""
+    if path is not None and path.suffix.lower() not in (".json", *SUFFIXES):
+        raise OptionError(f"--save {path}: a saved {what} ends in .json, {' or '.join(SUFFIXES)}")
 
 
 def check_targets(figures: Sequence[Path | None] = (), others: Sequence[Path | None] = ()) -> None:

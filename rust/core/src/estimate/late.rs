@@ -64,14 +64,8 @@ impl Estimation<'_> {
                 let error = if e.std_error.is_finite() { e.std_error } else { 0.0 };
                 (e.value - base[name]).abs() <= (SETTLED * error).max(NOTHING * interval)
             });
-            let unfinished = matches!(
-                fit.status,
-                Status::Interrupted
-                    | Status::Failed
-                    | Status::Diverging
-                    | Status::Infeasible
-                    | Status::TimeLimit
-            );
+            let unfinished =
+                fit.status.lost() || matches!(fit.status, Status::Interrupted | Status::TimeLimit);
             number += 1;
             if settled || unfinished {
                 break fit;

@@ -61,7 +61,7 @@ impl Run<'_> {
         (number, tried): (u64, usize),
     ) -> Vec<(f64, Point)> {
         let nonlinear: Vec<usize> = r.free.iter().zip(&r.nonlinear).filter(|f| *f.1).map(|f| *f.0).collect();
-        let weights = self.weights_of_defects(r.n_x());
+        let weights = self.weights_of_defects(r.n_x);
         let mut start = start.to_vec();
         let noise = self.nlp.profiled();
         start[noise.clone()].copy_from_slice(&self.here.xi[noise]);
@@ -103,7 +103,7 @@ impl Run<'_> {
     fn settle(&mut self, r: &mut Regression) -> Option<()> {
         for _ in 0..SETTLING {
             self.noise_of_outputs(&r.first);
-            let weights = self.weights_of_defects(r.n_x());
+            let weights = self.weights_of_defects(r.n_x);
             self.project(r, &weights)?;
         }
         Some(())
@@ -127,8 +127,7 @@ impl Run<'_> {
     /// Levenberg-Marquardt steps of the nonlinear parameters, the linear ones projected out. Parameters that lose
     /// their influence, such as one in a denominator that has gone to infinity, are put back where they started.
     fn descend(&mut self, r: &mut Regression) -> Option<()> {
-        let border = r.border();
-        let from = self.here.xi[..border].to_vec();
+        let from: Vec<f64> = r.free.iter().map(|&i| self.here.xi[i]).collect();
         let influence = self.influence(r);
         self.settle(r)?;
         for attempt in 0..=RETURNS {
@@ -141,7 +140,7 @@ impl Run<'_> {
                 return self.here.evaluate(self.nlp, &self.units, &mut self.count).ok();
             }
             if attempt < RETURNS {
-                lost.iter().for_each(|&k| self.here.xi[r.free[k]] = from[r.free[k]]);
+                lost.iter().for_each(|&k| self.here.xi[r.free[k]] = from[k]);
                 self.here.evaluate(self.nlp, &self.units, &mut self.count).ok()?;
                 self.settle(r)?;
             }
@@ -153,7 +152,7 @@ impl Run<'_> {
         let mut damping = DAMPING;
         for _ in 0..PASSES {
             self.noise_of_outputs(&r.first);
-            let weights = self.weights_of_defects(r.n_x());
+            let weights = self.weights_of_defects(r.n_x);
             let equations = self.equations(r, &weights)?;
             let before = self.loss(&weights);
             let mut gain = 0.0;
@@ -183,8 +182,8 @@ impl Run<'_> {
     fn criterion(&mut self, r: &Regression) -> Option<f64> {
         self.noise_of_outputs(&r.first);
         self.here.evaluate(self.nlp, &self.units, &mut self.count).ok()?;
-        let weights = self.weights_of_defects(r.n_x());
-        let count = (self.units.rows / r.n_x()) as f64;
+        let weights = self.weights_of_defects(r.n_x);
+        let count = (self.units.rows / r.n_x) as f64;
         let defects: f64 = weights.iter().map(|w| -0.5 * count * w.ln()).sum();
         Some(self.here.objective + defects).filter(|c| c.is_finite())
     }

@@ -33,18 +33,8 @@ pub(super) struct Regression {
     /// For each border variable its place among the free ones.
     place: Vec<usize>,
     normal: Normal,
-    n_x: usize,
-}
-
-impl Regression {
-    pub fn n_x(&self) -> usize {
-        self.n_x
-    }
-
-    /// Number of border variables.
-    pub fn border(&self) -> usize {
-        self.place.len()
-    }
+    /// Number of states.
+    pub n_x: usize,
 }
 
 /// The equations of a Gauss-Newton step, scaled so that their diagonal is 1.

@@ -40,7 +40,7 @@ impl Status {
     ];
 
     /// Whether it is an end that leads nowhere.
-    pub(super) fn lost(self) -> bool {
+    pub(crate) fn lost(self) -> bool {
         matches!(self, Status::Failed | Status::Diverging | Status::Infeasible)
     }
 

@@ -57,6 +57,9 @@ def no_match(r_squared: Mapping[str, float]) -> str:
 class Match:
     """One output of the model against its measurements z, with residuals r = z - y; missing samples are left out.
 
+    Where states do not satisfy the equations (`Record.feasible`), outputs are not those of the model: all numbers but
+    ``samples`` are NaN then.
+
     Over several records squares and products about a mean are taken about the mean of each record and then summed:
     what differs from record to record makes no match look good, and offsets of opposite sign do not cancel.
 
@@ -117,6 +120,9 @@ def match(
         if output not in record.measured:
             raise UnknownName(f"record '{record.name}' has no measured '{output}'.{listing(output, record.measured)}")
     pieces = [piece for record in records if (piece := _present(record, output))[0].size]
+    samples = sum(t.size for t, _, _ in pieces)
+    if not all(record.feasible for record in records):
+        pieces = []
     n = sum(t.size for t, _, _ in pieces)
     r2 = sum(_squares(z - y) for _, z, y in pieces)
     scatter = sum(_squares((z - y) - (z - y).mean()) for _, z, y in pieces)
@@ -131,7 +137,7 @@ def match(
     return Match(
         output=output,
         unit=next((r.units[output] for r in records if output in r.units), ""),
-        samples=n,
+        samples=samples,
         rms=math.sqrt(r2 / n) if n else math.nan,
         sigma=sigma,
         r_squared=1.0 - r2 / about if about > 0 else math.nan,

@@ -40,6 +40,7 @@ class Record:
     units        name -> unit, for every kind of channel.
     interpolation  of the inputs between samples, "linear" or "cubic".
     input_samples  name -> times (s) and values of the inputs that have samples of their own, such as finer ones.
+    feasible     whether the states satisfy the equations; where they do not, as a run may end, `match` gives NaN.
 
     With process noise (`FilterError`) ``states`` and ``outputs`` are those of the most probable path, and there are:
 
@@ -61,6 +62,7 @@ class Record:
     units: Mapping[str, str] = field(default_factory=dict)
     interpolation: str = "linear"
     input_samples: Mapping[str, tuple[_Array, _Array]] = field(default_factory=dict)
+    feasible: bool = True
     state_std: Mapping[str, _Array] = field(default_factory=dict)
     innovations: Mapping[str, _Array] = field(default_factory=dict)
     innovation_std: Mapping[str, _Array] = field(default_factory=dict)
@@ -77,12 +79,15 @@ class Record:
         return np.unique(np.concatenate([self.t, *own])) if own else self.t
 
     def rms(self) -> dict[str, float]:
-        """Root mean square of each output's residuals, in its unit; NaN where no sample is present.
+        """Root mean square of each output's residuals, in its unit; NaN where no sample is present, and where the
+        states do not satisfy the equations.
 
         >>> y, z = np.array([1.0, np.nan, 3.0]), np.zeros(3)
         >>> Record(name="run", t=z, inputs={}, outputs={"y": z}, states={}, residuals={"y": y}).rms()
         {'y': 2.23606797749979}
         """
+        if not self.feasible:
+            return dict.fromkeys(self.residuals, float("nan"))
         present = {name: r[~np.isnan(r)] for name, r in self.residuals.items()}
         return {n: float(np.sqrt(np.mean(r**2))) if r.size else float("nan") for n, r in present.items()}
 

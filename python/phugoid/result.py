@@ -94,6 +94,12 @@ class Fit:
         """Whether the solver met its tolerances."""
         return self.status == "converged"
 
+    @property
+    def feasible(self) -> bool:
+        """Whether the states satisfy the equations of the model. Where a run ended elsewhere, log-likelihood, standard
+        errors and how well outputs match are NaN."""
+        return all(record.feasible for record in self.records)
+
     def _only(self, what: str) -> Record:
         if len(self.records) > 1:
             names = ", ".join(f"'{r.name}'" for r in self.records)

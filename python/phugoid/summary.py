@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .errors import PhugoidError
-from .match import match, no_match
+from .match import match
 from .parameters import Estimates, estimates_table, text_table
 
 __all__ = ["coarse_mesh", "corrected", "fit_summary"]
@@ -107,17 +107,13 @@ def _header(fit: Any) -> str:
 def _match_table(fit: Any, outputs: list[str]) -> str:
     """Per output, over all experiments: σ, RMS of the residuals, R² about the mean of each experiment, samples."""
     rows = []
-    explained: dict[str, float] = {}
     for name in outputs:
         m = match([r for r in fit.records if name in r.residuals], name)
         sigma = fit.parameters.get(f"sigma_{name}")
-        numbers = (f"{m.rms:.4g}" if m.samples else "", f"{m.r_squared:.4f}" if math.isfinite(m.r_squared) else "")
-        explained[name] = m.r_squared
-        rows.append(
-            [name, "" if sigma is None else f"{sigma.value:.4g}", numbers[0], m.unit, numbers[1], str(m.samples)]
-        )
-    table = text_table(["output", "σ", "RMS residual", "unit", "R²", "samples"], rows, "lrrlrr")
-    return "\n\n".join(filter(None, [table, no_match(explained)]))
+        rms, r_squared = (f"{m.rms:.4g}", f"{m.r_squared:.4f}")
+        known = (rms if math.isfinite(m.rms) else "", r_squared if math.isfinite(m.r_squared) else "")
+        rows.append([name, "" if sigma is None else f"{sigma.value:.4g}", known[0], m.unit, known[1], str(m.samples)])
+    return text_table(["output", "σ", "RMS residual", "unit", "R²", "samples"], rows, "lrrlrr")
 
 
 def _duration(seconds: float) -> str:

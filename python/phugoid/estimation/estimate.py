@@ -153,7 +153,30 @@ def estimate(
         fit = make_fit(model, experiments, noise, transcription, problem, solution, lambda: pressed() >= enough)
         if pressed() and not stopped:  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
+    if isinstance(start, Fit) and (worse := _worse_than_start(fit, start)):
+        fit = replace(fit, warnings=(worse, *fit.warnings))
     return fit
+
+
+# An end that is less likely than the start by more than this is another optimum, not rounding.
+_LESS = 1e-2
+
+
+def _worse_than_start(fit: Fit, start: Fit) -> str:
+    """Return a sentence where a fit is less likely than the one that it started from, on the same data, else ""."""
+    pairs = list(zip(fit.records, start.records, strict=False))
+    same = len(fit.records) == len(start.records) and all(
+        a.measured.keys() == b.measured.keys()
+        and all(np.array_equal(z, b.measured[name], equal_nan=True) for name, z in a.measured.items())
+        for a, b in pairs
+    )
+    lost = start.log_likelihood - fit.log_likelihood
+    if not same or fit.noise != start.noise or not lost > _LESS:
+        return ""
+    return (
+        f"the log-likelihood is {lost:.4g} below that of the fit it started from, on the same data: this is another, "
+        "poorer optimum; start from elsewhere, or with fewer parameters free at once"
+    )
 
 
 def _until(pressed: Callable[[], int], watch: Callable[[Iteration], None] | None) -> Callable[[Iteration], None]:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from .. import _core
 from ..correlations import correlation_matrix
 from ..data.experiment import Experiment
+from ..goodness_of_fit import chi_square_warning
+from ..match import match, no_match
 from ..modelling.model import Model
 from ..noise.noise import Noise
 from ..parameters import Estimate, Estimates, Parameter
@@ -24,8 +26,11 @@ __all__ = ["make_fit"]
 _Array = NDArray[np.float64]
 
 _Activity: TypeAlias = Literal["lower", "upper", "fixed"] | None  # of the bounds of a parameter
-# A bound is active where the variable lies within this fraction of its size from it.
-_AT_BOUND = 1e-6
+# A bound is active where the variable lies within this part of it: for Newton's method, which ends exactly on bounds,
+# and for an interior-point method.
+_AT_BOUND, _NEAR_BOUND = 1e-9, 1e-6
+# Parts of the motion of a state that its defects may sum to.
+_MOTION, _ROUNDING = 1e-2, 1e-6
 # Parameters are confounded where their correlation matrix has an eigenvalue below this.
 _SINGULAR = 1e-12
 # A point is the optimum when the Newton step left is this small a part of every standard error.
@@ -57,16 +62,24 @@ def make_fit(
     firsts = [n_theta + n_x * point for point in problem.first_point[:-1]]
     wanted = np.concatenate([np.setdiff1d(np.arange(n_theta), held), *(np.arange(f, f + n_x) for f in firsts)])
 
+    feasible = _feasible(model, problem, xi)
+    records = [_record(model, e, problem, xi, i, feasible) for i, e in enumerate(experiments)]
     warnings: list[str] = []
     full = np.full((problem.n, 1), np.nan)[:, 0]  # standard errors by variable
     cov = np.full((n_theta, n_theta), np.nan)
     status, message = solution.status, solution.message
     found, stopped = None, False
-    try:
-        found = _core.information(problem, xi, solution.multipliers, wanted.tolist(), held.tolist(), stop)
-    except KeyboardInterrupt:
-        stopped = True
-    if stopped:
+    if feasible:
+        try:
+            found = _core.information(problem, xi, solution.multipliers, wanted.tolist(), held.tolist(), stop)
+        except KeyboardInterrupt:
+            stopped = True
+    if not feasible:
+        warnings.append(
+            "the states do not satisfy the equations where the run ended: there is no log-likelihood, no standard "
+            "error, and nothing is said of how well the outputs match"
+        )
+    elif stopped:
         warnings.append("interrupted: there are no standard errors; estimate with start=fit goes on from here")
     elif found is None:
         warnings.append("the standard errors could not be computed: the information matrix is singular")
@@ -120,10 +133,14 @@ def make_fit(
         units = model.units
         each = (Estimate(s, xi[first + i], full[first + i], units.get(s, "")) for i, s in enumerate(model.state_names))
         initial[experiment.name] = Estimates(each)
-    records = [_record(model, e, problem, xi, i) for i, e in enumerate(experiments)]
     estimates = Estimates(parameters)
-    warnings += _defect_warning(model, problem, xi)
-    warnings += _few_samples(problem, records, int((held < n_model).sum()), model.declared_parameters.values())
+    if feasible:
+        warnings += _defect_warning(model, problem, xi)
+    unknowns = _unknowns(problem, int((held < n_model).sum()))
+    warnings += _few_samples(unknowns, records, model.declared_parameters.values())
+    explained = {name: match(records, name).r_squared for name in model.output_names}
+    beware = [chi_square_warning(noise, model.output_names, records, unknowns), no_match(explained)]
+    warnings = [*filter(None, beware), *warnings]
     return Fit(
         model=model,
         noise=noise,
@@ -131,7 +148,7 @@ def make_fit(
         parameters=estimates,
         initial_states=initial,
         covariance=cov,
-        log_likelihood=problem.prior_terms(xi) - problem.objective(xi),
+        log_likelihood=problem.prior_terms(xi) - problem.objective(xi) if feasible else np.nan,
         records=records,
         status=status,
         message=message,
@@ -167,14 +184,16 @@ def _undetermined(names: Sequence[str]) -> str:
     return f"{', '.join(names)} cannot be told apart with these data: fix one of them, or give it a prior"
 
 
-def _few_samples(
-    problem: _core.Problem, records: Sequence[Record], held: int, declared: Iterable[Parameter]
-) -> list[str]:
+def _unknowns(problem: _core.Problem, held: int) -> int:
+    """Return the number of parameters of the model and initial states that are estimated; ``held`` are not."""
+    # Each constraint, of the path or on its ends, takes one away.
+    return problem.n - problem.m - held - (problem.n_theta - len(problem.estimands))
+
+
+def _few_samples(unknowns: int, records: Sequence[Record], declared: Iterable[Parameter]) -> list[str]:
     """A path with as many unknowns as there are measurements passes through them, whatever the truth is."""
     measured = sum(int(np.isfinite(z).sum()) for record in records for z in record.measured.values())
-    # Each constraint, of the path or on its ends, takes one away. A prior counts as a measurement.
-    unknowns = problem.n - problem.m - held - (problem.n_theta - len(problem.estimands))
-    measured += sum(p.prior is not None for p in declared)
+    measured += sum(p.prior is not None for p in declared)  # a prior counts as a measurement
     if measured > unknowns:
         return []
     return [
@@ -202,18 +221,29 @@ def _eigen(symmetric: _Array) -> tuple[_Array, _Array]:
 
 
 def _active(theta: _Array, lower: _Array, upper: _Array, solution: Solution) -> list[_Activity]:
-    """For each parameter: "fixed", at its "lower" or "upper" bound, or None.
+    """Return for each parameter "fixed", "lower" or "upper" for the bound that it is at, or None.
 
-    A bound is active where the variable is at it and its multiplier pushes against it.
+    A bound other than zero is its own measure, so that units do not matter. An interior-point method, which is known by
+    its multipliers of bounds, ends short of a bound of zero by some part of its scale.
     """
+    interior = any(np.any(z) for z in solution.bound_multipliers)
+    part = _NEAR_BOUND if interior else _AT_BOUND
+
+    def at(value: float, bound: float, other: float) -> bool:
+        if not np.isfinite(bound):
+            return False
+        slack = part * abs(bound)
+        if interior and bound == 0.0:
+            slack = part * min(abs(other), 1.0)
+        return abs(value - bound) <= slack
+
     found: list[_Activity] = []
-    for i, value in enumerate(theta):
-        near = _AT_BOUND * max(abs(value), min(upper[i] - lower[i], 1.0))
-        if lower[i] == upper[i]:
+    for value, low, high in zip(theta, lower, upper, strict=True):
+        if low == high:
             found.append("fixed")
-        elif value - lower[i] <= near:
+        elif at(value, low, high):
             found.append("lower")
-        elif upper[i] - value <= near:
+        elif at(value, high, low):
             found.append("upper")
         else:
             found.append(None)
@@ -244,7 +274,9 @@ def _model_estimates(
     ]
 
 
-def _record(model: Model, experiment: Experiment, problem: _core.Problem, xi: _Array, index: int) -> Record:
+def _record(
+    model: Model, experiment: Experiment, problem: _core.Problem, xi: _Array, index: int, feasible: bool
+) -> Record:
     mesh_t, path = problem.path(xi, index)
     outputs = dict(zip(model.output_names, problem.outputs(xi, index), strict=True))
     measured = {name: experiment.output(name) for name in model.output_names}
@@ -261,16 +293,39 @@ def _record(model: Model, experiment: Experiment, problem: _core.Problem, xi: _A
         units=model.units,
         interpolation=experiment.interpolation,
         input_samples=experiment.own_samples(model.input_names),
+        feasible=feasible,
     )
 
 
-def _defect_warning(model: Model, problem: _core.Problem, xi: _Array) -> list[str]:
-    """Defects add up along the path; unless they stay far below sigma, the likelihood is not that of a solution."""
+def _total_defects(model: Model, problem: _core.Problem, xi: _Array) -> _Array:
+    """Return the sum of the absolute defects of each state, shape (n_x,); NaN where they are not finite."""
     defects = problem.constraints(xi)
     if defects is None:
-        return ["the equations are not finite at the result"]
+        return np.full(len(model.state_names), np.nan)
     along = defects[: defects.size - len(problem.boundary_states)]
-    total = np.abs(along.reshape(-1, len(model.state_names))).sum(axis=0)
+    return np.asarray(np.abs(along.reshape(-1, len(model.state_names))).sum(axis=0))
+
+
+def _feasible(model: Model, problem: _core.Problem, xi: _Array) -> bool:
+    """Return whether the states satisfy the equations.
+
+    Defects add up along the path. They may do so to a hundredth of the motion of a state, and no further than the
+    noise of the output of the same name; far below the motion they are rounding, whatever the noise is.
+    """
+    total = _total_defects(model, problem, xi)
+    states = xi[problem.n_theta :].reshape(-1, len(model.state_names))
+    size = np.abs(states).max(axis=0)
+    motion = np.ptp(states, axis=0)
+    motion = np.where(motion > 1e-12 * size, motion, size)
+    sigmas = dict(zip(model.output_names, problem.sigmas(xi), strict=True))
+    noise = np.array([sigmas.get(name, np.inf) for name in model.state_names])
+    limit = np.maximum(_ROUNDING * motion, np.minimum(_MOTION * motion, noise))
+    return bool(np.all(total <= limit))
+
+
+def _defect_warning(model: Model, problem: _core.Problem, xi: _Array) -> list[str]:
+    """Unless defects stay far below sigma, the likelihood is not that of a solution."""
+    total = _total_defects(model, problem, xi)
     found = []
     sigmas = problem.sigmas(xi)
     for i, name in enumerate(model.state_names):

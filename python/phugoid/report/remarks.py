@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from ..match import match, no_match
+from ..match import match
 from ..summary import coarse_mesh
 
 __all__ = ["remarks"]
@@ -42,8 +42,6 @@ def _of_residuals(fit: Any) -> list[str]:
     found = []
     coloured, off = [], []
     matches = {name: match(fit.records, name) for name in fit.model.output_names}
-    if poor := no_match({name: m.r_squared for name, m in matches.items()}):
-        found.append(poor)
     for name, m in matches.items():
         if m.whiteness < _WHITE and abs(m.lag_one) > _MUCH:
             coloured.append(f"{name} ({m.lag_one:.2f})")

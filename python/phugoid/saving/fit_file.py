@@ -191,6 +191,7 @@ def _record(saved: Mapping[str, Any]) -> Record:
         mesh_t=io.to_array(saved["mesh_t"]),
         interpolation=saved.get("interpolation", "linear"),
         input_samples=own,
+        feasible=bool(saved.get("feasible", True)),
         **{k: _arrays(group) for k, group in each.items()},
     )
 

@@ -68,15 +68,16 @@ class Multistart:
 
         Outcomes are kept without time histories, so it is solved again when first asked for: from the values of the
         best outcome, and where this leads elsewhere, from its start. Where no start converged, it is the fit from the
-        start that reached the highest log-likelihood; ``best.status`` tells.
+        start that reached the highest log-likelihood, or from the first where none ended at a solution of the
+        equations; ``best.status`` tells.
 
         Raises EvaluationError where no start led anywhere.
         """
         if not self.optima:
-            ended = [o for o in self.outcomes if np.isfinite(o.log_likelihood)]
+            ended = [o for o in self.outcomes if o.parameters]
             if not ended:
                 raise EvaluationError(f"none of the {len(self.outcomes)} starts led to an estimate\n{self._failures()}")
-            return self.problem.fit(max(ended, key=lambda o: o.log_likelihood).start)
+            return self.problem.fit(max(ended, key=lambda o: float(np.nan_to_num(o.log_likelihood, nan=-np.inf))).start)
         wanted = next(o for o in self.outcomes if o.index == self.optima[0].index)
         fixed = {name for name, p in self.problem.model.declared_parameters.items() if p.fixed}
         values = {name: value for name, value in wanted.parameters.items() if name not in fixed}

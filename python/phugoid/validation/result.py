@@ -128,6 +128,9 @@ class Validation:
             if not m.samples:
                 lines.append(f"{m.output}: nothing was measured that the model could be compared with.")
                 continue
+            if not math.isfinite(m.rms):
+                lines.append(f"{m.output}: no motion of the model was found that could be compared.")
+                continue
             said = []
             if math.isfinite(m.sigma):
                 what = "what the fit makes one expect" if self._predicted else "the fit's noise"

@@ -13,10 +13,10 @@ from ..data.experiment import Experiment, as_experiments
 from ..data.unit_check import check_units
 from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..estimation.estimate import estimate
+from ..goodness_of_fit import chi_square, chi_square_warning
 from ..guess import measured_states
 from ..match import Match, match
 from ..modelling.model import Model
-from ..noise.noise import Gaussian, Noise
 from ..records import Record
 from ..result import Fit
 from ..solvers import Newton
@@ -46,9 +46,18 @@ def validate(
     found, free, held, warnings = found_anew(fit, experiments, biases, {} if values is None else values)
     noise, filtered = found.noise, isinstance(found.transcription, FilterError)
     records = [_predicted(r) for r in found.records] if filtered else found.records
-    if not found.converged:
+    if not found.feasible:
+        warnings += (
+            f"no motion of the model was found for these data ({found.status}): how well it matches is not known",
+        )
+    elif not found.converged:
         warnings += (f"the initial states and biases were not found ({found.status}): {found.message}",)
     known = noise.known_sigmas(model.output_names)
+
+    total, measured = (math.nan, 0) if filtered else chi_square(noise, model.output_names, records)
+    degrees = _degrees(model, free, found)
+    # The noise is that of the fit, not one that was given: the validation itself tells how they compare.
+    told = chi_square_warning(noise, model.output_names, found.records, measured - degrees)
 
     def matches(records: Sequence[Record]) -> dict[str, Match]:
         sizes = {n: _predicted_std(records, n) if filtered else known.get(n, math.nan) for n in model.output_names}
@@ -63,13 +72,13 @@ def validate(
         freed=estimates_of(found.parameters, free),
         initial_states=found.initial_states,
         log_likelihood=found.log_likelihood,
-        chi_square=math.nan if filtered else _chi_square(noise, model.output_names, records),
-        degrees_of_freedom=_degrees(model, free, found),
+        chi_square=total,
+        degrees_of_freedom=degrees,
         matches=matches(records),
         by_experiment={r.name: matches([r]) for r in records},
         status=found.status,
         message="" if found.converged else found.message,
-        warnings=(*warnings, *found.warnings),
+        warnings=(*warnings, *(w for w in found.warnings if w != told)),
         tolerances=limits,
     )
 
@@ -215,23 +224,6 @@ def _start(fit: Fit, slim: Model, held: Mapping[str, float], free: Sequence[str]
         if name not in measured:
             start[name] = float(np.mean(np.concatenate([r.states[name] for r in fit.records])))
     return start
-
-
-def _chi_square(noise: Noise, outputs: Sequence[str], records: Sequence[Record]) -> float:
-    """Sum of r' R^-1 r over the samples, each with the rows and columns of R that are measured; NaN for other noise."""
-    if not isinstance(noise, Gaussian):
-        return math.nan
-    independent = noise.covariance is None
-    R = np.diag([noise.known[name] ** 2 for name in outputs]) if independent else noise.matrix(outputs)
-    total = 0.0
-    for record in records:
-        residuals = np.array([record.residuals[name] for name in outputs])
-        there = np.isfinite(residuals)
-        for pattern in np.unique(there, axis=1).T:
-            if pattern.any():
-                r = residuals[np.ix_(pattern, (pattern == there.T).all(axis=1))]
-                total += float(np.sum(r * np.linalg.solve(R[np.ix_(pattern, pattern)], r)))
-    return total
 
 
 def _degrees(model: Model, free: Sequence[str], found: Fit) -> int:

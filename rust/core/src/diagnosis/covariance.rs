@@ -3,7 +3,7 @@
 use super::SLIGHT;
 use crate::linalg::kkt_for;
 use crate::nlp::{Nlp, NotFinite};
-use crate::solver::state_units;
+use crate::solver::Units;
 
 /// What the Newton system at a point tells about some of the variables.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,7 +72,8 @@ pub fn information(
     nlp.gradient(xi, &mut gradient)?;
     nlp.constraints(xi, &mut c)?;
     unless_stopped()?;
-    let mut kkt = kkt_for(nlp, &state_units(nlp, xi));
+    let units = Units::new(nlp, xi);
+    let mut kkt = kkt_for(nlp, &units.states);
     kkt.set_refinement(true);
     kkt.factorize(&hessian, &jacobian).map_err(|_| NoInformation::NotFinite)?;
     unless_stopped()?;
@@ -145,12 +146,14 @@ pub fn information(
             (covariance[i * k + j], covariance[j * k + i]) = (mean, mean);
         }
     }
+    let mut sizes = vec![0.0; border];
+    units.size_border(nlp, xi, (&jacobian, &hessian), &mut sizes);
     let sigmas: Vec<f64> = (0..k).map(|i| covariance[i * k + i].sqrt()).collect();
     for (lead, group) in leads {
         let group: &mut Vec<usize> = &mut undetermined[group];
         let (p, q) = column(nlp, &hessian, &jacobian, lead);
         kkt.solve(&p, &q, &mut d, &mut more);
-        group.extend(companions(&d, wanted, &sigmas, xi[lead].abs().max(1.0)));
+        group.extend(companions(&d, wanted, &sigmas, if sizes[lead] > 0.0 { sizes[lead] } else { 1.0 }));
         group.sort_unstable();
         group.dedup();
     }

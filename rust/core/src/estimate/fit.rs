@@ -102,6 +102,8 @@ pub struct Fit {
     pub log_likelihood: f64,
     /// How it ended.
     pub status: Status,
+    /// Whether the states satisfy the equations. Where a run ended elsewhere, log-likelihood and standard errors are NaN.
+    pub feasible: bool,
     /// What that means, and what to do.
     pub message: String,
     /// Number of iterations.

@@ -3,8 +3,10 @@
 
 use nalgebra::DMatrix;
 
+use super::fit::Record;
 use crate::diagnosis::Information;
 use crate::model::Model;
+use crate::noise::{Noise, Sigma};
 use crate::parameter::Parameter;
 use crate::solver::Status;
 use crate::transcription::Transcribed;
@@ -13,6 +15,16 @@ use crate::transcription::Transcribed;
 const CLOSE: f64 = 1e-3;
 /// Defects may add up along a path to this part of the noise of the same name.
 const SMALL: f64 = 0.01;
+/// Parts of the motion of a state that its defects may sum to; below the second they are rounding.
+const MOTION: f64 = 1e-2;
+const ROUNDING: f64 = 1e-6;
+/// Residuals are reported to differ from noise that was given where their variance differs by more than this factor, and
+/// by more than so many standard deviations: chance does that once in a thousand times.
+const FACTOR: f64 = 1.2;
+const DEVIATIONS: f64 = 3.09;
+pub(super) const NOT_FEASIBLE: &str = "the states do not satisfy the equations where the run ended: there is no \
+                                       log-likelihood, no standard error, and nothing is said of how well the outputs \
+                                       match";
 /// A correlation matrix with a smaller eigenvalue is singular for all that rounding leaves to see.
 const SINGULAR: f64 = 1e-12;
 /// Parameters with a larger part in its eigenvector are named.
@@ -89,17 +101,66 @@ pub(super) fn confounded(parameters: &[Parameter], covariance: &[f64]) -> Vec<St
     singular.into_iter().map(|k| undetermined(&names(k))).collect()
 }
 
+/// The sum of the absolute defects of each state; `None` where they are not finite.
+fn total_defects(problem: &dyn Transcribed, xi: &[f64]) -> Option<Vec<f64>> {
+    let n_x = problem.layout().n_x;
+    let mut defects = vec![0.0; problem.m()];
+    problem.constraints(xi, &mut defects).ok()?;
+    defects.truncate(problem.layout().m()); // conditions on the ends are none
+    Some((0..n_x).map(|i| defects.iter().skip(i).step_by(n_x).map(|c| c.abs()).sum()).collect())
+}
+
+/// Whether the states satisfy the equations. Defects add up along the path: they may do so to a hundredth of the motion
+/// of a state, and no further than the noise of the output of the same name. Far below the motion they are rounding.
+pub(super) fn feasible(model: &Model, problem: &dyn Transcribed, xi: &[f64]) -> bool {
+    let Some(total) = total_defects(problem, xi) else { return false };
+    let sigmas = problem.posed().sigmas(xi);
+    let n_x = problem.layout().n_x;
+    let states = &xi[problem.layout().n_theta..];
+    model.states.iter().enumerate().all(|(i, state)| {
+        let path = || states.iter().skip(i).step_by(n_x);
+        let (low, high) = path().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
+        let size = low.abs().max(high.abs());
+        let motion = if high - low > 1e-12 * size { high - low } else { size };
+        let noise =
+            model.outputs.iter().position(|o| o.name == state.name).map_or(f64::INFINITY, |c| sigmas[c]);
+        total[i] <= (ROUNDING * motion).max(noise.min(MOTION * motion))
+    })
+}
+
+/// What to say where residuals are not those of Gaussian noise whose standard deviations are known: the chi-square test,
+/// with the approximation of Wilson and Hilferty (1931).
+pub(super) fn unlike_noise(noise: &Noise, records: &[Record], unknowns: usize) -> Option<String> {
+    let Noise::Gaussian(sigmas) = noise else { return None };
+    let (mut total, mut count) = (0.0, 0usize);
+    for (c, sigma) in sigmas.iter().enumerate() {
+        let Sigma::Known(sigma) = sigma else { continue };
+        for r in records.iter().flat_map(|r| &r.residuals[c]).filter(|r| !r.is_nan()) {
+            total += (r / sigma).powi(2);
+            count += 1;
+        }
+    }
+    let degrees = count.checked_sub(unknowns).filter(|d| *d > 0)? as f64;
+    let (ratio, spread) = (total / degrees, 2.0 / (9.0 * degrees));
+    let deviations = (ratio.cbrt() - 1.0 + spread) / spread.sqrt();
+    let numbers = format!("chi-square is {total:.4} on {degrees} degrees of freedom");
+    let size = format!("{:.3} times the noise that is given as known", ratio.sqrt());
+    if ratio > FACTOR && deviations > DEVIATIONS {
+        return Some(format!(
+            "the residuals are {size} ({numbers}): the model does not explain the data to that accuracy, or the noise is \
+             larger; standard errors and likelihood are those of the noise as given"
+        ));
+    }
+    (ratio < 1.0 / FACTOR && deviations < -DEVIATIONS).then(|| {
+        format!("the residuals are only {size} ({numbers}): that noise is too large, and so are the standard errors")
+    })
+}
+
 /// Defects add up along the path; unless they stay far below σ, the likelihood is not that of a solution.
 pub(super) fn large_defects(model: &Model, problem: &dyn Transcribed, xi: &[f64]) -> Vec<String> {
-    let mut defects = vec![0.0; problem.m()];
-    if problem.constraints(xi, &mut defects).is_err() {
-        return vec!["the equations are not finite at the result".into()];
-    }
-    defects.truncate(problem.layout().m()); // conditions on the ends are none
     let sigmas = problem.posed().sigmas(xi);
     let mut found = Vec::new();
-    for (i, state) in model.states.iter().enumerate() {
-        let total: f64 = defects.iter().skip(i).step_by(model.states.len()).map(|c| c.abs()).sum();
+    for (state, total) in model.states.iter().zip(total_defects(problem, xi).unwrap_or_default()) {
         let same = model.outputs.iter().position(|o| o.name == state.name);
         if let Some(sigma) = same.map(|c| sigmas[c]).filter(|s| total > SMALL * s) {
             found.push(format!(

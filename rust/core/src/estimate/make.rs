@@ -1,7 +1,7 @@
 //! The fit at a solution.
 
 use super::fit::{Bound, Estimate, Fit, Record};
-use super::judge::{confounded, judge, large_defects};
+use super::judge::{NOT_FEASIBLE, confounded, feasible, judge, large_defects, unlike_noise};
 use crate::diagnosis::information;
 use crate::experiment::Experiment;
 use crate::model::{Model, Variable};
@@ -36,11 +36,15 @@ impl Fit {
         let reported = problem.posed().noise_report(xi);
         let mut errors = vec![f64::NAN; problem.n()];
         let mut covariance = vec![f64::NAN; n_theta * n_theta];
-        match information(problem, xi, &solution.multipliers, &wanted, &held, &mut || true) {
-            Err(_) => {
+        let feasible = feasible(model, problem, xi);
+        let found =
+            feasible.then(|| information(problem, xi, &solution.multipliers, &wanted, &held, &mut || true));
+        match found {
+            None => warnings.push(NOT_FEASIBLE.into()),
+            Some(Err(_)) => {
                 warnings.push("there are no standard errors: the information matrix is singular".into())
             }
-            Ok(found) => {
+            Some(Ok(found)) => {
                 judge(problem, &found, &wanted, (&mut status, &mut message), &mut warnings);
                 let k = wanted.len();
                 // The solver sees the logarithm of a parameter, or a part of it.
@@ -92,18 +96,26 @@ impl Fit {
                 p.name, p.value
             ));
         }
-        warnings.extend(large_defects(model, problem, xi));
-
+        if feasible {
+            warnings.extend(large_defects(model, problem, xi));
+        }
         let record = |e: usize| record(model, &experiments[e], problem, xi, &errors, e);
+        let records: Vec<Record> = (0..experiments.len()).map(record).collect();
+        let of_model = held.iter().filter(|&&i| i < n_model).count();
+        let unknowns = problem.n() - problem.m() - of_model - (n_theta - n_model);
+        if feasible && let Some(warning) = unlike_noise(&problem.posed().noise, &records, unknowns) {
+            warnings.insert(0, warning);
+        }
         let priors = problem.posed().prior_terms(xi);
         Fit {
             model: model.clone(),
             covariance,
-            log_likelihood: priors - solution.objective,
+            log_likelihood: if feasible { priors - solution.objective } else { f64::NAN },
+            feasible,
             status,
             message,
             iterations: solution.iterations,
-            records: (0..experiments.len()).map(record).collect(),
+            records,
             warnings,
             parameters,
             solution,

@@ -35,8 +35,9 @@ impl Fit {
         let residuals = |r: &Record| r.residuals[i].clone();
         let r: Vec<f64> = self.records.iter().flat_map(residuals).filter(|r| !r.is_nan()).collect();
         let rms = (r.iter().map(|r| r * r).sum::<f64>() / r.len() as f64).sqrt();
+        let rms = if self.feasible { number(rms, 4) } else { String::new() };
         let output = &self.model.outputs[i];
-        [output.name.clone(), number(rms, 4), r.len().to_string(), output.unit.clone(), String::new()]
+        [output.name.clone(), rms, r.len().to_string(), output.unit.clone(), String::new()]
     }
 }
 

@@ -5,7 +5,7 @@ use super::status::Status;
 use super::step::{GREATEST_SHIFT, Promise, rounded};
 use super::{DAMPED, Run};
 
-/// Size at which an unknown has grown without limit.
+/// Multiple of its size at which an unknown has grown without limit.
 const ENDLESS: f64 = 1e15;
 /// An end that meets this instead of the tolerance is acceptable, again a distance in standard errors.
 const CLOSE: f64 = 1e-3;
@@ -18,7 +18,10 @@ impl Run<'_> {
     pub(super) fn grown(&mut self) -> bool {
         let border = self.nlp.chains().map_or(self.here.xi.len(), |c| c.border);
         let own = self.nlp.profiled();
-        let far = (0..border).find(|i| !own.contains(i) && self.here.xi[*i].abs() > ENDLESS);
+        // What has had no influence yet has not moved either.
+        let size =
+            |i: usize| self.sizes.get(i).map_or(1.0, |size| if *size > 0.0 { *size } else { f64::INFINITY });
+        let far = (0..border).find(|&i| !own.contains(&i) && self.here.xi[i].abs() > ENDLESS * size(i));
         if let Some(i) = far {
             self.detail = format!("{} = {:.1e}", self.nlp.variable_name(i), self.here.xi[i]);
         }
@@ -62,7 +65,8 @@ impl Run<'_> {
     /// Names of the parameters that the step changes most.
     pub(super) fn farthest_names(&self) -> String {
         let border = self.nlp.chains().map_or(0, |c| c.border);
-        let part = |i: &usize| self.d[*i].abs() / self.here.xi[*i].abs().max(1e-3);
+        let size = |i: usize| self.here.xi[i].abs().max(1e-3 * self.sizes[i]).max(f64::MIN_POSITIVE);
+        let part = |i: &usize| self.d[*i].abs() / size(*i);
         let mut order: Vec<usize> = (0..border).collect();
         order.sort_by(|a, b| part(b).total_cmp(&part(a)));
         let names: Vec<String> = order.iter().take(6).map(|&i| self.nlp.variable_name(i)).collect();

@@ -33,6 +33,7 @@ pub use point::Evaluations;
 pub use settings::Settings;
 pub use solution::Solution;
 pub use status::Status;
+pub(crate) use units::Units;
 pub use units::state_units;
 
 use crate::linalg::{KktSolver, kkt_for};
@@ -40,7 +41,6 @@ use crate::nlp::{Nlp, NotFinite, Reach};
 use bounds::Active;
 use point::Point;
 use search::{FIRST_DAMPING, Merit, Watchdog};
-use units::Units;
 
 /// Most by which a standard deviation changes in a step.
 const TENFOLD: f64 = 10.0;
@@ -120,6 +120,8 @@ struct Run<'a> {
     kkt: Box<dyn KktSolver>,
     bounds: (Vec<f64>, Vec<f64>),
     units: Units,
+    /// Sizes of the border variables at the first point at which each has influence; before, 0.
+    sizes: Vec<f64>,
     here: Point,
     trial: Point,
     gradient: Vec<f64>,
@@ -169,6 +171,7 @@ impl<'a> Run<'a> {
             kkt: kkt_for(nlp, &units.states),
             active: Active::new(&bounds),
             bounds,
+            sizes: vec![0.0; nlp.chains().map_or(0, |c| c.border)],
             units,
             watchdog: Watchdog::new(&here),
             trial: here.clone(),

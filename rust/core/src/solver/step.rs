@@ -52,6 +52,8 @@ impl Run<'_> {
         } else {
             self.gauss_newton()?;
         }
+        let derivatives = (&*self.jacobian, &*self.hessian);
+        self.units.size_border(nlp, &self.here.xi, derivatives, &mut self.sizes);
         self.solve_with_bounds();
         Ok(self.promise())
     }

@@ -5,7 +5,7 @@ use crate::nlp::{Chains, Nlp};
 /// Units of states, and of constraints: a defect is measured in that of its state, and so is a boundary
 /// condition.
 #[derive(Clone, Debug)]
-pub(super) struct Units {
+pub(crate) struct Units {
     /// Those of the n_x states.
     pub states: Vec<f64>,
     /// Constraints in which they repeat.
@@ -26,15 +26,50 @@ impl Units {
         self.states.iter().cycle().take(self.rows).chain(&self.boundary)
     }
 
+    /// Sets the sizes of border variables that are still zero, from the derivatives at ξ: the change that moves a defect by
+    /// its unit, or an output by its noise, in the root mean square, or the value where that is greater. The size of a
+    /// variable without influence at ξ stays zero.
+    pub fn size_border(
+        &self,
+        nlp: &dyn Nlp,
+        xi: &[f64],
+        (jacobian, hessian): (&[f64], &[f64]),
+        sizes: &mut [f64],
+    ) {
+        if !sizes.contains(&0.0) {
+            return;
+        }
+        let mut influence = vec![0.0f64; sizes.len()];
+        let s = nlp.jacobian_structure();
+        for ((&row, &column), a) in s.rows.iter().zip(&s.columns).zip(jacobian) {
+            if let Some(sum) = influence.get_mut(column as usize) {
+                *sum = sum.hypot(a / self.of(row as usize));
+            }
+        }
+        let s = nlp.hessian_structure();
+        for ((&row, &column), h) in s.rows.iter().zip(&s.columns).zip(hessian) {
+            if let Some(sum) = influence.get_mut(row as usize).filter(|_| row == column) {
+                *sum = sum.hypot(h.abs().sqrt());
+            }
+        }
+        let root = (self.rows.max(1) as f64).sqrt();
+        for ((size, influence), x) in sizes.iter_mut().zip(influence).zip(xi) {
+            let found = root / influence;
+            if *size == 0.0 && found.is_finite() {
+                *size = found.max(x.abs());
+            }
+        }
+    }
+
     /// The unit of a constraint.
     pub fn of(&self, row: usize) -> f64 {
         if row < self.rows { self.states[row % self.states.len()] } else { self.boundary[row - self.rows] }
     }
 }
 
-/// What the states do along the path ξ: their spread at all points, else their size, else 1. One for
-/// each of the n_x states; a defect is measured in that of its state. A single 1 where the program has
-/// no chains.
+/// What the states do along the path ξ: their spread at all points, else their size. A state whose path is zero, such
+/// as one that starts there because nothing measures it, has the size that its equations ask for, else 1. One for each of
+/// the n_x states; a defect is measured in that of its state. A single 1 where the program has no chains.
 pub fn state_units(nlp: &dyn Nlp, xi: &[f64]) -> Vec<f64> {
     let Some(chains) = nlp.chains() else { return vec![1.0] };
     let n = chains.n_x;
@@ -42,17 +77,53 @@ pub fn state_units(nlp: &dyn Nlp, xi: &[f64]) -> Vec<f64> {
     let count = (states.len() / n) as f64;
     let unit = |i: usize| {
         let values = || states.iter().skip(i).step_by(n);
-        let mean = values().sum::<f64>() / count;
-        let spread = (values().map(|x| (x - mean).powi(2)).sum::<f64>() / count).sqrt();
+        // About the first value: of a path that stands still nothing is left, where a mean of many points has
+        // rounding errors that would be taken for motion.
+        let first = states[i];
+        let mean = first + values().map(|x| x - first).sum::<f64>() / count;
         let size = values().fold(0.0f64, |a, x| a.max(x.abs()));
+        // Divided by the size, so that squares neither overflow nor underflow, whatever the unit.
+        let spread = (values().map(|x| ((x - mean) / size).powi(2)).sum::<f64>() / count).sqrt();
         // A spread of rounding errors is none.
-        if spread > 1e-12 * size {
-            spread
-        } else if size > 0.0 {
-            size
-        } else {
-            1.0
-        }
+        if spread > 1e-12 { spread * size } else { size }
     };
-    (0..n).map(unit).collect()
+    let mut units: Vec<f64> = (0..n).map(unit).collect();
+    if units.contains(&0.0) {
+        sizes_from_equations(nlp, xi, chains, &mut units);
+    }
+    units
+}
+
+/// Replaces units that are zero. The defects of a state i whose motion is known show what a state j, whose path is zero,
+/// should have done: Σ|c_i| / Σ|∂c_i/∂x_j|. A state that no such defect depends on has the sum of its own defects for
+/// unit, what its equation adds up to along the path, or else 1.
+fn sizes_from_equations(nlp: &dyn Nlp, xi: &[f64], chains: &Chains, units: &mut [f64]) {
+    let n = chains.n_x;
+    let rows = nlp.m() - chains.boundary_states().count();
+    let (mut c, mut jacobian) = (vec![0.0; nlp.m()], vec![0.0; nlp.jacobian_structure().len()]);
+    let finite = nlp.constraints(xi, &mut c).is_ok() && nlp.jacobian(xi, &mut jacobian).is_ok();
+    let (mut defects, mut slopes) = (vec![0.0; n], vec![0.0; n * n]);
+    if finite {
+        c[..rows].iter().enumerate().for_each(|(row, c)| defects[row % n] += c.abs());
+        let s = nlp.jacobian_structure();
+        for ((&row, &column), a) in s.rows.iter().zip(&s.columns).zip(&jacobian) {
+            if let Some(state) =
+                (column as usize).checked_sub(chains.border).filter(|_| (row as usize) < rows)
+            {
+                slopes[row as usize % n * n + state % n] += a.abs();
+            }
+        }
+    }
+    // Those that follow from known ones may tell of others in turn.
+    for _ in 0..n {
+        let known = units.to_vec();
+        for j in (0..n).filter(|&j| known[j] == 0.0) {
+            let from = (0..n).filter(|&i| known[i] > 0.0).map(|i| defects[i] / slopes[i * n + j]);
+            let least = from.filter(|size| *size > 0.0 && size.is_finite()).fold(f64::INFINITY, f64::min);
+            units[j] = if least.is_finite() { least } else { 0.0 };
+        }
+    }
+    for (unit, defects) in units.iter_mut().zip(&defects).filter(|(unit, _)| **unit == 0.0) {
+        *unit = if *defects > 0.0 { *defects } else { 1.0 };
+    }
 }

@@ -1,0 +1,78 @@
+"""Estimates, standard errors, status and iterations are the same in any unit, and wherever time begins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lsim
+
+import phugoid as ph
+
+N, STEP = 120, 0.05
+T = STEP * np.arange(N)
+U = np.sign(np.sin(0.9 * T)) + 0.3 * np.sin(2.2 * T)
+SYSTEM = np.array([[0.0, 1.0], [-4.0, -0.8]]), np.array([[0.0], [3.0]]), np.eye(2), np.zeros((2, 1))
+RANDOM = np.random.default_rng(1)
+MEASURED = lsim(SYSTEM, U[:, None], T)[1] + [0.02, 0.05] * RANDOM.standard_normal((N, 2))
+
+
+def fit(length: float = 1.0, force: float = 1.0, time: float = 1.0, begin: float = 0.0, speed: bool = True) -> ph.Fit:
+    """Return the fit of an oscillator in units that are so many times smaller; its speed may be unmeasured."""
+    m = ph.Model("oscillator")
+    x, v = m.states("x v")
+    (u,) = m.inputs("u")
+    # Without a measured speed no regression leads from zero, so these starts are scaled as the truth is.
+    first = (0.0, 0.0, 0.0) if speed else (1.0 / time**2, 0.1 / time, length / force / time**2)
+    k, c, b = m.parameters(**dict(zip("kcb", first, strict=True)))
+    m.dynamics(x=v, v=b * u - k * x - c * v)
+    m.outputs(**({"y": x, "w": v} if speed else {"y": x}))
+    outputs = {"y": length * MEASURED[:, 0], "w": length / time * MEASURED[:, 1]}
+    record = ph.Experiment(time * (T + begin), {"u": force * U}, {n: outputs[n] for n in m.output_names})
+    return ph.estimate(m, record)
+
+
+def in_common_units(found: ph.Fit, length: float, force: float, time: float) -> np.ndarray:
+    """Return values and standard errors, shape (2, n), in the units of the first fit."""
+    factors = {"k": time**2, "c": time, "b": time**2 * force / length, "sigma_y": 1 / length, "sigma_w": time / length}
+    return np.array([[factors[e.name] * e.value, factors[e.name] * e.std_error] for e in found.parameters.values()]).T
+
+
+REFERENCE = {speed: fit(speed=speed) for speed in (True, False)}
+EXPONENT = st.floats(-30.0, 30.0)
+
+
+@pytest.mark.parametrize("speed", [True, False])
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(length=EXPONENT, force=EXPONENT, time=st.floats(-10.0, 10.0))
+def test_units_change_nothing(speed: bool, length: float, force: float, time: float) -> None:
+    units = (10.0**length, 10.0**force, 10.0**time)
+    found, reference = fit(*units, speed=speed), REFERENCE[speed]
+    assert (found.status, found.iterations) == ("converged", reference.iterations)
+    expected = in_common_units(reference, 1.0, 1.0, 1.0)
+    np.testing.assert_allclose(in_common_units(found, *units), expected, rtol=1e-9)
+    assert not found.warnings
+    assert not any(e.bounds_active for e in found.parameters.values())
+
+
+@pytest.mark.parametrize("unit", [1e-30, 1e30])
+@pytest.mark.parametrize("which", ["length", "force", "time"])
+@pytest.mark.parametrize("speed", [True, False])
+def test_a_single_unit_at_its_extremes(which: str, unit: float, speed: bool) -> None:
+    units = {"length": 1.0, "force": 1.0, "time": 1.0, which: unit}
+    found = fit(**units, speed=speed)
+    assert (found.status, found.iterations) == ("converged", REFERENCE[speed].iterations)
+    expected = in_common_units(REFERENCE[speed], 1.0, 1.0, 1.0)
+    np.testing.assert_allclose(in_common_units(found, **units), expected, rtol=1e-9)
+
+
+@settings(max_examples=15, deadline=None, derandomize=True)
+@given(begin=st.floats(-1e5, 1e5))
+def test_it_does_not_matter_when_a_record_begins(begin: float) -> None:
+    found = fit(begin=begin)
+    assert (found.status, found.iterations) == ("converged", REFERENCE[True].iterations)
+    # Sample times of 1e5 s are rounded by 1e-11 s.
+    np.testing.assert_allclose(
+        in_common_units(found, 1.0, 1.0, 1.0), in_common_units(REFERENCE[True], 1.0, 1.0, 1.0), rtol=1e-7
+    )

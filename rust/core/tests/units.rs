@@ -1,7 +1,8 @@
 //! Units of states, in which defects are measured.
 
+use phugoid::nlp::Nlp;
 use phugoid::solver::state_units;
-use phugoid::{Estimation, Experiment, Model, Nlp, Parameter, Sigma};
+use phugoid::{Estimation, Experiment, Model, Parameter, Sigma};
 
 /// x' = v, v' = −k x; x is measured. N samples.
 fn oscillator(n: usize) -> (Model, Experiment) {

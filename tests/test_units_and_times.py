@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,7 +20,14 @@ RANDOM = np.random.default_rng(1)
 MEASURED = lsim(SYSTEM, U[:, None], T)[1] + [0.02, 0.05] * RANDOM.standard_normal((N, 2))
 
 
-def fit(length: float = 1.0, force: float = 1.0, time: float = 1.0, begin: float = 0.0, speed: bool = True) -> ph.Fit:
+def fit(
+    length: float = 1.0,
+    force: float = 1.0,
+    time: float = 1.0,
+    begin: float = 0.0,
+    speed: bool = True,
+    **options: Any,
+) -> ph.Fit:
     """Return the fit of an oscillator in units that are so many times smaller; its speed may be unmeasured."""
     m = ph.Model("oscillator")
     x, v = m.states("x v")
@@ -30,13 +39,14 @@ def fit(length: float = 1.0, force: float = 1.0, time: float = 1.0, begin: float
     m.outputs(**({"y": x, "w": v} if speed else {"y": x}))
     outputs = {"y": length * MEASURED[:, 0], "w": length / time * MEASURED[:, 1]}
     record = ph.Experiment(time * (T + begin), {"u": force * U}, {n: outputs[n] for n in m.output_names})
-    return ph.estimate(m, record)
+    return ph.estimate(m, record, **options)
 
 
 def in_common_units(found: ph.Fit, length: float, force: float, time: float) -> np.ndarray:
     """Return values and standard errors, shape (2, n), in the units of the first fit."""
     factors = {"k": time**2, "c": time, "b": time**2 * force / length, "sigma_y": 1 / length, "sigma_w": time / length}
-    return np.array([[factors[e.name] * e.value, factors[e.name] * e.std_error] for e in found.parameters.values()]).T
+    each = [(factors.get(e.name, 1.0), e) for e in found.parameters.values()]
+    return np.array([[factor * e.value, factor * e.std_error] for factor, e in each]).T
 
 
 REFERENCE = {speed: fit(speed=speed) for speed in (True, False)}
@@ -65,6 +75,34 @@ def test_a_single_unit_at_its_extremes(which: str, unit: float, speed: bool) -> 
     assert (found.status, found.iterations) == ("converged", REFERENCE[speed].iterations)
     expected = in_common_units(REFERENCE[speed], 1.0, 1.0, 1.0)
     np.testing.assert_allclose(in_common_units(found, **units), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"transcription": ph.MultipleShooting(segments=10)},
+        {"transcription": ph.SingleShooting()},
+        {"noise": ph.StudentT()},
+        {"noise": ph.Huber()},
+        {"noise": ph.Gaussian(correlated=True)},
+    ],
+    ids=["multiple shooting", "single shooting", "Student", "Huber", "correlated"],
+)
+def test_other_formulations_and_noise(options: dict[str, Any]) -> None:
+    reference = fit(**options)
+    for units in (
+        {"length": 1e-30},
+        {"length": 1e30},
+        {"force": 1e-30},
+        {"force": 1e30},
+        {"time": 1e-8},
+        {"time": 1e8},
+    ):
+        found = fit(**units, **options)
+        assert (found.status, found.iterations) == ("converged", reference.iterations)
+        expected = in_common_units(reference, 1.0, 1.0, 1.0)
+        each = {"length": 1.0, "force": 1.0, "time": 1.0, **units}
+        np.testing.assert_allclose(in_common_units(found, **each), expected, rtol=1e-9)
 
 
 @settings(max_examples=15, deadline=None, derandomize=True)

@@ -120,7 +120,8 @@ struct Run<'a> {
     kkt: Box<dyn KktSolver>,
     bounds: (Vec<f64>, Vec<f64>),
     units: Units,
-    /// Sizes of the border variables at the first point at which each has influence; before, 0.
+    /// Sizes of the border variables at the first point at which each has influence; before, 0. Of a program without
+    /// chains those of all variables.
     sizes: Vec<f64>,
     here: Point,
     trial: Point,
@@ -171,7 +172,7 @@ impl<'a> Run<'a> {
             kkt: kkt_for(nlp, &units.states),
             active: Active::new(&bounds),
             bounds,
-            sizes: vec![0.0; nlp.chains().map_or(0, |c| c.border)],
+            sizes: units.first_sizes(nlp, start),
             units,
             watchdog: Watchdog::new(&here),
             trial: here.clone(),

@@ -26,6 +26,15 @@ impl Units {
         self.states.iter().cycle().take(self.rows).chain(&self.boundary)
     }
 
+    /// Sizes of variables before any derivative is known: zeros for the border of chains, and for a program without
+    /// chains the units of the variables, or their values where these are greater.
+    pub fn first_sizes(&self, nlp: &dyn Nlp, xi: &[f64]) -> Vec<f64> {
+        match nlp.chains() {
+            Some(chains) => vec![0.0; chains.border],
+            None => self.states.iter().zip(xi).map(|(unit, x)| unit.max(x.abs())).collect(),
+        }
+    }
+
     /// Sets the sizes of border variables that are still zero, from the derivatives at ξ: the change that moves a defect by
     /// its unit, or an output by its noise, in the root mean square, or the value where that is greater. The size of a
     /// variable without influence at ξ stays zero.
@@ -69,9 +78,12 @@ impl Units {
 
 /// What the states do along the path ξ: their spread at all points, else their size. A state whose path is zero, such
 /// as one that starts there because nothing measures it, has the size that its equations ask for, else 1. One for each of
-/// the n_x states; a defect is measured in that of its state. A single 1 where the program has no chains.
+/// the n_x states; a defect is measured in that of its state. Where the program has neither chains nor constraints, as in
+/// single shooting, one for each variable: the change that moves an output by its noise. Else a single 1.
 pub fn state_units(nlp: &dyn Nlp, xi: &[f64]) -> Vec<f64> {
-    let Some(chains) = nlp.chains() else { return vec![1.0] };
+    let Some(chains) = nlp.chains() else {
+        return if nlp.m() == 0 { units_from_curvature(nlp, xi) } else { vec![1.0] };
+    };
     let n = chains.n_x;
     let states = &xi[chains.border..];
     let count = (states.len() / n) as f64;
@@ -90,6 +102,23 @@ pub fn state_units(nlp: &dyn Nlp, xi: &[f64]) -> Vec<f64> {
     let mut units: Vec<f64> = (0..n).map(unit).collect();
     if units.contains(&0.0) {
         sizes_from_equations(nlp, xi, chains, &mut units);
+    }
+    units
+}
+
+/// 1/√H_ii of each variable, H the Gauss-Newton Hessian; the size of a variable without curvature.
+fn units_from_curvature(nlp: &dyn Nlp, xi: &[f64]) -> Vec<f64> {
+    let mut hessian = vec![0.0; nlp.hessian_structure().len()];
+    let mut units: Vec<f64> = xi.iter().map(|x| if *x == 0.0 { 1.0 } else { x.abs() }).collect();
+    if nlp.gauss_newton(xi, 1.0, &mut hessian).is_ok() {
+        let s = nlp.hessian_structure();
+        let mut diagonal = vec![0.0; nlp.n()];
+        for ((&row, _), h) in s.rows.iter().zip(&s.columns).zip(&hessian).filter(|((r, c), _)| r == c) {
+            diagonal[row as usize] += h;
+        }
+        for (unit, h) in units.iter_mut().zip(diagonal).filter(|(_, h)| *h > 0.0 && h.is_finite()) {
+            *unit = h.sqrt().recip();
+        }
     }
     units
 }

@@ -105,7 +105,7 @@ def _header(fit: Any) -> str:
 
 
 def _match_table(fit: Any, outputs: list[str]) -> str:
-    """Per output, over all experiments: σ, RMS of the residuals, R² about the mean of each experiment, samples."""
+    """Per output, over all experiments: σ, RMS of residuals or innovations, R² about the mean of each, samples."""
     rows = []
     explained: dict[str, float] = {}
     for name in outputs:
@@ -116,7 +116,9 @@ def _match_table(fit: Any, outputs: list[str]) -> str:
         rows.append(
             [name, "" if sigma is None else f"{sigma.value:.4g}", numbers[0], m.unit, numbers[1], str(m.samples)]
         )
-    table = text_table(["output", "σ", "RMS residual", "unit", "R²", "samples"], rows, "lrrlrr")
+    filtered = any(record.innovations for record in fit.records)
+    rms = "RMS innovation" if filtered else "RMS residual"
+    table = text_table(["output", "σ", rms, "unit", "R²", "samples"], rows, "lrrlrr")
     return "\n\n".join(filter(None, [table, no_match(explained)]))
 
 

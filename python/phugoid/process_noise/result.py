@@ -154,7 +154,7 @@ def _records(
     of_model = np.nan_to_num(covariance[:p, :p])
     records, initial = [], {}
     for e, (pairs, first, follows) in zip(experiments, smoothed, strict=True):
-        (states, deviations), (outputs, _), (innovations, spreads) = pairs
+        (states, deviations), (outputs, _), (innovations, spreads), (predicted, _) = pairs
         measured = {name: e.output(name) for name in model.output_names}
         by_output = dict(zip(model.output_names, outputs, strict=True))
         by_state = dict(zip(model.state_names, states, strict=True))
@@ -174,6 +174,7 @@ def _records(
                 state_std=dict(zip(model.state_names, deviations, strict=True)),
                 innovations=dict(zip(model.output_names, innovations, strict=True)),
                 innovation_std=dict(zip(model.output_names, spreads, strict=True)),
+                predicted_states=dict(zip(model.state_names, predicted, strict=True)),
             )
         )
         moves = follows.reshape(n, p)

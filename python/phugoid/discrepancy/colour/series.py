@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -76,16 +75,18 @@ def channel_series(records: Sequence[Record], channel: str) -> list[Series]:
 def residual_of(record: Record, channel: str) -> _Array | None:
     """Return the residuals of a channel, (N,), NaN where missing; None where there are none.
 
-    With process noise they are the innovations, each divided by its own standard deviation and multiplied by the root
-    mean square of these: after a gap, or where few sensors are read, a right model predicts less well, and says so.
+    With process noise they are the innovations, each divided by its own standard deviation: after a gap, or where few
+    sensors are read, a right model predicts less well, and says so. They keep their root mean square in the record.
     """
     r = record.innovations.get(channel, record.residuals.get(channel))
     std = record.innovation_std.get(channel)
     if r is None or std is None:
         return r
     there = np.isfinite(r) & (std > 0.0)
-    usual = math.sqrt(float(np.mean(std[there] ** 2))) if there.any() else math.nan
-    return np.where(there, r * usual / np.where(there, std, 1.0), np.nan)
+    alike = np.full(r.shape, np.nan)
+    alike[there] = r[there] / std[there]
+    size = float(np.linalg.norm(alike[there]))
+    return alike * (float(np.linalg.norm(r[there])) / size) if size > 0.0 else alike
 
 
 def same_rate(series: Sequence[Series]) -> tuple[list[Series], list[Series]]:

@@ -55,8 +55,8 @@ TWIN = {"Za": -0.99, "Zde": -0.08, "Ma": -4.93, "Mq": -1.50, "Mde": -7.22, "K": 
 TWIN_SIGMA = {"alpha": 0.0014, "q": 0.0026, "az": 0.23}
 
 
-def model(vane: bool = True) -> ph.Model:
-    """Short period with trim and bias for each record."""
+def model(vane: bool = True, late: bool = False) -> ph.Model:
+    """Short period with trim and bias for each record; with ``late`` the vane has a delay instead of its place."""
     m = ph.Model("ATTAS short period")
     alpha, q = m.states(alpha="rad", q="rad/s")
     (de,) = m.inputs(de="rad")
@@ -72,8 +72,10 @@ def model(vane: bool = True) -> ph.Model:
     seen: ph.Expr = alpha
     if vane:
         (K,) = m.parameters(K=1.0)
-        seen = K * (alpha - BOOM[0] * q / V0)
+        seen = K * alpha if late else K * (alpha - BOOM[0] * q / V0)
     m.outputs(alpha=(seen, "rad"), q=q, az=(V0 * Z + b_az, "m/s²"))
+    if late:
+        m.sensor_delay(alpha=m.parameters(tau=ph.Parameter(0.05, bounds=(0.0, 1.0), unit="s"))[0])
     return m
 
 
@@ -128,6 +130,9 @@ def main() -> None:
     both = estimate(runs)
     regression = ph.equation_error(model(vane=False), runs)
     print(both.summary())
+    late = ph.estimate(model(late=True), runs, start=ph.estimate(model(vane=False), runs))
+    found = {n: late.coloured.parameters[n] for n in ("tau", "K")}
+    print(f"\nwith a delay instead of the place of the vane: {', '.join(map(repr, found.values()))}")
 
     print(f"\n{'':5s}{'first record':>20s}{'second record':>20s}{'both':>20s}{'regression':>12s}   second - first")
     for n in (*SHARED, *VANE):

@@ -69,8 +69,8 @@ def measured(
     name: str = "twin",
     boom: Sequence[float] | None = None,
 ) -> ph.Experiment:
-    """What the sensors read. Without a seed there is no noise. Vanes are late; or, with the place of a ``boom`` from the
-    centre of gravity (m), there and in time."""
+    """What the sensors read. Without a seed there is no noise. Vanes are late; or, with the place of a ``boom`` (m from
+    the centre of gravity), there and in time."""
     s, rng = truth.states, np.random.default_rng(seed)
     V = np.sqrt(s["u"] ** 2 + s["v"] ** 2 + s["w"] ** 2)
     alpha, beta = np.arctan2(s["w"], s["u"]), np.arcsin(s["v"] / V)

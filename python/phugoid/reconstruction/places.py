@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ _Array = NDArray[np.float64]
 _BLOCKS = 10
 # Standard deviations from which on a gain is none of chance.
 _CLEAR = 2.0
+# Standard errors from which on a vane is off the centre of gravity.
+_OFF = 3.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,21 +45,35 @@ class Places:
 
     @property
     def preferred(self) -> bool | None:
-        """Whether the data prefer places (True) or the other fit (False) by two standard deviations; None: neither."""
+        """Whether the data prefer places (True) or the other fit (False) by two standard deviations; None: neither. A
+        place that is preferred is also off the centre of gravity by more than three standard errors."""
         if abs(self.gain) <= _CLEAR * self.deviation:
             return None
-        return self.gain > 0.0
+        if self.gain < 0.0:
+            return False
+        errors = self._errors
+        off = any(abs(self.fit.parameters[n].value) > _OFF * errors[n] for n in map(_name, self.channels))
+        return True if off else None
+
+    @cached_property
+    def _errors(self) -> dict[str, float]:
+        """Standard errors, corrected for coloured residuals where that can be."""
+        plain = {n: e.std_error for n, e in self.fit.parameters.items()}
+        try:
+            found = {n: e.std_error for n, e in self.fit.coloured.parameters.items()}
+        except PhugoidError:
+            return plain
+        return plain | {n: v for n, v in found.items() if np.isfinite(v)}
 
     def summary(self) -> str:
         """Return what was found, and what follows of it."""
         fit = self.fit
-        coloured = _errors(fit)
-        shown = [f"x_{c}_vane" for c in self.channels]
+        shown = [_name(c) for c in self.channels]
         shown += [f"K_{c}" for c in self.channels if f"K_{c}" in fit.parameters]
         found = []
         for n in shown:
             e = fit.parameters[n]
-            found.append(repr(Estimate(n, e.value, coloured.get(n, e.std_error), e.unit)))
+            found.append(repr(Estimate(n, e.value, self._errors[n], e.unit)))
         instead = f" instead of delays of {' and '.join(self.delayed)}" if self.delayed else ""
         without = "delays" if self.delayed else "vanes at the centre of gravity"
         gain = f"log-likelihood {self.gain:+.0f} ± {self.deviation:.0f} on the same samples"
@@ -109,9 +126,5 @@ def _log_densities(fit: Fit) -> list[_Array] | None:
     ]
 
 
-def _errors(fit: Fit) -> dict[str, float]:
-    try:
-        found = {n: e.std_error for n, e in fit.coloured.parameters.items()}
-    except PhugoidError:
-        return {}
-    return {n: v for n, v in found.items() if np.isfinite(v)}
+def _name(channel: str) -> str:
+    return f"x_{channel}_vane"

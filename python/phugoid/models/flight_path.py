@@ -237,7 +237,8 @@ def _place(m: Model, what: str, given: Sequence[float | None]) -> Vector:
     assert known is not None
     declared = {n: Parameter(0.0, bounds=(-_FAR, _FAR), unit="m") for n in unknown}
     found = dict(zip(unknown, m.parameters(**{f"{n}_{what}": p for n, p in declared.items()}), strict=True))
-    return tuple(found.get(n, v) for n, v in zip("xyz", known, strict=True))
+    x, y, z = (found.get(n, v) for n, v in zip("xyz", known, strict=True))
+    return x, y, z
 
 
 def _arm(what: str, given: Sequence[float] | None) -> tuple[float, float, float] | None:

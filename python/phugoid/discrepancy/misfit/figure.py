@@ -112,7 +112,7 @@ def _most_telling(c: ChannelMisfit, records: Sequence[Record]) -> list[Record]:
         return list(records)
 
     def size(record: Record) -> float:
-        r = residual_of(record, c.name)
+        r: Any = residual_of(record, c.name)
         return float(np.nanmean(r**2)) if np.isfinite(r).any() else 0.0
 
     chosen = sorted(records, key=size, reverse=True)[:_EXPERIMENTS]
@@ -121,7 +121,7 @@ def _most_telling(c: ChannelMisfit, records: Sequence[Record]) -> list[Record]:
 
 def _draw_time(axis: Axes, c: ChannelMisfit, record: Record, *, first: bool, room: int) -> None:
     """``room``: for so many letters of the experiment's name, 0 where there is but one."""
-    r = residual_of(record, c.name)
+    r: Any = residual_of(record, c.name)
     if np.isfinite(c.noise):
         axis.axhspan(-2.0 * c.noise, 2.0 * c.noise, color=BAND, linewidth=0.0)
     for span in c.spans:

@@ -20,7 +20,8 @@ RUST = [
 
 PYTHON = [
     "_core", "errors", "tabular", "symbols", "parameters", "noise", "modelling", "data", "transcription", "guess",
-    "solvers", "interrupts", "progress", "records", "tolerance", "match", "correlations", "figures", "regression",
+    "solvers", "interrupts", "progress", "records", "tolerance", "match", "correlations", "repeated_outputs", "figures",
+    "regression",
     "integration", "refinement", "summary", "result", "process_noise", "estimation", "simulate", "linear", "inputs",
     "models", "export", "saving", "validation", "pages", "discrepancy", "loading", "planning", "reconstruction",
     "report", "starts", "uncertainty", "results", "cli", "__init__", "__main__",

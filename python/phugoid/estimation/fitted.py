@@ -12,9 +12,11 @@ from .. import _core
 from ..correlations import correlation_matrix
 from ..data.experiment import Experiment
 from ..modelling.model import Model
-from ..noise.noise import Noise
+from ..noise.kinds import PerExperiment
+from ..noise.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates, Parameter
 from ..records import Record
+from ..repeated_outputs import repeated_outputs
 from ..result import Fit
 from ..solvers import HINTS, Solution
 from ..transcription.shooting import Transcription
@@ -123,6 +125,9 @@ def make_fit(
     records = [_record(model, e, problem, xi, i) for i, e in enumerate(experiments)]
     estimates = Estimates(parameters)
     warnings += _defect_warning(model, problem, xi)
+    of_each = noise.noise if isinstance(noise, PerExperiment) else noise
+    if not (isinstance(of_each, Gaussian) and (of_each.correlated or of_each.covariance is not None)):
+        warnings += repeated_outputs(records, model.output_names)
     warnings += _few_samples(problem, records, int((held < n_model).sum()), model.declared_parameters.values())
     return Fit(
         model=model,

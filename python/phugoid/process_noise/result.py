@@ -13,6 +13,7 @@ from ..modelling.model import Model
 from ..noise.noise import Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record
+from ..repeated_outputs import repeated_outputs
 from ..result import Fit
 from ..solvers import HINTS
 from ..solvers.quasi_newton import Minimum
@@ -96,6 +97,7 @@ def make_filter_fit(
         estimates.append(Estimate(name, values[i], errors[i], unit, bounds=(0.0, np.inf), bounds_active=active))
 
     records, initial = _records(model, experiments, objective, z, covariance)
+    warnings += repeated_outputs(records, model.output_names)
     message = HINTS.get(status, "")
     return Fit(
         model=model,

@@ -40,8 +40,8 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
         listed = f"{', '.join(group[:-1])} and {group[-1]}"
         found.append(
             f"outputs {listed} hold the same measurement: their residuals are proportional. Each counts as if its "
-            f"noise were its own, and so standard errors are too small, by √{len(group)} where nothing else is measured: "
-            f"leave {'one' if len(group) == 2 else 'all but one'} out of the outputs"
+            f"noise were its own, and so standard errors are too small, by √{len(group)} where nothing else is "
+            f"measured: leave {'one' if len(group) == 2 else 'all but one'} out of the outputs"
         )
     return found
 

@@ -19,7 +19,7 @@ from ..regression.differentiate import SmoothingSpline
 from ..result import Fit
 from ..summary import corrected as with_coloured_errors
 from .corrected import corrected
-from .places import Places, places_against
+from .vane_places import VanePlaces, compare_places
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +48,7 @@ class Reconstruction:
 
     fit: Fit
     runs: tuple[Experiment, ...]
-    places: Places | None = None
+    places: VanePlaces | None = None
 
     @cached_property
     def corrected(self) -> tuple[Experiment, ...]:
@@ -152,7 +152,7 @@ def reconstruct(
 
 def _placed(
     fit: Fit, runs: Sequence[Experiment], start: Mapping[str, Any], noise: Any, options: Mapping[str, Any]
-) -> Places | None:
+) -> VanePlaces | None:
     """The places of vanes that were not given, estimated in place of delays."""
     outputs = fit.model.output_names
     channels = [c for c in _VANES if c in outputs and options.get(f"{c}_vane") is None]
@@ -168,7 +168,7 @@ def _placed(
         found = estimate(other, runs, start=begin, noise=noise)
     except PhugoidError:  # what was asked for is there
         return None
-    return places_against(fit, found, channels)
+    return compare_places(fit, found, channels)
 
 
 def _outputs(runs: Sequence[Experiment], longitudinal: bool) -> list[str]:

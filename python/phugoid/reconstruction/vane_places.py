@@ -14,7 +14,7 @@ from ..noise.noise import Gaussian
 from ..parameters import Estimate
 from ..result import Fit
 
-__all__ = ["Places", "places_against"]
+__all__ = ["VanePlaces", "compare_places"]
 
 _Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ _OFF = 3.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Places:
+class VanePlaces:
     """A fit with the places of vanes estimated, in place of the delays of these channels that were asked for.
 
     channels   of ``alpha`` and ``beta`` those whose vane was given no place.
@@ -95,10 +95,10 @@ class Places:
         return self.summary()
 
     def __repr__(self) -> str:
-        return f"<Places of {', '.join(self.channels)}: {self.gain:+.1f} ± {self.deviation:.1f}>"
+        return f"<Places of vanes of {', '.join(self.channels)}: {self.gain:+.1f} ± {self.deviation:.1f}>"
 
 
-def places_against(fit: Fit, places: Fit, channels: Sequence[str]) -> Places | None:
+def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePlaces | None:
     """Compare a fit with another of the same records that estimates places; None where they do not compare."""
     usable = ("converged", "acceptable")
     if fit.status not in usable or places.status not in usable:
@@ -110,7 +110,8 @@ def places_against(fit: Fit, places: Fit, channels: Sequence[str]) -> Places | N
         [part.sum() for a, b in zip(one, other, strict=True) for part in np.array_split(np.nansum(b - a, 0), _BLOCKS)]
     )
     late = tuple(c for c in channels if c in fit.model.delays.outputs)
-    return Places(tuple(channels), late, places, float(gains.sum()), float(np.sqrt(gains.size) * np.std(gains, ddof=1)))
+    deviation = float(np.sqrt(gains.size) * np.std(gains, ddof=1))
+    return VanePlaces(tuple(channels), late, places, float(gains.sum()), deviation)
 
 
 def _log_densities(fit: Fit) -> list[_Array] | None:

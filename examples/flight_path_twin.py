@@ -6,6 +6,8 @@ Dutch roll of about ATTAS's size. What its sensors read is made from that by num
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,22 +63,32 @@ def flown() -> ph.results.Record:
 
 
 def measured(
-    truth: ph.results.Record, seed: int | None = 0, inertial_noise: bool = True, name: str = "twin"
+    truth: ph.results.Record,
+    seed: int | None = 0,
+    inertial_noise: bool = True,
+    name: str = "twin",
+    boom: Sequence[float] | None = None,
 ) -> ph.Experiment:
-    """What the sensors read. Without a seed there is no noise."""
+    """What the sensors read. Without a seed there is no noise. Vanes are late; or, with the place of a ``boom`` (m from
+    the centre of gravity), there and in time."""
     s, rng = truth.states, np.random.default_rng(seed)
     V = np.sqrt(s["u"] ** 2 + s["v"] ** 2 + s["w"] ** 2)
-    alpha = np.arctan2(s["w"], s["u"])
+    alpha, beta = np.arctan2(s["w"], s["u"]), np.arcsin(s["v"] / V)
 
     def late(name: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(np.interp(truth.t - ERRORS[f"tau_{name}"], truth.t, values))
 
+    if boom is None:
+        alpha, beta = late("alpha", alpha), late("beta", beta)
+    else:
+        u, v, w = np.array([s[n] for n in "uvw"]) + np.cross([s[n] for n in "pqr"], boom, axisa=0).T
+        alpha, beta = np.arctan2(w, u), np.arctan2(v, u)
     read = {
         **{n: truth.outputs[n] + ERRORS[f"b_{n}"] for n in ("ax", "ay", "az")},
         **{n: s[n] + ERRORS[f"b_{n}"] for n in ("p", "q", "r")},
         "V": late("V", V),
-        "alpha": ERRORS["K_alpha"] * late("alpha", alpha),
-        "beta": ERRORS["K_beta"] * late("beta", np.arcsin(s["v"] / V)),
+        "alpha": ERRORS["K_alpha"] * alpha,
+        "beta": ERRORS["K_beta"] * beta,
         **{n: s[n] for n in ("phi", "theta", "psi")},
     }  # fmt: skip
     if seed is not None:

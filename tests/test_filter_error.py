@@ -248,7 +248,7 @@ def test_states_and_their_deviations_are_those_of_dense_algebra() -> None:
     theta = np.array([*TRUTH.values(), *q])
     found = problem.smooth(theta, problem.start(np.zeros(2 * e.n)))
     assert found is not None
-    ((states, deviations), (_, output_deviations), (innovations, spreads)), first, _ = found[0]
+    ((states, deviations), (_, output_deviations), (innovations, spreads), _), first, _ = found[0]
 
     s, u, n = Linear(TRUTH), e.input("de"), 2 * e.n
     precision, right = np.zeros((n, n)), np.zeros(n)

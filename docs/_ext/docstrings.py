@@ -123,7 +123,7 @@ RESULTS = {
     "Bands", "Bootstrap", "Coloured", "Correlation", "Diagnosis", "EquationError", "Estimate", "Excursion",
     "Extension", "Finding", "Fit", "Gain", "IntegrationError", "Iteration", "Match", "Misfit", "Mode", "Modes",
     "Multistart", "Optimum", "Outcome", "Plan", "Plans", "Profile", "Profiles", "Reconstruction", "Record",
-    "Refinement", "Scored", "Trim", "Validation", "WeakDirection",
+    "Refinement", "Scored", "Trim", "Validation", "VanePlaces", "WeakDirection",
 }  # fmt: skip
 _SHORT = [
     (

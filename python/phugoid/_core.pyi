@@ -266,8 +266,8 @@ class Evaluator:
 
 _Marginal: TypeAlias = tuple[float, _Array, _Array, int]  # log-likelihood, gradient, path, iterations
 _Matrix: TypeAlias = NDArray[np.float64]
-# states, deviations, outputs, innovations, their deviations; of the first state covariance and dependence
-# States, outputs and innovations, each with its deviations; covariance of the first state, how it follows parameters.
+# States, outputs, innovations and predicted states, each with its deviations; covariance of the first state, how it
+# follows parameters.
 _Smoothed: TypeAlias = tuple[list[tuple[_Matrix, _Matrix]], _Array, _Array]
 
 @final

@@ -63,6 +63,9 @@ class Match:
     Over several records squares and products about a mean are taken about the mean of each record and then summed:
     what differs from record to record makes no match look good, and offsets of opposite sign do not cancel.
 
+    With process noise (`FilterError`) y is what is predicted from the samples before, and r the innovations: the most
+    probable path follows the measurements whatever the model is, and its residuals are not white for a right one.
+
     output, unit  name and unit.
     samples       measured values.
     rms           root mean square of the residuals, in the unit.
@@ -157,6 +160,8 @@ def match(
 
 def _present(record: Record, output: str) -> _Piece:
     z, y = record.measured[output], record.outputs[output]
+    if output in record.innovations:
+        y = z - record.innovations[output]
     there = np.isfinite(z) & np.isfinite(y)
     return record.t[there], z[there], y[there]
 

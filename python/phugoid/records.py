@@ -48,6 +48,8 @@ class Record:
     innovations     name -> (N,): measured minus what is predicted from the samples before; white where the model is
                     right, as residuals of a smoothed path are not. NaN where missing.
     innovation_std  name -> (N,): what their standard deviations should be.
+    predicted_states  name -> (N,): the states predicted from the samples before. The innovations of a right model are
+                    independent of these; of ``states``, which all samples determine, they are not.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Record:
     state_std: Mapping[str, _Array] = field(default_factory=dict)
     innovations: Mapping[str, _Array] = field(default_factory=dict)
     innovation_std: Mapping[str, _Array] = field(default_factory=dict)
+    predicted_states: Mapping[str, _Array] = field(default_factory=dict)
 
     @property
     def n(self) -> int:

@@ -15,6 +15,7 @@ from .match import Match
 from .parameters import Estimate
 from .planning.plan import Excursion, Plan, Plans
 from .reconstruction.reconstruct import Reconstruction
+from .reconstruction.vane_places import VanePlaces
 from .records import Record
 from .refinement import Refinement
 from .regression.equation_error import EquationError
@@ -65,5 +66,6 @@ __all__ = [
     "Scored",
     "Trim",
     "Validation",
+    "VanePlaces",
     "WeakDirection",
 ]

@@ -105,7 +105,7 @@ def _header(fit: Any) -> str:
 
 
 def _match_table(fit: Any, outputs: list[str]) -> str:
-    """Per output, over all experiments: σ, RMS of the residuals, R² about the mean of each experiment, samples."""
+    """Per output, over all experiments: σ, RMS of residuals or innovations, R² about the mean of each, samples."""
     rows = []
     for name in outputs:
         m = match([r for r in fit.records if name in r.residuals], name)
@@ -113,7 +113,8 @@ def _match_table(fit: Any, outputs: list[str]) -> str:
         rms, r_squared = (f"{m.rms:.4g}", f"{m.r_squared:.4f}")
         known = (rms if math.isfinite(m.rms) else "", r_squared if math.isfinite(m.r_squared) else "")
         rows.append([name, "" if sigma is None else f"{sigma.value:.4g}", known[0], m.unit, known[1], str(m.samples)])
-    return text_table(["output", "σ", "RMS residual", "unit", "R²", "samples"], rows, "lrrlrr")
+    size = "RMS innovation" if any(record.innovations for record in fit.records) else "RMS residual"
+    return text_table(["output", "σ", size, "unit", "R²", "samples"], rows, "lrrlrr")
 
 
 def _duration(seconds: float) -> str:

@@ -43,6 +43,7 @@ _GROUPS = {
     "state_std": "state_std",
     "innovations": "innovation",
     "innovation_std": "innovation_std",
+    "predicted_states": "predicted_state",
 }
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..data.experiment import Experiment, as_experiments
-from ..errors import DataError, OptionError
+from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..interrupts import interrupts
 from ..result import Fit
 from ..transcription.filter_error import FilterError
@@ -44,6 +44,7 @@ def diagnose(
     candidates: Candidates | Sequence[Candidate] | Mapping[str, Any] | None = None,
     validation: Experiment | Sequence[Experiment] | None = None,
     *,
+    biases: Sequence[str] | None = None,
     progress: bool | Callable[[str], None] = False,
 ) -> Diagnosis:
     """What a fitted model is missing: shows the misfit, names its causes, measures what each gains.
@@ -54,22 +55,28 @@ def diagnose(
 
     ``candidates``: those of `candidates` for the model unless given; or terms of your own that are added to these, as
     in ``{"Cm": [alpha*q**2]}``.
-    ``validation``: other records of the same vehicle; with only first states and sensor biases free they measure the
-    gain. Without any, blocks of the records are left out in turn.
+    ``validation``: other records of the same vehicle; with only first states and biases free they measure the gain.
+    Without any, blocks of the records are left out in turn.
+    ``biases``: names of the parameters that are estimated anew in the validation records, as for `Fit.validate`: trim,
+    say. None: biases of sensors, and initial values that each experiment has its own of. Parameters of the dynamics
+    with a value for each experiment must be among them, for which one another record has is not known.
     ``progress``: True shows what is done; a function is called with it. Ctrl-C ends the search with what was found, and
     goes on to what is quick; once more, it leaves out the ranking where there is none yet.
 
     Raises DataError for a fit that has not converged, that is exact, or of too short a record, and for a validation
-    record without the channels; OptionError and ModelError for candidates that cannot be.
+    record without the channels or that the model cannot be fitted to; OptionError and ModelError for candidates and
+    biases that cannot be.
     """
     started = time.perf_counter()
     _check(fit)
     others = _validation(fit, validation)
+    free = _biases(fit, others, biases)
     base = Refit((), collocated(fit))
     _check_size(base)
     listed = _candidates(fit, candidates, base)
     with _shown(progress) as watch:
-        search = Search(base, listed, others, watch)
+        search = Search(base, listed, others, watch, free)
+        search.try_validation()
         final, found = base, list[Found]()
         # Now, while what the search needs next is at hand.
         ranking, interrupted = _ranked(search, base)
@@ -87,8 +94,7 @@ def diagnose(
             ranking, _ = _ranked(search, base)
     with interrupts():
         scan = search.scan(base) if ranking else None
-        notes = (*_notes(scan, final, listed, others if not search.notes else (), interrupted), *search.notes)
-        notes = (*notes, *search.remarks)
+        notes = (*_notes(scan, final, listed, others, free, interrupted), *search.remarks)
         return Diagnosis(
             fit=fit,
             misfit=misfit(fit),
@@ -164,6 +170,22 @@ def _validation(fit: Fit, given: Any) -> Sequence[Experiment]:
     return others
 
 
+def _biases(fit: Fit, others: Sequence[Experiment], given: Any) -> tuple[str, ...] | None:
+    if given is None:
+        return None
+    if not others:
+        raise OptionError("diagnose: biases are estimated anew in validation records: give validation too")
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise OptionError(f"diagnose: biases is a list of names, such as ['b_q'], or () for none, not {given!r}")
+    names = fit.model.parameter_names
+    for name in (found := tuple(dict.fromkeys(map(str, given)))):
+        if name not in names:
+            base = name.partition("[")[0]
+            hint = f" Say '{base}', for all experiments." if base in names else did_you_mean(name, names)
+            raise ModelError(f"diagnose: biases: '{name}' is no parameter of the model.{hint}")
+    return found
+
+
 def _candidates(fit: Fit, given: Any, base: Refit) -> list[Candidate]:
     points = base.linear.points
     if given is None or isinstance(given, Mapping):
@@ -212,7 +234,12 @@ class _Status:
 
 
 def _notes(
-    scan: Scan | None, final: Refit, listed: Sequence[Candidate], others: Sequence[Experiment], interrupted: bool
+    scan: Scan | None,
+    final: Refit,
+    listed: Sequence[Candidate],
+    others: Sequence[Experiment],
+    free: Sequence[str] | None,
+    interrupted: bool,
 ) -> tuple[str, ...]:
     if scan is None:
         return (
@@ -224,9 +251,8 @@ def _notes(
         names = ", ".join(scan.lost[:_LOST_NAMED]) + (f" and {more} more" if more > 0 else "")
         notes.append(f"Cannot be told from the parameters already there: {names}.")
     if others:
-        notes.append(
-            f"Gains were measured on {', '.join(e.name for e in others)}, with first states and sensor biases free."
-        )
+        what = "sensor biases" if free is None else ", ".join(free) or "nothing else"
+        notes.append(f"Gains were measured on {', '.join(e.name for e in others)}, with first states and {what} free.")
     else:
         notes.append("Gains were measured on a quarter of the record at a time, predicted from the others.")
     if len(final.candidates) >= MOST:

@@ -14,9 +14,11 @@ from ..data.experiment import Experiment
 from ..goodness_of_fit import chi_square_warning
 from ..match import match, no_match
 from ..modelling.model import Model
-from ..noise.noise import Noise
+from ..noise.kinds import PerExperiment
+from ..noise.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates, Parameter
 from ..records import Record
+from ..repeated_outputs import repeated_outputs
 from ..result import Fit
 from ..solvers import HINTS, Solution
 from ..transcription.shooting import Transcription
@@ -136,6 +138,9 @@ def make_fit(
     estimates = Estimates(parameters)
     if feasible:
         warnings += _defect_warning(model, problem, xi)
+    of_each = noise.noise if isinstance(noise, PerExperiment) else noise
+    if not (isinstance(of_each, Gaussian) and (of_each.correlated or of_each.covariance is not None)):
+        warnings += repeated_outputs(records, model.output_names)
     unknowns = _unknowns(problem, int((held < n_model).sum()))
     warnings += _few_samples(unknowns, records, model.declared_parameters.values())
     explained = {name: match(records, name).r_squared for name in model.output_names}

@@ -23,6 +23,7 @@ _INERTIAL = {"ax": "m/s²", "ay": "m/s²", "az": "m/s²", "p": "rad/s", "q": "ra
 _GROUND = ("north", "east", "v_north", "v_east")
 _LONGITUDINAL = ("V", "alpha", "theta", "h")
 _LONGITUDINAL_INPUTS = ("ax", "az", "q")
+_FAR = 100.0  # m
 _LATE = 2.0  # s; pneumatic lines of small aircraft may take a second
 
 
@@ -34,8 +35,8 @@ def flight_path(
     scales: Collection[str] | None = None,
     late: Collection[str] = (),
     accelerometer: Sequence[float] | None = None,
-    alpha_vane: Sequence[float] | None = None,
-    beta_vane: Sequence[float] | None = None,
+    alpha_vane: Sequence[float | None] | None = None,
+    beta_vane: Sequence[float | None] | None = None,
     flank: bool = False,
     wind: Collection[str] | None = None,
     per_experiment: Collection[str] = (),
@@ -71,7 +72,10 @@ def flight_path(
                    ...}`` where V is.
     accelerometer  (x, y, z) of the accelerometers from the centre of gravity (m; forward, right, down). Then the
                    angular accelerations are inputs too: pdot, qdot, rdot (rad/s²).
-    alpha_vane, beta_vane  (x, y, z) of the vanes from the centre of gravity (m): they see the air that rotation adds.
+    alpha_vane, beta_vane  (x, y, z) of the vanes from the centre of gravity (m; forward, right, down): they see the air
+                   that rotation adds. A vane ahead of the centre of gravity by x reads much like one that is late by
+                   x/V: give its place before asking for its delay. A coordinate that is None is estimated: ``(None, 0,
+                   0)`` gives the parameter ``x_alpha_vane`` (m, -100 to 100).
     flank          the sideslip sensor reads the flank angle atan(v/u), as a vane does; else asin(v/V).
     wind           of "north", "east", "up" the components ``wind_<which>`` (m/s, where the air goes to) that are
                    estimated, each experiment its own. Unless given north and east, where an output is over ground.
@@ -164,10 +168,10 @@ def flight_path(
     a = dict(zip(at_cg, m.quantities(**at_cg), strict=True))
     body = in_plane(m, s, a, q, gravity) if longitudinal else in_space(m, s, a, turning_rates, gravity, air)
     seen = dict(s)
-    for channel, position in (("alpha", _arm("alpha_vane", alpha_vane)), ("beta", _arm("beta_vane", beta_vane))):
-        if position is None and not (channel == "beta" and flank):
+    for channel, vane in (("alpha", alpha_vane), ("beta", beta_vane)):
+        if vane is None and not (channel == "beta" and flank):
             continue
-        x, y, z = position or (0.0, 0.0, 0.0)
+        x, y, z = _place(m, f"{channel}_vane", (0.0, 0.0, 0.0) if vane is None else vane)
         uv, vv, wv = (plus(v, more) for v, more in zip(body, cross(turning_rates, (x, y, z)), strict=True))
         if channel == "alpha":
             seen["alpha"] = atan2(wv, uv)
@@ -219,6 +223,22 @@ def _winds(wind: Collection[str] | None, ground: bool, measured: Collection[str]
     if ({"north", "east"}.intersection(names) and not ground) or ("up" in names and not vertical):
         raise OptionError("flight_path: wind shows only in outputs over ground: position, speed over ground, or height")
     return names
+
+
+def _place(m: Model, what: str, given: Sequence[float | None]) -> Vector:
+    """The place of a vane, with a parameter for each coordinate that is None."""
+    try:
+        unknown = [n for n, v in zip("xyz", given, strict=True) if v is None]
+    except (TypeError, ValueError):
+        unknown = []
+    if not unknown:
+        return _arm(what, given) or (0.0, 0.0, 0.0)  # type: ignore[arg-type]
+    known = _arm(what, [0.0 if v is None else v for v in given])
+    assert known is not None
+    declared = {n: Parameter(0.0, bounds=(-_FAR, _FAR), unit="m") for n in unknown}
+    found = dict(zip(unknown, m.parameters(**{f"{n}_{what}": p for n, p in declared.items()}), strict=True))
+    x, y, z = (found.get(n, v) for n, v in zip("xyz", known, strict=True))
+    return x, y, z
 
 
 def _arm(what: str, given: Sequence[float] | None) -> tuple[float, float, float] | None:

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
+from ..match import match, no_match
 from ..modelling.model import Model
 from ..noise.noise import Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record
+from ..repeated_outputs import repeated_outputs
 from ..result import Fit
 from ..solvers import HINTS
 from ..solvers.quasi_newton import Minimum
@@ -96,6 +98,9 @@ def make_filter_fit(
         estimates.append(Estimate(name, values[i], errors[i], unit, bounds=(0.0, np.inf), bounds_active=active))
 
     records, initial = _records(model, experiments, objective, z, covariance)
+    warnings += repeated_outputs(records, model.output_names)
+    poor = no_match({name: match(records, name).r_squared for name in model.output_names})
+    warnings = [*filter(None, [poor]), *warnings]
     message = HINTS.get(status, "")
     return Fit(
         model=model,
@@ -154,7 +159,7 @@ def _records(
     of_model = np.nan_to_num(covariance[:p, :p])
     records, initial = [], {}
     for e, (pairs, first, follows) in zip(experiments, smoothed, strict=True):
-        (states, deviations), (outputs, _), (innovations, spreads) = pairs
+        (states, deviations), (outputs, _), (innovations, spreads), (predicted, _) = pairs
         measured = {name: e.output(name) for name in model.output_names}
         by_output = dict(zip(model.output_names, outputs, strict=True))
         by_state = dict(zip(model.state_names, states, strict=True))
@@ -174,6 +179,7 @@ def _records(
                 state_std=dict(zip(model.state_names, deviations, strict=True)),
                 innovations=dict(zip(model.output_names, innovations, strict=True)),
                 innovation_std=dict(zip(model.output_names, spreads, strict=True)),
+                predicted_states=dict(zip(model.state_names, predicted, strict=True)),
             )
         )
         moves = follows.reshape(n, p)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..data.experiment import Experiment, as_experiments
-from ..errors import ModelError, OptionError
+from ..errors import ModelError, OptionError, PhugoidError
 from ..estimation.estimate import estimate
 from ..modelling.model import Model
 from ..models.flight_path import flight_path
@@ -19,6 +19,7 @@ from ..regression.differentiate import SmoothingSpline
 from ..result import Fit
 from ..summary import corrected as with_coloured_errors
 from .corrected import corrected
+from .vane_places import VanePlaces, compare_places
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Reconstruction", "reconstruct"]
 
 _TURNING = {"pdot": "p", "qdot": "q", "rdot": "r"}
+_VANES = ("alpha", "beta")
 # Samples that differ by more than half a turn have jumped.
 _JUMP = np.pi
 
@@ -37,6 +39,8 @@ class Reconstruction:
 
     fit        of the model of the flight path: biases, scale factors, delays; states are the path.
     runs       the records that it was fitted to.
+    places     the fit with places of vanes estimated in place of their delays, and which of the two the data prefer;
+               None where all places were given or none tells (see `reconstruct`).
     corrected  the same records, corrected: specific forces at the centre of gravity and rates without bias, and V,
                alpha, beta, phi, theta, ... as reconstructed; all other channels as they were. Each is one step's data
                for the next: the forces and moments are functions of these.
@@ -44,6 +48,7 @@ class Reconstruction:
 
     fit: Fit
     runs: tuple[Experiment, ...]
+    places: VanePlaces | None = None
 
     @cached_property
     def corrected(self) -> tuple[Experiment, ...]:
@@ -79,6 +84,7 @@ class Reconstruction:
                 match.append([n, f"{size:.3g}", units.get(n, ""), f"{_lag_one(v):.2f}", r.name])
         titles = ["output", "RMS residual", "unit", "autocorrelation at lag 1", "record"]
         lines += ["", text_table(titles, match, "lrlrl"), *(f"Warning: {w}" for w in self.fit.warnings)]
+        lines += ["", self.places.summary()] if self.places is not None else []
         return "\n".join(lines)
 
     def plot(self, record: int | str = 0) -> tuple[Figure, dict[str, Axes]]:
@@ -114,6 +120,11 @@ def reconstruct(
     start    values of parameters by name, as for `estimate`; None needs none.
     noise    as for `estimate`.
 
+    A vane ahead of the centre of gravity reads much like a late one, and it is its place that is known. So where the
+    model is made here, and places of vanes for alpha or beta among the outputs are not given (``alpha_vane``,
+    ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result tells
+    what it finds and which of the two the data prefer. What is corrected is by the fit that was asked for.
+
     psi is unwrapped where it jumps by a whole turn. With the accelerometers off the centre of gravity, angular
     accelerations that are not in the record are those of smoothing splines through p, q and r.
 
@@ -135,7 +146,29 @@ def reconstruct(
         # What is late measures no state, and states that none measures start at 0: there is no angle of attack at rest.
         begin.setdefault("V", float(np.nanmedian(np.concatenate([run.output("V") for run in ready]))))
     fit = estimate(made, ready, start=begin, noise=noise)
-    return Reconstruction(fit, tuple(ready))
+    placed = None if isinstance(model, Model) else _placed(fit, ready, begin, noise, options)
+    return Reconstruction(fit, tuple(ready), placed)
+
+
+def _placed(
+    fit: Fit, runs: Sequence[Experiment], start: Mapping[str, Any], noise: Any, options: Mapping[str, Any]
+) -> VanePlaces | None:
+    """The places of vanes that were not given, estimated in place of delays."""
+    outputs = fit.model.output_names
+    channels = [c for c in _VANES if c in outputs and options.get(f"{c}_vane") is None]
+    if not channels or fit.status not in ("converged", "acceptable"):
+        return None
+    late = [n for n in fit.model.delays.outputs if n not in channels]
+    other = flight_path(outputs, **{**options, "late": late, **{f"{c}_vane": (None, 0.0, 0.0) for c in channels}})
+    known = {*other.parameter_names, *other.state_names}
+    begin = {n: v for n, v in start.items() if n.partition("[")[0] in known}
+    for n in late:  # delays take most of the time
+        begin.setdefault(f"tau_{n}", fit.parameters[f"tau_{n}"].value)
+    try:
+        found = estimate(other, runs, start=begin, noise=noise)
+    except PhugoidError:  # what was asked for is there
+        return None
+    return compare_places(fit, found, channels)
 
 
 def _outputs(runs: Sequence[Experiment], longitudinal: bool) -> list[str]:

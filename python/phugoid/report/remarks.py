@@ -37,8 +37,7 @@ def _sentence(text: str) -> str:
 
 
 def _of_residuals(fit: Any) -> list[str]:
-    if any(record.innovations for record in fit.records):
-        return []  # residuals of a smoothed path are coloured by nature
+    filtered = any(record.innovations for record in fit.records)
     found = []
     coloured, off = [], []
     matches = {name: match(fit.records, name) for name in fit.model.output_names}
@@ -47,14 +46,21 @@ def _of_residuals(fit: Any) -> list[str]:
             coloured.append(f"{name} ({m.lag_one:.2f})")
         if m.bias > _OFFSET:
             off.append(name)
-    if coloured:
+    if coloured and filtered:
+        found.append(
+            "Innovations are not white: each follows from the one before, with a correlation of "
+            f"{_listed(coloured)}. They are white where the model and its process noise are right: ph.misfit tells "
+            "where they are not."
+        )
+    elif coloured:
         found.append(
             f"Residuals are not white: each follows from the one before, with a correlation of {_listed(coloured)}. "
             "The plain standard errors take them for white, and are too small. Either the model misses something "
             "(ph.diagnose tells what), or the noise is filtered."
         )
     if off:
-        found.append(f"Residuals of {_listed(off)} are mostly a constant offset: a bias is missing, or off.")
+        what = "Innovations" if filtered else "Residuals"
+        found.append(f"{what} of {_listed(off)} are mostly a constant offset: a bias is missing, or off.")
     return found
 
 

@@ -141,11 +141,13 @@ def _match(fit: Any) -> str:
         m = match(fit.records, name)
         numbers = [f"{m.rms:.4g}", f"{m.r_squared:.4f}", f"{m.theil:.4f}", f"{m.lag_one:.2f}"]
         rows.append([name, m.unit, *("" if n == "nan" else n for n in numbers), str(m.samples)])
+    filtered = any(record.innovations for record in fit.records)
+    against = "what is predicted from the samples before (innovations)" if filtered else "model"
     text = (
-        "<p>Residuals are measured minus model. R² and Theil's U are 1 and 0 for a perfect match; lag-1 is the "
+        f"<p>Residuals are measured minus {against}. R² and Theil's U are 1 and 0 for a perfect match; lag-1 is the "
         "correlation of a residual with the next, 0 where they are white.</p>"
     )
-    heads = ["output", "unit", "RMS residual", "R²", "Theil's U", "lag-1", "samples"]
+    heads = ["output", "unit", "RMS innovation" if filtered else "RMS residual", "R²", "Theil's U", "lag-1", "samples"]
     shown = ""
     for i, record in enumerate(fit.records[:_FIGURES]):
         figure, _ = plot.plot_fit(fit, i)

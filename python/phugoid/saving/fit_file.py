@@ -32,7 +32,7 @@ __all__ = ["fit_from", "fit_payload", "fit_unit", "load", "save"]
 _Array: TypeAlias = NDArray[np.float64]
 
 # Of records that the filter-error method leaves.
-_OF_FILTER = ("state_std", "innovations", "innovation_std")
+_OF_FILTER = ("state_std", "innovations", "innovation_std", "predicted_states")
 
 
 def save(fit: Fit, path: str | os.PathLike[str]) -> None:

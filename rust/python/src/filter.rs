@@ -24,9 +24,9 @@ pub enum Outcome<'py> {
     Lost(String),
 }
 
-/// States, outputs and innovations, each with its deviations; covariance of the first state, how it follows the
-/// parameters.
-type Smooth<'py> = ([Pair<'py>; 3], Array<'py>, Array<'py>);
+/// States, outputs, innovations and predicted states, each with its deviations; covariance of the first state, how it
+/// follows the parameters.
+type Smooth<'py> = ([Pair<'py>; 4], Array<'py>, Array<'py>);
 
 /// Values and deviations, or states and outputs.
 type Pair<'py> = (Matrix<'py>, Matrix<'py>);
@@ -175,6 +175,7 @@ impl PyFilter {
                     pair(&s.states, &s.deviations)?,
                     pair(&s.outputs, &s.output_deviations)?,
                     pair(&s.innovations.values, &s.innovations.deviations)?,
+                    pair(&s.innovations.states, &s.innovations.state_deviations)?,
                 ],
                 PyArray1::from_slice(py, &s.first_covariance),
                 PyArray1::from_slice(py, &s.first_follows),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...records import Record
 
-__all__ = ["Series", "channel_series", "same_rate"]
+__all__ = ["Series", "channel_series", "residual_of", "same_rate"]
 
 _Array = NDArray[np.float64]
 
@@ -28,11 +28,11 @@ class Series:
     experiment  its name.
     outliers    times of samples far off their neighbours, s, which are left out of the others.
     t           (n,) times of the samples that are there, s.
-    r           (n,) residuals; with process noise the innovations, which are what should be white there.
+    r           (n,) residuals, as `residual_of` gives them.
     at          (n,) place of each on the grid of step dt.
     dt          s, median spacing of the samples: of a channel slower than others, its own.
-    regressors  name -> (n,): states, inputs, and their rates (with a prime: ``q'``), which change in this experiment;
-                and ``time`` since its first sample.
+    regressors  name -> (n,): states (with process noise those predicted from the samples before), inputs, and their
+                rates (with a prime: ``q'``), which change in this experiment; and ``time`` since its first sample.
     """
 
     experiment: str
@@ -54,7 +54,7 @@ def channel_series(records: Sequence[Record], channel: str) -> list[Series]:
     """One for each experiment where the channel has two samples or more."""
     found = []
     for record in records:
-        r = record.innovations.get(channel, record.residuals.get(channel))
+        r = residual_of(record, channel)
         if r is None:
             continue
         there = np.flatnonzero(np.isfinite(r))
@@ -70,6 +70,23 @@ def channel_series(records: Sequence[Record], channel: str) -> list[Series]:
         at = np.concatenate([np.zeros(1, np.int64), np.cumsum(places)])
         found.append(Series(record.name, outliers, t, r[there], at, dt, _regressors(record, there)))
     return found
+
+
+def residual_of(record: Record, channel: str) -> _Array | None:
+    """Return the residuals of a channel, (N,), NaN where missing; None where there are none.
+
+    With process noise they are the innovations, each divided by its own standard deviation: after a gap, or where few
+    sensors are read, a right model predicts less well, and says so. They keep their root mean square in the record.
+    """
+    r = record.innovations.get(channel, record.residuals.get(channel))
+    std = record.innovation_std.get(channel)
+    if r is None or std is None:
+        return r
+    there = np.isfinite(r) & (std > 0.0)
+    alike = np.full(r.shape, np.nan)
+    alike[there] = r[there] / std[there]
+    size = float(np.linalg.norm(alike[there]))
+    return alike * (float(np.linalg.norm(r[there])) / size) if size > 0.0 else alike
 
 
 def same_rate(series: Sequence[Series]) -> tuple[list[Series], list[Series]]:
@@ -98,10 +115,14 @@ def _same(one: float, other: float) -> bool:
 
 
 def _regressors(record: Record, there: NDArray[np.int64]) -> dict[str, _Array]:
-    own = {"time": record.t - record.t[0], **record.states, **record.inputs}
+    # The smoothed states of a filter follow the innovations at the same sample and after it: a right model would seem
+    # to err where they move. What is predicted from the samples before is independent of them.
+    states = record.predicted_states if record.innovations else record.states
+    own = {"time": record.t - record.t[0], **states, **record.inputs}
+    rates = {f"{name}'": _backward(values, record.t) for name, values in record.predicted_states.items()}
     # States run smoothly along the fitted path, so central differences of it are rates without noise.
-    rates = {f"{name}'": np.gradient(values, record.t) for name, values in own.items()}
-    del rates["time'"]
+    smooth = record.inputs if record.innovations else {**states, **record.inputs}
+    rates |= {f"{name}'": np.gradient(values, record.t) for name, values in smooth.items()}
     # The rate of what rests is rounding.
     rates = {name: values for name, values in rates.items() if _moves(own[name.removesuffix("'")])}
     found: dict[str, _Array] = {}
@@ -111,6 +132,12 @@ def _regressors(record: Record, there: NDArray[np.int64]) -> dict[str, _Array]:
         if _moves(x) and not any(abs(np.corrcoef(x, y)[0, 1]) > _SAME for y in found.values()):
             found[name] = x
     return found
+
+
+def _backward(values: _Array, t: _Array) -> _Array:
+    """Backward differences, which no later sample enters."""
+    slopes = np.diff(values) / np.diff(t)
+    return np.concatenate([slopes[:1], slopes])
 
 
 def _moves(values: _Array) -> bool:

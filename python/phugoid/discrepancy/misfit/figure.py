@@ -24,6 +24,7 @@ from ...figures.style import (
     with_gaps,
 )
 from ...records import Record
+from ..colour.series import residual_of
 from .misfit import ChannelMisfit, Misfit
 from .phrases import number, per_second
 
@@ -62,7 +63,7 @@ def misfit_figure(misfit: Misfit, fit: Any, channels: Sequence[str] | None = Non
         parts = figure.subfigures(len(names), 1, squeeze=False)[:, 0]
         for part, name in zip(parts, names, strict=True):
             channel = misfit.channels[name]
-            records = [r for r in fit.records if _residual(r, name) is not None]
+            records = [r for r in fit.records if residual_of(r, name) is not None]
             shown = _most_telling(channel, records)
             _key(part, misfit, names) if name == names[0] else None
             part.suptitle(plain(_heading(channel)), x=0.01, ha="left", fontsize=9.0)
@@ -105,17 +106,13 @@ def _heading(c: ChannelMisfit) -> str:
     return size if np.isnan(c.ratio) else f"{size}, noise {number(c.noise)}, ratio {number(c.ratio)}"
 
 
-def _residual(record: Record, name: str) -> Any:
-    return record.innovations.get(name, record.residuals.get(name))
-
-
 def _most_telling(c: ChannelMisfit, records: Sequence[Record]) -> list[Record]:
     """All experiments, or of many those with the largest residuals, in their order."""
     if len(records) <= _EXPERIMENTS:
         return list(records)
 
     def size(record: Record) -> float:
-        r = _residual(record, c.name)
+        r: Any = residual_of(record, c.name)
         return float(np.nanmean(r**2)) if np.isfinite(r).any() else 0.0
 
     chosen = sorted(records, key=size, reverse=True)[:_EXPERIMENTS]
@@ -124,7 +121,7 @@ def _most_telling(c: ChannelMisfit, records: Sequence[Record]) -> list[Record]:
 
 def _draw_time(axis: Axes, c: ChannelMisfit, record: Record, *, first: bool, room: int) -> None:
     """``room``: for so many letters of the experiment's name, 0 where there is but one."""
-    r = _residual(record, c.name)
+    r: Any = residual_of(record, c.name)
     if np.isfinite(c.noise):
         axis.axhspan(-2.0 * c.noise, 2.0 * c.noise, color=BAND, linewidth=0.0)
     for span in c.spans:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
-from ...errors import DataError
+from ...errors import DataError, ModelError
 from ...estimation.estimate import estimate
-from ...validation.biases import biases
-from ...validation.held import held_model, held_noise, mesh_for
+from ...validation.biases import freed_by_default
+from ...validation.held import estimates_of, held_model, held_noise, mesh_for
 from ..candidates.candidate import Candidate
 from .least_squares import Whitened, own_whitening
 from .linearised import Linearised
@@ -79,23 +79,32 @@ def _blocks(linear: Linearised) -> NDArray[np.intp]:
     return block
 
 
-def on_other_data(refit: Refit, data: Sequence[Experiment], near: Linearised | None = None) -> Linearised:
-    """A refit's model on other data, linearised: first states and biases are free, all else is as fitted.
+def on_other_data(
+    refit: Refit, data: Sequence[Experiment], near: Linearised | None = None, free: Sequence[str] | None = None
+) -> Linearised:
+    """A refit's model on other data, linearised: first states and ``free`` parameters (biases unless given) are
+    estimated, all else is as fitted.
 
     ``near`` is another model's, whose path is a start.
 
-    Raises DataError where there is no such fit.
+    Raises ModelError where parameters have a value for each experiment and are not free, DataError where there is no
+    such fit.
     """
-    fit, free = refit.fit, biases(refit.fit.model)
+    fit = refit.fit
+    free = freed_by_default(fit.model) if free is None else free
     values = {n: e.value for n, e in fit.parameters.items()}
-    own = [n for n in fit.model.parameter_names if n not in values and n not in free]
+    declared = fit.model.declared_parameters.items()
+    own = [n for n, p in declared if p.per_experiment and not p.fixed and n not in free]
     if own:
-        raise DataError(
-            f"diagnose: {', '.join(own)} has a value for each experiment of the fit, so none for the validation "
-            "record: leave validation out"
+        names = [repr(n) for n in own]
+        listed = ", ".join(names)
+        raise ModelError(
+            f"diagnose: each experiment of the fit has its own {listed}, and which value the validation record has is "
+            f"not known: name what is to be estimated there, biases=[{listed}], or leave validation out"
         )
     model, noise = held_model(fit.model, values, free), held_noise(fit)[0]
-    start = started_from(near.fit, ()) if near else {n: values[n] for n in free if n in values}
+    known = {n: [e.value for e in estimates_of(fit.parameters, [n]).values()] for n in free}
+    start = started_from(near.fit, ()) if near else {n: float(np.mean(v)) for n, v in known.items() if v}
     mesh = mesh_for(fit, data)
     found = estimate(model, list(data), transcription=mesh, noise=noise, start=start)
     if found.status not in ("converged", "acceptable", "unidentifiable"):

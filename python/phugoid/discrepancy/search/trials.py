@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...result import Fit
+from ...validation.biases import freed_by_default
 from ..candidates.candidate import Candidate
 from ..candidates.centres import with_other_centres
 from ..colour.whitening import Whitening
@@ -40,16 +41,16 @@ _WORKERS = 4
 class Trials:
     """Trials of candidates at a base fit, each worked out once.
 
-    ``validation`` is data for held-out gains; without it blocks of the records are left out in turn. ``watch`` is
-    called with what is done.
+    ``validation`` is data for held-out gains; without it blocks of the records are left out in turn. ``biases`` are the
+    parameters of the base that are estimated anew there; None: those of sensors. ``watch`` is called with what is done.
     """
 
     base: Refit
     candidates: Sequence[Candidate]
     validation: Sequence[Experiment] = ()
     watch: Callable[[str], None] = lambda _: None
+    biases: Sequence[str] | None = None
     log: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -126,6 +127,13 @@ class Trials:
         inflation = max((more.inflation(c) for c in more.beside(base.candidates)), default=1.0)
         return 2.0 * min((more.own.merit - base.own.merit) / inflation, more.merit - base.merit)
 
+    def try_validation(self) -> None:
+        """Fits the base to the validation data, where there are any. Raises ModelError or DataError where they cannot
+        serve: the user is to know before the search."""
+        if self.validation:
+            self.watch("fitting the validation data")
+            self._on_other_data(self.base, None)
+
     def held_out(self, base: Refit, more: Refit) -> HeldOut:
         """Gain on held-out data; none where the model cannot be fitted there."""
         new = more.beside(base.candidates)
@@ -180,12 +188,19 @@ class Trials:
         key = frozenset(at.names)
         if key not in self._others:
             try:
-                self._others[key] = on_other_data(at, self.validation, near)
-            except PhugoidError as error:
+                self._others[key] = on_other_data(at, self.validation, near, self._free(at))
+            except PhugoidError:
+                if not key:
+                    raise
                 self._others[key] = None
-                if not key:  # then blocks of the records serve
-                    self.notes.append(str(error))
         return self._others[key]
+
+    def _free(self, at: Refit) -> Sequence[str] | None:
+        """What is estimated anew on other data: of the base what was asked for, and biases that were found."""
+        if self.biases is None:
+            return None
+        base = self.base.fit.model.parameter_names
+        return [*self.biases, *(n for n in freed_by_default(at.fit.model) if n not in base)]
 
     def _remember(self, candidate: Candidate, shape: Mapping[str, float], amplitude: _Array) -> None:
         """Where a refit starts."""

@@ -7,13 +7,17 @@
 use super::dense::{cholesky, dot, product, product_transposed, solve, symmetrise};
 use super::path::{At, Found};
 
-/// Innovations and their standard deviations.
+/// Innovations, the states predicted with them, and the standard deviations of both.
 #[derive(Clone, Debug, Default)]
 pub struct Innovations {
     /// z_k minus its prediction: n_y columns of N, NaN where a sample is missing.
     pub values: Vec<Vec<f64>>,
     /// Standard deviations, n_y columns of N.
     pub deviations: Vec<Vec<f64>>,
+    /// States predicted from the samples before, n columns of N.
+    pub states: Vec<Vec<f64>>,
+    /// Their standard deviations, n columns of N.
+    pub state_deviations: Vec<Vec<f64>>,
 }
 
 pub(super) fn innovations(at: &At<'_>, found: &Found) -> Innovations {
@@ -30,8 +34,19 @@ pub(super) fn innovations(at: &At<'_>, found: &Found) -> Innovations {
             p[i * n + i] = std * std;
         }
     }
-    let mut out = Innovations { values: vec![Vec::new(); n_y], deviations: vec![Vec::new(); n_y] };
+    let (of_outputs, of_states) =
+        (vec![Vec::with_capacity(samples); n_y], vec![Vec::with_capacity(samples); n]);
+    let mut out = Innovations {
+        values: of_outputs.clone(),
+        deviations: of_outputs,
+        states: of_states.clone(),
+        state_deviations: of_states,
+    };
     for k in 0..samples {
+        for i in 0..n {
+            out.states[i].push(found.path.x[k * n + i] + dx[i]);
+            out.state_deviations[i].push(p[i * n + i].max(0.0).sqrt());
+        }
         // In units of σ: the residual r = (z − g)/σ has slope C = ∂r/∂x and unit noise; it is 0 where missing.
         let c = &slopes[k * n_y * n..(k + 1) * n_y * n];
         let (r, root) = residuals[2 * k * n_y..2 * (k + 1) * n_y].split_at(n_y);

@@ -1,0 +1,83 @@
+"""Vanes off the centre of gravity beside late ones: a reconstruction tries both, and says which the data prefer."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+import phugoid as ph
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
+import flight_path as example
+import flight_path_twin as twin
+from records import find
+
+OUTPUTS = ("V", "alpha", "beta", "phi", "theta", "psi")
+BOOM = example.attas.BOOM
+LATE = ("alpha", "beta")
+
+
+@pytest.fixture(scope="module")
+def truth() -> ph.results.Record:
+    return twin.flown()
+
+
+def on_boom(truth: ph.results.Record, seed: int = 0) -> ph.Experiment:
+    """Vanes on the boom, in time; airspeed in time too, for estimation of delays takes long."""
+    run = twin.measured(truth, seed, boom=BOOM)
+    return ph.Experiment(run.t, channels={**run.channels, "V": twin.measured(truth, None, boom=BOOM).channels["V"]})
+
+
+def test_a_place_that_is_not_given_is_found(truth: ph.results.Record) -> None:
+    places = ph.reconstruct(on_boom(truth), OUTPUTS).places
+    assert places is not None and places.preferred and places.delayed == ()
+    for c in ("alpha", "beta"):
+        e = places.fit.parameters[f"x_{c}_vane"]
+        assert abs(e.value - BOOM[0]) < 4 * places.fit.coloured.parameters[e.name].std_error + 0.15
+    assert "prefer places to vanes at the centre of gravity" in str(places) and "alpha_vane=(x, y, z)" in str(places)
+
+
+def test_delays_that_were_asked_for_are_told_to_be_places(truth: ph.results.Record) -> None:
+    """The delay looks right, x/V, and so does a scale factor that is not there."""
+    path = ph.reconstruct(on_boom(truth), OUTPUTS, late=LATE)
+    assert path.fit.parameters["tau_alpha"].value == pytest.approx(BOOM[0] / twin.V0, abs=0.01)
+    assert path.fit.parameters["K_alpha"].value < 0.95 * twin.ERRORS["K_alpha"]
+    assert path.places is not None and path.places.preferred and path.places.delayed == LATE
+    assert path.places.fit.parameters["K_alpha"].value == pytest.approx(twin.ERRORS["K_alpha"], abs=0.01)
+    assert "instead of delays of alpha and beta" in path.summary() and "prefer places to delays" in path.summary()
+
+
+def test_vanes_that_are_late_are_told_to_be_late(truth: ph.results.Record) -> None:
+    places = ph.reconstruct(twin.measured(truth), OUTPUTS, late=("V", *LATE)).places
+    assert places is not None and places.preferred is False
+    assert "the data prefer delays" in str(places)
+
+
+def test_a_place_that_is_given_is_not_tried(truth: ph.results.Record) -> None:
+    known = {"alpha_vane": BOOM, "beta_vane": BOOM, "flank": True}
+    assert ph.reconstruct(on_boom(truth), OUTPUTS, **known).places is None
+    one = ph.reconstruct(on_boom(truth), OUTPUTS, alpha_vane=BOOM).places
+    assert one is not None and one.channels == ("beta",)
+
+
+def test_a_coordinate_that_is_none_is_a_parameter() -> None:
+    m = ph.models.flight_path("V alpha", alpha_vane=(None, -0.5, None))
+    assert {"x_alpha_vane", "z_alpha_vane"} <= {*m.parameter_names} and m.units["alpha"] == "rad"
+    assert "y_alpha_vane" not in m.parameter_names
+    with pytest.raises(ph.OptionError, match="beta_vane is its position"):
+        ph.models.flight_path("V beta", beta_vane=(None, 0.0))
+    with pytest.raises(ph.OptionError, match="alpha_vane is its position"):
+        ph.models.flight_path("V alpha", alpha_vane=(None, 0.0, float("nan")))
+
+
+@pytest.mark.skipif(any(find(n) is None for n in example.attas.RECORDS), reason="the ATTAS records are not here")
+def test_attas_places_are_those_of_the_boom() -> None:
+    """Asked for neither places nor delays, which is quick."""
+    places = ph.reconstruct(example.records(), OUTPUTS, per_experiment=example.INERTIAL).places
+    assert places is not None and places.preferred
+    p, errors = places.fit.parameters, places.fit.coloured.parameters
+    for c in ("alpha", "beta"):
+        assert abs(p[f"x_{c}_vane"].value - BOOM[0]) < 2 * errors[f"x_{c}_vane"].std_error
+        assert abs(p[f"K_{c}"].value - 1.0) < 2 * errors[f"K_{c}"].std_error

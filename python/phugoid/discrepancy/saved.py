@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
+from ..errors import DataError
 from ..saving import json_file as io
 from ..saving.fit_file import damage, fit_from, fit_payload, fit_unit
 from .diagnosis import Diagnosis
@@ -57,10 +58,13 @@ def load_diagnosis(path: str | os.PathLike[str]) -> Diagnosis:
         if more is not None:
             extended = fit_from(more["fit"], _FITS[version])
             extension = Extension(extended.model, extended, _texts(more["added"]), _made(Gain, more["gain"]))
+        findings = tuple(_made(Finding, f) for f in saved["findings"])
+        if extension is None and any(f.cause for f in findings):
+            raise DataError("extension: is missing, although a cause is named")
         return Diagnosis(
             fit=fit,
             misfit=misfit(fit),
-            findings=tuple(_made(Finding, f) for f in saved["findings"]),
+            findings=findings,
             ranking=tuple(_made(Scored, s) for s in saved["ranking"]),
             threshold=io.to_float(saved["threshold"]),
             notes=_texts(saved["notes"]),

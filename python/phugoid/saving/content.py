@@ -63,7 +63,7 @@ def check_kinds(
     kinds: list[tuple[Iterable[str], str, Callable[[Any], bool]]] = [
         (texts, "text", lambda v: isinstance(v, str)),
         (whole, "whole number from 0", lambda v: type(v) is int and 0 <= v <= _WHOLE),
-        (numbers, "number", lambda v: type(v) in (int, float)),
+        (numbers, "number", lambda v: type(v) is float or (type(v) is int and abs(v) <= _WHOLE)),
         (flags, "truth value", lambda v: isinstance(v, bool)),
     ]
     for names, kind, fits in kinds:
@@ -75,15 +75,15 @@ def check_kinds(
 def _parameters(fit: Fit) -> None:
     names = [r.name for r in fit.records]
     _estimates("parameters", fit.parameters, fit.status)
-    local = {n for n, p in fit.model.declared_parameters.items() if p.per_experiment}
-    needed = [f"{n}[{r}]" for n in fit.model.parameter_names if n in local for r in names]
-    needed += [n for n in fit.model.parameter_names if n not in local]
-    for name in needed:
-        _require(name in fit.parameters, f"parameters: '{name}' is missing")
-    noise = fit.noise_parameters
+    known = set(fit.noise_parameters)
+    for name in fit.model.parameter_names:  # each record has its own, or all have one
+        own = [f"{name}[{r}]" for r in names]
+        there = own if own[0] in fit.parameters else [name]
+        for each in there:
+            _require(each in fit.parameters, f"parameters: '{each}' is missing")
+        known.update(there)
     for name in fit.parameters:
-        known = name in needed or name in noise
-        _require(known, f"parameters: '{name}' is neither the model's nor the noise's")
+        _require(name in known, f"parameters: '{name}' is neither the model's nor the noise's")
     n = len(fit.parameters)
     _array("covariance", fit.covariance, (n, n), missing=True)
     with np.errstate(invalid="ignore"):
@@ -142,6 +142,8 @@ def _experiments(fit: Fit) -> None:
     _require([e.name for e in fit.experiments] == [r.name for r in fit.records], "experiments: are not the records'")
     for i, e in enumerate(fit.experiments):
         place = f"experiments[{i}]"
+        n = fit.records[i].n
+        _require(e.n == n, f"{place}: has {e.n} samples, and its record {n}")
         _mesh(place, e)
         for name, signal in e._signals_of().items():
             where = f"{place}.signals.{name}"

@@ -313,9 +313,16 @@ class Model:
         """Reads `to_json`. Raises ModelError for other text."""
         model = cls.__new__(cls)
         model._core = _core.Model.from_json(text)
-        saved = json.loads(text)
-        model._noise = noise_from_dict(saved.get("noise", {}))
-        model._delays = Delays.from_dict(saved.get("delays", {}))
+        try:
+            saved = json.loads(text)
+            model._noise = noise_from_dict(saved.get("noise", {}))
+            model._delays = Delays.from_dict(saved.get("delays", {}))
+        except ModelError:
+            raise
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise ModelError(
+                f"saved model: its noise or delays are damaged ({type(error).__name__}: {error})"
+            ) from error
         return model
 
     def _around(self, core: _core.Model, delays: Delays) -> Model:

@@ -62,6 +62,7 @@ DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "a sample less": (lambda d: d["records"][0]["states"]["x"].pop(), r"records\[0\].states.x: has shape"),
     "times that go back": (put("records", 0, "t", 3, 0.0), r"records\[0\].t: does not increase"),
     "a state that is not finite": (put("records", 0, "states", "x", 3, None), r"records\[0\].states.x: 1 of its"),
+    "no first state of a record": (lambda d: d["initial_states"].clear(), "initial_states: names"),
     "no records": (put("records", []), "records: there is none"),
     "a record without an output": (lambda d: d["records"][0]["outputs"].clear(), r"records\[0\].outputs: names"),
     "an estimate without a name of the model": (put("parameters", 0, "name", "b"), "parameters: 'a' is missing"),

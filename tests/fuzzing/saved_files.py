@@ -35,7 +35,7 @@ import phugoid as ph  # noqa: E402
 from phugoid.writing import sealed  # noqa: E402
 
 MEMORY = 1 << 30
-SLOW = 10.0  # s, of a single mutation
+SLOW = 30.0  # s, of a single mutation; a page with its figures takes a second or two
 
 T = 0.1 * np.arange(48)
 

@@ -19,6 +19,7 @@ from ..records import Record
 from ..refinement import Refinement
 from ..result import Fit
 from ..solvers import HINTS, Iteration, Solution
+from ..transcription.filter_error import FilterError
 
 __all__ = ["check_fit", "check_kinds"]
 
@@ -88,8 +89,8 @@ def _parameters(fit: Fit) -> None:
     _array("covariance", fit.covariance, (n, n), missing=True)
     with np.errstate(invalid="ignore"):
         _require(not (np.diag(fit.covariance) < 0).any(), "covariance: a variance is negative")
+    _names("initial_states", fit.initial_states, names, empty=isinstance(fit.transcription, FilterError))
     for record, group in fit.initial_states.items():
-        _require(record in names, f"initial_states: there is no record '{record}'")
         _estimates(f"initial_states.{record}", group, fit.status)
         _names(f"initial_states.{record}", group, fit.model.state_names)
 

@@ -54,8 +54,8 @@ def to_json(obj: Mapping[str, Any], keep: _Keep | None = None, name: str = FORMA
     Takes None, bool, int, float, str, numpy scalars and arrays, and mappings, lists and tuples of them; ``keep`` says
     what to write for an array at a place, unless its numbers. Raises DataError for anything else, with its place.
 
-    >>> to_json({"mesh": np.array([0.0, np.nan])})
-    '{"format": "phugoid-fit", "version": 2, "mesh": [0.0, null], "checksum": "sha256:..."}'
+    >>> to_json({"mesh": np.array([0.0, np.nan])}).partition(', "checksum"')[0]
+    '{"format": "phugoid-fit", "version": 2, "mesh": [0.0, null]'
     """
     for reserved in ("format", "version", CHECKSUM):
         if reserved in obj:

@@ -18,6 +18,7 @@ from hidden import make
 from matplotlib import pyplot as plt
 
 import phugoid as ph
+from phugoid.writing import sealed
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +87,7 @@ def test_what_a_later_release_adds_is_passed_over(diagnosis: ph.results.Diagnosi
     diagnosis.save(path)
     document = json.loads(path.read_text(encoding="utf-8"))
     document["findings"][0]["mood"] = document["mood"] = "good"
-    path.write_text(json.dumps(document), encoding="utf-8")
+    path.write_text(json.dumps(sealed(document)), encoding="utf-8")
     assert ph.load(path).summary() == diagnosis.summary()
 
 

@@ -115,7 +115,7 @@ def test_slips_of_the_pen_are_named() -> None:
 
 def test_a_report_asks_for_its_folder_before_it_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = ph.estimate(lag(), lag_record(20))
-    monkeypatch.setattr("phugoid.report.report.write_page", lambda *_: pytest.fail("the page was made first"))
+    monkeypatch.setattr("phugoid.report.report.write", lambda *_: pytest.fail("the page was made first"))
     with pytest.raises(ph.DataError, match="there is no folder"):
         fit.report(tmp_path / "none" / "fit.html")
 

@@ -97,7 +97,7 @@ def test_files_that_cannot_be_written_or_read(file: Path) -> None:
     m.outputs(x=x)
     fit = ph.estimate(m, ph.read(file))
     nowhere = file.parent / "nowhere" / "x.html"
-    refuses(ph.DataError, r"x\.html: cannot be written \(there is no folder", lambda: fit.report(nowhere))
+    refuses(ph.DataError, r"x\.html: cannot be saved, since there is no folder", lambda: fit.report(nowhere))
     refuses(ph.DataError, "cannot be written", lambda: fit.report(file.parent))
     refuses(ph.DataError, "cannot be saved", lambda: m.save(nowhere))
     refuses(ph.DataError, r"x\.html: cannot be read", lambda: ph.Model.load(nowhere))

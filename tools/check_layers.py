@@ -13,17 +13,18 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "lgl", "interpolate", "table", "error", "pairs", "expr", "tape", "transform", "parameter",
-    "nlp", "noise", "condition", "model", "evaluator", "experiment", "mesh", "transcription", "filter", "linalg",
-    "solver", "diagnosis", "estimate", "simulate",
+    "math", "simd", "lgl", "interpolate", "table", "error", "threads", "pairs", "expr", "tape", "transform",
+    "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment", "mesh", "transcription", "filter",
+    "linalg", "solver", "diagnosis", "estimate", "simulate",
 ]
 
 PYTHON = [
-    "_core", "errors", "tabular", "symbols", "parameters", "noise", "modelling", "data", "transcription", "guess",
-    "solvers", "interrupts", "progress", "records", "tolerance", "match", "goodness_of_fit", "correlations",
+    "_core", "errors", "writing", "tabular", "symbols", "parameters", "noise", "modelling", "data", "transcription",
+    "guess", "solvers", "interrupts", "progress", "records", "tolerance", "match", "goodness_of_fit", "correlations",
     "repeated_outputs", "figures", "regression", "integration", "refinement", "summary", "result", "process_noise",
     "estimation", "simulate", "linear", "inputs", "models", "export", "saving", "validation", "pages", "discrepancy",
-    "loading", "planning", "reconstruction", "report", "starts", "uncertainty", "results", "cli", "__init__", "__main__",
+    "loading", "planning", "reconstruction", "report", "starts", "uncertainty", "results", "cli", "__init__",
+    "__main__",
 ]
 DISCREPANCY = [
     "colour", "misfit", "candidates", "search", "telling", "page", "findings", "diagnosis", "saved", "diagnose",

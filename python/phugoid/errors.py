@@ -6,6 +6,7 @@ Each subclass is also the built-in exception that a reader would expect, so ``ex
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from typing import Any
 
 __all__ = [
     "DataError",
@@ -20,8 +21,18 @@ __all__ = [
 ]
 
 
+_LONGEST = 1900
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 600]} [...] {text[-500:]}"
+
+
 class PhugoidError(Exception):
-    """Base of everything that phugoid raises on purpose."""
+    """Base of everything that phugoid raises on purpose. A text that quotes much is shortened to 2,000 characters."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*(_shortened(arg) if isinstance(arg, str) else arg for arg in args))
 
 
 class ModelError(PhugoidError, ValueError):

@@ -238,8 +238,8 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str)
 
 def _decimals(std_error: float) -> int:
     """Decimals worth printing: the error keeps one digit, or two where the first is 1 or 2."""
-    exponent = math.floor(math.log10(std_error))
-    return -exponent + (1 if std_error / 10.0**exponent < 2.95 else 0)
+    digits, exponent = f"{std_error:.15e}".split("e")  # which a power of ten would not tell of the smallest numbers
+    return -int(exponent) + (1 if float(digits) < 2.95 else 0)
 
 
 def _rounded(value: float, std_error: float) -> tuple[str, str]:

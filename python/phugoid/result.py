@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from . import summary, tabular
+from . import _core, summary, tabular
 from ._core import Expr
 from .data.experiment import Experiment
 from .errors import DataError, ModelError, OptionError, did_you_mean
@@ -132,6 +132,19 @@ class Fit:
         names = {*self.noise.names(self.model.output_names), *(f"sigma_{n}" for n in self.model.output_names)}
         # Also of a single experiment, as in sigma_q[run 1].
         return {n for n in self.parameters if n.partition("[")[0] in names} | self._intensities
+
+    def _solution_of(self, problem: _core.Problem) -> Solution:
+        """The solution, of which a problem made of model and data anew is that of the fit.
+
+        Raises DataError where it is not, as in a file whose parts belong to different fits.
+        """
+        s = self.solution
+        if s is None or (s.xi.size, s.multipliers.size) != (problem.n, problem.m):
+            raise DataError(
+                f"fit of '{self.model.name}': its solution is not one of its model and data ({problem.n} unknowns and "
+                f"{problem.m} equations); estimate it again with start=fit"
+            )
+        return s
 
     def as_start(self, noise: Noise | None = None) -> dict[str, float]:
         """Parameters as start values of another estimation; of the noise those that ``noise`` has, or all."""

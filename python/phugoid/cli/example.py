@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from io import StringIO
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ import typer
 
 from ..errors import OptionError
 from ..modelling.model import Model
+from ..writing import write
 from .examples import EXAMPLES, Example, example_of
 from .guard import guard
 from .model_file import load_model
@@ -46,7 +48,7 @@ def example(
         if there and not force:
             raise OptionError(f"{', '.join(there)} would be written over; give --force, or --out for another folder")
         folder.mkdir(parents=True, exist_ok=True)
-        file.write_text(chosen.text, encoding="utf-8")
+        write(file, chosen.text)
         model = load_model(str(file))
         for which, path in enumerate(records):
             _write(chosen, model, which, path)
@@ -74,7 +76,8 @@ def _write(chosen: Example, model: Model, which: int, path: Path) -> None:
     truth, measured = chosen.record(model, which)
     columns = {"t": truth.t, **truth.inputs, **measured}
     units = {"t": "s", **model.units}
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([f"{n} [{units[n]}]" if units.get(n) else n for n in columns])
-        writer.writerows([f"{value:.9g}" for value in row] for row in np.column_stack(list(columns.values())))
+    table = StringIO(newline="")
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow([f"{n} [{units[n]}]" if units.get(n) else n for n in columns])
+    writer.writerows([f"{value:.9g}" for value in row] for row in np.column_stack(list(columns.values())))
+    write(path, table.getvalue(), "the record")

@@ -15,6 +15,7 @@ from ..parameters import Estimates
 from ..result import Fit
 from ..saving.json_file import SUFFIXES
 from ..summary import corrected
+from ..writing import drawn, write
 
 __all__ = ["check_saved", "check_targets", "emit_json", "fit_facts", "match_facts", "save_figures"]
 
@@ -54,7 +55,7 @@ def save_figures(result: Any, path: Path) -> list[Path]:
         name = "".join(c if c.isalnum() or c in "-_." else "_" for c in record.name)
         target = path if len(result.records) == 1 else path.with_stem(f"{path.stem}-{name}")
         figure, _ = result.plot(i)
-        figure.savefig(target, dpi=150)
+        write(target, drawn(figure, target, dpi=150), "the figure")
         plt.close(figure)
         written.append(target)
     return written

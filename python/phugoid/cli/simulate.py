@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, TextIO
 
@@ -18,6 +19,7 @@ from ..result import Fit
 from ..saving.fit_file import load
 from ..saving.json_file import SUFFIXES
 from ..simulate import simulate as integrate
+from ..writing import write
 from .data_files import Reading
 from .guard import guard
 from .model_file import load_source
@@ -74,8 +76,9 @@ def simulate(
         record = integrate(described, values, experiment, initial=first)
         written = []
         if out is not None:
-            with out.open("w", encoding="utf-8", newline="") as file:
-                _write(record, file)
+            table = StringIO(newline="")
+            _write(record, table)
+            write(out, table.getvalue(), "the table")
             written.append(out)
         measured = {name: match(record, name) for name in record.measured}
         if json:

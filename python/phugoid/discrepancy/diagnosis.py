@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..errors import OptionError
 from ..result import Fit
 from .misfit.misfit import Misfit
 from .page.figures import findings_figure, gain_figure, misfit_figure, ranking_figure
@@ -66,7 +67,8 @@ class Diagnosis:
     def _extension(self) -> Extension:
         if self._saved is not None:
             return self._saved
-        assert self._search is not None and self._final is not None
+        if self._search is None or self._final is None:
+            raise OptionError("extend: nothing was named when this diagnosis was saved, so there is no extended model")
         base, final, search = self._search.base, self._final, self._search
         n = base.linear.n_rows
         more = len(final.fit.model.parameter_names) - len(base.fit.model.parameter_names)

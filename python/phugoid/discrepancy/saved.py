@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
 from ..errors import DataError
 from ..saving import json_file as io
-from ..saving.fit_file import fit_from, fit_payload, fit_unit
+from ..saving.fit_file import damage, fit_from, fit_payload, fit_unit
 from .diagnosis import Diagnosis
 from .misfit.misfit import misfit
 from .search.extension import Extension, Gain
@@ -52,34 +52,51 @@ def save_diagnosis(d: Diagnosis, path: str | os.PathLike[str]) -> None:
 def load_diagnosis(path: str | os.PathLike[str]) -> Diagnosis:
     """Reads what `Diagnosis.save` wrote, in this version or an older one. Raises as `load` does."""
     saved, version = io.load_fit_dict(path, io.DIAGNOSIS)
-    try:
+    with damage(path):
         fit, more = fit_from(saved["fit"], _FITS[version]), saved["extension"]
         extension = None
         if more is not None:
             extended = fit_from(more["fit"], _FITS[version])
-            extension = Extension(extended.model, extended, tuple(more["added"]), _made(Gain, more["gain"]))
+            extension = Extension(extended.model, extended, _texts(more["added"]), _made(Gain, more["gain"]))
+        findings = tuple(_made(Finding, f) for f in saved["findings"])
+        if extension is None and any(f.cause for f in findings):
+            raise DataError("extension: is missing, although a cause is named")
         return Diagnosis(
             fit=fit,
             misfit=misfit(fit),
-            findings=tuple(_made(Finding, f) for f in saved["findings"]),
+            findings=findings,
             ranking=tuple(_made(Scored, s) for s in saved["ranking"]),
             threshold=io.to_float(saved["threshold"]),
-            notes=tuple(saved["notes"]),
+            notes=_texts(saved["notes"]),
             interrupted=bool(saved["interrupted"]),
             seconds=io.to_float(saved["seconds"]),
             _saved=extension,
         )
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-        raise DataError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
+
+
+def _texts(values: Iterable[Any]) -> tuple[str, ...]:
+    found = tuple(values)
+    if isinstance(values, str) or not all(isinstance(text, str) for text in found):
+        raise TypeError(f"texts are asked for, not {values!r:.60}")
+    return found
+
+
+def _pair(values: Any) -> tuple[float, float]:
+    first, second = values
+    return io.to_float(first), io.to_float(second)
+
+
+def _text(value: Any) -> str:
+    return _texts((value,))[0]
 
 
 # How what is neither text nor a single number is read back.
 _READ: Mapping[str, Callable[[Any], Any]] = {
-    "aliases": tuple,
-    "interval": lambda pair: tuple(map(io.to_float, pair)),
+    "aliases": _texts,
+    "interval": _pair,
     "ringing": lambda each: tuple(map(io.to_float, each)),
-    "parameters": lambda each: {name: tuple(map(io.to_float, pair)) for name, pair in each.items()},
-    "units": dict,
+    "parameters": lambda each: {name: _pair(pair) for name, pair in each.items()},
+    "units": lambda each: dict(zip(each, _texts(each.values()), strict=True)),
     **dict.fromkeys(
         ("rivals", "estimate", "rms_before", "rms_after", "held_out_rms_before", "held_out_rms_after"),
         lambda each: {name: io.to_float(value) for name, value in each.items()},
@@ -90,6 +107,6 @@ _READ: Mapping[str, Callable[[Any], Any]] = {
 def _made(kind: type[_T], saved: Mapping[str, Any]) -> _T:
     """From its fields; what a later version may add to them is no reason to fail."""
     read: dict[str, Callable[[Any], Any]] = {
-        f.name: _READ.get(f.name, io.to_float if f.type == "float" else str) for f in fields(kind)
+        f.name: _READ.get(f.name, io.to_float if f.type == "float" else _text) for f in fields(kind)
     }
     return kind(**{name: read[name](value) for name, value in saved.items() if name in read})

@@ -19,6 +19,7 @@ from .._core import Expr, __version__
 from ..errors import DataError, MissingDependency, OptionError
 from ..modelling.model import Model
 from ..result import Fit
+from ..writing import write
 from .contents import Contents, contents_of, identifier
 from .graph import number
 from .writer import Code, source
@@ -95,15 +96,15 @@ def export_fmu(
 
 def _archive(target: Path, members: Mapping[str, bytes]) -> None:
     import zipfile
+    from io import BytesIO
 
-    try:
-        with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-            for member, data in members.items():
-                info = zipfile.ZipInfo(member, _LONG_AGO)
-                info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-                archive.writestr(info, data)
-    except OSError as error:
-        raise DataError(f"{target}: the FMU cannot be written ({error.strerror})") from error
+    content = BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        for member, data in members.items():
+            info = zipfile.ZipInfo(member, _LONG_AGO)
+            info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            archive.writestr(info, data)
+    write(target, content.getvalue(), "the FMU")
 
 
 def _glue(contents: Contents, code: Code, guid: str, step: float) -> str:

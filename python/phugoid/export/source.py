@@ -10,6 +10,7 @@ from typing import Any
 from ..errors import DataError
 from ..modelling.model import Model
 from ..result import Fit
+from ..writing import write
 from .contents import checked_name, contents_of, identifier
 from .writer import source
 
@@ -54,9 +55,9 @@ def export_c(
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)
-        paths = target / f"{code.name}.h", target / f"{code.name}.c"
-        for path, text in zip(paths, (code.header, code.source), strict=True):
-            path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise DataError(f"{folder}: the source cannot be written ({error.strerror})") from error
+    paths = target / f"{code.name}.h", target / f"{code.name}.c"
+    for path, text in zip(paths, (code.header, code.source), strict=True):
+        write(path, text, "the source")
     return paths

@@ -70,7 +70,7 @@ class Uncertainty:
         found = []
         for width in _WIDTHS:
             problem = fit.transcription.problem(self._with_priors(width), fit.experiments, noise)
-            if xi.size != problem.n:
+            if (xi.size, multipliers.size) != (problem.n, problem.m):
                 return []
             labels = [name for name, *_ in problem.estimands]
             free = [i for i, label in enumerate(labels) if not self._held[self.names.index(label)]]

@@ -15,6 +15,7 @@ from ..errors import DataError, ModelError, did_you_mean
 from ..noise.kinds import PerOutput, noise_from_dict
 from ..noise.noise import KINDS, Gaussian, Noise, Sigma
 from ..parameters import Parameter
+from ..writing import sealed, unsealed, write
 from .declared import Declared
 from .delayed import Delays, at_delays
 
@@ -312,9 +313,16 @@ class Model:
         """Reads `to_json`. Raises ModelError for other text."""
         model = cls.__new__(cls)
         model._core = _core.Model.from_json(text)
-        saved = json.loads(text)
-        model._noise = noise_from_dict(saved.get("noise", {}))
-        model._delays = Delays.from_dict(saved.get("delays", {}))
+        try:
+            saved = json.loads(text)
+            model._noise = noise_from_dict(saved.get("noise", {}))
+            model._delays = Delays.from_dict(saved.get("delays", {}))
+        except ModelError:
+            raise
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise ModelError(
+                f"saved model: its noise or delays are damaged ({type(error).__name__}: {error})"
+            ) from error
         return model
 
     def _around(self, core: _core.Model, delays: Delays) -> Model:
@@ -325,10 +333,7 @@ class Model:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes `to_json` to a file; DataError where that cannot be done."""
-        try:
-            Path(path).write_text(self.to_json(), encoding="utf-8")
-        except OSError as error:
-            raise DataError(f"{path}: the model cannot be saved ({error.strerror or error})") from error
+        write(path, json.dumps(sealed(json.loads(self.to_json())), ensure_ascii=False), "the model")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Model:
@@ -339,7 +344,9 @@ class Model:
             raise DataError(
                 f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'it is no text'})"
             ) from error
-        return cls.from_json(text)
+        model = cls.from_json(text)
+        unsealed(json.loads(text), str(path))
+        return model
 
     def __reduce__(self) -> Any:
         return Model.from_json, (self.to_json(),)

@@ -19,8 +19,8 @@ from ..pages.markup import bullets, details, document, image, section, table
 from ..pages.mathml import equation
 from ..pages.provenance import facts, files_table, records_table, steps_of
 from ..parameters import Estimate, Estimates
-from ..saving.json_file import check_folder, write_page
 from ..summary import corrected
+from ..writing import check_folder, write
 from .remarks import remarks
 from .validation import validation_section
 
@@ -77,7 +77,7 @@ def report(
     kind = "nothing" if fit.converged and not fit.warnings else "unexplained"
     headline = f"{fit.status[:1].upper()}{fit.status[1:]}" + (f": {fit.message}." if fit.message else ".")
     page = document(f"Fit: {fit.model.name}", "Parameters from data", fit.model.name, headline, kind, sections)
-    write_page(path, page)
+    write(path, page, "the page")
 
 
 def _parameters(fit: Any) -> str:

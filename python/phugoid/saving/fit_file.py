@@ -7,7 +7,8 @@ takes what the records hold, and estimates again from there.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from typing import Any, TypeAlias
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.experiment import Experiment, Signal
-from ..errors import DataError
+from ..errors import DataError, PhugoidError
 from ..modelling.model import Model
 from ..noise.kinds import noise_from_dict
 from ..parameters import Estimate, Estimates
@@ -26,8 +27,9 @@ from ..solvers import Iteration, Solution
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription, from_dict, to_dict
 from . import json_file as io
+from .content import check_fit
 
-__all__ = ["fit_from", "fit_payload", "fit_unit", "load", "save"]
+__all__ = ["damage", "fit_from", "fit_payload", "fit_unit", "load", "save"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -46,10 +48,18 @@ def load(path: str | os.PathLike[str]) -> Fit:
     Raises DataError for a missing, damaged or newer file, MissingDependency for HDF5 without h5py.
     """
     saved, version = io.load_fit_dict(path)
-    try:
+    with damage(path):
         return fit_from(saved, version)
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-        raise DataError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
+
+
+@contextmanager
+def damage(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Raise DataError in the name of the file for whatever content that is no fit leads to."""
+    try:
+        yield
+    except Exception as error:  # what lies in wait in a file is of many kinds, up to RecursionError and MemoryError
+        what = str(error) if isinstance(error, PhugoidError) else f"{type(error).__name__}: {error}"
+        raise DataError(f"{path}: is damaged ({what[:500]})") from error
 
 
 def fit_payload(fit: Fit) -> dict[str, Any]:
@@ -133,7 +143,7 @@ def fit_unit(fit: Fit, place: tuple[str | int, ...]) -> str:
 
 
 def fit_from(saved: Mapping[str, Any], version: int) -> Fit:
-    """The fit of a payload."""
+    """The fit of a payload. Raises DataError, or another exception, where it is none."""
     fit = Fit(
         model=Model.from_json(saved["model"]),
         noise=noise_from_dict(saved["noise"]),
@@ -151,14 +161,16 @@ def fit_from(saved: Mapping[str, Any], version: int) -> Fit:
         history=_history(saved["history"]),
         refinement=Refinement.from_dict(saved["refinement"]) if saved.get("refinement") else None,
     )
-    if version == 1:
-        return fit
-    return replace(
-        fit,
-        experiments=tuple(_experiment(e) for e in saved["experiments"]),
-        solution=_solution(saved["solution"]) if saved["solution"] else None,
-        _moved=fit_from(saved["moved"], version) if saved["moved"] else None,
-    )
+    if version > 1:
+        solution, moved = saved["solution"], saved["moved"]
+        fit = replace(
+            fit,
+            experiments=tuple(_experiment(e) for e in saved["experiments"]),
+            solution=_solution(solution) if solution is not None else None,
+            _moved=fit_from(moved, version) if moved is not None else None,
+        )
+    check_fit(fit)
+    return fit
 
 
 def _history(lines: list[dict[str, Any]]) -> list[Iteration]:
@@ -220,16 +232,21 @@ def _experiment(saved: Mapping[str, Any]) -> Experiment:
 
 
 def _solution(saved: Mapping[str, Any]) -> Solution:
+    xi = io.to_array(saved["xi"])
+
     def whole(part: Mapping[str, Any]) -> _Array:
-        values = np.zeros(int(part["size"]))
-        values[np.asarray(part["at"], dtype=np.intp)] = io.to_array(part["values"])
+        at = np.asarray(part["at"], dtype=np.intp)
+        if part["size"] != xi.size or (at.size and at.min() < 0):
+            raise DataError("solution.bound_multipliers: are not those of as many variables")
+        values = np.zeros(xi.size)
+        values[at] = io.to_array(part["values"])
         return values
 
     bounds = saved["bound_multipliers"]
     return Solution(
         **{
             **saved,
-            "xi": io.to_array(saved["xi"]),
+            "xi": xi,
             "multipliers": io.to_array(saved["multipliers"]),
             "bound_multipliers": (whole(bounds["lower"]), whole(bounds["upper"])),
             "time": io.to_float(saved["time"]),

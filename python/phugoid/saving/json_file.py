@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
-from threading import get_ident
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
+from ..writing import CHECKSUM, check_folder, sealed, unsealed, write
 from . import hdf5_file
 
 __all__ = [
@@ -27,7 +26,6 @@ __all__ = [
     "FORMAT",
     "SUFFIXES",
     "VERSION",
-    "check_folder",
     "format_of",
     "from_json",
     "load_fit_dict",
@@ -35,7 +33,6 @@ __all__ = [
     "to_array",
     "to_float",
     "to_json",
-    "write_page",
 ]
 
 FORMAT = "phugoid-fit"
@@ -57,26 +54,27 @@ def to_json(obj: Mapping[str, Any], keep: _Keep | None = None, name: str = FORMA
     Takes None, bool, int, float, str, numpy scalars and arrays, and mappings, lists and tuples of them; ``keep`` says
     what to write for an array at a place, unless its numbers. Raises DataError for anything else, with its place.
 
-    >>> to_json({"mesh": np.array([0.0, np.nan])})
-    '{"format": "phugoid-fit", "version": 2, "mesh": [0.0, null]}'
+    >>> to_json({"mesh": np.array([0.0, np.nan])}).partition(', "checksum"')[0]
+    '{"format": "phugoid-fit", "version": 2, "mesh": [0.0, null]'
     """
-    for reserved in ("format", "version"):
+    for reserved in ("format", "version", CHECKSUM):
         if reserved in obj:
             raise DataError(f"the key '{reserved}' belongs to the file format: choose another")
     document = {"format": name, "version": _VERSIONS[name], **_plain(obj, (), keep)}
-    return json.dumps(document, ensure_ascii=False, allow_nan=False)
+    return json.dumps(sealed(document), ensure_ascii=False, allow_nan=False)
 
 
 def from_json(text: str, source: str = "the text", name: str = FORMAT) -> tuple[dict[str, Any], int]:
     """The dictionary that `to_json` took, with arrays as lists, and the version of the format ``name``.
 
-    Raises DataError where ``text`` is cut short, is no JSON, is of another format, or comes from a newer
-    version; ``source`` is how the message calls it.
+    Raises DataError where ``text`` is cut short, is no JSON, is of another format, comes from a newer version, or is
+    not what its checksum says; ``source`` is how the message calls it.
     """
     try:
-        document = json.loads(text)
-    except json.JSONDecodeError as error:
-        what = "is empty" if not text.strip() else f"is no complete JSON (line {error.lineno}: {error.msg})"
+        document = json.loads(text, parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        place = f"line {error.lineno}: {error.msg}" if isinstance(error, json.JSONDecodeError) else error
+        what = "is empty" if not text.strip() else f"is no complete JSON ({place})"
         raise DataError(f"{source}: {what}; the file is damaged or cut short, or is no saved {_WHAT[name]}") from None
     found = document.pop("format", None) if isinstance(document, dict) else None
     if found != name:
@@ -89,7 +87,12 @@ def from_json(text: str, source: str = "the text", name: str = FORMAT) -> tuple[
             f"{source}: has version {version} of the format, but this phugoid reads up to {_VERSIONS[name]}: "
             "install a newer phugoid"
         )
-    return dict(document), version
+    content = unsealed({"format": name, "version": version, **document}, source)
+    return {key: value for key, value in content.items() if key not in ("format", "version")}, version
+
+
+def _no_number(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def save_fit_dict(
@@ -103,23 +106,13 @@ def save_fit_dict(
     The suffix says how: HDF5 for ``.h5`` and ``.hdf5``, with ``unit`` of the array at a place as an attribute; JSON
     else. Raises DataError where the file cannot be written, MissingDependency for HDF5 without h5py.
     """
-    target = Path(path).resolve()  # through a link: the file is replaced, not the link
-    if not target.parent.is_dir():
-        raise DataError(f"{path}: cannot be saved, since there is no folder {target.parent}")
-    temporary = target.with_name(f".{target.name}.{os.getpid()}-{get_ident()}.tmp")
-    try:
-        if target.suffix.lower() in SUFFIXES:
-            with hdf5_file.Writer(temporary, unit) as file:
-                file.finish(to_json(payload, file.keep, name), name, _VERSIONS[name])
-        else:
-            temporary.write_text(to_json(payload, name=name), encoding="utf-8")
-        with open(temporary, "rb+") as written:
-            os.fsync(written.fileno())
-        os.replace(temporary, target)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be saved ({error.strerror or error})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    check_folder(path)
+    what = f"the {_WHAT[name]}"
+    if Path(path).suffix.lower() not in SUFFIXES:
+        write(path, to_json(payload, name=name), what)
+        return
+    with hdf5_file.Writer(unit) as file:
+        write(path, file.finish(to_json(payload, file.keep, name), name, _VERSIONS[name]), what)
 
 
 def load_fit_dict(path: str | PathLike[str], name: str = FORMAT) -> tuple[dict[str, Any], int]:
@@ -161,22 +154,6 @@ def _text(path: str | PathLike[str], what: str) -> str | None:
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
     return None if binary else text
-
-
-def check_folder(path: str | PathLike[str]) -> None:
-    """DataError where the folder of a file to be written is not there: said before the work, not after."""
-    folder = Path(path).resolve().parent
-    if not folder.is_dir():
-        raise DataError(f"{path}: cannot be written (there is no folder {folder})")
-
-
-def write_page(path: str | PathLike[str], page: str) -> None:
-    """Writes a page or another text; DataError where that cannot be done."""
-    check_folder(path)
-    try:
-        Path(path).write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def to_float(value: Any) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import fields, replace
 from hashlib import sha256
 from pathlib import Path
@@ -20,6 +21,7 @@ from .. import _core
 from ..errors import DataError
 from ..saving import json_file as io
 from ..transcription.filter_error import FilterError
+from ..writing import sealed, unsealed
 from .outcome import Outcome, Problem
 from .starts import Given, Uniform
 
@@ -59,6 +61,7 @@ class Journal:
     """Finished starts in a file, read when it is opened and appended to from then on.
 
     outcomes  number of the start -> what came of it, as read.
+    warnings  why starts finished since are not in the file, in words; empty where all are.
 
     Raises DataError where the file cannot be used: it is no journal, it is that of another problem (the message says
     what differs), a line within is damaged, or it cannot be read or written.
@@ -66,36 +69,52 @@ class Journal:
 
     def __init__(self, path: str | os.PathLike[str], problem: Problem, starts: Starts) -> None:
         self.path = Path(path)
+        self.warnings: tuple[str, ...] = ()
         header = {"format": FORMAT, "version": VERSION, "phugoid": _core.__version__, **fingerprint(problem, starts)}
         first = _line(header)
         try:
             text = self.path.read_bytes() if self.path.exists() else b""
             lines, sound = self._whole_lines(text, first)
             self.outcomes = self._read(lines, header, starts)
-            self._file = open(self.path, "ab")  # noqa: SIM115
+            # Without a buffer, which would be written once more when the file is closed.
+            self._file = open(self.path, "ab", buffering=0)  # noqa: SIM115
             self._file.truncate(sound)
+            self._sound = sound
             if not lines:
                 self._write(first)
         except OSError as error:
             raise DataError(f"journal {self.path}: cannot be read and written ({error.strerror})") from error
 
     def append(self, outcome: Outcome) -> None:
-        """Writes one finished start; it is in the file when this returns."""
+        """Write one finished start; it is in the file when this returns.
+
+        Where the file cannot be written, as on a full disk, the run goes on without it, and ``warnings`` says so.
+        """
+        if self.warnings:
+            return
         entry = {f.name: getattr(outcome, f.name) for f in fields(outcome)}
         # Arrays (paths of states) are told by their hash, as all of the start is.
         entry["start"] = {name: value for name, value in outcome.start.items() if np.ndim(value) == 0}
+        line = _line(sealed(io._plain({**entry, "start_hash": _start_hash(outcome.start)})))
         try:
-            self._write(_line({**entry, "start_hash": _start_hash(outcome.start)}))
+            self._write(line)
         except OSError as error:
-            raise DataError(f"journal {self.path}: cannot be written ({error.strerror})") from error
+            self.warnings = (
+                f"journal {self.path}: cannot be written ({error.strerror}); the starts from number {outcome.index} on "
+                "are in this result alone",
+            )
+            with suppress(OSError):
+                self._file.truncate(self._sound)  # half a line
 
     def close(self) -> None:
         """Closes the file."""
         self._file.close()
 
     def _write(self, line: bytes) -> None:
-        self._file.write(line)
-        self._file.flush()
+        left = memoryview(line)
+        while left:
+            left = left[self._file.write(left) :]
+        self._sound += len(line)
 
     def _whole_lines(self, text: bytes, first: bytes) -> tuple[list[bytes], int]:
         """The lines that are complete, and how many bytes they are."""
@@ -123,13 +142,11 @@ class Journal:
         for number, line in enumerate(lines[1:], 2):
             try:
                 entry = self._parsed(line)
+                entry = unsealed(entry, "")
                 mark = entry.pop("start_hash")
-                for name in ("parameters", "std_errors"):
-                    entry[name] = {key: io.to_float(value) for key, value in entry[name].items()}
-                entry["log_likelihood"] = io.to_float(entry["log_likelihood"])
-                outcome = Outcome(**entry)
+                outcome = _outcome(entry)
                 start = _start(starts, outcome.index)
-            except (AttributeError, KeyError, TypeError, ValueError):
+            except (ArithmeticError, AttributeError, KeyError, TypeError, ValueError):
                 raise DataError(f"journal {self.path}: line {number} is damaged; delete the line") from None
             if start is None:
                 continue  # beyond the starts given now
@@ -144,11 +161,42 @@ class Journal:
     def _parsed(self, line: bytes) -> Any:
         try:
             return json.loads(line)
-        except ValueError:
+        except (RecursionError, ValueError):
             return None
 
     def _foreign(self, why: str) -> DataError:
         return DataError(f"{self.path}: is no journal of a multistart ({why}); name another file")
+
+
+def _outcome(entry: Mapping[str, Any]) -> Outcome:
+    """From a line's entries; TypeError or ValueError where one is not of its kind."""
+    known = {f.name for f in fields(Outcome)}
+    if not known.issuperset(entry) or not {"index", "start", "status"}.issubset(entry):
+        raise TypeError("other entries than an outcome has")
+
+    def numbers(name: str) -> dict[str, float]:
+        return {str(key): io.to_float(value) for key, value in dict(entry.get(name, {})).items()}
+
+    def whole(name: str) -> int:
+        value = entry.get(name, 0)
+        if type(value) is not int or value < 0:
+            raise ValueError(f"{name} is no whole number")
+        return value
+
+    texts = [entry["status"], entry.get("message", "")]
+    if not all(isinstance(text, str) for text in texts):
+        raise TypeError("status and message are texts")
+    return Outcome(
+        whole("index"),
+        numbers("start"),
+        texts[0],
+        texts[1],
+        io.to_float(entry.get("log_likelihood")),
+        numbers("parameters"),
+        numbers("std_errors"),
+        whole("iterations"),
+        io.to_float(entry.get("time", 0.0)),
+    )
 
 
 def _start(starts: Starts, index: int) -> dict[str, Any] | None:

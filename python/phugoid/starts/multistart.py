@@ -61,7 +61,8 @@ def multistart(
     ProcessPoolExecutor, or ``client.get_executor()`` of a Dask client; a start runs on one thread there, unless
     the transcription says how many. Take processes rather than threads: Python's lock is held for part of the work.
     ``journal``: a file to which each finished start is written. The same call with the same journal runs only what
-    is missing (also after ``n`` was raised). One run at a time.
+    is missing (also after ``n`` was raised). One run at a time. Where it can no longer be written, as on a full disk,
+    the run goes on without it, and a warning of the result says so.
     ``progress``: True shows a bar; a function is called with each `Outcome` as it comes in.
 
     What goes wrong in a run is an outcome, not an error of the whole. If a worker dies, its starts run again, in a
@@ -116,7 +117,7 @@ def multistart(
         n=total,
         status="complete" if len(found) == total else "interrupted",
         problem=problem,
-        warnings=crew.warnings,
+        warnings=crew.warnings + (book.warnings if book else ()),
         time=time.perf_counter() - begin,
     )
 

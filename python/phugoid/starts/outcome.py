@@ -101,11 +101,7 @@ class Problem:
         )
 
     def single_threaded(self) -> Problem:
-        """The same for a worker beside others, unless a number of threads was asked for: the results are the same.
-
-        Besides, a forked process has none of the threads of the pool that it inherits, and would wait for them
-        forever.
-        """
+        """The same for a worker beside others, unless a number of threads was asked for: the results are the same."""
         if isinstance(self.transcription, FilterError):  # which has none
             return self
         threads = self.transcription.threads or 1

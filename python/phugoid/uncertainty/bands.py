@@ -182,7 +182,7 @@ def _opened(fit: Fit, found: Fit, held: Mapping[str, float]) -> Fit:
     by_name = {e.name.partition("[")[0]: e.value for e in inner.parameters.values()} | dict(held)
     labels = [name for name, *_ in problem.estimands]
     values = [by_name[label.partition("[")[0]] for label in labels]
-    xi = inner.solution.xi.copy()
+    xi = inner._solution_of(problem).xi.copy()
     xi[: len(values)] = problem.variables(values)
     estimates = []
     for label, value in zip(labels, values, strict=True):

@@ -112,6 +112,7 @@ pub mod simulate;
 pub mod solver;
 pub mod table;
 pub mod tape;
+mod threads;
 pub mod transcription;
 pub mod transform;
 

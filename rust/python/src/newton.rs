@@ -5,7 +5,8 @@ use std::time::Duration;
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1};
 use phugoid::diagnosis::{NoInformation, information as information_of};
 use phugoid::solver::{Control, Iteration, Settings, Solution, solve};
-use pyo3::exceptions::PyKeyboardInterrupt;
+use phugoid::transcription::Transcribed;
+use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
 use pyo3::prelude::*;
 
 use crate::errors::named;
@@ -90,6 +91,14 @@ impl PySolution {
     }
 }
 
+fn check_sizes(nlp: &dyn Transcribed, xi: &[f64], multipliers: Option<&[f64]>) -> PyResult<()> {
+    if xi.len() != nlp.n() || multipliers.is_some_and(|m| m.len() != nlp.m()) {
+        let (n, m) = (nlp.n(), nlp.m());
+        return Err(PyValueError::new_err(format!("the problem has {n} unknowns and {m} equations")));
+    }
+    Ok(())
+}
+
 /// Covariance (k, k) of some variables, the Newton step (k,) that is left, groups of variables that the
 /// data do not determine, and whether the point is a saddle; `None` where something is not finite. `stop` is asked now
 /// and then: where it says so, and at a Ctrl-C that nobody has taken, KeyboardInterrupt.
@@ -106,6 +115,10 @@ pub fn information<'py>(
     stop: Option<Py<PyAny>>,
 ) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Vec<Vec<usize>>, bool)>> {
     let (nlp, xi, lambda) = (problem.inner(), xi.as_slice()?, multipliers.as_slice()?);
+    check_sizes(nlp, xi, Some(lambda))?;
+    if let Some(i) = wanted.iter().chain(&held).find(|&&i| i >= nlp.n()) {
+        return Err(PyValueError::new_err(format!("there is no unknown {i} among {}", nlp.n())));
+    }
     let mut error: Option<PyErr> = None;
     let mut go_on = || {
         let asked = Python::attach(|py| {
@@ -150,6 +163,7 @@ pub fn newton(
     let nlp = problem.inner();
     let xi = xi.as_slice()?.to_vec();
     let multipliers = multipliers.map(|m| m.as_slice().map(<[f64]>::to_vec)).transpose()?;
+    check_sizes(nlp, &xi, multipliers.as_deref())?;
     let settings = Settings {
         max_iterations,
         tolerance,

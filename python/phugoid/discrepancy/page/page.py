@@ -12,7 +12,7 @@ from ...pages.markup import bullets, details, document, image, section, table
 from ...pages.mathml import equation
 from ...pages.provenance import facts, records_table
 from ...parameters import Estimate
-from ...saving.json_file import check_folder, write_page
+from ...writing import check_folder, write
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
 from ..search.extension import Extension
@@ -53,7 +53,7 @@ def report(diagnosis: Any, path: str | os.PathLike[str]) -> None:
         outcome(diagnosis.findings),
         sections,
     )
-    write_page(path, page)
+    write(path, page, "the page")
 
 
 def _wrong(diagnosis: Any) -> str:

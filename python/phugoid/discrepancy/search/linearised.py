@@ -77,7 +77,7 @@ class Linearised:
         spreads = {name: spread(self.experiments, name) for name in names}
         noise = inner.noise.resolve(names, spreads, inner.as_start(inner.noise))
         self._problem = inner.transcription.problem(self.model, self.experiments, noise)
-        self._xi = inner.solution.xi
+        self._xi = inner._solution_of(self._problem).xi
         present = [[np.isfinite(e.output(name)) for e in self.experiments] for name in names]
         counts = np.array([[int(p.sum()) for p in line] for line in present])
         ends = np.cumsum(counts.ravel()).reshape(counts.shape)

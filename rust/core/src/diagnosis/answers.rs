@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::forward::{AT_ONCE, Forward, Lanes};
 use super::response::Response;
 use crate::nlp::{Nlp, NotFinite};
+use crate::threads::COMMON;
 use crate::transcription::Collocation;
 
 /// How the outputs follow states and parameters: derivatives at all samples, those of all experiments after each other.
@@ -74,11 +75,11 @@ pub fn answers(
     };
     let chunks = (AT_ONCE * points, AT_ONCE * width.max(1));
     if place.slopes.iter().all(|v| *v == 0.0) {
-        columns.par_chunks_mut(chunks.1).zip(signals.par_chunks(chunks.0)).for_each(|(out, signals)| {
-            put(&lanes(signals), &[], out);
-        });
+        let some = |(out, signals): (&mut [f64], &[f64])| put(&lanes(signals), &[], out);
+        let pairs = columns.par_chunks_mut(chunks.1).zip(signals.par_chunks(chunks.0));
+        COMMON.install(|| pairs.for_each(some));
     } else if let Some(forward) = Forward::new(problem, xi)? {
-        columns.par_chunks_mut(chunks.1).zip(signals.par_chunks(chunks.0)).for_each(|(out, signals)| {
+        let some = |(out, signals): (&mut [f64], &[f64])| {
             let at = lanes(signals);
             let states = forward.states(|mesh_point, point, given| {
                 let slopes = place.slopes[mesh_point * n..].chunks_exact(n);
@@ -87,7 +88,9 @@ pub fn answers(
                 }
             });
             put(&at, &states, out);
-        });
+        };
+        let pairs = columns.par_chunks_mut(chunks.1).zip(signals.par_chunks(chunks.0));
+        COMMON.install(|| pairs.for_each(some));
     } else {
         let mut response = Response::new(problem, xi, held)?;
         let (mut d, mut slopes) = (vec![0.0; problem.n()], vec![0.0; place.slopes.len()]);

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use crate::nlp::{Nlp, NotFinite};
 use crate::simd::kernel;
 use crate::solver::state_units;
+use crate::threads::COMMON;
 use crate::transcription::Collocation;
 
 /// First states may grow by this factor, in units of what the states do: digits that a later projection loses.
@@ -182,7 +183,7 @@ impl<'a> Forward<'a> {
             });
             (0..slopes.len()).map(|c| states.iter().map(|x| x[c]).collect()).collect::<Vec<_>>()
         };
-        slopes.par_chunks(AT_ONCE).flat_map_iter(some).collect()
+        COMMON.install(|| slopes.par_chunks(AT_ONCE).flat_map_iter(some).collect())
     }
 
     /// The same for a few, side by side, [sample · n_x + state]. `slopes` gives those of the points from one on: its

@@ -6,6 +6,7 @@ use faer::{Accum, MatMut, MatRef, Par};
 use rayon::prelude::*;
 
 use super::passage::{Passage, Predictors};
+use crate::threads::COMMON;
 
 /// Columns that are worked on together: they stay in the cache.
 const AT_ONCE: usize = 32;
@@ -54,10 +55,9 @@ impl Whitening {
     pub fn errors(&self, columns: &[f64]) -> Vec<f64> {
         let mut out = vec![0.0; columns.len()];
         if self.rows > 0 {
-            out.par_chunks_mut(self.rows)
-                .zip(columns.par_chunks(self.rows))
-                .with_min_len(AT_ONCE)
-                .for_each(|(out, column)| self.one(column, out));
+            let pairs = out.par_chunks_mut(self.rows).zip(columns.par_chunks(self.rows));
+            let one = |(out, column): (&mut [f64], &[f64])| self.one(column, out);
+            COMMON.install(|| pairs.with_min_len(AT_ONCE).for_each(one));
         }
         out
     }
@@ -106,9 +106,9 @@ impl Whitening {
             }
         }
         let vectors = MatRef::from_column_major_slice(vectors, n, m);
-        let found: Vec<_> = blocks
-            .into_par_iter()
-            .map_init(Vec::new, |white, (begin, end, sizes)| {
+        let found = blocks.into_par_iter().map_init(
+            Vec::new,
+            |white, (begin, end, sizes): (usize, usize, &[usize])| {
                 let k = end - begin;
                 white.resize(k * n, 0.0);
                 for (out, column) in white.chunks_exact_mut(n).zip(columns[begin * n..].chunks_exact(n)) {
@@ -129,8 +129,9 @@ impl Whitening {
                     first += size;
                 }
                 (along, grams)
-            })
-            .collect();
+            },
+        );
+        let found: Vec<_> = COMMON.install(|| found.collect());
         let (along, grams): (Vec<_>, Vec<_>) = found.into_iter().unzip();
         (along.concat(), grams.concat())
     }

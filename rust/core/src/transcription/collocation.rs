@@ -17,6 +17,7 @@ use crate::mesh::{Grid, Mesh};
 use crate::model::Model;
 use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
 use crate::noise::Noise;
+use crate::threads::Threads;
 
 /// How a problem is transcribed.
 #[derive(Clone, Debug, PartialEq)]
@@ -338,7 +339,7 @@ impl Nlp for Collocation {
     }
 
     fn threads(&self) -> usize {
-        self.pool.as_ref().map_or(0, rayon::ThreadPool::current_num_threads)
+        self.pool.as_ref().map_or(0, Threads::number)
     }
 
     fn nonlinear(&self) -> Vec<usize> {

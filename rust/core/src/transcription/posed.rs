@@ -15,6 +15,7 @@ use crate::model::{Compiled, Model, Parameter};
 use crate::nlp::{NotFinite, Reach};
 use crate::noise::{Counts, Missing, Noise, Reported, Sample};
 use crate::tape::{Arguments, Function, Tape, Workspace};
+use crate::threads::{COMMON, Threads};
 use crate::transform::Transform;
 
 /// What every transcription needs: variables that are no states, f, g and ℓ as functions of a point, records.
@@ -43,7 +44,7 @@ pub struct Posed {
     patterns: usize,
     /// How many measurements there are, of all experiments or of each where each has noise of its own.
     counts: Vec<Counts>,
-    pub(super) pool: Option<rayon::ThreadPool>,
+    pub(super) pool: Option<Threads>,
 }
 
 /// The model as written in the variables, for what else is a function of them.
@@ -182,7 +183,7 @@ impl Posed {
             } else {
                 vec![counts]
             },
-            pool: pool(threads)?,
+            pool: (threads > 0).then(|| Threads::new(threads)).transpose()?,
         };
         Ok((posed, written))
     }
@@ -256,17 +257,18 @@ impl Posed {
         if finite { Ok(()) } else { Err(NotFinite) }
     }
 
-    /// Runs on the problem's own threads, where it has some.
+    /// Runs on the problem's own threads where it has some, else on the common ones.
     pub(super) fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
-        match &self.pool {
-            Some(pool) => pool.install(work),
-            None => work(),
-        }
+        self.threads().install(work)
     }
 
     /// Number of threads.
     pub(super) fn n_threads(&self) -> usize {
-        self.pool.as_ref().map_or_else(rayon::current_num_threads, rayon::ThreadPool::current_num_threads)
+        self.threads().number()
+    }
+
+    fn threads(&self) -> &Threads {
+        self.pool.as_ref().unwrap_or(&COMMON)
     }
 
     /// For each prior its variable, and the value's distance from the mean in standard deviations with its
@@ -406,12 +408,4 @@ fn in_variables(graph: &mut Graph, parameters: &[Parameter], compiled: Compiled)
     let outputs = graph.replace(&compiled.outputs, &from, &to);
     let conditions = graph.replace(&compiled.conditions, &from, &to);
     (variables, Compiled { dynamics, outputs, conditions, ..compiled })
-}
-
-fn pool(threads: usize) -> Result<Option<rayon::ThreadPool>, Error> {
-    if threads == 0 {
-        return Ok(None);
-    }
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    pool.map(Some).map_err(|e| Error::Option(format!("{threads} threads: {e}")))
 }

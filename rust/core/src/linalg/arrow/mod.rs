@@ -63,6 +63,7 @@ use tree::add;
 
 use super::{Curvature, KktSolver, Singular, covariance_by_solving};
 use crate::nlp::{Chains, Structure};
+use crate::threads::{COMMON, Threads};
 
 /// Least number of points for which waking other threads pays.
 const PARALLEL_POINTS: usize = 2000;
@@ -102,7 +103,8 @@ pub struct ArrowKkt {
     /// Whether the entries of the last factorisation are kept for that: always where groups are split.
     refining: bool,
     hurry: bool,
-    pool: Option<rayon::ThreadPool>,
+    /// Threads of its own; without these it works on the common ones.
+    pool: Option<Threads>,
     parallel: bool,
 }
 
@@ -143,7 +145,7 @@ impl ArrowKkt {
             parallel: sizes.0 >= PARALLEL_POINTS * plan.shape.n,
             plan,
         };
-        let threads = if arrow.parallel { rayon::current_num_threads() } else { 1 };
+        let threads = if arrow.parallel { COMMON.number() } else { 1 };
         arrow.make_room(threads);
         Some(arrow)
     }
@@ -153,7 +155,7 @@ impl ArrowKkt {
         self.parallel &= threads != 1;
         if threads > 1 {
             // Without a pool of its own the work goes to the common one: slower or faster, not wrong.
-            self.pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok();
+            self.pool = Threads::new(threads).ok();
             self.make_room(threads);
         }
         self
@@ -235,7 +237,7 @@ impl ArrowKkt {
         }
     }
 
-    /// Runs on the pool that was asked for.
+    /// Runs on the threads that were asked for.
     fn on_threads<R: Send>(&mut self, work: impl FnOnce(&mut Self) -> R + Send) -> R {
         match self.pool.take() {
             Some(pool) => {
@@ -243,6 +245,7 @@ impl ArrowKkt {
                 self.pool = Some(pool);
                 result
             }
+            None if self.parallel => COMMON.install(|| work(self)),
             None => work(self),
         }
     }

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::Shooting;
 use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
+use crate::threads::Threads;
 use crate::transcription::boundary::{Boundary, Places};
 use crate::transcription::disjoint::Disjoint;
 use crate::transcription::layout::Place;
@@ -173,7 +174,7 @@ impl Nlp for Shooting {
     }
 
     fn threads(&self) -> usize {
-        self.pool.as_ref().map_or(0, rayon::ThreadPool::current_num_threads)
+        self.pool.as_ref().map_or(0, Threads::number)
     }
 
     fn n_parameters(&self) -> usize {

@@ -22,8 +22,8 @@ impl Evaluator {
         let c = model.compile()?;
         let lanes = c.data.iter().chain(&c.states).copied().collect();
         let inputs = Inputs { lanes, uniforms: c.parameters };
-        let dynamics = Tape::compile(&c.graph, &inputs, &c.dynamics);
-        let outputs = Tape::compile(&c.graph, &inputs, &c.outputs);
+        let dynamics = Tape::compile(&c.graph, &inputs, &c.dynamics)?;
+        let outputs = Tape::compile(&c.graph, &inputs, &c.outputs)?;
         Ok(Evaluator { dynamics, outputs, n_data: c.data.len(), n_states: c.states.len() })
     }
 

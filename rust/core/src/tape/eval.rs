@@ -165,8 +165,8 @@ fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms
     let base = registers.as_mut_ptr();
     // SAFETY (for both): the compiler numbers registers below `n_registers`, whose room `run` of
     // Tape has checked, and never lets a destination be an operand, so the lanes do not alias.
-    let lane = |r: u16| unsafe { std::slice::from_raw_parts(base.add(r as usize * n), n) };
-    let lane_mut = |r: u16| unsafe { std::slice::from_raw_parts_mut(base.add(r as usize * n), n) };
+    let lane = |r: u32| unsafe { std::slice::from_raw_parts(base.add(r as usize * n), n) };
+    let lane_mut = |r: u32| unsafe { std::slice::from_raw_parts_mut(base.add(r as usize * n), n) };
     for i in code {
         match i.code {
             Code::Sum => {
@@ -181,7 +181,7 @@ fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms
             _ => {}
         }
         let d = lane_mut(i.dst);
-        let uniform = |u: u16| uniforms[u as usize];
+        let uniform = |u: u32| uniforms[u as usize];
         match i.code {
             Code::AddLL => map2(d, lane(i.a), lane(i.b), |a, b| a + b),
             Code::AddLU => {
@@ -243,7 +243,7 @@ fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms
             }
             Code::SinCos => math::sin_cos_lanes(d, lane_mut(i.c), lane(i.a)),
             Code::Splat => d.fill(uniform(i.a)),
-            Code::PowI => math::powi_lanes(d, lane(i.a), (u32::from(i.b) | u32::from(i.c) << 16) as i32),
+            Code::PowI => math::powi_lanes(d, lane(i.a), i.b as i32),
             Code::Lookup1 => {
                 let lookup = &lookups[i.c as usize];
                 lookup.table.eval1_lanes(lookup.order[0], d, lane(i.a));

@@ -20,8 +20,23 @@ __all__ = [
 ]
 
 
+_LONGEST = 2000
+
+
+def _shortened(text: str) -> str:
+    """The beginning and the end of a text of more than 2,000 characters, such as an error with a large expression."""
+    if len(text) <= _LONGEST:
+        return text
+    note = f" ... ({len(text)} characters) ... "
+    left = _LONGEST - len(note)
+    return text[: left - left // 3] + note + text[-(left // 3) :]
+
+
 class PhugoidError(Exception):
-    """Base of everything that phugoid raises on purpose."""
+    """Base of everything that phugoid raises on purpose. No message has more than 2,000 characters."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(_shortened(a) if isinstance(a, str) else a for a in args))
 
 
 class ModelError(PhugoidError, ValueError):

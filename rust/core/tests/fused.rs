@@ -37,7 +37,11 @@ fn check(product_is_used_again: bool) {
             };
             let outputs = if product_is_used_again { vec![root, product] } else { vec![root] };
             let inputs = Inputs { lanes: symbols.to_vec(), uniforms: vec![] };
-            assert_eq!(Tape::compile(&graph, &inputs, &outputs).unwrap().instructions(), outputs.len(), "{name}");
+            assert_eq!(
+                Tape::compile(&graph, &inputs, &outputs).unwrap().instructions(),
+                outputs.len(),
+                "{name}"
+            );
             let found = run.evaluate(&graph, &outputs, N);
             for l in 0..N {
                 let [a, b, c] = [0, 1, 2].map(|i| columns[i][if is_uniform(i) { 0 } else { l }]);

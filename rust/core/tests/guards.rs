@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use common::{Run, close, slope, values};
 use phugoid::expr::graph::Id;
 use phugoid::expr::{Expr, Graph, Op, atan2, gt, le, lt, max, min, select};
-use phugoid::tape::{Arguments, Function, Pairs, LANE_MULTIPLE, Workspace};
+use phugoid::tape::{Arguments, Function, LANE_MULTIPLE, Pairs, Workspace};
 
 fn x() -> Expr {
     Expr::symbol("x")

@@ -56,6 +56,9 @@ pub(super) struct Written {
 /// Work smaller than this many blocks is done by the calling thread: waking others costs more.
 const PARALLEL_BLOCKS: usize = 24;
 
+/// Most threads of a problem.
+const MOST_THREADS: usize = 1024;
+
 /// Most numbers that the parts of a batch of items hold together (32 MB), but for batches of this many items.
 const PARTS: usize = 1 << 22;
 const BATCH: usize = 2 * PARALLEL_BLOCKS;
@@ -113,6 +116,7 @@ impl Posed {
                 model.name
             )));
         }
+        let pool = pool(threads)?;
         let compiled = model.compile()?;
         let output_names: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         let input_names: Vec<&str> = model.inputs.iter().map(|o| o.name.as_str()).collect();
@@ -145,7 +149,8 @@ impl Posed {
         let theta: Vec<Id> = variables.iter().chain(&noise_symbols).copied().collect();
         let arguments =
             Arguments { data: compiled.data.clone(), states: compiled.states.clone(), parameters: theta };
-        let f = Function::new(graph.clone(), &arguments, compiled.dynamics.clone(), pairs).map_err(of_model)?;
+        let f =
+            Function::new(graph.clone(), &arguments, compiled.dynamics.clone(), pairs).map_err(of_model)?;
         let outputs =
             Function::of_values(graph.clone(), &arguments, compiled.outputs.clone()).map_err(of_model)?;
 
@@ -191,7 +196,7 @@ impl Posed {
             } else {
                 vec![counts]
             },
-            pool: pool(threads)?,
+            pool,
         };
         Ok((posed, written))
     }
@@ -429,6 +434,11 @@ fn in_variables(graph: &mut Graph, parameters: &[Parameter], compiled: Compiled)
 fn pool(threads: usize) -> Result<Option<rayon::ThreadPool>, Error> {
     if threads == 0 {
         return Ok(None);
+    }
+    if threads > MOST_THREADS {
+        return Err(Error::Option(format!(
+            "threads = {threads}: at most {MOST_THREADS}, and no more than cores are of use; 0 is one a core"
+        )));
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map(Some).map_err(|e| Error::Option(format!("{threads} threads: {e}")))

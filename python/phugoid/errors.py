@@ -6,7 +6,6 @@ Each subclass is also the built-in exception that a reader would expect, so ``ex
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from typing import Any
 
 __all__ = [
     "DataError",
@@ -21,18 +20,23 @@ __all__ = [
 ]
 
 
-_LONGEST = 1900
+_LONGEST = 2000
 
 
 def _shortened(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 600]} [...] {text[-500:]}"
+    """The beginning and the end of a text of more than 2,000 characters, such as an error with a large expression."""
+    if len(text) <= _LONGEST:
+        return text
+    note = f" ... ({len(text)} characters) ... "
+    left = _LONGEST - len(note)
+    return text[: left - left // 3] + note + text[-(left // 3) :]
 
 
 class PhugoidError(Exception):
-    """Base of everything that phugoid raises on purpose. A text that quotes much is shortened to 2,000 characters."""
+    """Base of everything that phugoid raises on purpose. No message has more than 2,000 characters."""
 
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*(_shortened(arg) if isinstance(arg, str) else arg for arg in args))
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(_shortened(a) if isinstance(a, str) else a for a in args))
 
 
 class ModelError(PhugoidError, ValueError):

@@ -22,8 +22,11 @@ __all__ = [
     "cos",
     "cosh",
     "exp",
+    "expm1",
     "from_sympy",
+    "hypot",
     "log",
+    "log1p",
     "maximum",
     "minimum",
     "sign",
@@ -71,7 +74,9 @@ sinh = _function("sinh", "Hyperbolic sine.")
 cosh = _function("cosh", "Hyperbolic cosine.")
 tanh = _function("tanh", "Hyperbolic tangent.")
 exp = _function("exp", "Exponential.")
+expm1 = _function("expm1", "Exponential less 1, accurate near 0.")
 log = _function("log", "Natural logarithm of a positive argument.")
+log1p = _function("log1p", "Natural logarithm of 1 + x, x > -1, accurate near 0.")
 sqrt = _function("sqrt", "Square root of an argument >= 0 (its derivative needs > 0).")
 sign = _function("sign", "Sign: -1, 0 or 1; derivative 0. `smooth_sign` has no jump.")
 abs = _function("abs", "Absolute value. `smooth_abs` has no kink.")
@@ -80,6 +85,11 @@ abs = _function("abs", "Absolute value. `smooth_abs` has no kink.")
 def atan2(y: Any, x: Any) -> Any:
     """Angle of the point (x, y), rad, in (-pi, pi]."""
     return _call("atan2", y, x)
+
+
+def hypot(x: Any, y: Any) -> Any:
+    """sqrt(x**2 + y**2), without overflow on the way; its derivative needs a value > 0."""
+    return _call("hypot", x, y)
 
 
 def minimum(a: Any, b: Any) -> Any:
@@ -210,11 +220,11 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
     "logical_and": lambda a, b: _call("and", a, b),
     "logical_or": lambda a, b: _call("or", a, b),
     "logical_not": lambda a: _call("not", a),
-    "hypot": lambda a, b: sqrt(a * a + b * b),
+    "hypot": hypot,
     "log10": lambda a: log(a) / math.log(10),
     "log2": lambda a: log(a) / math.log(2),
-    "log1p": lambda a: log(1 + a),
-    "expm1": lambda a: exp(a) - 1,
+    "log1p": log1p,
+    "expm1": expm1,
     "exp2": lambda a: exp(a * math.log(2)),
     "deg2rad": lambda a: a * (math.pi / 180),
     "radians": lambda a: a * (math.pi / 180),
@@ -255,7 +265,14 @@ def from_sympy(expression: Any, names: Mapping[str, Any] | None = None) -> Any:
     """
     given = dict(names or {})
 
+    done: dict[Any, Any] = {}  # what occurs again is shared, as SymPy shares it
+
     def convert(e: Any) -> Any:
+        if e not in done:
+            done[e] = converted(e)
+        return done[e]
+
+    def converted(e: Any) -> Any:
         if e.is_Symbol:
             return given.get(e.name, Expr.symbol(e.name))
         name = type(e).__name__

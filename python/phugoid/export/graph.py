@@ -23,7 +23,8 @@ _COMMUTATIVE = {"add", "mul"}
 
 _INFIX = {"add": ("+", _SUM), "sub": ("-", _SUM), "mul": ("*", _PRODUCT), "div": ("/", _PRODUCT)}
 _CALLS = {
-    "abs": "fabs", "pow": "pow", "sqrt": "sqrt", "exp": "exp", "log": "log", "sin": "sin", "cos": "cos", "tan": "tan",
+    "abs": "fabs", "pow": "pow", "sqrt": "sqrt", "exp": "exp", "expm1": "expm1", "log": "log", "log1p": "log1p",
+    "hypot": "hypot", "sin": "sin", "cos": "cos", "tan": "tan",
     "asin": "asin", "acos": "acos", "atan": "atan", "atan2": "atan2", "sinh": "sinh", "cosh": "cosh", "tanh": "tanh",
     "sign": "sign_of", "min": "lesser", "max": "greater", "powi": "whole_power",
 }  # fmt: skip

@@ -18,6 +18,8 @@ from ..modelling.model import Model
 __all__ = ["Collocation"]
 
 GridSpec = tuple[str, int, "list[float] | None"]
+# As in the core: most segments or steps of a record, most threads of a problem.
+_MOST_SEGMENTS, _MOST_THREADS = 10_000_000, 1024
 _Array = NDArray[np.float64]
 _Signal = tuple[_Array, _Array, float, int]
 _Record = tuple[str, _Array, list[_Array], list[_Array], str, list[_Signal | None]]
@@ -49,10 +51,12 @@ class Collocation:
             raise OptionError(f"Collocation: order is a whole number from 2 (trapezoid) to 64, not {self.order!r}")
         if not whole(self.substeps) or self.substeps < 1:
             raise OptionError(f"Collocation: substeps is a whole number from 1, not {self.substeps!r}")
+        limit("Collocation", "substeps", self.substeps)
         if self.segments is not None and self.substeps != 1:
             raise OptionError("Collocation: substeps divides sample intervals and segments replaces them; give one")
         if not whole(self.threads) or self.threads < 0:
             raise OptionError(f"Collocation: threads is a whole number from 0, not {self.threads!r}")
+        limit("Collocation", "threads", self.threads)
         if not isinstance(self.refine, bool):
             raise OptionError(f"Collocation: refine is True or False, not {self.refine!r}")
         if not isinstance(self.tolerance, Real) or not 0 < self.tolerance < 1:
@@ -95,6 +99,13 @@ def _divided(times: FloatArray, parts: int) -> list[float]:
     """Times with every interval divided into parts."""
     share = np.arange(parts * (times.size - 1) + 1) / parts
     return [float(t) for t in np.interp(share, np.arange(times.size), times)]
+
+
+def limit(what: str, name: str, value: int) -> None:
+    """Raise OptionError for a number of segments, steps or threads that no machine can serve."""
+    most = _MOST_THREADS if name == "threads" else _MOST_SEGMENTS
+    if value > most:
+        raise OptionError(f"{what}: {name} is at most {most}, not {float(min(value, 10**300)):g}")
 
 
 def records_of(model: Model, experiments: Sequence[Experiment]) -> list[_Record]:
@@ -147,6 +158,7 @@ def checked_segments(what: str, segments: Any) -> Any:
     if whole(segments):
         if segments < 1:
             raise OptionError(f"{what}: at least 1 segment is needed, not {segments}")
+        limit(what, "segments", segments)
         return int(segments)
     wrong = OptionError(f"{what}: segments is a whole number or the times of segment ends, not {segments!r}")
     if isinstance(segments, str) or not np.iterable(segments):

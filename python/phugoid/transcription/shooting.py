@@ -13,7 +13,7 @@ from .. import _core
 from ..data.experiment import Experiment
 from ..errors import OptionError
 from ..modelling.model import Model
-from .collocation import Collocation, GridSpec, checked_segments, division, records_of, whole
+from .collocation import Collocation, GridSpec, checked_segments, division, limit, records_of, whole
 
 __all__ = ["MultipleShooting", "SingleShooting", "Transcription", "from_dict", "to_dict"]
 
@@ -108,6 +108,7 @@ def _check(options: _Shooting) -> None:
             continue
         if not whole(value) or value < least:
             raise OptionError(f"{what}: {name} is a whole number from {least}, not {value!r}")
+        limit(what, name, value)
         object.__setattr__(options, name, int(value))
     step = options.step
     if step is not None:

@@ -22,8 +22,8 @@ impl Evaluator {
         let c = model.compile()?;
         let lanes = c.data.iter().chain(&c.states).copied().collect();
         let inputs = Inputs { lanes, uniforms: c.parameters };
-        let dynamics = Tape::compile(&c.graph, &inputs, &c.dynamics);
-        let outputs = Tape::compile(&c.graph, &inputs, &c.outputs);
+        let dynamics = Tape::compile(&c.graph, &inputs, &c.dynamics)?;
+        let outputs = Tape::compile(&c.graph, &inputs, &c.outputs)?;
         Ok(Evaluator { dynamics, outputs, n_data: c.data.len(), n_states: c.states.len() })
     }
 
@@ -34,15 +34,44 @@ impl Evaluator {
 
     /// ẋ at points: `columns` holds time, inputs and states, each of n points; n_x columns come back.
     ///
-    /// # Panics
-    /// When a column has another length or their number is not [`Evaluator::columns`].
-    pub fn dynamics(&self, parameters: &[f64], columns: &[&[f64]]) -> Vec<Vec<f64>> {
-        run(&self.dynamics, parameters, columns)
+    /// # Errors
+    /// When a column has another length than others, their number is not [`Evaluator::columns`], or that of the
+    /// parameters not the model's.
+    pub fn dynamics(&self, parameters: &[f64], columns: &[&[f64]]) -> Result<Vec<Vec<f64>>, Error> {
+        self.check(parameters, columns)?;
+        Ok(run(&self.dynamics, parameters, columns))
     }
 
     /// y at points, as [`Evaluator::dynamics`].
-    pub fn outputs(&self, parameters: &[f64], columns: &[&[f64]]) -> Vec<Vec<f64>> {
-        run(&self.outputs, parameters, columns)
+    ///
+    /// # Errors
+    /// As [`Evaluator::dynamics`].
+    pub fn outputs(&self, parameters: &[f64], columns: &[&[f64]]) -> Result<Vec<Vec<f64>>, Error> {
+        self.check(parameters, columns)?;
+        Ok(run(&self.outputs, parameters, columns))
+    }
+
+    fn check(&self, parameters: &[f64], columns: &[&[f64]]) -> Result<(), Error> {
+        let fail = |text: String| Err(Error::Data(format!("points: {text}")));
+        if columns.len() != self.columns() {
+            return fail(format!(
+                "{} columns were given, the model takes {}: time, inputs, states",
+                columns.len(),
+                self.columns()
+            ));
+        }
+        if let Some(k) = columns.iter().position(|c| c.len() != columns[0].len()) {
+            return fail(format!(
+                "column {k} has {} points, column 0 has {}",
+                columns[k].len(),
+                columns[0].len()
+            ));
+        }
+        let n = self.dynamics.n_uniform_inputs;
+        if parameters.len() != n {
+            return fail(format!("{} parameters were given, the model has {n}", parameters.len()));
+        }
+        Ok(())
     }
 }
 

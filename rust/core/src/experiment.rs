@@ -85,6 +85,9 @@ impl Experiment {
             let hint = did_you_mean(other, known());
             return Err(fail(format!("the model has no input or output '{other}'.{hint}")));
         }
+        if let Some(k) = (1..channels.len()).find(|&k| channels[..k].iter().any(|c| c.0 == channels[k].0)) {
+            return Err(fail(format!("channel '{}' is given twice", channels[k].0)));
+        }
         let find = |wanted: &&str| {
             let found = channels.iter().find(|c| c.0 == *wanted).map(|c| c.1.clone());
             found.ok_or_else(|| fail(format!("it has no channel '{wanted}'")))
@@ -168,15 +171,22 @@ impl Experiment {
                 outputs.len()
             ));
         }
+        if !self.signals.is_empty() && self.signals.len() != inputs.len() {
+            return fail(format!(
+                "it has {} signals for {} inputs; give one each, or none",
+                self.signals.len(),
+                inputs.len()
+            ));
+        }
         for (name, signal) in inputs.iter().zip(&self.signals).filter_map(|(n, s)| Some((n, s.as_ref()?))) {
             let sound = !signal.t.is_empty()
                 && signal.t.len() == signal.values.len()
                 && signal.t.windows(2).all(|w| w[0] < w[1])
-                && signal.values.iter().chain([&signal.delay]).all(|v| v.is_finite())
+                && signal.t.iter().chain(&signal.values).chain([&signal.delay]).all(|v| v.is_finite())
                 && signal.derivative <= 2;
             if !sound {
                 return fail(format!(
-                    "input '{name}': its own samples need increasing times and as many finite values"
+                    "input '{name}': its own samples need finite, increasing times and as many finite values"
                 ));
             }
         }

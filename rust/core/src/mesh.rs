@@ -115,6 +115,13 @@ impl Mesh {
             return Err(Error::Option(format!("collocation order {order}: choose 2 (trapezoid) to 64")));
         }
         let edges = edges(grid, t)?;
+        let segments = edges.len() - 1;
+        if segments.saturating_mul(order - 1) > MOST {
+            return Err(Error::Option(format!(
+                "{segments} segments of order {order} have more than {MOST} points in a record; choose fewer, or a \
+                 lower order"
+            )));
+        }
         let rule = Arc::new(Rule::new(order));
         let mut times = Vec::with_capacity((edges.len() - 1) * (order - 1) + 1);
         let mut segments = Vec::with_capacity(edges.len() - 1);
@@ -177,6 +184,9 @@ impl Mesh {
     }
 }
 
+/// Most points of the mesh, segments or steps of a record: their states alone take gigabytes.
+pub(crate) const MOST: usize = 10_000_000;
+
 /// Ends of the segments of a division.
 pub(crate) fn edges(grid: &Grid, t: &[f64]) -> Result<Vec<f64>, Error> {
     let (first, last) = (t[0], t[t.len() - 1]);
@@ -184,6 +194,13 @@ pub(crate) fn edges(grid: &Grid, t: &[f64]) -> Result<Vec<f64>, Error> {
         Grid::Samples(0) | Grid::Uniform(0) => {
             Err(Error::Option("the mesh needs at least one segment; choose 1 or more".into()))
         }
+        Grid::Samples(n) if n.saturating_mul(t.len() - 1) > MOST => Err(Error::Option(format!(
+            "{n} segments in each of {} intervals between samples: a record has at most {MOST} segments; choose fewer",
+            t.len() - 1
+        ))),
+        Grid::Uniform(n) if *n > MOST => Err(Error::Option(format!(
+            "{n} equal segments: a record has at most {MOST} segments; choose fewer"
+        ))),
         Grid::Samples(substeps) => {
             let mut edges = Vec::with_capacity((t.len() - 1) * substeps + 1);
             for w in t.windows(2) {

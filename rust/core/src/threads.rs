@@ -10,6 +10,9 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::Error;
 
+/// Most threads of a pool.
+const MOST: usize = 1024;
+
 /// Those of rayon's global pool, one a core unless the caller or `RAYON_NUM_THREADS` says otherwise.
 pub(crate) static COMMON: Threads =
     Threads { own: None, process: OnceLock::new(), inherited: Mutex::new(None) };
@@ -94,6 +97,11 @@ impl Drop for Threads {
 }
 
 fn start(number: usize) -> Result<ThreadPool, Error> {
+    if number > MOST {
+        return Err(Error::Option(format!(
+            "threads = {number}: at most {MOST}, and no more than cores are of use; 0 is one a core"
+        )));
+    }
     let pool = ThreadPoolBuilder::new().num_threads(number).build();
     pool.map_err(|e| Error::Option(format!("{number} threads: {e}")))
 }

@@ -37,7 +37,11 @@ fn check(product_is_used_again: bool) {
             };
             let outputs = if product_is_used_again { vec![root, product] } else { vec![root] };
             let inputs = Inputs { lanes: symbols.to_vec(), uniforms: vec![] };
-            assert_eq!(Tape::compile(&graph, &inputs, &outputs).instructions(), outputs.len(), "{name}");
+            assert_eq!(
+                Tape::compile(&graph, &inputs, &outputs).unwrap().instructions(),
+                outputs.len(),
+                "{name}"
+            );
             let found = run.evaluate(&graph, &outputs, N);
             for l in 0..N {
                 let [a, b, c] = [0, 1, 2].map(|i| columns[i][if is_uniform(i) { 0 } else { l }]);
@@ -92,7 +96,7 @@ fn sine_and_cosine_of_one_angle_share_an_instruction() {
     let x = graph.symbol("x");
     let (sin, cos) = (graph.unary(Op::Sin, x), graph.unary(Op::Cos, x));
     let inputs = Inputs { lanes: vec![x], uniforms: vec![] };
-    assert_eq!(Tape::compile(&graph, &inputs, &[sin, cos]).instructions(), 1);
+    assert_eq!(Tape::compile(&graph, &inputs, &[sin, cos]).unwrap().instructions(), 1);
     let column: Vec<f64> = (0..N).map(|l| l as f64 * 0.37 - 9.0).collect();
     for outputs in [[sin, cos], [cos, sin]] {
         let found = Run { lanes: vec![(x, &column)], uniforms: vec![] }.evaluate(&graph, &outputs, N);

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use common::{Run, close, slope, values};
 use phugoid::expr::graph::Id;
 use phugoid::expr::{Expr, Graph, Op, atan2, gt, le, lt, max, min, select};
-use phugoid::tape::{Arguments, Function, LANE_MULTIPLE, Workspace};
+use phugoid::tape::{Arguments, Function, LANE_MULTIPLE, Pairs, Workspace};
 
 fn x() -> Expr {
     Expr::symbol("x")
@@ -166,7 +166,8 @@ fn the_weighted_hessian_of_several_functions_is_finite() {
     let mut graph = Graph::new();
     let states = ["x", "y"].map(|n| graph.symbol(n)).to_vec();
     let roots = functions.iter().map(|f| graph.import(f, &HashMap::new())).collect();
-    let f = Function::new(graph, &Arguments { data: vec![], states, parameters: vec![] }, roots);
+    let arguments = Arguments { data: vec![], states, parameters: vec![] };
+    let f = Function::new(graph, &arguments, roots, Pairs::Kept).unwrap();
     let mut workspace = Workspace::default();
     let n = LANE_MULTIPLE;
     let registers = workspace.registers(&f.hessian, n);

@@ -75,8 +75,8 @@ fn state_equations_and_outputs_at_points() {
     let (parameters, columns) = (numbers(&points["parameters"]), many(&points["columns"]));
     let columns: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
     for (what, found) in [
-        ("dynamics", evaluator.dynamics(&parameters, &columns)),
-        ("outputs", evaluator.outputs(&parameters, &columns)),
+        ("dynamics", evaluator.dynamics(&parameters, &columns).unwrap()),
+        ("outputs", evaluator.outputs(&parameters, &columns).unwrap()),
     ] {
         let expected = points[what].as_array().unwrap();
         assert_eq!(found.len(), expected.len());

@@ -28,7 +28,7 @@ fn count(expr: &Expr, op: Op) -> usize {
 fn instructions(expr: &Expr) -> usize {
     let (mut graph, root) = import(expr);
     let lanes = ["a", "b", "c"].map(|n| graph.symbol(n)).to_vec();
-    Tape::compile(&graph, &Inputs { lanes, uniforms: vec![] }, &[root]).instructions()
+    Tape::compile(&graph, &Inputs { lanes, uniforms: vec![] }, &[root]).unwrap().instructions()
 }
 
 #[test]

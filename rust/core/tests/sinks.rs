@@ -14,7 +14,7 @@ fn sums_and_rows_are_those_of_the_kept_outputs() {
     let outputs = [product, sum, x, twice, twice];
     let sinks = [Sink::Sum(1), Sink::Store(0), Sink::Store(1), Sink::Sum(0), Sink::Store(2)];
     let inputs = Inputs { lanes: vec![x, y], uniforms: vec![p] };
-    let tape = Tape::compile_into(&graph, &inputs, &outputs, &sinks);
+    let tape = Tape::compile_into(&graph, &inputs, &outputs, &sinks).unwrap();
     assert_eq!(tape.outputs[0], Operand::Sunk);
 
     let (n, count, factor) = (16, 11, -2.0);

@@ -5,13 +5,13 @@ use pyo3::prelude::*;
 
 /// The Python exception for an error.
 pub fn raise(error: Error) -> PyErr {
-    let (class, text) = match error {
-        Error::Model(text) => ("ModelError", text),
-        Error::Data(text) => ("DataError", text),
-        Error::Option(text) => ("OptionError", text),
-        Error::Evaluation(text) => ("EvaluationError", text),
+    let class = match error {
+        Error::Model(_) => "ModelError",
+        Error::Data(_) => "DataError",
+        Error::Option(_) => "OptionError",
+        Error::Evaluation(_) => "EvaluationError",
     };
-    named(class, text)
+    named(class, error.to_string())
 }
 
 /// An exception of `phugoid.errors` by name.

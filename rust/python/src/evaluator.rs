@@ -1,6 +1,7 @@
 //! f and g of a model at points.
 
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use phugoid::error::Error;
 use phugoid::evaluator::Evaluator;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -17,7 +18,7 @@ impl PyEvaluator {
         &self,
         py: Python<'py>,
         columns: &PyReadonlyArray2<'py, f64>,
-        f: impl Fn(&[&[f64]]) -> Vec<Vec<f64>>,
+        f: impl Fn(&[&[f64]]) -> Result<Vec<Vec<f64>>, Error>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let array = columns.as_array();
         if array.nrows() != self.0.columns() {
@@ -26,7 +27,7 @@ impl PyEvaluator {
         }
         let owned: Vec<Vec<f64>> = array.rows().into_iter().map(|r| r.to_vec()).collect();
         let rows: Vec<&[f64]> = owned.iter().map(Vec::as_slice).collect();
-        PyArray2::from_vec2(py, &f(&rows)).map_err(|e| PyValueError::new_err(e.to_string()))
+        PyArray2::from_vec2(py, &f(&rows).map_err(raise)?).map_err(|e| PyValueError::new_err(e.to_string()))
     }
 }
 

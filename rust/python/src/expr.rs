@@ -103,7 +103,7 @@ impl PyExpr {
     }
     fn __truediv__(&self, other: Operand) -> PyResult<Self> {
         if other.0.as_constant() == Some(0.0) {
-            return Err(named("ModelError", format!("division of {} by zero", self.0)));
+            return Err(named("ModelError", format!("division of {} by zero", self.0.brief())));
         }
         two(Op::Div, self, other)
     }
@@ -174,7 +174,7 @@ impl PyExpr {
         Err(PyTypeError::new_err(format!(
             "'{}' has no truth value before numbers are put in: write phugoid.where(condition, yes, no) \
              for 'if', phugoid.minimum and phugoid.maximum for 'min' and 'max', and & | ~ for 'and', 'or', 'not'",
-            self.0
+            self.0.brief()
         )))
     }
 
@@ -184,7 +184,7 @@ impl PyExpr {
             PyTypeError::new_err(format!(
                 "'{}' is not a number: it holds symbols (functions of expressions are those of phugoid \
                      and numpy, not of math)",
-                self.0
+                self.0.brief()
             ))
         })
     }
@@ -253,7 +253,10 @@ impl PyExpr {
             Ok(e) => e.get().0.as_symbol().map(ToOwned::to_owned),
             Err(_) => Some(symbol.extract::<String>()?),
         };
-        let name = name.ok_or_else(|| PyTypeError::new_err(format!("'{symbol}' is not a symbol")))?;
+        let name = name.ok_or_else(|| {
+            let text = symbol.cast::<PyExpr>().map_or_else(|_| symbol.to_string(), |e| e.get().0.brief());
+            PyTypeError::new_err(format!("'{text}' is not a symbol"))
+        })?;
         Ok(PyExpr(self.0.derivative(&name)))
     }
 
@@ -307,8 +310,7 @@ macro_rules! named_methods {
                 PyExpr(&self.0 * &self.0)
             }
             fn hypot(&self, other: Operand) -> PyResult<Self> {
-                let other = other.finite()?;
-                Ok(PyExpr((&self.0 * &self.0 + &other * &other).sqrt()))
+                two(Op::Hypot, self, other)
             }
             fn log10(&self) -> Self {
                 PyExpr(self.0.log() / LN_10)
@@ -349,6 +351,8 @@ named_methods! {
     cosh Op::Cosh;
     tanh Op::Tanh;
     exp Op::Exp;
+    expm1 Op::Expm1;
+    log1p Op::Log1p;
     log Op::Log;
     sqrt Op::Sqrt;
     sign Op::Sign;
@@ -377,6 +381,7 @@ pub fn apply(name: &str, args: Vec<Operand>) -> PyResult<PyExpr> {
         let value = (op.entry().value)(&x);
         if !value.is_finite() {
             let expr = Expr::apply(op, args);
+            let expr = expr.brief();
             return Err(named("ModelError", format!("{expr} is {value}: outside the domain of {name}")));
         }
         return Ok(PyExpr(Expr::constant(value)));

@@ -69,7 +69,8 @@ pub fn simulate(
     let f = |t: f64, x: &[f64]| -> Vec<f64> {
         let point: Vec<f64> = [t].into_iter().chain(inputs(t, x)).chain(x.iter().copied()).collect();
         let columns: Vec<&[f64]> = point.iter().map(std::slice::from_ref).collect();
-        evaluator.dynamics(parameters, &columns).into_iter().flatten().collect()
+        let slopes = evaluator.dynamics(parameters, &columns);
+        slopes.expect("a point has all columns").into_iter().flatten().collect()
     };
     let ahead =
         |x: &[f64], h: f64, k: &[f64]| -> Vec<f64> { x.iter().zip(k).map(|(x, k)| x + h * k).collect() };
@@ -103,7 +104,7 @@ pub fn measure(
     seed: u64,
 ) -> Result<Vec<Vec<f64>>, phugoid::Error> {
     let columns: Vec<&[f64]> = [t].into_iter().chain(inputs.iter().chain(states).map(|c| &c[..])).collect();
-    let mut outputs = Evaluator::new(model)?.outputs(parameters, &columns);
+    let mut outputs = Evaluator::new(model)?.outputs(parameters, &columns)?;
     let mut random = Random(seed);
     for (output, sigma) in outputs.iter_mut().zip(sigmas) {
         output.iter_mut().for_each(|y| *y += sigma * random.normal());

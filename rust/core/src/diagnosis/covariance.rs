@@ -42,6 +42,8 @@ const PART: f64 = 0.1;
 const MOVES: f64 = 1e-3;
 /// The part of a variable's variance that the variables before it leave, below which it is one with them.
 const LEFT: f64 = 1e-11;
+/// The factor by which the slight curvature is raised to see what depends on it.
+const STRONGER: f64 = 100.0;
 /// A parameter with a standard error below this part of it is known, whatever others are.
 const KNOWN: f64 = 0.1;
 
@@ -85,6 +87,7 @@ pub fn information(
     let mut saddle = false;
     let mut leads = Vec::new(); // variables set aside, and their groups
     let mut found = kkt.finish(&holding, 0.0);
+    let mut kept = false; // by a slight curvature
     // What the data leave open is set aside, one variable of each direction at a time.
     while !found.is_positive() {
         saddle |= found.negative > 0;
@@ -108,6 +111,7 @@ pub fn information(
             // Initial states cannot be set aside. A curvature that is nothing beside that of the others
             // keeps them where they are.
             found = kkt.finish(&holding, SLIGHT);
+            kept = true;
             break;
         }
         found = kkt.finish(&holding, 0.0);
@@ -124,12 +128,23 @@ pub fn information(
         holding[lead] = true;
         leads.push((lead, undetermined.len()));
         undetermined.push(trade);
-        found = kkt.finish(&holding, 0.0);
+        found = kkt.finish(&holding, if kept { SLIGHT } else { 0.0 });
     }
 
     if !found.is_positive() {
         let nothing = vec![f64::NAN; k * k];
         return Ok(Information { covariance: nothing, step: vec![f64::NAN; k], undetermined, saddle });
+    }
+    if kept && kkt.finish(&holding, STRONGER * SLIGHT).is_positive() {
+        // A parameter whose variance follows the slight curvature has none of its own.
+        let mut other = vec![0.0; k * k];
+        kkt.covariance(wanted, &mut other);
+        let follows =
+            |i: usize| wanted[i] < nlp.n_parameters() && other[i * k + i] < 0.5 * covariance[i * k + i];
+        let alone: Vec<usize> = (0..k).filter(|&i| follows(i)).map(|i| wanted[i]).collect();
+        let named: Vec<usize> = undetermined.iter().flatten().copied().collect();
+        undetermined.extend(alone.into_iter().filter(|i| !named.contains(i)).map(|i| vec![i]));
+        kkt.finish(&holding, SLIGHT);
     }
     gradient.iter_mut().for_each(|g| *g = -*g);
     let s = nlp.jacobian_structure();

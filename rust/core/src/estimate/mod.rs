@@ -269,6 +269,7 @@ impl<'a> Estimation<'a> {
             }
         }
         self.check_names(&outputs)?;
+        self.noise.check()?;
         self.resolve_noise(&outputs)
     }
 

@@ -16,14 +16,17 @@ pub struct Sparse {
 }
 
 impl Sparse {
-    /// Which entry stands at a place, where it is structurally nonzero.
-    pub fn position(&self, row: usize, column: usize) -> Option<usize> {
-        self.rows.iter().zip(&self.columns).position(|(&r, &c)| (r, c) == (row, column))
+    /// The entries by row and column.
+    pub fn by_place(&self) -> HashMap<(usize, usize), Id> {
+        let places = self.rows.iter().copied().zip(self.columns.iter().copied());
+        places.zip(self.values.iter().copied()).collect()
     }
 
-    /// The entry at a place, where it is structurally nonzero.
+    /// The entry at a place, where it is structurally nonzero. It looks through all entries: where many are
+    /// wanted, take [`Sparse::by_place`].
     pub fn find(&self, row: usize, column: usize) -> Option<Id> {
-        self.position(row, column).map(|at| self.values[at])
+        let at = self.rows.iter().zip(&self.columns).position(|(&r, &c)| (r, c) == (row, column))?;
+        Some(self.values[at])
     }
 }
 
@@ -106,6 +109,11 @@ impl Graph {
 
     /// Lower triangle of the Hessian of a node.
     pub fn hessian(&mut self, root: Id, symbols: &[Id]) -> Sparse {
+        self.hessian_within(root, symbols, usize::MAX).expect("no more entries than memory holds")
+    }
+
+    /// The same, or `None` where it has more entries than `most`.
+    pub fn hessian_within(&mut self, root: Id, symbols: &[Id], most: usize) -> Option<Sparse> {
         let mut sparse = Sparse::default();
         let gradient = self.gradient(root, symbols);
         for (row, entry) in gradient.into_iter().enumerate() {
@@ -117,7 +125,10 @@ impl Graph {
                     sparse.values.push(value);
                 }
             }
+            if sparse.values.len() > most {
+                return None;
+            }
         }
-        sparse
+        Some(sparse)
     }
 }

@@ -1,8 +1,10 @@
 //! Infix and LaTeX printing.
 
+use std::collections::{HashMap, HashSet};
 use std::fmt;
 
 use super::{Expr, Node, Op};
+use crate::error::shortened;
 
 const SUM: u8 = 1;
 const PRODUCT: u8 = 2;
@@ -16,6 +18,8 @@ struct Style {
     number: fn(f64) -> String,
     open: &'static str,
     close: &'static str,
+    /// Between the definition of a part and what comes next.
+    next: &'static str,
     /// Whether the template delimits the arguments of a quotient or exponent by itself.
     delimits: bool,
 }
@@ -26,6 +30,7 @@ const INFIX: Style = Style {
     number,
     open: "(",
     close: ")",
+    next: "; ",
     delimits: false,
 };
 
@@ -35,20 +40,92 @@ const LATEX: Style = Style {
     number: latex_number,
     open: "\\left(",
     close: "\\right)",
+    next: ";\\quad ",
     delimits: true,
 };
 
 impl fmt::Display for Expr {
+    /// Infix text. Where it would be long, parts that occur more than once are written once, by name:
+    /// `a = x*x + x; a*a + a`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&print(self, &INFIX))
     }
 }
+
+impl fmt::Debug for Expr {
+    /// The infix text: the tree itself may be deeper than the stack.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Expr({self})")
+    }
+}
+
+/// Most characters of an expression in a message.
+const BRIEF: usize = 300;
 
 impl Expr {
     /// LaTeX source, without delimiters of the formula.
     pub fn latex(&self) -> String {
         print(self, &LATEX)
     }
+
+    /// The infix text for a message: its beginning, where it is long.
+    pub fn brief(&self) -> String {
+        shortened(&self.to_string(), BRIEF)
+    }
+}
+
+/// Trees of so many nodes are printed as they are, whatever their parts have in common.
+const SMALL: usize = 200;
+/// Parts of fewer nodes are written wherever they occur: a name would be no shorter.
+const NAMED: usize = 3;
+
+type Names = HashMap<*const Node, String>;
+
+/// Names for the parts that occur more than once, and those parts in the order in which they need each other.
+fn shared(root: &Expr) -> (Names, Vec<&Expr>) {
+    let key = |e: &Expr| std::ptr::from_ref(e.node());
+    let (mut uses, mut sizes) = (HashMap::new(), HashMap::new());
+    root.visit(|e| {
+        let mut size = 1_usize;
+        for arg in e.args() {
+            *uses.entry(key(arg)).or_insert(0_usize) += 1;
+            size = size.saturating_add(sizes[&key(arg)]);
+        }
+        sizes.insert(key(e), size);
+    });
+    let (mut names, mut parts) = (Names::new(), Vec::new());
+    if sizes[&key(root)] <= SMALL {
+        return (names, parts);
+    }
+    let taken = words(root);
+    let mut free = (0..).map(name).filter(|name| !taken.contains(name));
+    root.visit(|e| {
+        let own = e.args().iter().map(|a| if names.contains_key(&key(a)) { 1 } else { sizes[&key(a)] });
+        let own = own.fold(1_usize, usize::saturating_add);
+        sizes.insert(key(e), own);
+        if own >= NAMED && uses.get(&key(e)).is_some_and(|&n| n > 1) {
+            names.insert(key(e), free.next().expect("names without end"));
+            parts.push(e);
+        }
+    });
+    (names, parts)
+}
+
+/// a to z, then a1 to z1 and so on.
+fn name(k: usize) -> String {
+    let letter = char::from(b'a' + (k % 26) as u8);
+    if k < 26 { letter.to_string() } else { format!("{letter}{}", k / 26) }
+}
+
+/// Names that the expression holds: of symbols and tables.
+fn words(root: &Expr) -> HashSet<String> {
+    let mut found = HashSet::new();
+    root.visit(|e| match e.node() {
+        Node::Symbol(name) => _ = found.insert(name.to_string()),
+        Node::Lookup(lookup, _) => _ = found.insert(lookup.table.name().to_owned()),
+        _ => {}
+    });
+    found
 }
 
 /// What is left to print.
@@ -57,107 +134,143 @@ enum Task<'a> {
     Expr(&'a Expr),
 }
 
-/// Prints with an explicit stack into one text: sums of thousands of terms are deep trees.
 fn print(root: &Expr, style: &Style) -> String {
+    let (names, parts) = shared(root);
+    let printer = Printer { style, names };
     let mut out = String::new();
-    let mut stack = vec![Task::Expr(root)];
-    while let Some(task) = stack.pop() {
-        let expr = match task {
-            Task::Text(text) => {
-                out.push_str(text);
-                continue;
-            }
-            Task::Expr(expr) => expr,
-        };
-        let start = stack.len();
-        match expr.node() {
-            Node::Constant(c) => out.push_str(&(style.number)(*c)),
-            Node::Symbol(name) => out.push_str(&(style.symbol)(name)),
-            Node::Apply(op, args) => push_operation(*op, args, style, &mut stack),
-            Node::Lookup(lookup, args) => {
-                let name = (style.symbol)(lookup.table.name());
-                match lookup.order {
-                    [0, 0] => out.push_str(&name),
-                    [i, j] => out.push_str(&format!("D[{name}, {i}, {j}]")),
-                }
-                stack.push(Task::Text(style.open));
-                for (i, arg) in args.iter().enumerate() {
-                    stack.push(Task::Text(if i == 0 { "" } else { ", " }));
-                    stack.push(Task::Expr(arg));
-                }
-                stack.push(Task::Text(style.close));
-            }
-        }
-        stack[start..].reverse();
+    for part in parts {
+        out.push_str(&(style.symbol)(&printer.names[&std::ptr::from_ref(part.node())]));
+        out.push_str(" = ");
+        printer.print(part, &mut out);
+        out.push_str(style.next);
     }
+    printer.print(root, &mut out);
     out
 }
 
-/// The template of an operation, cut at `{0}`, `{1}`, `{2}`; other braces stand for themselves.
-fn push_operation<'a>(op: Op, args: &'a [Expr], style: &Style, stack: &mut Vec<Task<'a>>) {
-    let mut rest = (style.template)(op);
-    let mut from = 0;
-    while let Some(at) = rest[from..].find('{').map(|at| from + at) {
-        let index = match rest.as_bytes()[at..] {
-            [_, digit @ b'0'..=b'2', b'}', ..] => usize::from(digit - b'0'),
-            _ => args.len(),
-        };
-        let Some(arg) = args.get(index) else {
-            from = at + 1;
-            continue;
-        };
-        stack.push(Task::Text(&rest[..at]));
-        let brackets = in_brackets(op, index, arg, style);
-        stack.extend(brackets.then_some(Task::Text(style.open)));
-        stack.push(Task::Expr(arg));
-        stack.extend(brackets.then_some(Task::Text(style.close)));
-        (rest, from) = (&rest[at + 3..], 0);
-    }
-    stack.push(Task::Text(rest));
+struct Printer<'s> {
+    style: &'s Style,
+    names: Names,
 }
 
-/// How strongly the printed form of an expression holds together.
-fn precedence(expr: &Expr, style: &Style) -> u8 {
-    match expr.node() {
-        Node::Constant(c) if *c < 0.0 => PRODUCT,
-        // A fraction is an atom, an exponential a power; neither can be raised to a power as it is.
-        Node::Apply(Op::Div | Op::Recip | Op::Exp, _) if style.delimits => POWER,
-        Node::Apply(op, _) => op.entry().precedence,
-        _ => ATOM,
+impl Printer<'_> {
+    /// The name of a part that is written once.
+    fn name(&self, expr: &Expr) -> Option<&String> {
+        self.names.get(&std::ptr::from_ref(expr.node()))
     }
-}
 
-/// Whether the i-th argument of an operation needs brackets.
-fn in_brackets(op: Op, i: usize, arg: &Expr, style: &Style) -> bool {
-    let entry = op.entry();
-    let quotient = matches!(op, Op::Div | Op::Recip);
-    if entry.precedence == ATOM || (style.delimits && (quotient || (op == Op::Pow && i == 1))) {
-        return false;
-    }
-    // The right side of −, / and the base of a power bind tighter than the operation.
-    let strict = i == 1 && !entry.commutative
-        || (op == Op::Pow && i == 0)
-        || matches!(op, Op::Neg | Op::Recip)
-        || entry.precedence == 0;
-    let inner = precedence(arg, style);
-    inner < entry.precedence
-        || (strict && inner == entry.precedence)
-        // A sign at the start of a right operand reads as two operators.
-        || (i == 1 && entry.precedence >= SUM && starts_with_sign(arg, style))
-}
-
-fn starts_with_sign(expr: &Expr, style: &Style) -> bool {
-    let mut expr = expr;
-    loop {
-        match expr.node() {
-            Node::Constant(c) => return *c < 0.0,
-            Node::Apply(Op::Neg, _) => return true,
-            Node::Apply(op, args)
-                if (style.template)(*op).starts_with("{0}") && !in_brackets(*op, 0, &args[0], style) =>
-            {
-                expr = &args[0];
+    /// Prints with an explicit stack into one text: sums of thousands of terms are deep trees. The root is written
+    /// out, be it named or not.
+    fn print(&self, root: &Expr, out: &mut String) {
+        let style = self.style;
+        let mut stack = vec![Task::Expr(root)];
+        let mut first = true;
+        while let Some(task) = stack.pop() {
+            let expr = match task {
+                Task::Text(text) => {
+                    out.push_str(text);
+                    continue;
+                }
+                Task::Expr(expr) => expr,
+            };
+            if let Some(name) = self.name(expr).filter(|_| !first) {
+                out.push_str(&(style.symbol)(name));
+                continue;
             }
-            _ => return false,
+            first = false;
+            let start = stack.len();
+            match expr.node() {
+                Node::Constant(c) => out.push_str(&(style.number)(*c)),
+                Node::Symbol(name) => out.push_str(&(style.symbol)(name)),
+                Node::Apply(op, args) => self.push_operation(*op, args, &mut stack),
+                Node::Lookup(lookup, args) => {
+                    let name = (style.symbol)(lookup.table.name());
+                    match lookup.order {
+                        [0, 0] => out.push_str(&name),
+                        [i, j] => out.push_str(&format!("D[{name}, {i}, {j}]")),
+                    }
+                    stack.push(Task::Text(style.open));
+                    for (i, arg) in args.iter().enumerate() {
+                        stack.push(Task::Text(if i == 0 { "" } else { ", " }));
+                        stack.push(Task::Expr(arg));
+                    }
+                    stack.push(Task::Text(style.close));
+                }
+            }
+            stack[start..].reverse();
+        }
+    }
+
+    /// The template of an operation, cut at `{0}`, `{1}`, `{2}`; other braces stand for themselves.
+    fn push_operation<'a>(&self, op: Op, args: &'a [Expr], stack: &mut Vec<Task<'a>>) {
+        let style = self.style;
+        let mut rest = (style.template)(op);
+        let mut from = 0;
+        while let Some(at) = rest[from..].find('{').map(|at| from + at) {
+            let index = match rest.as_bytes()[at..] {
+                [_, digit @ b'0'..=b'2', b'}', ..] => usize::from(digit - b'0'),
+                _ => args.len(),
+            };
+            let Some(arg) = args.get(index) else {
+                from = at + 1;
+                continue;
+            };
+            stack.push(Task::Text(&rest[..at]));
+            let brackets = self.in_brackets(op, index, arg);
+            stack.extend(brackets.then_some(Task::Text(style.open)));
+            stack.push(Task::Expr(arg));
+            stack.extend(brackets.then_some(Task::Text(style.close)));
+            (rest, from) = (&rest[at + 3..], 0);
+        }
+        stack.push(Task::Text(rest));
+    }
+
+    /// How strongly the printed form of an expression holds together.
+    fn precedence(&self, expr: &Expr) -> u8 {
+        match expr.node() {
+            _ if self.name(expr).is_some() => ATOM,
+            Node::Constant(c) if *c < 0.0 => PRODUCT,
+            // A fraction is an atom, an exponential a power; neither can be raised to a power as it is.
+            Node::Apply(Op::Div | Op::Recip | Op::Exp, _) if self.style.delimits => POWER,
+            Node::Apply(op, _) => op.entry().precedence,
+            _ => ATOM,
+        }
+    }
+
+    /// Whether the i-th argument of an operation needs brackets.
+    fn in_brackets(&self, op: Op, i: usize, arg: &Expr) -> bool {
+        let (entry, style) = (op.entry(), self.style);
+        let quotient = matches!(op, Op::Div | Op::Recip);
+        if entry.precedence == ATOM || (style.delimits && (quotient || (op == Op::Pow && i == 1))) {
+            return false;
+        }
+        // The right side of −, / and the base of a power bind tighter than the operation.
+        let strict = i == 1 && !entry.commutative
+            || (op == Op::Pow && i == 0)
+            || matches!(op, Op::Neg | Op::Recip)
+            || entry.precedence == 0;
+        let inner = self.precedence(arg);
+        inner < entry.precedence
+            || (strict && inner == entry.precedence)
+            // A sign at the start of a right operand reads as two operators.
+            || (i == 1 && entry.precedence >= SUM && self.starts_with_sign(arg))
+    }
+
+    fn starts_with_sign(&self, expr: &Expr) -> bool {
+        let mut expr = expr;
+        loop {
+            match expr.node() {
+                _ if self.name(expr).is_some() => return false,
+                Node::Constant(c) => return *c < 0.0,
+                Node::Apply(Op::Neg, _) => return true,
+                Node::Apply(op, args)
+                    if (self.style.template)(*op).starts_with("{0}")
+                        && !self.in_brackets(*op, 0, &args[0]) =>
+                {
+                    expr = &args[0];
+                }
+                _ => return false,
+            }
         }
     }
 }

@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 pub use graph::Graph;
 pub use operators::{
-    atan2, eq, ge, gt, le, lt, max, min, select, smooth_abs, smooth_max, smooth_min, smooth_sign,
+    atan2, eq, ge, gt, hypot, le, lt, max, min, select, smooth_abs, smooth_max, smooth_min, smooth_sign,
 };
 pub use ops::Op;
 
@@ -81,7 +81,6 @@ impl Drop for Node {
     }
 }
 
-#[derive(Debug)]
 struct Inner {
     node: Node,
     hash: u64,
@@ -107,7 +106,7 @@ struct Inner {
 /// assert_eq!((-kinked).evaluate(&at), Ok(-2.0));
 /// assert_eq!(f.evaluate(&[("x".into(), 2.0)].into()), Err("y".into())); // y was given no value
 /// ```
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Expr(Arc<Inner>);
 
 impl Expr {

@@ -80,7 +80,9 @@ macro_rules! methods {
 methods! {
     sqrt Op::Sqrt, "Square root.";
     exp Op::Exp, "Exponential.";
+    expm1 Op::Expm1, "Exponential less 1, accurate near 0.";
     log Op::Log, "Natural logarithm.";
+    log1p Op::Log1p, "Natural logarithm of 1 + x, accurate near 0.";
     sin Op::Sin, "Sine.";
     cos Op::Cos, "Cosine.";
     tan Op::Tan, "Tangent.";
@@ -108,6 +110,11 @@ fn two(op: Op, a: impl Into<Expr>, b: impl Into<Expr>) -> Expr {
 /// Angle of the point (x, y).
 pub fn atan2(y: impl Into<Expr>, x: impl Into<Expr>) -> Expr {
     two(Op::Atan2, y, x)
+}
+
+/// √(x² + y²), without overflow on the way.
+pub fn hypot(x: impl Into<Expr>, y: impl Into<Expr>) -> Expr {
+    two(Op::Hypot, x, y)
 }
 
 /// The smaller of two.

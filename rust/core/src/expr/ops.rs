@@ -21,7 +21,10 @@ pub enum Op {
     Recip,
     Sqrt,
     Exp,
+    Expm1,
     Log,
+    Log1p,
+    Hypot,
     Sin,
     Cos,
     Tan,
@@ -136,7 +139,7 @@ fn truth(x: bool) -> f64 {
 }
 
 /// The operation table, in the order of [`Op`].
-pub static TABLE: [Entry; 30] = [
+pub static TABLE: [Entry; 33] = [
     operator(
         Op::Add,
         "add",
@@ -257,6 +260,15 @@ pub static TABLE: [Entry; 30] = [
         "e^{{0}}",
     ),
     function(
+        Op::Expm1,
+        "expm1",
+        |x| math::expm1(x[0]),
+        |g, a, _| [Some(g.unary(Op::Exp, a[0])), None, None],
+        &[ANY],
+        "expm1({0})",
+        "\\operatorname{expm1}\\left({0}\\right)",
+    ),
+    function(
         Op::Log,
         "log",
         |x| math::log(x[0]),
@@ -264,6 +276,31 @@ pub static TABLE: [Entry; 30] = [
         &[POSITIVE],
         "log({0})",
         "\\ln\\left({0}\\right)",
+    ),
+    function(
+        Op::Log1p,
+        "log1p",
+        |x| math::log1p(x[0]),
+        |g, a, _| {
+            let one = g.one();
+            let sum = g.add(one, a[0]);
+            [Some(g.recip(sum)), None, None]
+        },
+        &[(-1.0, INF)],
+        "log1p({0})",
+        "\\operatorname{log1p}\\left({0}\\right)",
+    ),
+    function(
+        Op::Hypot,
+        "hypot",
+        |x| math::hypot(x[0], x[1]),
+        |g, a, r| {
+            let inverse = g.recip(r);
+            [Some(g.mul(a[0], inverse)), Some(g.mul(a[1], inverse)), None]
+        },
+        &[ANY, POSITIVE],
+        "hypot({0}, {1})",
+        "\\operatorname{hypot}\\left({0}, {1}\\right)",
     ),
     function(
         Op::Sin,

@@ -18,6 +18,15 @@ enum Saved {
     Lookup { table: usize, order: [u8; 2], args: Vec<usize> },
 }
 
+/// What makes two nodes equal, their arguments by place.
+#[derive(PartialEq, Eq, Hash)]
+enum Key<'a> {
+    Constant(u64),
+    Symbol(&'a str),
+    Apply(Op, Vec<usize>),
+    Lookup(usize, [u8; 2], Vec<usize>),
+}
+
 /// Expressions as they are saved and sent between processes.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Pool {
@@ -31,30 +40,40 @@ impl Pool {
     /// Saves expressions together.
     pub fn new<'a>(exprs: impl IntoIterator<Item = &'a Expr>) -> Self {
         let mut pool = Pool::default();
-        let mut places: HashMap<Expr, usize> = HashMap::new();
+        // Equal parts are found by what their arguments are: to compare whole trees would walk them again and again.
+        let mut places: HashMap<Key<'a>, usize> = HashMap::new();
+        let mut done: HashMap<*const Node, usize> = HashMap::new();
         let mut tables: Vec<Arc<Table>> = Vec::new();
         for root in exprs {
             root.visit(|e| {
-                if places.contains_key(e) {
+                let own = std::ptr::from_ref(e.node());
+                if done.contains_key(&own) {
                     return;
                 }
-                let args = e.args().iter().map(|a| places[a]).collect();
-                let saved = match e.node() {
-                    Node::Constant(c) => Saved::Constant { value: *c },
-                    Node::Symbol(name) => Saved::Symbol { symbol: name.to_string() },
-                    Node::Apply(op, _) => Saved::Apply { op: op.entry().name.to_owned(), args },
+                let args: Vec<usize> = e.args().iter().map(|a| done[&std::ptr::from_ref(a.node())]).collect();
+                let (key, saved) = match e.node() {
+                    Node::Constant(c) => (Key::Constant(c.to_bits()), Saved::Constant { value: *c }),
+                    Node::Symbol(name) => (Key::Symbol(name), Saved::Symbol { symbol: name.to_string() }),
+                    Node::Apply(op, _) => {
+                        let name = op.entry().name.to_owned();
+                        (Key::Apply(*op, args.clone()), Saved::Apply { op: name, args })
+                    }
                     Node::Lookup(lookup, _) => {
                         let table = tables.iter().position(|t| *t == lookup.table).unwrap_or_else(|| {
                             tables.push(lookup.table.clone());
                             tables.len() - 1
                         });
-                        Saved::Lookup { table, order: lookup.order, args }
+                        let order = lookup.order;
+                        (Key::Lookup(table, order, args.clone()), Saved::Lookup { table, order, args })
                     }
                 };
-                pool.nodes.push(saved);
-                places.insert(e.clone(), pool.nodes.len() - 1);
+                let place = *places.entry(key).or_insert_with(|| {
+                    pool.nodes.push(saved);
+                    pool.nodes.len() - 1
+                });
+                done.insert(own, place);
             });
-            pool.roots.push(places[root]);
+            pool.roots.push(done[&std::ptr::from_ref(root.node())]);
         }
         pool.tables = tables.iter().map(|t| Table::clone(t)).collect();
         pool

@@ -1,5 +1,6 @@
 //! Tapes on blocks of points, and the data columns of the points.
 
+use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
 use crate::tape::{Inputs, LANE_MULTIPLE, Tape, Workspace};
@@ -12,7 +13,12 @@ pub(super) struct Loaded<'a> {
 }
 
 /// Compiles the nodes of a function of `lanes` and parameters.
-pub(super) fn compile(graph: &Graph, lanes: &[&[Id]], parameters: &[Id], outputs: &[Id]) -> Tape {
+pub(super) fn compile(
+    graph: &Graph,
+    lanes: &[&[Id]],
+    parameters: &[Id],
+    outputs: &[Id],
+) -> Result<Tape, Error> {
     let inputs = Inputs { lanes: lanes.concat(), uniforms: parameters.to_vec() };
     Tape::compile(graph, &inputs, outputs)
 }

@@ -8,6 +8,7 @@ use super::block::{Block, Loaded, blocks, compile};
 use super::jet::{symbols, weighted};
 use super::noises::Driven;
 use super::steps::{Intervals, REACH, WEIGHTS, add_scaled, forward};
+use crate::error::Error;
 use crate::tape::{LANE_MULTIPLE, Tape, Workspace};
 
 /// The state equations with their derivatives, compiled.
@@ -42,22 +43,22 @@ pub(super) struct Linear {
 
 impl Flow {
     /// `p` is the number of the model's own parameters among those of `driven`.
-    pub(super) fn new(driven: &Driven, p: usize) -> Flow {
+    pub(super) fn new(driven: &Driven, p: usize) -> Result<Flow, Error> {
         let mut graph = driven.graph.clone();
         let (z, theta, f) = (&driven.z, &driven.theta, &driven.f);
-        let value = compile(&graph, &[&driven.data, z], theta, f);
+        let value = compile(&graph, &[&driven.data, z], theta, f)?;
 
         let variables = [z, &theta[..p]].concat();
         let first = graph.jacobian(f, &variables);
-        let jacobian = compile(&graph, &[&driven.data, z], theta, &first.values);
+        let jacobian = compile(&graph, &[&driven.data, z], theta, &first.values)?;
 
         // f is linear in the noises, which do not meet the states there.
         let weights = symbols(&mut graph, "weight of slope", driven.n);
         let sum = weighted(&mut graph, &weights, f);
         let second = graph.hessian(sum, driven.x());
-        let hessian = compile(&graph, &[&driven.data, z, &weights], theta, &second.values);
+        let hessian = compile(&graph, &[&driven.data, z, &weights], theta, &second.values)?;
 
-        Flow {
+        Ok(Flow {
             n: driven.n,
             m: driven.noises().len(),
             p,
@@ -66,7 +67,7 @@ impl Flow {
             jacobian_entries: first.rows.into_iter().zip(first.columns).collect(),
             hessian,
             hessian_entries: second.rows.into_iter().zip(second.columns).collect(),
-        }
+        })
     }
 
     /// Φ from the states at all samples but the last, rows of n, and the noises, rows of m.

@@ -11,6 +11,7 @@
 use super::block::{Block, Loaded, blocks, compile};
 use super::noises::Driven;
 use super::steps::{Intervals, REACH, WEIGHTS, add_scaled, forward};
+use crate::error::Error;
 use crate::expr::derive::Sparse;
 use crate::expr::graph::{Graph, Id};
 use crate::tape::{Tape, Workspace};
@@ -48,7 +49,7 @@ pub(super) struct Weights<'a> {
 }
 
 impl Jets {
-    pub(super) fn new(driven: &Driven) -> Jets {
+    pub(super) fn new(driven: &Driven) -> Result<Jets, Error> {
         let mut graph = driven.graph.clone();
         let (x, theta, f) = (driven.x(), &driven.theta, &driven.f);
         let (n, width) = (driven.n, driven.z.len());
@@ -63,14 +64,14 @@ impl Jets {
         let slopes = jet.slopes(&mut graph, f, x, &first);
         let state = [x, &jet.sensitivity, &jet.curvature].concat();
         let constants = [driven.noises(), &jet.w].concat();
-        let slope = compile(&graph, &[&driven.data, &state, &constants], theta, &slopes);
+        let slope = compile(&graph, &[&driven.data, &state, &constants], theta, &slopes)?;
         let weights = symbols(&mut graph, "weight of jet", slopes.len());
         let sum = weighted(&mut graph, &weights, &slopes);
         let gradient = graph.gradient(sum, &[&state, driven.noises(), theta].concat());
         let (places, nodes): (Vec<usize>, Vec<Id>) =
             gradient.iter().enumerate().filter_map(|(i, d)| d.map(|d| (i, d))).unzip();
-        let back = compile(&graph, &[&driven.data, &state, &constants, &weights], theta, &nodes);
-        Jets { n, m: width - n, slope, back, back_places: places, dimensions: slopes.len() }
+        let back = compile(&graph, &[&driven.data, &state, &constants, &weights], theta, &nodes)?;
+        Ok(Jets { n, m: width - n, slope, back, back_places: places, dimensions: slopes.len() })
     }
 
     /// Runs the jet forward with covariances `w` ((n + m, n + m) an interval): the points of its stages, and

@@ -138,6 +138,12 @@ impl Filter {
         noise: &Noise,
         settings: &Settings,
     ) -> Result<Self, Error> {
+        if let Some(late) = model.delays.parameters().first() {
+            return Err(Error::Model(format!(
+                "the model '{}' has delays ({late}), which the filter-error method cannot estimate",
+                model.name
+            )));
+        }
         let compiled = model.compile()?;
         let outputs: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         let inputs: Vec<&str> = model.inputs.iter().map(|o| o.name.as_str()).collect();
@@ -155,7 +161,7 @@ impl Filter {
         let mut parameters: Vec<String> = model.parameters.iter().map(|p| p.name.clone()).collect();
         parameters.extend(noise_parameters.iter().map(|p| p.name.clone()));
         parameters.extend(settings.states.iter().map(|s| format!("q_{s}")));
-        let samples = Samples::new(&compiled, &outputs, noise, experiments);
+        let samples = Samples::new(&compiled, &outputs, noise, experiments)?;
         let driven = Driven::new(&compiled, &noisy, settings.terms);
         Ok(Filter {
             parameters,
@@ -165,8 +171,8 @@ impl Filter {
             state_names,
             n_noise: noise_parameters.len(),
             n_data: compiled.data.len(),
-            flow: Flow::new(&driven, model.parameters.len()),
-            jets: Jets::new(&driven),
+            flow: Flow::new(&driven, model.parameters.len())?,
+            jets: Jets::new(&driven)?,
             runs: experiments
                 .iter()
                 .map(|e| Run::new(&samples, e, settings.substeps, settings.terms))

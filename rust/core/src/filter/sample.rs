@@ -3,6 +3,7 @@
 
 use super::block::{Loaded, blocks, compile, data_columns};
 use super::jet::{lower, place, symbols, weighted};
+use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::Id;
 use crate::model::Compiled;
@@ -57,7 +58,7 @@ impl Samples {
         names: &[&str],
         noise: &Noise,
         experiments: &[Experiment],
-    ) -> Samples {
+    ) -> Result<Samples, Error> {
         let mut graph = model.graph.clone();
         let (n, n_y, n_p) = (model.states.len(), names.len(), model.parameters.len());
         let x = &model.states;
@@ -87,11 +88,11 @@ impl Samples {
         let slope: Vec<Id> = (0..n).map(|i| slopes.find(0, i).unwrap_or(zero)).collect();
         let second = graph.hessian(cost, x);
         let outputs = [vec![cost], slope.clone(), second.values.clone()].concat();
-        let cost_tape = compile(&graph, &[&data, x], &theta, &outputs);
+        let cost_tape = compile(&graph, &[&data, x], &theta, &outputs)?;
 
         let variables = [x.clone(), model.parameters.clone()].concat();
         let first = graph.jacobian(&density.squares, &variables);
-        let residual = compile(&graph, &[&data, x], &theta, &first.values);
+        let residual = compile(&graph, &[&data, x], &theta, &first.values)?;
 
         let mut inverses = roots.iter();
         let Noise::Gaussian(sigmas) = noise else { unreachable!("checked before") };
@@ -103,7 +104,7 @@ impl Samples {
             };
             scaled.push(present[c].map_or(root, |there| graph.select(there, root, zero)));
         }
-        let scaled = compile(&graph, &[&data, x], &theta, &scaled);
+        let scaled = compile(&graph, &[&data, x], &theta, &scaled)?;
 
         let weight = symbols(&mut graph, "weight of cost", 1);
         let along = symbols(&mut graph, "weight of slope", n);
@@ -119,12 +120,12 @@ impl Samples {
         let gradient = graph.gradient(sum, &[x.clone(), theta.clone()].concat());
         let (back_places, nodes): (Vec<usize>, Vec<Id>) =
             gradient.iter().enumerate().filter_map(|(i, d)| d.map(|d| (i, d))).unzip();
-        let back = compile(&graph, &[&data, x, &weight, &along, &w], &theta, &nodes);
+        let back = compile(&graph, &[&data, x, &weight, &along, &w], &theta, &nodes)?;
         let by_x = graph.jacobian(&model.outputs, x);
         let outputs = [&model.outputs[..], &by_x.values].concat();
-        let outputs = compile(&graph, &[&model.data, x], &model.parameters, &outputs);
+        let outputs = compile(&graph, &[&model.data, x], &model.parameters, &outputs)?;
         debug_assert!(variables.len() == n + n_p);
-        Samples {
+        Ok(Samples {
             n,
             n_y,
             cost: cost_tape,
@@ -137,7 +138,7 @@ impl Samples {
             outputs,
             output_entries: by_x.rows.into_iter().zip(by_x.columns).collect(),
             gaps,
-        }
+        })
     }
 
     /// Data columns of a record: time, inputs, measurements, whether they are there.

@@ -29,6 +29,11 @@ impl Settings {
         if self.terms == 0 {
             return fail("terms is at least 1".into());
         }
+        for (name, count, most) in [("substeps", self.substeps, 10_000), ("terms", self.terms, 100)] {
+            if count > most {
+                return fail(format!("{name} is {count}; at most {most}"));
+            }
+        }
         if self.initial.len() != states.len() {
             return fail(format!("initial holds {} states, the model {}", self.initial.len(), states.len()));
         }

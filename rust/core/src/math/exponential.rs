@@ -187,5 +187,44 @@ pub fn pow(x: f64, y: f64) -> f64 {
     if x == 1.0 || y == 0.0 { 1.0 } else { power }
 }
 
-unary_lanes!(exp_lanes = exp, log_lanes = log);
-binary_lanes!(pow_lanes = pow);
+/// exp(x) − 1, accurate where x is small; 1.5 ulp.
+#[inline(always)]
+pub fn expm1(x: f64) -> f64 {
+    // Within the bounds 2ᵏ (1 + r + tail) − 1 in two parts, as in tanh; below them it rounds to −1, above the 1 no
+    // longer counts.
+    let bounded = if x > 40.0 { 40.0 } else { x };
+    let (r, k) = reduce_by_ln2(if bounded < -40.0 { -40.0 } else { bounded });
+    let power = f64::from_bits(k.wrapping_add(1023) << 52);
+    let (sum, rest) = two_sum(power, power * r);
+    let (e, e_low) = two_sum(sum, -1.0);
+    let near = e + (e_low + (rest + power * exp_tail(r)));
+    let value = if x > 40.0 { exp(x) } else { near };
+    if x == 0.0 { x } else { value }
+}
+
+/// log(1 + x), accurate where x is small; 1 ulp.
+#[inline(always)]
+pub fn log1p(x: f64) -> f64 {
+    let sum = 1.0 + x;
+    // What the sum has lost in rounding.
+    let rest = if x.abs() > 1.0 { (x - sum) + 1.0 } else { (1.0 - sum) + x };
+    let near = log_sum(sum, rest / sum, 0.0);
+    let value = if x == 0.0 || x == f64::INFINITY { x } else { near };
+    let below = if x == -1.0 { f64::NEG_INFINITY } else { f64::NAN };
+    if x > -1.0 { value } else { below }
+}
+
+/// √(x² + y²), which does not overflow before its result does; 2 ulp.
+#[inline(always)]
+pub fn hypot(x: f64, y: f64) -> f64 {
+    let (x, y) = (x.abs(), y.abs());
+    let (large, small) = if x > y { (x, y) } else { (y, x) };
+    let ratio = small / large;
+    let value = large * ratio.mul_add(ratio, 1.0).sqrt();
+    let value = if large == 0.0 { 0.0 } else { value };
+    let value = if x == f64::INFINITY || y == f64::INFINITY { f64::INFINITY } else { value };
+    if x.is_nan() || y.is_nan() { f64::NAN } else { value }
+}
+
+unary_lanes!(exp_lanes = exp, log_lanes = log, expm1_lanes = expm1, log1p_lanes = log1p);
+binary_lanes!(pow_lanes = pow, hypot_lanes = hypot);

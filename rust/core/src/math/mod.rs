@@ -24,7 +24,10 @@ mod hyperbolic;
 mod inverse;
 mod trigonometric;
 
-pub use exponential::{exp, exp_lanes, log, log_lanes, pow, pow_lanes};
+pub use exponential::{
+    exp, exp_lanes, expm1, expm1_lanes, hypot, hypot_lanes, log, log_lanes, log1p, log1p_lanes, pow,
+    pow_lanes,
+};
 pub use hyperbolic::{asinh, asinh_lanes, cosh, cosh_lanes, sinh, sinh_lanes, tanh, tanh_lanes};
 pub use inverse::{acos, acos_lanes, asin, asin_lanes, atan, atan_lanes, atan2, atan2_lanes};
 pub use trigonometric::{cos, cos_lanes, sin, sin_cos, sin_cos_lanes, sin_lanes, tan, tan_lanes};

@@ -9,11 +9,12 @@ use crate::error::{Error, did_you_mean};
 use crate::expr::Expr;
 
 impl Model {
-    /// Checks that the model is complete.
+    /// Checks that the model is complete and sound, however its fields were filled.
     ///
     /// # Errors
-    /// For no states or outputs, a state without equation, an undeclared symbol, or a parameter
-    /// that appears in no equation.
+    /// For no states or outputs, a state without equation, an undeclared symbol, a parameter that appears in no
+    /// equation; names that are taken, starts outside bounds and other numbers that cannot be, delays of what is no
+    /// input, and noise that is none.
     pub fn check(&self) -> Result<(), Error> {
         let fail = |text: String| Err(Error::Model(format!("model '{}': {text}", self.name)));
         if self.states.is_empty() {
@@ -27,6 +28,7 @@ impl Model {
                 return fail(format!("state '{0}' has no equation; give dynamics({0}=...)", state.name));
             }
         }
+        self.check_declared()?;
         let mut known: HashSet<&str> = HashSet::from([TIME]);
         known.extend(self.states.iter().chain(&self.inputs).map(|v| v.name.as_str()));
         known.extend(self.parameters.iter().map(|p| p.name.as_str()));

@@ -125,9 +125,10 @@ impl Model {
     fn symbol_of(&self, expr: &Expr, known: &[&str], place: &str, what: &str) -> Result<String, Error> {
         match expr.as_symbol().filter(|s| known.contains(s)) {
             Some(symbol) => Ok(symbol.to_owned()),
-            None => {
-                Err(Error::Model(format!("{place}: give the symbol of {what} of this model, not '{expr}'")))
-            }
+            None => Err(Error::Model(format!(
+                "{place}: give the symbol of {what} of this model, not '{}'",
+                expr.brief()
+            ))),
         }
     }
 

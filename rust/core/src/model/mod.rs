@@ -4,6 +4,7 @@
 
 mod check;
 mod compiled;
+mod declared;
 mod delays;
 mod saved;
 
@@ -53,6 +54,11 @@ impl Equation {
 /// Where something was written, as it stands in messages.
 fn place(source: Option<&str>) -> String {
     source.map(|s| format!(" ({s})")).unwrap_or_default()
+}
+
+fn valid_name(name: &str) -> bool {
+    name.chars().next().is_some_and(|c| c.is_alphabetic() || c == '_')
+        && name.chars().all(|c| c.is_alphanumeric() || c == '_')
 }
 
 /// A model. See the [module](self).
@@ -111,9 +117,7 @@ impl Model {
     }
 
     fn claim(&self, kind: &str, name: &str) -> Result<(), Error> {
-        let valid = name.chars().next().is_some_and(|c| c.is_alphabetic() || c == '_')
-            && name.chars().all(|c| c.is_alphanumeric() || c == '_');
-        if !valid {
+        if !valid_name(name) {
             return Err(Error::Model(format!(
                 "{kind} '{name}': a name starts with a letter and holds letters, digits and underscores only"
             )));

@@ -74,6 +74,13 @@ impl SavedDelays {
             }
             model.delays.inputs.push(LateInput { name, of, by });
         }
+        if let Some(late) = model.delays.inputs.iter().find(|l| model.delays.input(&l.of).is_some()) {
+            return Err(Error::Model(format!(
+                "saved model: '{}' delays '{}', which is a delayed input itself; delay the measured input, by one \
+                 parameter for the whole delay",
+                late.name, late.of
+            )));
+        }
         self.outputs.0.iter().try_for_each(|(output, by)| model.sensor_delay(output, &Expr::symbol(by)))
     }
 }

@@ -230,12 +230,8 @@ impl Custom {
             return Err(format!("the log-density does not depend on its parameter '{}'", p.name));
         }
         for p in &self.parameters {
-            let (lower, upper) = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
-            if !(p.start.is_finite() && lower <= p.start && p.start <= upper) {
-                return Err(format!(
-                    "the parameter '{}' of the density starts at {}, not within its bounds ({lower}, {upper})",
-                    p.name, p.start
-                ));
+            if let Some(wrong) = p.wrong() {
+                return Err(format!("the parameter '{}' of the density: {wrong}", p.name));
             }
         }
         Ok(())

@@ -1,6 +1,7 @@
 //! What is known of the noise before there are data.
 
 use super::{Density, Sigma};
+use crate::error::Error;
 
 /// The scale of the noise of one output, as far as it is said: the standard deviation, where it is Gaussian.
 #[derive(Clone, Debug, PartialEq)]
@@ -98,6 +99,42 @@ impl NoiseModel {
     pub fn per_experiment(mut self) -> Self {
         self.per_experiment = true;
         self
+    }
+
+    /// Checks the numbers of scales and densities.
+    ///
+    /// # Errors
+    /// Names the output at fault.
+    pub fn check(&self) -> Result<(), Error> {
+        for (output, scale) in &self.scales {
+            let fail = |text: String| Err(Error::Option(format!("noise of output '{output}': {text}")));
+            let positive = |v: f64| v > 0.0 && v.is_finite();
+            match *scale {
+                Scale::Known(value) if !positive(value) => {
+                    return fail(format!("its standard deviation {value} is not a positive number"));
+                }
+                Scale::Unknown { start: Some(start), .. } if !positive(start) => {
+                    return fail(format!(
+                        "its standard deviation starts at {start}, not at a positive number"
+                    ));
+                }
+                Scale::Unknown { start, bounds: Some((lower, upper)) } => {
+                    if !(lower >= 0.0 && lower.is_finite() && upper > 0.0 && lower <= upper) {
+                        return fail(format!(
+                            "({lower}, {upper}) are not a lower and an upper bound of a standard deviation"
+                        ));
+                    }
+                    if let Some(start) = start.filter(|s| *s < lower || *s > upper) {
+                        return fail(format!(
+                            "its standard deviation starts at {start}, outside its bounds ({lower}, {upper}); move one \
+                             of them"
+                        ));
+                    }
+                }
+                _ => {}
+            }
+        }
+        self.densities.iter().try_for_each(|(output, density)| density.check(output))
     }
 
     /// What is said of the scale of an output.

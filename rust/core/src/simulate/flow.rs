@@ -118,13 +118,15 @@ impl<'a> Flow<'a> {
     fn slope(&self, t: f64, x: &[f64]) -> Vec<f64> {
         let point = self.point(t, x);
         let columns: Vec<&[f64]> = point.iter().map(std::slice::from_ref).collect();
-        self.evaluator.dynamics(self.parameters, &columns).into_iter().flatten().collect()
+        let slopes = self.evaluator.dynamics(self.parameters, &columns);
+        slopes.expect("a point has all columns").into_iter().flatten().collect()
     }
 
     fn outputs(&self, t: f64, x: &[f64]) -> Vec<f64> {
         let point = self.point(t, x);
         let columns: Vec<&[f64]> = point.iter().map(std::slice::from_ref).collect();
-        self.evaluator.outputs(self.parameters, &columns).into_iter().flatten().collect()
+        let outputs = self.evaluator.outputs(self.parameters, &columns);
+        outputs.expect("a point has all columns").into_iter().flatten().collect()
     }
 
     /// States and outputs at the samples.

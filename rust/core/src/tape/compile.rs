@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use super::{Code, Instruction, Operand, Sink, Tape, UniformInstruction};
+use crate::error::Error;
 use crate::expr::graph::{Graph, Id, Item};
 use crate::expr::{Lookup, Op};
 
@@ -18,19 +19,26 @@ pub struct Inputs {
 impl Tape {
     /// Compiles the nodes `outputs` of a graph.
     ///
-    /// # Panics
-    /// When a symbol is no input (the model checks symbols before), or when more than 65,535
-    /// registers or uniforms are needed.
-    pub fn compile(graph: &Graph, inputs: &Inputs, outputs: &[Id]) -> Tape {
+    /// # Errors
+    /// When an output depends on a symbol that is no input.
+    pub fn compile(graph: &Graph, inputs: &Inputs, outputs: &[Id]) -> Result<Tape, Error> {
         Tape::compile_into(graph, inputs, outputs, &vec![Sink::Keep; outputs.len()])
     }
 
     /// As [`Tape::compile`], with a sink for each output. What need not be kept does not occupy a
     /// register until the end: a tape with many outputs then stays in the first-level cache.
-    pub fn compile_into(graph: &Graph, inputs: &Inputs, outputs: &[Id], sinks: &[Sink]) -> Tape {
-        let mut compiler = Compiler::new(graph, inputs, outputs);
+    ///
+    /// # Errors
+    /// As [`Tape::compile`].
+    pub fn compile_into(
+        graph: &Graph,
+        inputs: &Inputs,
+        outputs: &[Id],
+        sinks: &[Sink],
+    ) -> Result<Tape, Error> {
+        let mut compiler = Compiler::new(graph, inputs, outputs)?;
         compiler.schedule(outputs, sinks);
-        compiler.finish(outputs, sinks)
+        Ok(compiler.finish(outputs, sinks))
     }
 }
 
@@ -47,8 +55,8 @@ struct Virtual {
 enum Arg {
     None,
     Node(Id),
-    Uniform(u16),
-    Raw(u16),
+    Uniform(u32),
+    Raw(u32),
 }
 
 struct Compiler<'a> {
@@ -56,7 +64,7 @@ struct Compiler<'a> {
     uses: Vec<u32>,
     needed: Vec<bool>,
     /// Uniform slot of a node, where it is uniform.
-    slots: HashMap<Id, u16>,
+    slots: HashMap<Id, u32>,
     splats: HashMap<Id, ()>,
     emitted: Vec<bool>,
     code: Vec<Virtual>,
@@ -64,12 +72,13 @@ struct Compiler<'a> {
     tape: Tape,
 }
 
-fn short(n: usize) -> u16 {
-    u16::try_from(n).expect("a tape has at most 65,535 registers and uniforms")
+/// The number of a register, uniform or table. There are no more of them than nodes, which [`Id`] counts by `u32`.
+fn number(n: usize) -> u32 {
+    n as u32
 }
 
 impl<'a> Compiler<'a> {
-    fn new(graph: &'a Graph, inputs: &Inputs, outputs: &[Id]) -> Self {
+    fn new(graph: &'a Graph, inputs: &Inputs, outputs: &[Id]) -> Result<Self, Error> {
         let n = graph.len();
         let mut compiler = Compiler {
             graph,
@@ -92,7 +101,7 @@ impl<'a> Compiler<'a> {
             },
         };
         for (i, &id) in inputs.uniforms.iter().enumerate() {
-            compiler.slots.insert(id, short(i));
+            compiler.slots.insert(id, number(i));
         }
         for &id in &inputs.lanes {
             compiler.emitted[id.index()] = true;
@@ -107,8 +116,22 @@ impl<'a> Compiler<'a> {
         for id in outputs {
             compiler.uses[id.index()] += 1;
         }
+        compiler.check_symbols(&reachable)?;
         compiler.find_uniforms(&reachable);
-        compiler
+        Ok(compiler)
+    }
+
+    fn check_symbols(&self, reachable: &[Id]) -> Result<(), Error> {
+        for &id in reachable {
+            if let Some(name) = self.graph.symbol_name(id)
+                && !self.emitted[id.index()]
+                && !self.slots.contains_key(&id)
+            {
+                let text = format!("symbol '{name}' has no value: it is no state, input or parameter");
+                return Err(Error::Model(text));
+            }
+        }
+        Ok(())
     }
 
     /// Gives every node that depends on uniforms alone a slot, and writes the scalar program.
@@ -118,7 +141,7 @@ impl<'a> Compiler<'a> {
                 continue;
             }
             if let Some(value) = self.graph.as_constant(id) {
-                self.slots.insert(id, short(self.tape.uniforms.len()));
+                self.slots.insert(id, number(self.tape.uniforms.len()));
                 self.tape.uniforms.push(value);
                 continue;
             }
@@ -126,7 +149,7 @@ impl<'a> Compiler<'a> {
             if args.is_empty() || !args.iter().all(|a| self.slots.contains_key(a)) {
                 continue;
             }
-            let dst = short(self.tape.uniforms.len());
+            let dst = number(self.tape.uniforms.len());
             let slot = |k: usize| self.slots[&args[k.min(args.len() - 1)]];
             let instruction = match self.graph.item(id) {
                 Item::Apply(op, _) => {
@@ -144,13 +167,13 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    fn table(&mut self, k: u32) -> u16 {
+    fn table(&mut self, k: u32) -> u32 {
         let lookup: &Lookup = self.graph.lookup_at(k);
         let place = self.tape.lookups.iter().position(|l| l == lookup).unwrap_or_else(|| {
             self.tape.lookups.push(lookup.clone());
             self.tape.lookups.len() - 1
         });
-        short(place)
+        number(place)
     }
 
     /// Depth-first from the outputs: a value is computed just before it is first needed.
@@ -223,8 +246,7 @@ impl<'a> Compiler<'a> {
                 Op::Sin | Op::Cos => self.emit_sin_cos(id, op, args[0]),
                 Op::Pow if self.whole_exponent(args[1]).is_some() => {
                     let bits = self.whole_exponent(args[1]).unwrap() as u32;
-                    let (low, high) = ((bits & 0xffff) as u16, (bits >> 16) as u16);
-                    self.push(Code::PowI, id, None, [Arg::Node(args[0]), Arg::Raw(low), Arg::Raw(high)]);
+                    self.push(Code::PowI, id, None, [Arg::Node(args[0]), Arg::Raw(bits), Arg::None]);
                 }
                 _ => {
                     let args = self.graph.args(id);
@@ -240,11 +262,7 @@ impl<'a> Compiler<'a> {
                 let code = if lanes.len() == 1 { Code::Lookup1 } else { Code::Lookup2 };
                 self.push(code, id, None, [lanes[0], lanes[lanes.len() - 1], table]);
             }
-            Item::Symbol(_) => {
-                let name = self.graph.symbol_name(id).map_or("", |n| n);
-                panic!("symbol '{name}' is no input of the tape");
-            }
-            Item::Constant(_) => unreachable!("constants are uniform"),
+            Item::Symbol(_) | Item::Constant(_) => unreachable!("symbols are inputs, constants uniform"),
         }
     }
 
@@ -332,18 +350,18 @@ impl<'a> Compiler<'a> {
                 last_use.insert(output, usize::MAX);
             }
         }
-        let mut registers: HashMap<Id, u16> = HashMap::new();
+        let mut registers: HashMap<Id, u32> = HashMap::new();
         for (i, &id) in self.lane_inputs.iter().enumerate() {
-            registers.insert(id, short(i));
+            registers.insert(id, number(i));
         }
         let n_inputs = self.lane_inputs.len();
-        let mut free: Vec<u16> = Vec::new();
+        let mut free: Vec<u32> = Vec::new();
         let mut count = n_inputs;
         for (at, v) in self.code.iter().enumerate() {
-            let mut take = |registers: &mut HashMap<Id, u16>, id: Id| {
+            let mut take = |registers: &mut HashMap<Id, u32>, id: Id| {
                 let register = free.pop().unwrap_or_else(|| {
                     count += 1;
-                    short(count - 1)
+                    number(count - 1)
                 });
                 registers.insert(id, register);
                 register
@@ -358,7 +376,7 @@ impl<'a> Compiler<'a> {
             };
             let [a, b, c] = v.args.map(resolve);
             self.tape.code.push(Instruction { code: v.code, dst, a, b, c: second.unwrap_or(c) });
-            let mut dead: Vec<u16> = Vec::new();
+            let mut dead: Vec<u32> = Vec::new();
             for arg in v.args {
                 if let Arg::Node(id) = arg
                     && last_use[&id] == at

@@ -165,8 +165,8 @@ fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms
     let base = registers.as_mut_ptr();
     // SAFETY (for both): the compiler numbers registers below `n_registers`, whose room `run` of
     // Tape has checked, and never lets a destination be an operand, so the lanes do not alias.
-    let lane = |r: u16| unsafe { std::slice::from_raw_parts(base.add(r as usize * n), n) };
-    let lane_mut = |r: u16| unsafe { std::slice::from_raw_parts_mut(base.add(r as usize * n), n) };
+    let lane = |r: u32| unsafe { std::slice::from_raw_parts(base.add(r as usize * n), n) };
+    let lane_mut = |r: u32| unsafe { std::slice::from_raw_parts_mut(base.add(r as usize * n), n) };
     for i in code {
         match i.code {
             Code::Sum => {
@@ -181,7 +181,7 @@ fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms
             _ => {}
         }
         let d = lane_mut(i.dst);
-        let uniform = |u: u16| uniforms[u as usize];
+        let uniform = |u: u32| uniforms[u as usize];
         match i.code {
             Code::AddLL => map2(d, lane(i.a), lane(i.b), |a, b| a + b),
             Code::AddLU => {
@@ -243,7 +243,7 @@ fn run(code: &[Instruction], lookups: &[Lookup], registers: &mut [f64], uniforms
             }
             Code::SinCos => math::sin_cos_lanes(d, lane_mut(i.c), lane(i.a)),
             Code::Splat => d.fill(uniform(i.a)),
-            Code::PowI => math::powi_lanes(d, lane(i.a), (u32::from(i.b) | u32::from(i.c) << 16) as i32),
+            Code::PowI => math::powi_lanes(d, lane(i.a), i.b as i32),
             Code::Lookup1 => {
                 let lookup = &lookups[i.c as usize];
                 lookup.table.eval1_lanes(lookup.order[0], d, lane(i.a));
@@ -272,7 +272,10 @@ fn apply(op: Op, d: &mut [f64], a: &[f64], b: &[f64], c: &[f64]) {
         Op::Recip => map1(d, a, |a| 1.0 / a),
         Op::Sqrt => map1(d, a, f64::sqrt),
         Op::Exp => math::exp_lanes(d, a),
+        Op::Expm1 => math::expm1_lanes(d, a),
         Op::Log => math::log_lanes(d, a),
+        Op::Log1p => math::log1p_lanes(d, a),
+        Op::Hypot => math::hypot_lanes(d, a, b),
         Op::Sin => math::sin_lanes(d, a),
         Op::Cos => math::cos_lanes(d, a),
         Op::Tan => math::tan_lanes(d, a),

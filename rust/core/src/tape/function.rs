@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::terms::{Slopes, Terms};
 use super::{Inputs, Sink, Tape};
+use crate::error::Error;
 use crate::expr::derive::Sparse;
 use crate::expr::graph::{Graph, Id};
 
@@ -52,7 +53,7 @@ pub struct Function {
     pub jacobian: Tape,
     /// Function (row) and local variable (column) of each entry.
     pub jacobian_pattern: Pattern,
-    /// Entries of the lower triangle of the Hessian of the weighted sum.
+    /// Entries of the lower triangle of the Hessian of the weighted sum; see [`Pairs`].
     pub hessian: Tape,
     /// Local variables of each entry, row ≥ column.
     pub hessian_pattern: Pattern,
@@ -72,9 +73,31 @@ pub struct Arguments {
     pub parameters: Vec<Id>,
 }
 
+/// Most entries of second derivatives: so many have 2,047 parameters that act jointly. Beyond, tapes take
+/// gigabytes.
+const MOST_ENTRIES: usize = 1 << 21;
+
+/// What becomes of the entries of a Hessian between parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pairs {
+    /// They are kept, lane by lane.
+    Kept,
+    /// They are summed over the lanes, each in a place of its own, in the order of the pattern.
+    Summed,
+}
+
 impl Function {
     /// Differentiates and compiles; the Hessian is that of the sum of the functions times weights.
-    pub fn new(mut graph: Graph, arguments: &Arguments, roots: Vec<Id>) -> Function {
+    ///
+    /// # Errors
+    /// When a function depends on another symbol than its arguments, or second derivatives have more than 2²¹
+    /// entries.
+    pub fn new(
+        mut graph: Graph,
+        arguments: &Arguments,
+        roots: Vec<Id>,
+        pairs: Pairs,
+    ) -> Result<Function, Error> {
         let mut inputs = arguments.inputs();
         let mut sum = graph.zero();
         for (i, &root) in roots.iter().enumerate() {
@@ -83,9 +106,38 @@ impl Function {
             let term = graph.mul(weight, root);
             sum = graph.add(sum, term);
         }
-        let second = graph.hessian(sum, &arguments.variables());
-        let hessian = Tape::compile(&graph, &inputs, &second.values);
+        let second = second_derivatives(&mut graph, sum, &arguments.variables())?;
+        let n_states = arguments.states.len();
+        let mut places = 0..;
+        let sink = |&column: &usize| match pairs {
+            Pairs::Summed if column >= n_states => Sink::Sum(places.next().expect("without end")),
+            _ => Sink::Keep,
+        };
+        let sinks: Vec<Sink> = second.columns.iter().map(sink).collect();
+        let hessian = Tape::compile_into(&graph, &inputs, &second.values, &sinks)?;
         Function::with_hessian(graph, arguments, roots, hessian, second)
+    }
+
+    /// Functions of which only values are wanted: there are no entries of derivatives.
+    ///
+    /// # Errors
+    /// When a function depends on another symbol than its arguments.
+    pub fn of_values(graph: Graph, arguments: &Arguments, roots: Vec<Id>) -> Result<Function, Error> {
+        let none = || Tape::compile(&graph, &arguments.inputs(), &[]);
+        let value = Tape::compile(&graph, &arguments.inputs(), &roots)?;
+        let (jacobian, hessian) = (none()?, none()?);
+        Ok(Function {
+            graph: Arc::new(graph),
+            roots,
+            n_data: arguments.data.len(),
+            n_states: arguments.states.len(),
+            value,
+            jacobian,
+            jacobian_pattern: Pattern::default(),
+            hessian,
+            hessian_pattern: Pattern::default(),
+            gauss_newton: None,
+        })
     }
 
     /// A single function f = rest − ½ Σ residual² − Σ ρ, with Hessians of **−f**, which is what is minimised:
@@ -96,41 +148,51 @@ impl Function {
     /// instructions of a second derivative of the whole. For a loss ρ(r, η) the second term is ρ'' ∇r ∇rᵀ, the
     /// third ρ' ∇²r, and there are those with its own parameters η. Gauss-Newton's has ω ∇r ∇rᵀ with the loss's
     /// weight ω, and for η the squared slopes ρ_η ρ_ηᵀ, which on average are the curvature (Berndt et al., 1974).
-    pub fn of_terms(mut graph: Graph, arguments: &Arguments, terms: &Terms) -> Function {
+    ///
+    /// # Errors
+    /// As [`Function::new`].
+    pub fn of_terms(mut graph: Graph, arguments: &Arguments, terms: &Terms) -> Result<Function, Error> {
         let variables = arguments.variables();
         let (squares, losses, rest) = (&terms.squares, &terms.losses, terms.rest);
         let losses: Vec<Slopes> = losses.iter().map(|loss| loss.slopes(&mut graph, &variables)).collect();
         let residuals: Vec<Id> =
             squares.iter().copied().chain(terms.losses.iter().map(|l| l.residual)).collect();
-        let slopes = graph.jacobian(&residuals, &variables);
-        let of_rest = graph.hessian(rest, &variables);
+        let slopes: Vec<Vec<Option<Id>>> =
+            residuals.iter().map(|&residual| graph.gradient(residual, &variables)).collect();
+        for slopes in &slopes {
+            let joint = slopes.iter().flatten().count();
+            if joint * (joint + 1) / 2 > MOST_ENTRIES {
+                return Err(too_many(variables.len()));
+            }
+        }
+        let of_rest = second_derivatives(&mut graph, rest, &variables)?.by_place();
         let mut sum = graph.zero();
         let weights: Vec<Id> = (0..residuals.len()).map(|k| graph.symbol(&format!("residual {k}"))).collect();
         for (&weight, &residual) in weights.iter().zip(&residuals) {
             let term = graph.mul(weight, residual);
             sum = graph.add(sum, term);
         }
-        let curved = graph.hessian(sum, &variables);
+        let mut curved = second_derivatives(&mut graph, sum, &variables)?;
         let pulls: Vec<Id> = squares.iter().copied().chain(losses.iter().map(|l| l.first)).collect();
-        let curved_values = graph.replace(&curved.values, &weights, &pulls);
+        curved.values = graph.replace(&curved.values, &weights, &pulls);
+        let curved = curved.by_place();
 
         let (mut exact, mut approximate) = (Vec::new(), Vec::new());
         let mut second = Sparse::default();
         for a in 0..variables.len() {
             for b in 0..=a {
-                let mut entry = of_rest.find(a, b).map(|r| graph.neg(r));
-                for k in 0..squares.len() {
-                    if let (Some(x), Some(y)) = (slopes.find(k, a), slopes.find(k, b)) {
+                let mut entry = of_rest.get(&(a, b)).map(|&r| graph.neg(r));
+                for slopes in &slopes[..squares.len()] {
+                    if let (Some(x), Some(y)) = (slopes[a], slopes[b]) {
                         let product = graph.product(x, y);
                         let so_far = entry.unwrap_or_else(|| graph.zero());
                         entry = Some(graph.add(so_far, product));
                     }
                 }
-                let bend = curved.position(a, b).map(|at| curved_values[at]);
+                let bend = curved.get(&(a, b)).copied();
                 let mut more: Option<(Id, Id)> = None;
-                for (k, loss) in (squares.len()..).zip(&losses) {
-                    let pair = (slopes.find(k, a), slopes.find(k, b));
-                    if let Some((e, g)) = loss.second(&mut graph, (a, b), pair) {
+                for (slopes, loss) in slopes[squares.len()..].iter().zip(&losses) {
+                    if let Some((e, g)) = loss.second(&mut graph, (a, b), (slopes[a], slopes[b])) {
                         let (x, y) = more.unwrap_or_else(|| (graph.zero(), graph.zero()));
                         more = Some((graph.add(x, e), graph.add(y, g)));
                     }
@@ -146,11 +208,14 @@ impl Function {
                 approximate.push(part);
                 exact.push(bend.map_or(full, |bend| graph.add(full, bend)));
             }
+            if exact.len() > MOST_ENTRIES {
+                return Err(too_many(variables.len()));
+            }
         }
         let inputs = arguments.inputs();
         let sinks = second_sinks(&second, arguments.states.len());
-        let gauss_newton = Some(Tape::compile_into(&graph, &inputs, &approximate, &sinks));
-        let hessian = Tape::compile_into(&graph, &inputs, &exact, &sinks);
+        let gauss_newton = Some(Tape::compile_into(&graph, &inputs, &approximate, &sinks)?);
+        let hessian = Tape::compile_into(&graph, &inputs, &exact, &sinks)?;
 
         let half = graph.constant(0.5);
         let mut root = rest;
@@ -162,7 +227,8 @@ impl Function {
         for loss in &losses {
             root = graph.sub(root, loss.value);
         }
-        Function { gauss_newton, ..Function::with_hessian(graph, arguments, vec![root], hessian, second) }
+        let function = Function::with_hessian(graph, arguments, vec![root], hessian, second)?;
+        Ok(Function { gauss_newton, ..function })
     }
 
     fn with_hessian(
@@ -171,12 +237,12 @@ impl Function {
         roots: Vec<Id>,
         hessian: Tape,
         second: Sparse,
-    ) -> Function {
+    ) -> Result<Function, Error> {
         let inputs = arguments.inputs();
-        let value = Tape::compile(&graph, &inputs, &roots);
+        let value = Tape::compile(&graph, &inputs, &roots)?;
         let first = graph.jacobian(&roots, &arguments.variables());
-        let jacobian = Tape::compile(&graph, &inputs, &first.values);
-        Function {
+        let jacobian = Tape::compile(&graph, &inputs, &first.values)?;
+        Ok(Function {
             graph: Arc::new(graph),
             roots,
             n_data: arguments.data.len(),
@@ -187,19 +253,27 @@ impl Function {
             hessian,
             hessian_pattern: Pattern { rows: second.rows, columns: second.columns },
             gauss_newton: None,
-        }
+        })
     }
+}
+
+fn second_derivatives(graph: &mut Graph, root: Id, variables: &[Id]) -> Result<Sparse, Error> {
+    graph.hessian_within(root, variables, MOST_ENTRIES).ok_or_else(|| too_many(variables.len()))
+}
+
+fn too_many(n: usize) -> Error {
+    Error::Model(format!(
+        "of {n} states and parameters so many act jointly in one equation that there are more than {MOST_ENTRIES} \
+         second derivatives; at most 2,047 may: write those that are known as numbers, or describe the same by fewer"
+    ))
 }
 
 /// Entries with a state are stored one row after the other, those between parameters summed.
 fn second_sinks(second: &Sparse, n_states: usize) -> Vec<Sink> {
-    let (mut rows, mut sums) = (0, 0);
-    let next = |count: &mut u16| {
-        *count += 1;
-        *count - 1
-    };
-    let sink = |&column: &usize| {
-        if column < n_states { Sink::Store(next(&mut rows)) } else { Sink::Sum(next(&mut sums)) }
+    let (mut rows, mut sums) = (0.., 0..);
+    let sink = |&column: &usize| match column < n_states {
+        true => Sink::Store(rows.next().expect("without end")),
+        false => Sink::Sum(sums.next().expect("without end")),
     };
     second.columns.iter().map(sink).collect()
 }

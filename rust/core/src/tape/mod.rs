@@ -14,7 +14,7 @@ mod trace;
 
 pub use compile::Inputs;
 pub use eval::{Sinks, Values, Workspace};
-pub use function::{Arguments, Function, Pattern};
+pub use function::{Arguments, Function, Pairs, Pattern};
 pub use terms::{Loss, Terms};
 pub use trace::{Trace, trace};
 
@@ -31,9 +31,9 @@ pub const LANE_MULTIPLE: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operand {
     /// A uniform slot.
-    Uniform(u16),
+    Uniform(u32),
     /// A register of lanes. The lane inputs are the first registers.
-    Lane(u16),
+    Lane(u32),
     /// Nowhere: it went to its [`Sink`].
     Sunk,
 }
@@ -44,9 +44,9 @@ pub enum Sink {
     /// It stays in its register, to be read after the run.
     Keep,
     /// Its sum over the lanes is added to this place, as soon as it is computed.
-    Sum(u16),
+    Sum(u32),
     /// It is stored as this row, as soon as it is computed.
-    Store(u16),
+    Store(u32),
 }
 
 /// What an instruction on lanes does. `L` stands for a register, `U` for a uniform; the letters
@@ -79,7 +79,7 @@ pub(crate) enum Code {
     SinCos,
     /// uniform `a` to all lanes
     Splat,
-    /// register a to the whole power held as an `i32` in the bits of b and c
+    /// register a to the whole power held as an `i32` in the bits of b
     PowI,
     /// any other operation of the table, on registers
     Apply(Op),
@@ -96,17 +96,17 @@ pub(crate) enum Code {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Instruction {
     code: Code,
-    dst: u16,
-    a: u16,
-    b: u16,
-    c: u16,
+    dst: u32,
+    a: u32,
+    b: u32,
+    c: u32,
 }
 
 /// One instruction on uniforms.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum UniformInstruction {
-    Apply { op: Op, dst: u16, args: [u16; 3] },
-    Lookup { lookup: u16, dst: u16, args: [u16; 2] },
+    Apply { op: Op, dst: u32, args: [u32; 3] },
+    Lookup { lookup: u32, dst: u32, args: [u32; 2] },
 }
 
 /// A compiled set of expressions. See the [module](self).
@@ -121,7 +121,7 @@ pub struct Tape {
     pub(crate) code: Vec<Instruction>,
     pub(crate) lookups: Vec<Lookup>,
     /// Sinks of uniform outputs, which no instruction on lanes serves.
-    pub(crate) uniform_sinks: Vec<(Sink, u16)>,
+    pub(crate) uniform_sinks: Vec<(Sink, u32)>,
     /// Where each output is found.
     pub outputs: Vec<Operand>,
 }

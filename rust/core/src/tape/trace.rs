@@ -39,8 +39,8 @@ pub fn trace(graph: &Graph, roots: &[Id], values: &HashMap<Arc<str>, f64>) -> Op
         match args.iter().find(|a| !done[a].is_finite()) {
             Some(&arg) => id = arg,
             None => {
-                let arguments = args.iter().map(|a| (graph.export(*a).to_string(), done[a])).collect();
-                return Some(Trace { expression: graph.export(id).to_string(), value: done[&id], arguments });
+                let arguments = args.iter().map(|a| (graph.export(*a).brief(), done[a])).collect();
+                return Some(Trace { expression: graph.export(id).brief(), value: done[&id], arguments });
             }
         }
     }

@@ -4,11 +4,12 @@ use super::estimands::Estimands;
 use super::layout::Layout;
 use super::posed::Written;
 use crate::condition::{Condition, End};
+use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::Id;
 use crate::model::Model;
 use crate::nlp::{self, NotFinite, Structure};
-use crate::tape::{Arguments, Function, LANE_MULTIPLE, Tape, Workspace};
+use crate::tape::{Arguments, Function, LANE_MULTIPLE, Pairs, Tape, Workspace};
 
 /// The k conditions of each experiment, c(x(t₀), x(t_f), θ) = 0.
 #[derive(Debug)]
@@ -41,15 +42,18 @@ impl Boundary {
 
     /// The conditions of a model, if there are any. `ends` holds for each experiment its last point, counted from
     /// its first, and the times of both.
+    ///
+    /// # Errors
+    /// As [`Function::new`].
     pub fn new(
         model: &Model,
         written: Written,
         experiments: &[Experiment],
         ends: &[(usize, [f64; 2])],
         first_row: usize,
-    ) -> Option<Boundary> {
+    ) -> Result<Option<Boundary>, Error> {
         if model.conditions.is_empty() {
-            return None;
+            return Ok(None);
         }
         let Written { mut graph, compiled, theta } = written;
         let (conditions, roots) = (&model.conditions, &compiled.conditions);
@@ -74,8 +78,8 @@ impl Boundary {
             let channels: Vec<Vec<f64>> = (0..e.inputs.len()).map(|c| e.input(c, times)).collect();
             (0..2).flat_map(|i| std::iter::once(times[i]).chain(channels.iter().map(move |c| c[i]))).collect()
         };
-        Some(Boundary {
-            f: Function::new(graph, &arguments, functions),
+        Ok(Some(Boundary {
+            f: Function::new(graph, &arguments, functions, Pairs::Kept)?,
             conditions: conditions.clone(),
             states,
             data: experiments.iter().zip(ends).map(data).collect(),
@@ -83,7 +87,7 @@ impl Boundary {
             first_row,
             jacobian: 0,
             hessian: 0,
-        })
+        }))
     }
 
     /// Number of entries of the Hessian.

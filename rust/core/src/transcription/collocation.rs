@@ -17,6 +17,7 @@ use crate::mesh::{Grid, Mesh};
 use crate::model::Model;
 use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
 use crate::noise::Noise;
+use crate::tape::Pairs;
 use crate::threads::Threads;
 
 /// How a problem is transcribed.
@@ -117,13 +118,13 @@ impl Collocation {
         noise: Noise,
         settings: &Settings,
     ) -> Result<Self, Error> {
-        let (posed, written) =
-            Posed::new(model, experiments, noise, (settings.threads, settings.noise_per_experiment))?;
+        let options = (settings.threads, settings.noise_per_experiment, Pairs::Summed);
+        let (posed, written) = Posed::new(model, experiments, noise, options)?;
         let meshes = meshes(experiments, settings)?;
         let layout = Layout::new(posed.parameters.len(), model.states.len(), &meshes);
         let ends = |mesh: &Mesh| (mesh.n_mesh - 1, [mesh.times[0], mesh.times[mesh.n_mesh - 1]]);
         let ends: Vec<_> = meshes.iter().map(ends).collect();
-        let boundary = Boundary::new(model, written, experiments, &ends, layout.m());
+        let boundary = Boundary::new(model, written, experiments, &ends, layout.m())?;
         let mut problem = Collocation {
             layout,
             meshes,

@@ -10,8 +10,8 @@ use super::disjoint::Disjoint;
 use super::layout::Layout;
 use crate::nlp::Structure;
 use crate::simd::kernel;
-use crate::tape::lanes::{all_finite, combination, load, scaled, sum};
-use crate::tape::{Function, LANE_MULTIPLE, Tape, Values, Workspace};
+use crate::tape::lanes::{all_finite, combination, load, scaled};
+use crate::tape::{Function, LANE_MULTIPLE, Sinks, Tape, Values, Workspace};
 
 /// Most segments in a chunk (order 2), and so the length of a temporary over segments.
 const SEGMENTS: usize = crate::tape::BLOCK;
@@ -139,29 +139,40 @@ impl Tie {
 
 impl Job<'_> {
     /// Gathers data, states and (for the Hessian) weights, and runs a tape.
-    fn run<'w>(&self, tape: &Tape, workspace: &'w mut Workspace, weights: Option<&[f64]>) -> &'w [f64] {
+    fn run<'w>(&self, tape: &Tape, workspace: &'w mut Workspace) -> &'w [f64] {
+        self.run_into(tape, workspace, &[], &mut [])
+    }
+
+    /// The same with weights, and sums of entries between parameters to be added to.
+    fn run_into<'w>(
+        &self,
+        tape: &Tape,
+        workspace: &'w mut Workspace,
+        weights: &[f64],
+        sums: &mut [f64],
+    ) -> &'w [f64] {
         let n = self.chunk.lanes();
         let registers = workspace.registers(tape, n);
         let n_data = self.chunk.data.len();
         registers[..n_data].copy_from_slice(&self.chunk.data);
         gather(self.xi, self.layout, &self.chunk.points, &mut registers[n_data..]);
-        if let Some(weights) = weights {
-            let start = n_data + n * self.layout.n_x;
-            registers[start..start + weights.len()].copy_from_slice(weights);
-        }
-        tape.run(registers, self.uniforms, n);
+        let start = n_data + n * self.layout.n_x;
+        registers[start..start + weights.len()].copy_from_slice(weights);
+        // Weights, and so entries, are zero on lanes that are not the chunk's own: sums are over all lanes.
+        let mut sinks = Sinks { count: n, factor: 1.0, sums, rows: &mut [] };
+        tape.run_into(registers, self.uniforms, n, &mut sinks);
         registers
     }
 
     /// The defects of the chunk; whether all are finite.
     pub(super) fn defects(&self, workspace: &mut Workspace, out: &Disjoint<'_>) -> bool {
-        let registers = self.run(&self.dynamics.f.value, workspace, None);
+        let registers = self.run(&self.dynamics.f.value, workspace);
         combine_defects(self, registers, out)
     }
 
     /// Entries of the Jacobian of the chunk; whether all are finite.
     pub(super) fn jacobian(&self, workspace: &mut Workspace, out: &Disjoint<'_>) -> bool {
-        let registers = self.run(&self.dynamics.f.jacobian, workspace, None);
+        let registers = self.run(&self.dynamics.f.jacobian, workspace);
         // SAFETY: the entries of chunks do not overlap.
         let out = unsafe { out.part(self.chunk.jacobian, self.chunk.jacobian_entries) };
         combine_jacobian(self, registers, out)
@@ -178,11 +189,11 @@ impl Job<'_> {
     ) -> bool {
         weights.resize(self.chunk.lanes() * self.layout.n_x, 0.0);
         weigh(self, lambda, weights);
-        let registers = self.run(&self.dynamics.f.hessian, workspace, Some(weights));
+        let registers = self.run_into(&self.dynamics.f.hessian, workspace, weights, pairs);
         // SAFETY: the entries of chunks do not overlap.
         let out =
             unsafe { out.part(self.chunk.hessian, self.dynamics.hessian_entries() * self.chunk.n_own()) };
-        collect_hessian(self, registers, out, pairs)
+        collect_hessian(self, registers, out) && all_finite(pairs)
     }
 
     fn tie_jacobian<'v>(
@@ -387,29 +398,20 @@ kernel! {
 }
 
 kernel! {
-    /// Copies the entries at a chunk's own points, and sums those between parameters over them.
-    fn collect_hessian(job: &Job<'_>, registers: &[f64], out: &mut [f64], pairs: &mut [f64]) -> bool {
+    /// Copies the entries with a state at a chunk's own points.
+    fn collect_hessian(job: &Job<'_>, registers: &[f64], out: &mut [f64]) -> bool {
         let (chunk, f) = (job.chunk, &job.dynamics.f);
         let lanes = chunk.lanes();
         let mut at = 0;
-        let mut pair = pairs.iter_mut();
-        for (operand, &column) in f.hessian.outputs.iter().zip(&f.hessian_pattern.columns) {
+        let entries = f.hessian.outputs.iter().zip(&f.hessian_pattern.columns);
+        for (operand, _) in entries.filter(|e| *e.1 < f.n_states) {
             let value = f.hessian.read(*operand, registers, job.uniforms, lanes);
-            if column < f.n_states {
-                for run in chunk.own() {
-                    scaled(&mut out[at..at + run.len()], 1.0, value, run.start);
-                    at += run.len();
-                }
-            } else {
-                // Weights, and so entries, are zero on lanes that are not the chunk's own.
-                let total = match value {
-                    Values::Uniform(u) => u * chunk.n_own() as f64,
-                    Values::Lanes(v) => sum(v),
-                };
-                *pair.next().expect("as many pairs as in the pattern") += total;
+            for run in chunk.own() {
+                scaled(&mut out[at..at + run.len()], 1.0, value, run.start);
+                at += run.len();
             }
         }
-        all_finite(out) && all_finite(pairs)
+        all_finite(out)
     }
 }
 

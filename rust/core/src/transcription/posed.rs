@@ -14,7 +14,7 @@ use crate::expr::graph::{Graph, Id};
 use crate::model::{Compiled, Model, Parameter};
 use crate::nlp::{NotFinite, Reach};
 use crate::noise::{Counts, Missing, Noise, Reported, Sample};
-use crate::tape::{Arguments, Function, Tape, Workspace};
+use crate::tape::{Arguments, Function, Pairs, Tape, Workspace};
 use crate::threads::{COMMON, Threads};
 use crate::transform::Transform;
 
@@ -56,6 +56,10 @@ pub(super) struct Written {
 
 /// Work smaller than this many blocks is done by the calling thread: waking others costs more.
 const PARALLEL_BLOCKS: usize = 24;
+
+/// Most numbers that the parts of a batch of items hold together (32 MB), but for batches of this many items.
+const PARTS: usize = 1 << 22;
+const BATCH: usize = 2 * PARALLEL_BLOCKS;
 
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
@@ -101,7 +105,7 @@ impl Posed {
         model: &Model,
         experiments: &[Experiment],
         noise: Noise,
-        (threads, noise_per_experiment): (usize, bool),
+        (threads, noise_per_experiment, pairs): (usize, bool, Pairs),
     ) -> Result<(Self, Written), Error> {
         if let Some(late) = model.delays.parameters().first() {
             return Err(Error::Model(format!(
@@ -110,6 +114,7 @@ impl Posed {
                 model.name
             )));
         }
+        let pool = (threads > 0).then(|| Threads::new(threads)).transpose()?;
         let compiled = model.compile()?;
         let output_names: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         let input_names: Vec<&str> = model.inputs.iter().map(|o| o.name.as_str()).collect();
@@ -131,6 +136,10 @@ impl Posed {
         let n_model_parameters = estimands.parameter.iter().filter(|&&p| p < n_model).count();
         let noise_names = noise.variable_names(&output_names);
 
+        let of_model = |error: Error| match error {
+            Error::Model(text) => Error::Model(format!("model '{}': {text}", model.name)),
+            other => other,
+        };
         // All functions of a point see all parameters, so that θ has one order everywhere.
         let mut graph = compiled.graph.clone();
         let noise_symbols: Vec<Id> = noise_names.iter().map(|name| graph.symbol(name)).collect();
@@ -138,8 +147,10 @@ impl Posed {
         let theta: Vec<Id> = variables.iter().chain(&noise_symbols).copied().collect();
         let arguments =
             Arguments { data: compiled.data.clone(), states: compiled.states.clone(), parameters: theta };
-        let f = Function::new(graph.clone(), &arguments, compiled.dynamics.clone());
-        let outputs = Function::new(graph.clone(), &arguments, compiled.outputs.clone());
+        let f =
+            Function::new(graph.clone(), &arguments, compiled.dynamics.clone(), pairs).map_err(of_model)?;
+        let outputs =
+            Function::of_values(graph.clone(), &arguments, compiled.outputs.clone()).map_err(of_model)?;
 
         let measured: Vec<Id> = output_names.iter().map(|n| graph.symbol(&format!("measured {n}"))).collect();
         let present: Vec<Option<Id>> = (output_names.iter().zip(&missing.outputs))
@@ -160,7 +171,7 @@ impl Posed {
         let flags = present.iter().flatten().chain(patterns.iter().map(|p| &p.1));
         with_samples.data.extend(measured.iter().chain(flags));
         let written = Written { graph: graph.clone(), compiled, theta: arguments.parameters.clone() };
-        let likelihood = Function::of_terms(graph, &with_samples, &terms);
+        let likelihood = Function::of_terms(graph, &with_samples, &terms).map_err(of_model)?;
 
         let posed = Posed {
             n_model_parameters,
@@ -183,7 +194,7 @@ impl Posed {
             } else {
                 vec![counts]
             },
-            pool: (threads > 0).then(|| Threads::new(threads)).transpose()?,
+            pool,
         };
         Ok((posed, written))
     }
@@ -238,21 +249,30 @@ impl Posed {
             uniforms.extend_from_slice(&one);
         }
         let (length, of) = (one.len(), |item: &T| if differ > 1 { item.experiment() } else { 0 });
-        // Each item has a part, an empty one too.
+        // Each item has a part, an empty one too. Items are taken in batches, so that thousands of wide parts
+        // need not be held at once; the order of the sums is the same.
         let step = width.max(1);
+        let batch = (PARTS / step).max(BATCH).min(items.len().max(1));
         parts.clear();
-        parts.resize(items.len() * step, 0.0);
+        parts.resize(batch * step, 0.0);
         let run = |(item, part): (&T, &mut [f64])| {
             let uniforms = &uniforms[of(item) * length..][..length];
             SCRATCH.with(|s| work(item, uniforms, &mut s.borrow_mut(), &mut part[..width]))
         };
-        let finite = if self.n_threads() == 1 || items.len() < PARALLEL_BLOCKS {
-            items.iter().zip(parts.chunks_exact_mut(step)).map(run).fold(true, |a, b| a & b)
-        } else {
-            let pairs = items.par_iter().zip(parts.par_chunks_exact_mut(step));
-            self.install(|| pairs.with_min_len(8).map(run).reduce(|| true, |a, b| a & b))
-        };
-        items.iter().zip(parts.chunks_exact(step)).for_each(|(item, part)| collect(of(item), &part[..width]));
+        let mut finite = true;
+        for (k, items) in items.chunks(batch).enumerate() {
+            if k > 0 {
+                parts.fill(0.0);
+            }
+            finite &= if self.n_threads() == 1 || items.len() < PARALLEL_BLOCKS {
+                items.iter().zip(parts.chunks_exact_mut(step)).map(run).fold(true, |a, b| a & b)
+            } else {
+                let pairs = items.par_iter().zip(parts.par_chunks_exact_mut(step));
+                self.install(|| pairs.with_min_len(8).map(run).reduce(|| true, |a, b| a & b))
+            };
+            let done = items.iter().zip(parts.chunks_exact(step));
+            done.for_each(|(item, part)| collect(of(item), &part[..width]));
+        }
         BUFFERS.set(Buffers { theta, uniforms, one, parts });
         if finite { Ok(()) } else { Err(NotFinite) }
     }

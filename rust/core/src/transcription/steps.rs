@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::experiment::Experiment;
-use crate::mesh::{Grid, edges};
+use crate::mesh::{Grid, MOST, edges};
 
 /// How segments are divided into steps (Eq. multiple_shooting_mesh).
 #[derive(Clone, Debug, PartialEq)]
@@ -50,6 +50,18 @@ impl Track {
             return Err(Error::Option(format!("{steps:?}: at least one step of positive length is needed")));
         }
         let edges = edges(grid, t)?;
+        let count = match *steps {
+            Steps::Samples(n) => n as f64 * (t.len() + edges.len()) as f64,
+            Steps::Number(n) => n as f64 * (edges.len() - 1) as f64,
+            Steps::Length(h) => (edges[edges.len() - 1] - edges[0]) / h + edges.len() as f64,
+        };
+        if count > MOST as f64 {
+            return Err(Error::Option(format!(
+                "{steps:?}: experiment '{}' would have {count:.0} steps, at most {MOST} are allowed; choose \
+                 fewer or longer ones",
+                experiment.name
+            )));
+        }
         let segments: Vec<Vec<f64>> = edges.windows(2).map(|w| divide(w[0], w[1], steps, t)).collect();
         let mut samples = Vec::with_capacity(t.len());
         let (mut s, mut i) = (0, 0);

@@ -44,7 +44,7 @@ impl Run<'_> {
             lanes: self.lanes.iter().map(|l| l.0).collect(),
             uniforms: self.uniforms.iter().map(|u| u.0).collect(),
         };
-        let tape = Tape::compile(graph, &inputs, outputs);
+        let tape = Tape::compile(graph, &inputs, outputs).unwrap();
         let padded = n.next_multiple_of(LANE_MULTIPLE);
         let mut uniforms = Vec::new();
         tape.uniforms(&self.uniforms.iter().map(|u| u.1).collect::<Vec<f64>>(), &mut uniforms);

@@ -5,8 +5,20 @@ use std::sync::Arc;
 
 use phugoid::expr::Op;
 
-/// The value of an infix expression; operators bind as in Python.
+/// The value of an infix expression, after definitions of parts that occur in it: `a = x*x; a + a`. Operators bind as in
+/// Python.
 pub fn evaluate(text: &str, values: &HashMap<Arc<str>, f64>) -> f64 {
+    let Some((definitions, last)) = text.rsplit_once("; ") else { return value(text, values) };
+    let mut known = values.clone();
+    for definition in definitions.split("; ") {
+        let (name, part) = definition.split_once(" = ").unwrap();
+        let part = value(part, &known);
+        known.insert(name.into(), part);
+    }
+    value(last, &known)
+}
+
+fn value(text: &str, values: &HashMap<Arc<str>, f64>) -> f64 {
     let mut parser = Parser { rest: text, values };
     let value = parser.comparison();
     assert!(parser.rest.trim().is_empty(), "'{}' is left of '{text}'", parser.rest);

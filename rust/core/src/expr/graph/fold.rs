@@ -3,6 +3,10 @@
 use super::{Graph, Id, Item};
 use crate::expr::ops::Op;
 
+/// A factor or a sign is put into the branches of `where` down to so many levels. Deeper ones, as of a chain of cases,
+/// are taken as a whole: each step of a sweep would go through all of them again.
+const DEEP: u32 = 32;
+
 impl Graph {
     /// Applies an operation, folding constants and the identities that keep derivatives small.
     /// Constants are folded only to finite values: a failure must stay visible where it happens.
@@ -114,7 +118,11 @@ impl Graph {
     fn same_switch(&self, a: Id, b: Id) -> Option<(Id, [Id; 2], [Id; 2])> {
         match (self.item(a), self.item(b)) {
             (Item::Apply(Op::Where, x), Item::Apply(Op::Where, y))
-                if x[0] == y[0] && self.switched[a.index()] && self.switched[b.index()] =>
+                if x[0] == y[0]
+                    && self.switched[a.index()]
+                    && self.switched[b.index()]
+                    && !self.is_deep(a)
+                    && !self.is_deep(b) =>
             {
                 Some((x[0], [x[1], y[1]], [x[2], y[2]]))
             }
@@ -134,7 +142,7 @@ impl Graph {
                 let c = self.neg(x[0]);
                 self.mul(c, x[1])
             }
-            Item::Apply(Op::Where, x) => {
+            Item::Apply(Op::Where, x) if !self.is_deep(a) => {
                 let (yes, no) = (self.neg(x[1]), self.neg(x[2]));
                 self.select(x[0], yes, no)
             }
@@ -178,6 +186,9 @@ impl Graph {
         // a p that is not finite on the branch not taken (the derivative of sqrt at 0, say) out
         // of the result.
         for (s, p) in [(a, b), (b, a)] {
+            if self.switched[s.index()] && self.is_deep(s) {
+                return self.switched_product(s, p);
+            }
             if let Item::Apply(Op::Where, x) = self.item(s) {
                 if self.as_constant(x[2]) == Some(0.0) {
                     let (on, off) = (self.mul(x[1], p), self.zero());
@@ -210,6 +221,60 @@ impl Graph {
             }
         }
         self.intern_apply(Op::Mul, &[a, b])
+    }
+
+    fn is_deep(&self, a: Id) -> bool {
+        self.depth[a.index()] > DEEP
+    }
+
+    /// s · p, s switched: the product where s is on, else 0.
+    fn switched_product(&mut self, s: Id, p: Id) -> Id {
+        let (condition, zero) = (self.condition(s), self.zero());
+        let product = if condition == s { p } else { self.intern_apply(Op::Mul, &[s, p]) };
+        self.select(condition, product, zero)
+    }
+
+    /// 1 where a switched node is on, else 0: the node itself where it is 1 or 0.
+    fn condition(&mut self, root: Id) -> Id {
+        // With a stack: chains of cases are deep.
+        let mut stack = vec![root];
+        while let Some(&id) = stack.last() {
+            if self.conditions.contains_key(&id) {
+                stack.pop();
+                continue;
+            }
+            let open: Vec<Id> = match self.item(id) {
+                Item::Apply(Op::Where | Op::Add | Op::Sub, x) if self.switched[id.index()] => {
+                    let parts = if matches!(self.item(id), Item::Apply(Op::Where, _)) {
+                        [x[1], x[2]]
+                    } else {
+                        [x[0], x[1]]
+                    };
+                    parts.into_iter().filter(|p| !self.conditions.contains_key(p)).collect()
+                }
+                _ => Vec::new(),
+            };
+            if !open.is_empty() {
+                stack.extend(open);
+                continue;
+            }
+            let of = |graph: &Graph, p: Id| graph.conditions[&p];
+            let on = match self.item(id) {
+                Item::Apply(Op::Where, x) if self.switched[id.index()] => {
+                    let (yes, no) = (of(self, x[1]), of(self, x[2]));
+                    self.select(x[0], yes, no)
+                }
+                Item::Apply(Op::Add | Op::Sub, x) if self.switched[id.index()] => {
+                    let (left, right) = (of(self, x[0]), of(self, x[1]));
+                    self.apply(Op::Or, &[left, right])
+                }
+                _ if self.as_constant(id) == Some(0.0) => self.zero(),
+                _ => self.one(),
+            };
+            self.conditions.insert(id, on);
+            stack.pop();
+        }
+        self.conditions[&root]
     }
 
     /// a · b of two nodes that are both wanted for themselves: nothing is taken out of them, so the

@@ -46,6 +46,10 @@ pub struct Graph {
     lookups: Vec<Lookup>,
     /// Whether each node is a sum of terms that are each switched: where(c, x, 0).
     switched: Vec<bool>,
+    /// How many `where`, and sums of switched terms, each node consists of from its top down.
+    depth: Vec<u32>,
+    /// For switched nodes of which it was asked, the condition under which they are on.
+    conditions: HashMap<Id, Id>,
 }
 
 impl Graph {
@@ -116,7 +120,14 @@ impl Graph {
             Item::Apply(Op::Add | Op::Sub, x) => self.switched[x[0].index()] && self.switched[x[1].index()],
             _ => false,
         };
+        let depth = |x: Id| self.depth[x.index()];
+        let depth = match item {
+            Item::Apply(Op::Where, x) => 1 + depth(x[1]).max(depth(x[2])),
+            Item::Apply(_, x) if switched => 1 + depth(x[0]).max(depth(x[1])),
+            _ => 0,
+        };
         self.switched.push(switched);
+        self.depth.push(depth);
         self.items.push(item);
         self.interned.insert(item, id);
         id

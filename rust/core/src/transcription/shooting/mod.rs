@@ -28,7 +28,7 @@ use crate::mesh::Grid;
 use crate::model::Model;
 use crate::nlp::{Chain, Chains, NotFinite, Structure};
 use crate::noise::Noise;
-use crate::tape::Tape;
+use crate::tape::{Pairs, Tape};
 
 /// Shooting: −ℓ of an integrated path, to be minimised over θ and the states at the *nodes*, where segments start
 /// (Eq. multiple_shooting_decision; the first states are unknowns too), such that each segment ends where the next
@@ -102,8 +102,8 @@ impl Shooting {
     ) -> Result<Self, Error> {
         // Conditions on the end of a record need a node there.
         let ends = model.conditions.iter().any(|c| c.end != End::Initial);
-        let (posed, written) =
-            Posed::new(model, experiments, noise, (settings.threads, settings.noise_per_experiment))?;
+        let options = (settings.threads, settings.noise_per_experiment, Pairs::Kept);
+        let (posed, written) = Posed::new(model, experiments, noise, options)?;
         let grids = Grid::for_each(&settings.grid, experiments.len())?;
         let tracks = experiments.iter().zip(grids).map(|(x, grid)| Track::new(x, grid, &settings.steps));
         let tracks: Vec<Track> = tracks.collect::<Result<_, _>>()?;
@@ -125,7 +125,7 @@ impl Shooting {
             if ends { (track.segments.len(), [first, last]) } else { (0, [first; 2]) }
         };
         let places: Vec<_> = experiments.iter().zip(&tracks).map(of_ends).collect();
-        let boundary = Boundary::new(model, written, experiments, &places, layout.m());
+        let boundary = Boundary::new(model, written, experiments, &places, layout.m())?;
         let nodes = |(x, track): (&Experiment, &Track)| {
             let mut nodes = track.starts();
             nodes.extend(ends.then_some(x.t[x.t.len() - 1]));

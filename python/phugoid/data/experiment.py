@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core
 from ..errors import DataError, listing
 from ..tabular import experiment_dataset, experiment_frame
 from . import checked
 from .channelwise import Columns, Signal
 from .checked import FloatArray
+from .interpolation import Interpolation, Interpolations, checked_kinds, interpolated, kind_of
 from .preprocess import Preprocessing
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     import xarray
 
 __all__ = ["Experiment", "FloatArray", "Interpolation", "Signal", "as_experiments"]
-
-Interpolation = Literal["linear", "cubic"]
 
 
 class Experiment(Preprocessing):
@@ -37,8 +35,11 @@ class Experiment(Preprocessing):
     inputs         name -> (N,), finite.
     outputs        name -> (N,); NaN marks a missing sample.
     name           how messages and plots call the record.
-    interpolation  how inputs run between samples: ``"linear"`` or ``"cubic"``. A wrong assumption here looks
-                   like an error of the model.
+    interpolation  how inputs behave between samples: ``"linear"``, ``"cubic"`` (spline) or ``"hold"`` (each sample is
+                   held until the next, as a computer puts out commands); for each input its own as in
+                   ``{"de": "hold", "V": "linear"}``, where inputs that are not named are linear. A wrong assumption
+                   here looks like an error of the model. An input that is held jumps at its samples; at a sample time
+                   the outputs see the value that is held from that sample on.
     channels       name -> (N,): columns not yet told apart. A model finds here what it does not find in
                    ``inputs`` and ``outputs``; extra channels do no harm.
     units          name -> unit, for labels; nothing is converted.
@@ -62,22 +63,18 @@ class Experiment(Preprocessing):
         inputs: Mapping[str, ArrayLike] | None = None,
         outputs: Mapping[str, ArrayLike] | None = None,
         name: str = "experiment",
-        interpolation: Interpolation = "linear",
+        interpolation: Interpolations = "linear",
         *,
         channels: Mapping[str, ArrayLike] | None = None,
         units: Mapping[str, str] | None = None,
     ) -> None:
         self._name = str(name)
-        if interpolation not in get_args(Interpolation):
-            raise DataError(
-                f"experiment '{self._name}': interpolation '{interpolation}' is not known; take 'linear' or 'cubic'"
-            )
-        self._interpolation: Interpolation = interpolation
         self._t = checked.times(self._name, t)
         self._inputs = checked.columns(self._name, "input", inputs, self._t)
         self._outputs = checked.columns(self._name, "output", outputs, self._t)
         self._channels = checked.columns(self._name, "channel", channels, self._t)
         self._units = checked.units(self._name, units)
+        self._interpolation = checked_kinds(self._name, interpolation, [*self._inputs, *self._channels])
         self._signals: dict[str, Signal] = {}
         self._mesh_times: FloatArray | None = None
         self._history: tuple[str, ...] = ()
@@ -140,9 +137,13 @@ class Experiment(Preprocessing):
         return self._mesh_times
 
     @property
-    def interpolation(self) -> Interpolation:
-        """How inputs run between samples."""
-        return self._interpolation
+    def interpolation(self) -> Interpolations:
+        """How inputs behave between samples: one word for all, or a mapping by name, else ``"linear"``."""
+        return self._interpolation if isinstance(self._interpolation, str) else dict(self._interpolation)
+
+    def interpolation_of(self, name: str) -> Interpolation:
+        """How the input ``name`` behaves between its samples."""
+        return kind_of(self._interpolation, name)
 
     @property
     def history(self) -> tuple[str, ...]:
@@ -239,12 +240,13 @@ class Experiment(Preprocessing):
             return result
 
         units = {names.get(key, key): unit for key, unit in self._units.items()}
+        kinds = self._interpolation
         other = Experiment(
             self._t,
             renamed(self._inputs),
             renamed(self._outputs),
             self._name,
-            self._interpolation,
+            kinds if isinstance(kinds, str) else renamed(kinds),
             channels=renamed(self._channels),
             units=units,
         )
@@ -297,9 +299,11 @@ class Experiment(Preprocessing):
     def _signals_of(self) -> Mapping[str, Signal]:
         return self._signals
 
-    def _between(self, signal: Signal) -> FloatArray:
-        own, values = (part.tolist() for part in signal[:2])
-        return np.array(_core.interpolate(self._interpolation, own, values, self._t.tolist()))
+    def _between(self, name: str, signal: Signal) -> FloatArray:
+        return interpolated(self.interpolation_of(name), signal[0], signal[1], self._t)
+
+    def _is_held(self, name: str) -> bool:
+        return self.interpolation_of(name) == "hold"
 
     def _stepped(
         self,
@@ -310,7 +314,11 @@ class Experiment(Preprocessing):
         cubic: bool = False,
     ) -> Experiment:
         groups = (columns["input"], columns["output"])
-        kind: Interpolation = "cubic" if cubic else self._interpolation
+        kind = self._interpolation
+        if cubic:  # but for inputs that are held, of which there is nothing finer
+            names = [*columns["input"], *columns["channel"]]
+            held = {name: self.interpolation_of(name) for name in names if self._is_held(name)}
+            kind = {name: held.get(name, "cubic") for name in names} if held else "cubic"
         other = Experiment(
             self._t if t is None else t, *groups, self._name, kind, channels=columns["channel"], units=self._units
         )

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError
-from .experiment import Experiment, FloatArray, Interpolation
+from .experiment import Experiment, FloatArray
+from .interpolation import Interpolations
 from .multirate import multirate
 from .readers import open_source
 from .readers.record import Record, Units, some
@@ -27,7 +28,7 @@ def read(
     units: Units | None = None,
     delimiter: str | None = None,
     name: str | None = None,
-    interpolation: Interpolation = "linear",
+    interpolation: Interpolations = "linear",
     window: tuple[float, float] | None = None,
     rate: float | None = None,
     convert: bool = False,
@@ -51,6 +52,7 @@ def read(
                understood.
     delimiter  of a text file; None: found out from the file.
     name       name of the experiment; None: the file's name without its ending.
+    interpolation  how inputs behave between samples, as `Experiment` takes it.
     window     ``(t0, t1)`` in s keeps a part.
     rate       samples a second, for a file without a time column: time runs from 0, and ``time`` is not looked for.
     convert    True brings each column whose unit is known to SI. Times whose unit is told become seconds in any case.
@@ -78,6 +80,8 @@ def read(
     now = {old: new for old, new in renaming.items() if isinstance(old, str) and old not in renaming.values()}
     time = None if time is None else now.get(time, time)
     inputs, outputs = _called(inputs, now), _called(outputs, now)
+    if isinstance(interpolation, Mapping):
+        interpolation = {now.get(n, n): kind for n, kind in interpolation.items()}
     labels = {now.get(n, n): unit for n, unit in labels.items()}
     called = [old for old, new in renaming.items() if new == time] or ([] if time is None else [time])
     asked = {*(inputs or ()), *(outputs or ()), *labels}
@@ -115,7 +119,7 @@ def _one_rate(
     inputs: Sequence[str] | None,
     outputs: Sequence[str] | None,
     name: str | None,
-    interpolation: Interpolation,
+    interpolation: Interpolations,
     window: tuple[float, float] | None,
     open_ended: bool,
 ) -> Experiment | None:
@@ -154,7 +158,7 @@ def _many_rates(
     inputs: Sequence[str] | None,
     outputs: Sequence[str] | None,
     name: str | None,
-    interpolation: Interpolation,
+    interpolation: Interpolations,
     window: tuple[float, float] | None,
 ) -> Experiment:
     def channel(n: str, beyond: int) -> tuple[FloatArray, FloatArray]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .. import _core
 from ..correlations import correlation_matrix
 from ..data.experiment import Experiment
+from ..data.interpolation import kinds_for
 from ..modelling.model import Model
 from ..noise.noise import Noise
 from ..parameters import Estimate, Estimates, Parameter
@@ -259,7 +260,7 @@ def _record(model: Model, experiment: Experiment, problem: _core.Problem, xi: _A
         mesh_t=mesh_t,
         mesh_states=dict(zip(model.state_names, path, strict=True)),
         units=model.units,
-        interpolation=experiment.interpolation,
+        interpolation=kinds_for(experiment.interpolation, model.input_names),
         input_samples=experiment.own_samples(model.input_names),
     )
 

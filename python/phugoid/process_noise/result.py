@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
+from ..data.interpolation import kinds_for
 from ..modelling.model import Model
 from ..noise.noise import Noise
 from ..parameters import Estimate, Estimates
@@ -170,6 +171,7 @@ def _records(
                 mesh_t=e.t,
                 mesh_states=by_state,
                 units=model.units,
+                interpolation=kinds_for(e.interpolation, model.input_names),
                 input_samples=e.own_samples(model.input_names),
                 state_std=dict(zip(model.state_names, deviations, strict=True)),
                 innovations=dict(zip(model.output_names, innovations, strict=True)),

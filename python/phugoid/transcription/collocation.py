@@ -20,7 +20,7 @@ __all__ = ["Collocation"]
 GridSpec = tuple[str, int, "list[float] | None"]
 _Array = NDArray[np.float64]
 _Signal = tuple[_Array, _Array, float, int]
-_Record = tuple[str, _Array, list[_Array], list[_Array], str, list[_Signal | None]]
+_Record = tuple[str, _Array, list[_Array], list[_Array], list[str], list[_Signal | None]]
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def records_of(model: Model, experiments: Sequence[Experiment]) -> list[_Record]
             np.ascontiguousarray(e.t),
             [np.ascontiguousarray(e.input(n)) for n in model.input_names],
             [np.ascontiguousarray(e.output(n)) for n in model.output_names],
-            e.interpolation,
+            [e.interpolation_of(n) for n in model.input_names],
             [e.signal(n) for n in model.input_names],
         )
         for e in experiments

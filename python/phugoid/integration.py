@@ -113,7 +113,7 @@ def integration_error(
     step = max(1, _CHUNK // (m * n * n))
     for first in range(0, s, step):
         part = slice(first, first + step)
-        ends = edges[part][:, None], edges[1:][part][:, None]
+        ends = edges[:-1][part, None], edges[1:][part, None]
         # Of each segment by itself: where an input jumps, f has another value in the next.
         f = flow.slopes(record.mesh_t[points[part]], mesh[:, points[part]], ends)  # (n, s, order)
         path = mesh[:, points[part, :1]] + h[part, None] * (f @ rise)  # (n, s, m)

@@ -5,7 +5,8 @@ mod common;
 use common::newton::solve_defects;
 use nalgebra::{DMatrix, DVector};
 use phugoid::interpolate::{derivative, interpolate};
-use phugoid::nlp::{Nlp, check_derivatives};
+use phugoid::nlp::Nlp;
+use phugoid::nlp::check::check_derivatives;
 use phugoid::noise::Noise;
 use phugoid::transcription::{Collocation, Settings, Shots, Steps};
 use phugoid::{Estimation, Experiment, Grid, Interpolation, Model, Parameter, Sigma, Simulation};
@@ -151,8 +152,8 @@ fn estimates_of_exact_data_are_exact() {
     let several = Shots { grid: vec![Grid::Uniform(9)], steps: Steps::Number(150), ..Shots::default() };
     for (run, _) in [record(80), record_of_own_jumps()] {
         let estimation = || {
-            let known = Sigma::Known(0.01);
-            Estimation::new(&model, std::slice::from_ref(&run)).noise("x", known).noise("acceleration", known)
+            let estimation = Estimation::new(&model, std::slice::from_ref(&run));
+            estimation.noise("x", Sigma::Known(0.01)).noise("acceleration", Sigma::Known(0.01))
         };
         let mut fits = vec![estimation().order(8).solve().unwrap()];
         for shots in [&fine, &single, &several] {

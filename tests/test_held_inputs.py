@@ -28,7 +28,9 @@ def model() -> ph.Model:
     return m
 
 
-def exact(n: int = 300, seed: int = 3, kick: float = 0.0) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray]:
+def exact(
+    n: int = 300, seed: int = 3, kick: float = 0.0
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray]:
     """Inputs, outputs and states at the samples: u held, w linear, v kicked at random."""
     random = np.random.default_rng(seed + 1)
     command = np.random.default_rng(seed).choice([-1.0, 1.0, 0.3], n)

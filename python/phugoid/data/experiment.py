@@ -6,6 +6,7 @@ sensor) is refused here, with the channel, the sample and the time.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from ..tabular import experiment_dataset, experiment_frame
 from . import checked
 from .channelwise import Columns, Signal
 from .checked import FloatArray
+from .gaps import checked_gaps, gap_intervals, pieces
 from .interpolation import Interpolation, Interpolations, checked_kinds, interpolated, kind_of
 from .preprocess import Preprocessing
 
@@ -224,6 +226,47 @@ class Experiment(Preprocessing):
         left_out = self.n - cut_out.n
         step = [f"window {cut_out.t[0]:g} to {cut_out.t[-1]:g} s"] if left_out else []
         return cut_out._sampled(self._signals, times)._after(self, *step)
+
+    def split(self, gaps: bool | float = True) -> list[Experiment]:
+        """Return the parts of the record between gaps in its sampling, called ``name[1]``, ``name[2]``, ...
+
+        Over a gap nobody knows what the inputs did, and what interpolation makes of them there drives the model. The
+        parts are estimated together, each with first states of its own.
+
+        gaps  True: an interval is a gap where it is longer than ten times those beside it (the twenty nearest, of which
+              two may be as long). What is irregular by nature, such as samples ever farther apart,
+              bursts, or outputs of several rates, has none. A number: an interval that is longer than so many s.
+
+        Inputs with samples of their own count too, unless they are held between these: samples of the record within a
+        gap of such an input belong to no part. Missing outputs (NaN) are no gaps. Without gaps the record itself is
+        returned, in a list. A part with fewer than two samples is left out, with a UserWarning.
+
+        Raises OptionError for a length that is not positive.
+
+        >>> run = Experiment([0.0, 0.1, 0.2, 9.0, 9.1], outputs={"q": [0.0, 0.1, 0.2, 0.0, 0.1]}, name="run")
+        >>> [(part.name, part.n) for part in run.split(gaps=5.0)]
+        [('run[1]', 3), ('run[2]', 2)]
+        """
+        limit = checked_gaps(f"experiment '{self._name}': split", gaps)
+        intervals = gap_intervals(self._t, limit)
+        for name, (own, _, delay, _) in self._signals.items():
+            if not self._is_held(name):
+                intervals += gap_intervals(own + delay, limit)
+        parts = pieces(self._t, intervals)
+        if len(parts) == 1 and parts[0] == (0, self.n - 1):
+            return [self]
+        found: list[Experiment] = []
+        for a, b in parts:
+            if a == b:
+                warnings.warn(
+                    f"experiment '{self._name}': the sample at t = {self._t[a]:g} s stands alone between gaps "
+                    "and is left out",
+                    UserWarning,
+                    stacklevel=2,
+                )
+                continue
+            found.append(self.window(self._t[a], self._t[b], f"{self._name}[{len(found) + 1}]"))
+        return found
 
     def rename(self, names: Mapping[str, str]) -> Experiment:
         """The same record with channels renamed, ``{"old": "new"}``; DataError for unknown or taken names."""

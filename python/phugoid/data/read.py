@@ -4,18 +4,58 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 
 from ..errors import DataError
 from .experiment import Experiment, FloatArray
+from .gaps import checked_gaps
 from .interpolation import Interpolations
 from .multirate import multirate
 from .readers import open_source
 from .readers.record import Record, Units, some
 
 __all__ = ["read"]
+
+
+@overload
+def read(
+    path: str | PathLike[str] | Any,
+    time: str | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    rename: Mapping[str, str] | None = None,
+    columns: Sequence[str] | None = None,
+    units: Units | None = None,
+    delimiter: str | None = None,
+    name: str | None = None,
+    interpolation: Interpolations = "linear",
+    window: tuple[float, float] | None = None,
+    rate: float | None = None,
+    convert: bool = False,
+    split_gaps: Literal[False] = False,
+) -> Experiment: ...
+
+
+@overload
+def read(
+    path: str | PathLike[str] | Any,
+    time: str | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    rename: Mapping[str, str] | None = None,
+    columns: Sequence[str] | None = None,
+    units: Units | None = None,
+    delimiter: str | None = None,
+    name: str | None = None,
+    interpolation: Interpolations = "linear",
+    window: tuple[float, float] | None = None,
+    rate: float | None = None,
+    convert: bool = False,
+    *,
+    split_gaps: Literal[True] | float,
+) -> list[Experiment]: ...
 
 
 def read(
@@ -32,7 +72,8 @@ def read(
     window: tuple[float, float] | None = None,
     rate: float | None = None,
     convert: bool = False,
-) -> Experiment:
+    split_gaps: bool | float = False,
+) -> Experiment | list[Experiment]:
     """Reads a record from a file, whose ending says what it is, or from a table in memory.
 
     path       a text table (CSV, TSV or columns apart by blanks, also gzipped), MATLAB ``.mat``, HDF5 ``.h5`` or
@@ -55,6 +96,8 @@ def read(
     interpolation  how inputs behave between samples, as `Experiment` takes it.
     window     ``(t0, t1)`` in s keeps a part.
     rate       samples a second, for a file without a time column: time runs from 0, and ``time`` is not looked for.
+    split_gaps  True or a length in s: the parts between gaps in the sampling, as `Experiment.split` has them, are
+               returned as a list.
     convert    True brings each column whose unit is known to SI. Times whose unit is told become seconds in any case.
 
     Channels with time stamps of their own keep them, see `multirate`; ``inputs`` and ``outputs`` must then be given.
@@ -74,6 +117,8 @@ def read(
         raise DataError(f"time={time!r}: give the name of the time column, or rate=... in Hz where there is none")
     renaming, labels = dict(rename or {}), dict(units or {})
     window = _span(window)
+    if split_gaps is not False:
+        checked_gaps("read: split_gaps", split_gaps)
     for kind, wanted in (("input", inputs), ("output", outputs), ("unit", units)):
         if isinstance(wanted, str):
             raise DataError(f"{kind}s='{wanted}' is text: give a list of names, such as {kind}s=['{wanted}']")
@@ -94,7 +139,9 @@ def read(
     given = inputs is not None and outputs is not None
     used = list(dict.fromkeys([*(inputs or ()), *(outputs or ())])) if given else record.available
     result = _one_rate(record, used, inputs, outputs, name, interpolation, window, not given)
-    return result if result is not None else _many_rates(record, inputs, outputs, name, interpolation, window)
+    if result is None:
+        result = _many_rates(record, inputs, outputs, name, interpolation, window)
+    return result if split_gaps is False else result.split(split_gaps)
 
 
 def _called(names: Sequence[str] | None, now: Mapping[str, str]) -> Sequence[str] | None:

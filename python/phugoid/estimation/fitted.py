@@ -18,6 +18,7 @@ from ..parameters import Estimate, Estimates, Parameter
 from ..records import Record
 from ..result import Fit
 from ..solvers import HINTS, Solution
+from ..transcription.collocation import records_of
 from ..transcription.shooting import Transcription
 
 __all__ = ["make_fit"]
@@ -124,6 +125,7 @@ def make_fit(
     records = [_record(model, e, problem, xi, i) for i, e in enumerate(experiments)]
     estimates = Estimates(parameters)
     warnings += _defect_warning(model, problem, xi)
+    warnings += _core.gap_warnings(model.input_names, records_of(model, experiments))
     warnings += _few_samples(problem, records, int((held < n_model).sum()), model.declared_parameters.values())
     return Fit(
         model=model,

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _core
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..modelling.model import Model
@@ -17,6 +18,7 @@ from ..records import Record
 from ..result import Fit
 from ..solvers import HINTS
 from ..solvers.quasi_newton import Minimum
+from ..transcription.collocation import records_of
 from ..transcription.filter_error import FilterError
 from .variables import Objective
 
@@ -96,6 +98,7 @@ def make_filter_fit(
         active: Literal["lower"] | None = "lower" if none else None
         estimates.append(Estimate(name, values[i], errors[i], unit, bounds=(0.0, np.inf), bounds_active=active))
 
+    warnings += _core.gap_warnings(model.input_names, records_of(model, experiments))
     records, initial = _records(model, experiments, objective, z, covariance)
     message = HINTS.get(status, "")
     return Fit(

@@ -175,16 +175,21 @@ impl Experiment {
         own.unwrap_or(self.interpolation)
     }
 
-    /// Whether any input is held between its samples, and so may jump at them.
+    /// Whether an input is held between its samples, and so may jump at them.
+    pub fn is_held(&self, channel: usize) -> bool {
+        self.kind(channel) == Interpolation::Hold
+    }
+
+    /// Whether any input is.
     pub fn any_held(&self) -> bool {
-        (0..self.inputs.len()).any(|c| self.kind(c) == Interpolation::Hold)
+        (0..self.inputs.len()).any(|c| self.is_held(c))
     }
 
     /// Times within the record at which inputs that are held jump, in order.
     pub fn jumps(&self) -> Vec<f64> {
         let (first, last) = (self.t[0], self.t[self.t.len() - 1]);
         let mut all = Vec::new();
-        for c in (0..self.inputs.len()).filter(|&c| self.kind(c) == Interpolation::Hold) {
+        for c in (0..self.inputs.len()).filter(|&c| self.is_held(c)) {
             let (t, values) = self.signal(c).held();
             let jumps = values.windows(2).zip(&t[1..]).filter(|(w, _)| w[0] != w[1]).map(|(_, t)| *t);
             all.extend(jumps.filter(|t| first < *t && *t < last));
@@ -197,7 +202,7 @@ impl Experiment {
     /// An input at times each of which belongs to a span of time, such as a segment of a mesh or a step: where it is
     /// held, it is what it is inside that span, its mean where it jumps there.
     pub fn input_over(&self, channel: usize, times: &[f64], spans: &[[f64; 2]]) -> Vec<f64> {
-        if self.kind(channel) != Interpolation::Hold {
+        if !self.is_held(channel) {
             return self.input(channel, times);
         }
         let (t, values) = self.signal(channel).held();

@@ -94,6 +94,20 @@ pub fn experiment((name, t, inputs, outputs, kinds, signals): Record<'_>) -> PyR
     Ok(Experiment { name, t, inputs, outputs, interpolation: common, signals: own })
 }
 
+/// Numbers of the intervals between sample times that are gaps: longer than ten times those beside them.
+#[pyfunction]
+pub fn gaps(t: Vec<f64>) -> Vec<usize> {
+    phugoid::gaps::gaps(&t)
+}
+
+/// Warnings about gaps of records over which inputs of these names move, one for each record.
+#[pyfunction]
+pub fn gap_warnings(inputs: Vec<String>, experiments: Vec<Record<'_>>) -> PyResult<Vec<String>> {
+    let records: Vec<Experiment> = experiments.into_iter().map(experiment).collect::<PyResult<_>>()?;
+    let names: Vec<&str> = inputs.iter().map(String::as_str).collect();
+    Ok(phugoid::gaps::gap_warnings(&names, &records))
+}
+
 impl PyProblem {
     /// The problem itself.
     pub fn inner(&self) -> &dyn Transcribed {

@@ -4,6 +4,7 @@ use super::fit::{Bound, Estimate, Fit, Record};
 use super::judge::{confounded, judge, large_defects};
 use crate::diagnosis::information;
 use crate::experiment::Experiment;
+use crate::gaps::gap_warnings;
 use crate::model::{Model, Variable};
 use crate::noise::{Reported, SIGMA};
 use crate::solver::Solution;
@@ -93,6 +94,8 @@ impl Fit {
             ));
         }
         warnings.extend(large_defects(model, problem, xi));
+        let inputs: Vec<&str> = model.inputs.iter().map(|v| v.name.as_str()).collect();
+        warnings.extend(gap_warnings(&inputs, experiments));
 
         let record = |e: usize| record(model, &experiments[e], problem, xi, &errors, e);
         let priors = problem.posed().prior_terms(xi);

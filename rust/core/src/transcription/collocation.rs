@@ -13,7 +13,6 @@ use super::posed::{OfExperiment, Posed};
 use crate::condition::End;
 use crate::error::Error;
 use crate::experiment::Experiment;
-use crate::interpolate::Interpolation;
 use crate::mesh::{Grid, Mesh};
 use crate::model::Model;
 use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
@@ -272,7 +271,7 @@ impl Collocation {
 
 /// The value of an input in each segment of a mesh; `None` for one that is not held between its samples.
 fn held_values(experiment: &Experiment, channel: usize, mesh: &Mesh) -> Option<Vec<f64>> {
-    if experiment.kind(channel) != Interpolation::Hold {
+    if !experiment.is_held(channel) {
         return None;
     }
     let begins: Vec<f64> = mesh.segments.iter().map(|s| s.t).collect();

@@ -211,10 +211,13 @@ def test_decimated_records_give_the_same_estimates() -> None:
     assert [fit.parameters[n].value for n in "abc"] == pytest.approx([A, B, C], rel=2e-3)
 
 
-def test_saved_fits_keep_them(tmp_path: Any) -> None:
+@pytest.mark.parametrize("ending", ["json", "h5"])
+def test_saved_fits_keep_them(ending: str, tmp_path: Any) -> None:
+    if ending == "h5":
+        pytest.importorskip("h5py")
     fit = ph.estimate(model(), record(noise=0.01), noise=KNOWN)
-    fit.save(tmp_path / "fit.json")
-    again = ph.load(tmp_path / "fit.json")
+    fit.save(tmp_path / f"fit.{ending}")
+    again = ph.load(tmp_path / f"fit.{ending}")
     assert again.records[0].interpolation == HELD and again.experiments[0].interpolation == HELD
     refit = ph.estimate(again.model, list(again.experiments), noise=KNOWN, start=again)
     assert refit.parameters["a"].value == pytest.approx(fit.parameters["a"].value, rel=1e-8)

@@ -30,7 +30,8 @@ class Collocation:
     ``order`` is the number of points of a segment, ends included: 2 is the trapezoid, m integrates to order
     2m - 2. By default every interval between samples is a segment; ``substeps`` divides each further;
     ``segments`` gives a number of equal segments, or the times of their ends (s), instead, which need not be
-    sample times (a list of such for several experiments). ``threads`` 0 is one a core.
+    sample times (a list of such for several experiments). Where an input that is held between its samples jumps, a
+    segment ends in any case. ``threads`` 0 is one a core.
 
     ``refine``: estimate the integration error of each segment, split those where it is above ``tolerance`` (in units
     of the noise of the state's measurement; see `IntegrationError`), or raise the order where most are, and estimate

@@ -16,8 +16,8 @@ const NAMED: usize = 3;
 /// Numbers of the intervals between sample times (s, increasing) that are gaps: longer than ten times the intervals
 /// beside them.
 ///
-/// Compared are the ten intervals before and the ten after (at an end, the nearest twenty), of which two may be as long:
-/// what is irregular by nature, such as samples ever farther apart, bursts, or those of several rates, has no gaps. Nor
+/// Compared are the ten intervals before and the ten after (at an end, the nearest twenty), of which two may be as
+/// long: what is irregular by nature, such as samples ever farther apart, bursts, or those of several rates, has no gaps. Nor
 /// have fewer than ten samples.
 ///
 /// ```
@@ -30,12 +30,8 @@ pub fn gaps(t: &[f64]) -> Vec<usize> {
     let is_gap = |&i: &usize| {
         let first = i.saturating_sub(NEAR).min(h.len().saturating_sub(2 * NEAR + 1));
         let (before, after) = (&h[first..i], &h[i + 1..h.len().min(first + 2 * NEAR + 1)]);
-        let mut near: Vec<f64> = before.iter().chain(after).copied().collect();
-        if near.len() < FEWEST {
-            return false;
-        }
-        near.sort_by(f64::total_cmp);
-        h[i] > LONG * near[near.len() - 1 - OTHERS]
+        let as_long = before.iter().chain(after).filter(|other| LONG * **other >= h[i]);
+        before.len() + after.len() >= FEWEST && as_long.count() <= OTHERS
     };
     (0..h.len()).filter(is_gap).collect()
 }
@@ -53,7 +49,8 @@ fn gap_warning(inputs: &[&str], experiment: &Experiment) -> Option<String> {
     for (channel, name) in inputs.iter().enumerate() {
         let own = experiment.signals.get(channel).and_then(Option::as_ref);
         let apart = own.filter(|s| s.t != experiment.t);
-        // The rate of an input says what the input says; what is held and has samples of its own has them where it jumps.
+        // The rate of an input says what the input says; what is held and has samples of its own has them where it
+        // jumps.
         if own.is_some_and(|s| s.derivative > 0) || apart.is_some() && experiment.is_held(channel) {
             continue;
         }

@@ -14,8 +14,8 @@ pub(super) const REACH: [f64; 4] = [0.0, 0.5, 0.5, 1.0];
 pub(super) struct Intervals {
     /// Lengths, s.
     pub(super) h: Vec<f64>,
-    /// Time, inputs, and the polynomials of the noise over √h: [node][column][interval], three nodes a substep. An input
-    /// that is held and jumps inside a substep is its mean there.
+    /// Time, inputs, and the polynomials of the noise over √h: [node][column][interval], three nodes a substep. An
+    /// input that is held and jumps inside a substep is its mean there.
     nodes: Vec<Vec<Vec<f64>>>,
     substeps: usize,
 }

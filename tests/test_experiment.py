@@ -155,7 +155,7 @@ def test_names_the_sample_of_an_odd_object() -> None:
 
 
 def test_refuses_unknown_interpolation() -> None:
-    assert has(refusal(interpolation="spline"), "run1", "'spline'", "'linear' or 'cubic'")
+    assert has(refusal(interpolation="spline"), "run1", "'spline'", "'linear', 'cubic' or 'hold'")
 
 
 def test_refuses_a_list_for_the_channels() -> None:

@@ -305,3 +305,27 @@ def test_bad_input(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ph.DataError, match="cannot be written"):
         ph.export_c(m, tmp_path / "file", {"h": 1.0})
+
+
+@needs_cc
+def test_inputs_that_are_held(tmp_path: Path) -> None:
+    """With one value of a held input in u0 and u1, steps between samples follow the exact solution."""
+    m = ph.Model("lag")
+    (x,), (u,) = m.states(x="m"), m.inputs(u="m")
+    (a,) = m.parameters(a=1.0)
+    m.dynamics(x=a * (u - x))
+    m.outputs(x=x)
+    t, command = 0.1 * np.arange(60), np.random.default_rng(0).choice([-1.0, 1.0], 60)
+    exact = np.zeros(60)
+    for k in range(59):
+        exact[k + 1] = command[k] + (exact[k] - command[k]) * np.exp(-0.2)
+    run = ph.Experiment(t, {"u": command}, {"x": exact}, interpolation="hold")
+    fit = ph.estimate(m, run, noise=ph.Gaussian(sigma={"x": 0.01}), transcription=ph.Collocation(order=8))
+    code = Compiled(tmp_path, fit)
+    assert "inputs held between samples: u" in code.header
+    value = np.array([fit.parameters["a"].value])
+    found = np.array([exact[0]])
+    for k in range(59):
+        for part in range(10):
+            code.step(t[k] + 0.01 * part, 0.01, command[k : k + 1], command[k : k + 1], value, found)
+        assert found[0] == pytest.approx(exact[k + 1], abs=1e-9)

@@ -334,6 +334,33 @@ def test_late_inputs_are_delayed_by_the_importing_program(tmp_path: Path) -> Non
     unit.freeInstance()
 
 
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_inputs_that_are_held_are_discrete(kind: str, tmp_path: Path) -> None:
+    """Another program holds them between the samples that it is given."""
+    from fmpy.validation import validate_fmu
+
+    m = ph.Model("lag")
+    (x,), (u, w) = m.states(x="m"), m.inputs(u="m", w="m")
+    (a,) = m.parameters(a=1.5)
+    m.dynamics(x=a * (u + w - x))
+    m.outputs(y=2 * x)
+    t = 0.1 * np.arange(40)
+    inputs = {"u": np.random.default_rng(0).choice([-1.0, 1.0], 40), "w": 0.0 * t}
+    run = ph.Experiment(t, inputs, name="run", interpolation={"u": "hold"})
+    expected = ph.simulate(m, {"a": 1.5}, run, initial={"x": 0.0})
+    fit = ph.estimate(m, run.with_outputs(dict(expected.outputs)), noise=ph.Gaussian(sigma={"y": 0.01}))
+    path = fit.export_fmu(tmp_path / "held.fmu")
+    assert validate_fmu(str(path)) == []
+    by_name = {v.name: v for v in fmpy.read_model_description(path).modelVariables}
+    assert (by_name["u"].variability, by_name["w"].variability) == ("discrete", "continuous")
+    table = np.array(list(zip(t, inputs["u"], inputs["w"], strict=True)), [(n, float) for n in ("time", "u", "w")])
+    found = fmpy.simulate_fmu(
+        str(path), stop_time=t[-1], output_interval=0.1, fmi_type=kind, relative_tolerance=1e-9, input=table,
+        record_events=False,
+    )  # fmt: skip
+    np.testing.assert_allclose(found["y"], np.interp(found["time"], t, expected.outputs["y"]), atol=1e-5)
+
+
 def test_bad_input(fit: ph.Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for step in (0.0, -1.0, float("nan"), "fast"):
         with pytest.raises(OptionError, match="positive number of seconds"):

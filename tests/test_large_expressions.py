@@ -1,4 +1,4 @@
-"""Expressions with shared parts and long chains: printed, differentiated, converted and named in errors in little text."""
+"""Expressions with shared parts and long chains: printed, differentiated and named in errors in little text."""
 
 from __future__ import annotations
 

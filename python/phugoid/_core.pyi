@@ -20,6 +20,8 @@ __all__ = [
     "__version__",
     "answers",
     "apply",
+    "gap_warnings",
+    "gaps",
     "information",
     "interpolate",
     "lgl",
@@ -37,8 +39,8 @@ _Operand: TypeAlias = Expr | float
 _Equation: TypeAlias = tuple[str, Expr, str, str | None]  # name, expression, unit, source
 _Prior: TypeAlias = tuple[float, float] | None  # mean, standard deviation
 _Signal: TypeAlias = tuple[_Array, _Array, float, int]  # times, samples, delay, derivative
-# name, t, inputs, outputs, interpolation, signals
-_Record: TypeAlias = tuple[str, _Array, list[_Array], list[_Array], str, list[_Signal | None]]
+# name, t, inputs, outputs, interpolation of each input, signals
+_Record: TypeAlias = tuple[str, _Array, list[_Array], list[_Array], list[str], list[_Signal | None]]
 _Sigma: TypeAlias = tuple[bool, float, float, float]  # known?, value or start, lower, upper
 _Shape: TypeAlias = tuple[str, Sequence[float], Expr | None, Sequence[tuple[str, float, float, float]]]
 _Reported: TypeAlias = tuple[str, int | None, float, list[float], int | None, float, float]
@@ -368,4 +370,6 @@ def apply(name: str, *args: _Operand) -> Expr: ...
 def operations() -> list[tuple[str, int, list[tuple[float, float]]]]: ...
 def load_expression(text: str) -> Expr: ...
 def lgl(order: int) -> tuple[list[float], list[float], list[float]]: ...
+def gaps(t: Sequence[float]) -> list[int]: ...
+def gap_warnings(inputs: Sequence[str], experiments: Sequence[_Record]) -> list[str]: ...
 def interpolate(kind: str, t: Sequence[float], values: Sequence[float], at: Sequence[float]) -> list[float]: ...

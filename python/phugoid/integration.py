@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from . import _core
 from ._core import Expr
+from .data.interpolation import interpolated, kind_of
 from .errors import EvaluationError
 from .figures.style import LIMIT, SERIES, plain
 from .guess import measured_states
@@ -106,19 +107,19 @@ def integration_error(
 
     flow = _Flow(model, values, record)
     mesh = np.array([record.mesh_states[name] for name in model.state_names])
-    f_mesh = flow.slopes(record.mesh_t, mesh)
     to, rise, there = _integrals(fine, fine), _integrals(rough, fine), _lagrange(rough, fine)
     points = (order - 1) * np.arange(s)[:, None] + np.arange(order)  # of each segment
     errors = np.empty((n, s))
     step = max(1, _CHUNK // (m * n * n))
     for first in range(0, s, step):
         part = slice(first, first + step)
-        f = f_mesh[:, points[part]]  # (n, s, order)
+        ends = edges[:-1][part, None], edges[1:][part, None]
+        # Of each segment by itself: where an input jumps, f has another value in the next.
+        f = flow.slopes(record.mesh_t[points[part]], mesh[:, points[part]], ends)  # (n, s, order)
         path = mesh[:, points[part, :1]] + h[part, None] * (f @ rise)  # (n, s, m)
         t = edges[:-1][part, None] + h[part, None] * fine
-        true, jacobian = flow.slopes_and_jacobian(t.ravel(), path.reshape(n, -1))
-        defect = true.reshape(path.shape) - f @ there
-        e = _departure(jacobian.reshape(*path.shape, n), defect, h[part], to)
+        true, jacobian = flow.slopes_and_jacobian(t, path, ends)
+        e = _departure(jacobian, true - f @ there, h[part], to)
         errors[:, part] = np.abs(e).max(axis=2)
     return IntegrationError(
         name=record.name,
@@ -164,21 +165,25 @@ class _Flow:
         self.plain = Evaluation(model, listed, [])
         self.full = Evaluation(model, listed, model.state_names)
 
-    def _columns(self, t: _Array, x: _Array) -> _Array:
+    def _columns(self, t: _Array, x: _Array, ends: tuple[_Array, _Array]) -> _Array:
         r = self.record
-        samples = (r.input_samples.get(name, (r.t, values)) for name, values in r.inputs.items())
-        u = [
-            np.array(_core.interpolate(r.interpolation, own.tolist(), values.tolist(), t.tolist()))
-            for own, values in samples
-        ]
-        return np.vstack([t, *u, x])
+        u = []
+        for name, values in r.inputs.items():
+            kind, own = kind_of(r.interpolation, name), r.input_samples.get(name, (r.t, values))
+            # What is held does not jump within a segment.
+            at = np.broadcast_to(0.5 * (ends[0] + ends[1]), t.shape) if kind == "hold" else t
+            u.append(interpolated(kind, *own, at).ravel())
+        return np.vstack([t.ravel(), *u, x.reshape(x.shape[0], -1)])
 
-    def slopes(self, t: _Array, x: _Array) -> _Array:
-        return self._checked(t, self.plain(self.values, self._columns(t, x))[0])
+    def slopes(self, t: _Array, x: _Array, ends: tuple[_Array, _Array]) -> _Array:
+        """f, (n, s, m), at the times t (s, m) and states x (n, s, m) of s segments, whose ends are (s, 1)."""
+        f = self.plain(self.values, self._columns(t, x, ends))[0]
+        return self._checked(t.ravel(), f).reshape(x.shape)
 
-    def slopes_and_jacobian(self, t: _Array, x: _Array) -> tuple[_Array, _Array]:
-        f, jacobian = self.full(self.values, self._columns(t, x))
-        return self._checked(t, f), jacobian
+    def slopes_and_jacobian(self, t: _Array, x: _Array, ends: tuple[_Array, _Array]) -> tuple[_Array, _Array]:
+        """The same with its derivatives by the states, (n, s, m, n)."""
+        f, jacobian = self.full(self.values, self._columns(t, x, ends))
+        return self._checked(t.ravel(), f).reshape(x.shape), jacobian.reshape(*x.shape, x.shape[0])
 
     def _checked(self, t: _Array, f: _Array) -> _Array:
         if not np.isfinite(f).all():

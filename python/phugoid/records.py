@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+    from .data.interpolation import Interpolations
+
 __all__ = ["Record"]
 
 _Array = NDArray[np.float64]
@@ -38,7 +40,7 @@ class Record:
     mesh_t       (M,) time of the mesh points of the transcription, s.
     mesh_states  name -> (M,): the states there.
     units        name -> unit, for every kind of channel.
-    interpolation  of the inputs between samples, "linear" or "cubic".
+    interpolation  of the inputs between samples, as `Experiment.interpolation` has it.
     input_samples  name -> times (s) and values of the inputs that have samples of their own, such as finer ones.
     feasible     whether the states satisfy the equations; where they do not, as a run may end, `match` gives NaN.
 
@@ -62,7 +64,7 @@ class Record:
     mesh_t: _Array = field(default_factory=_no_times)
     mesh_states: Mapping[str, _Array] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
-    interpolation: str = "linear"
+    interpolation: Interpolations = "linear"
     input_samples: Mapping[str, tuple[_Array, _Array]] = field(default_factory=dict)
     feasible: bool = True
     state_std: Mapping[str, _Array] = field(default_factory=dict)
@@ -77,7 +79,7 @@ class Record:
 
     @property
     def input_times(self) -> _Array:
-        """Times of the samples and of the inputs' own within the record, in order, s: where inputs bend."""
+        """Times of the samples and of the inputs' own within the record, in order, s: where inputs bend or jump."""
         own = [t[(t > self.t[0]) & (t < self.t[-1])] for t, _ in self.input_samples.values()]
         return np.unique(np.concatenate([self.t, *own])) if own else self.t
 

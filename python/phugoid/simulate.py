@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from . import _core
 from .data.experiment import Experiment
+from .data.interpolation import interpolated, kinds_for
 from .data.multirate import distinct
 from .data.unit_check import check_units
 from .errors import DataError, EvaluationError, ModelError, OptionError, did_you_mean
@@ -78,7 +79,7 @@ def simulate(
         measured=measured,
         residuals={n: z - outputs[n] for n, z in measured.items()},
         units=model.units,
-        interpolation=data.interpolation,
+        interpolation=kinds_for(data.interpolation, model.input_names),
         input_samples=data.own_samples(model.input_names),
     )
 
@@ -92,33 +93,42 @@ class _Flow:
         self.evaluator = _core.Evaluator(model._core)
         self.t = data.t
         self.inputs = np.array([data.input(name) for name in model.input_names]).reshape(-1, data.n)
-        self.splines: list[tuple[Any, _Array]] | None = None  # of each input, and the ends of its samples
-        self.knots, self.at_knots = self.t, self.inputs
+        self.splines: dict[int, tuple[Any, _Array]] = {}  # of inputs that are cubic, and the ends of their samples
+        self.knots = self.t
         samples = [data.samples(name) for name in model.input_names]
-        if data.interpolation == "cubic":
+        kinds = [data.interpolation_of(name) for name in model.input_names]
+        if "cubic" in kinds:
             from scipy.interpolate import CubicSpline
 
-            self.splines = [(CubicSpline(t, u), t[[0, -1]]) for t, u in samples]  # as the core's
-        elif any(t is not self.t for t, _ in samples):
-            # Where inputs with samples of their own bend.
+            cubic = [i for i, kind in enumerate(kinds) if kind == "cubic"]
+            self.splines = {i: (CubicSpline(*samples[i]), samples[i][0][[0, -1]]) for i in cubic}  # as the core's
+        own = [t for (t, _), kind in zip(samples, kinds, strict=True) if t is not self.t and kind != "cubic"]
+        if own:
+            # Where inputs with samples of their own bend or jump.
             same = 1e-9 * float(np.diff(self.t).min())
-            inner = distinct(np.concatenate([t for t, _ in samples]), same)
+            inner = distinct(np.concatenate(own), same)
             inner = inner[(inner > self.t[0] + same) & (inner < self.t[-1] - same)]
             after = np.searchsorted(self.t, inner)
             apart = np.minimum(inner - self.t[after - 1], self.t[after] - inner) > same
             self.knots = np.union1d(self.t, inner[apart])
-            self.at_knots = np.array([np.interp(self.knots, *sampled) for sampled in samples])
+        at = [interpolated(kind, *own, self.knots) for kind, own in zip(kinds, samples, strict=True)]
+        # Inputs where intervals begin, and where they end: what is held jumps there.
+        self.begins = np.array(at).reshape(-1, self.knots.size)
+        self.ends = self.begins.copy()
+        held = [i for i, kind in enumerate(kinds) if kind == "hold"]
+        self.ends[held, 1:] = self.begins[held, :-1]
         self.bad: tuple[float, _Array, _Array] | None = None  # the last point where an equation was not finite
 
     def at(self, k: int, time: float) -> _Array:
         """Inputs at a time in the interval after knot ``k``."""
         if time == self.knots[k + 1]:
-            return np.asarray(self.at_knots[:, k + 1])  # to the bit: a hair below zero may have no square root
-        if self.splines is not None:
-            # Beyond its own samples an input stays as it was, as in the core.
-            return np.array([spline(min(max(time, ends[0]), ends[1])) for spline, ends in self.splines])
+            return np.asarray(self.ends[:, k + 1])  # to the bit: a hair below zero may have no square root
         share = (time - self.knots[k]) / (self.knots[k + 1] - self.knots[k])
-        return np.asarray(self.at_knots[:, k] + share * (self.at_knots[:, k + 1] - self.at_knots[:, k]))
+        u = self.begins[:, k] + share * (self.ends[:, k + 1] - self.begins[:, k])
+        for i, (spline, ends) in self.splines.items():
+            # Beyond its own samples an input stays as it was, as in the core.
+            u[i] = spline(min(max(time, ends[0]), ends[1]))
+        return np.asarray(u)
 
     def rhs(self, k: int, time: float, x: _Array) -> _Array:
         """x' in that interval."""
@@ -131,7 +141,7 @@ class _Flow:
     def path(self, x0: _Array, method: str, rtol: float) -> _Array:
         """States at the samples, shape (n_x, N).
 
-        Each interval by itself: inputs bend at the samples, which no integrator sees coming.
+        Each interval by itself: inputs bend or jump at the samples, which no integrator sees coming.
         """
         from scipy.integrate import solve_ivp
 

@@ -68,13 +68,19 @@ def estimates_frame(estimates: Iterable[Any]) -> pandas.DataFrame:
     return frame if rows else pd.DataFrame(columns=["value", "std_error"], index=frame.index)
 
 
+def _kinds(record: Any) -> str:
+    """How inputs behave between samples in words: ``"linear"``, or ``"de hold, V linear"``."""
+    kinds = record.interpolation
+    return kinds if isinstance(kinds, str) else ", ".join(f"{name} {kind}" for name, kind in kinds.items())
+
+
 def record_frame(record: Any) -> pandas.DataFrame:
     """Time histories of a `Record`. See `Record.to_pandas`."""
     pd = _package("pandas", "to_pandas")
     columns = {(group, name): values for group in _GROUPS for name, values in getattr(record, group).items()}
     frame = _joined(pd, record.t, columns, {("inputs", n): own for n, own in record.input_samples.items()})
     frame.columns = pd.MultiIndex.from_tuples(list(frame.columns), names=["group", "channel"])
-    frame.attrs = {"name": record.name, "units": dict(record.units), "interpolation": record.interpolation}
+    frame.attrs = {"name": record.name, "units": dict(record.units), "interpolation": _kinds(record)}
     return frame
 
 
@@ -88,7 +94,7 @@ def record_dataset(record: Any, apart: Collection[str] = ()) -> xarray.Dataset:
             own = (record.t, values) if own is None and group == "inputs" and name in apart else own
             attributes = {"units": record.units.get(name, ""), "channel": name, "group": group}
             data = _with(data, f"{prefix}_{name}", name, values, own, attributes)
-    data.attrs = {"experiment": record.name, "interpolation": record.interpolation}
+    data.attrs = {"experiment": record.name, "interpolation": _kinds(record)}
     return data
 
 
@@ -96,7 +102,7 @@ def experiment_frame(e: Any) -> pandas.DataFrame:
     """An `Experiment`. See `Experiment.to_pandas`."""
     pd = _package("pandas", "to_pandas")
     frame = _joined(pd, e.t, {name: values for name, _, values in _channels(e)}, _own(e))
-    frame.attrs = {"name": e.name, "units": dict(e.units), "interpolation": e.interpolation, "history": list(e.history)}
+    frame.attrs = {"name": e.name, "units": dict(e.units), "interpolation": _kinds(e), "history": list(e.history)}
     return frame
 
 
@@ -108,7 +114,7 @@ def experiment_dataset(e: Any) -> xarray.Dataset:
     for name, role, values in _channels(e):
         attributes = {"units": e.units.get(name, ""), "role": role}
         data = _with(data, name, name, values, samples.get(name), attributes)
-    data.attrs = {"experiment": e.name, "interpolation": e.interpolation, "history": "\n".join(e.history)}
+    data.attrs = {"experiment": e.name, "interpolation": _kinds(e), "history": "\n".join(e.history)}
     return data
 
 

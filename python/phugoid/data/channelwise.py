@@ -41,8 +41,12 @@ class Channelled:
         """Name of the record and the times of its samples, (N,)."""
 
     @abstractmethod
-    def _between(self, signal: Signal) -> _Array:
-        """An input's own samples interpolated at the times of the record."""
+    def _between(self, name: str, signal: Signal) -> _Array:
+        """The own samples of the input of a name interpolated at the times of the record."""
+
+    @abstractmethod
+    def _is_held(self, name: str) -> bool:
+        """Whether the input of a name is held between its samples."""
 
     @abstractmethod
     def _stepped(
@@ -75,7 +79,7 @@ def mapped(record: _Self, method: str, channels: Sequence[str] | None, step: _St
             if kind != "output" and channel in signals:
                 own, at_own, delay, derivative = record._signals_of()[channel]
                 signals[channel] = own, step(where, own, at_own), delay, derivative
-                made[kind][channel] = record._between(signals[channel])
+                made[kind][channel] = record._between(channel, signals[channel])
             else:
                 made[kind][channel] = step(where, t, values)
     return record._stepped(f"{said()}: {', '.join(n for n in present if n in chosen)}", made, signals)

@@ -6,19 +6,21 @@ sensor) is refused here, with the channel, the sample and the time.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core
 from ..errors import DataError, listing
 from ..tabular import experiment_dataset, experiment_frame
 from . import checked
 from .channelwise import Columns, Signal
 from .checked import FloatArray
+from .gaps import checked_gaps, gap_intervals, pieces
+from .interpolation import Interpolation, Interpolations, checked_kinds, interpolated, kind_of
 from .preprocess import Preprocessing
 
 if TYPE_CHECKING:
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
     import xarray
 
 __all__ = ["Experiment", "FloatArray", "Interpolation", "Signal", "as_experiments"]
-
-Interpolation = Literal["linear", "cubic"]
 
 
 class Experiment(Preprocessing):
@@ -37,8 +37,11 @@ class Experiment(Preprocessing):
     inputs         name -> (N,), finite.
     outputs        name -> (N,); NaN marks a missing sample.
     name           how messages and plots call the record.
-    interpolation  how inputs run between samples: ``"linear"`` or ``"cubic"``. A wrong assumption here looks
-                   like an error of the model.
+    interpolation  how inputs behave between samples: ``"linear"``, ``"cubic"`` (spline) or ``"hold"`` (each sample is
+                   held until the next, as a computer puts out commands); for each input its own as in
+                   ``{"de": "hold", "V": "linear"}``, where inputs that are not named are linear. A wrong assumption
+                   here looks like an error of the model. An input that is held jumps at its samples; at a sample time
+                   the outputs see the value that is held from that sample on.
     channels       name -> (N,): columns not yet told apart. A model finds here what it does not find in
                    ``inputs`` and ``outputs``; extra channels do no harm.
     units          name -> unit, for labels; nothing is converted.
@@ -62,22 +65,18 @@ class Experiment(Preprocessing):
         inputs: Mapping[str, ArrayLike] | None = None,
         outputs: Mapping[str, ArrayLike] | None = None,
         name: str = "experiment",
-        interpolation: Interpolation = "linear",
+        interpolation: Interpolations = "linear",
         *,
         channels: Mapping[str, ArrayLike] | None = None,
         units: Mapping[str, str] | None = None,
     ) -> None:
         self._name = str(name)
-        if interpolation not in get_args(Interpolation):
-            raise DataError(
-                f"experiment '{self._name}': interpolation '{interpolation}' is not known; take 'linear' or 'cubic'"
-            )
-        self._interpolation: Interpolation = interpolation
         self._t = checked.times(self._name, t)
         self._inputs = checked.columns(self._name, "input", inputs, self._t)
         self._outputs = checked.columns(self._name, "output", outputs, self._t)
         self._channels = checked.columns(self._name, "channel", channels, self._t)
         self._units = checked.units(self._name, units)
+        self._interpolation = checked_kinds(self._name, interpolation, [*self._inputs, *self._channels])
         self._signals: dict[str, Signal] = {}
         self._mesh_times: FloatArray | None = None
         self._history: tuple[str, ...] = ()
@@ -140,9 +139,13 @@ class Experiment(Preprocessing):
         return self._mesh_times
 
     @property
-    def interpolation(self) -> Interpolation:
-        """How inputs run between samples."""
-        return self._interpolation
+    def interpolation(self) -> Interpolations:
+        """How inputs behave between samples: one word for all, or a mapping by name, else ``"linear"``."""
+        return self._interpolation if isinstance(self._interpolation, str) else dict(self._interpolation)
+
+    def interpolation_of(self, name: str) -> Interpolation:
+        """How the input ``name`` behaves between its samples."""
+        return kind_of(self._interpolation, name)
 
     @property
     def history(self) -> tuple[str, ...]:
@@ -224,6 +227,47 @@ class Experiment(Preprocessing):
         step = [f"window {cut_out.t[0]:g} to {cut_out.t[-1]:g} s"] if left_out else []
         return cut_out._sampled(self._signals, times)._after(self, *step)
 
+    def split(self, gaps: bool | float = True) -> list[Experiment]:
+        """Return the parts of the record between gaps in its sampling, called ``name[1]``, ``name[2]``, ...
+
+        Over a gap nobody knows what the inputs did, and what interpolation makes of them there drives the model. The
+        parts are estimated together, each with first states of its own.
+
+        gaps  True: an interval is a gap where it is longer than ten times those beside it (the twenty nearest, of which
+              two may be as long). What is irregular by nature, such as samples ever farther apart,
+              bursts, or outputs of several rates, has none. A number: an interval that is longer than so many s.
+
+        Inputs with samples of their own count too, unless they are held between these: samples of the record within a
+        gap of such an input belong to no part. Missing outputs (NaN) are no gaps. Without gaps the record itself is
+        returned, in a list. A part with fewer than two samples is left out, with a UserWarning.
+
+        Raises OptionError for a length that is not positive.
+
+        >>> run = Experiment([0.0, 0.1, 0.2, 9.0, 9.1], outputs={"q": [0.0, 0.1, 0.2, 0.0, 0.1]}, name="run")
+        >>> [(part.name, part.n) for part in run.split(gaps=5.0)]
+        [('run[1]', 3), ('run[2]', 2)]
+        """
+        limit = checked_gaps(f"experiment '{self._name}': split", gaps)
+        intervals = gap_intervals(self._t, limit)
+        for name, (own, _, delay, _) in self._signals.items():
+            if not self._is_held(name):
+                intervals += gap_intervals(own + delay, limit)
+        parts = pieces(self._t, intervals)
+        if len(parts) == 1 and parts[0] == (0, self.n - 1):
+            return [self]
+        found: list[Experiment] = []
+        for a, b in parts:
+            if a == b:
+                warnings.warn(
+                    f"experiment '{self._name}': the sample at t = {self._t[a]:g} s stands alone between gaps "
+                    "and is left out",
+                    UserWarning,
+                    stacklevel=2,
+                )
+                continue
+            found.append(self.window(self._t[a], self._t[b], f"{self._name}[{len(found) + 1}]"))
+        return found
+
     def rename(self, names: Mapping[str, str]) -> Experiment:
         """The same record with channels renamed, ``{"old": "new"}``; DataError for unknown or taken names."""
         present = self._names()
@@ -239,12 +283,13 @@ class Experiment(Preprocessing):
             return result
 
         units = {names.get(key, key): unit for key, unit in self._units.items()}
+        kinds = self._interpolation
         other = Experiment(
             self._t,
             renamed(self._inputs),
             renamed(self._outputs),
             self._name,
-            self._interpolation,
+            kinds if isinstance(kinds, str) else renamed(kinds),
             channels=renamed(self._channels),
             units=units,
         )
@@ -297,9 +342,11 @@ class Experiment(Preprocessing):
     def _signals_of(self) -> Mapping[str, Signal]:
         return self._signals
 
-    def _between(self, signal: Signal) -> FloatArray:
-        own, values = (part.tolist() for part in signal[:2])
-        return np.array(_core.interpolate(self._interpolation, own, values, self._t.tolist()))
+    def _between(self, name: str, signal: Signal) -> FloatArray:
+        return interpolated(self.interpolation_of(name), signal[0], signal[1], self._t)
+
+    def _is_held(self, name: str) -> bool:
+        return self.interpolation_of(name) == "hold"
 
     def _stepped(
         self,
@@ -310,7 +357,11 @@ class Experiment(Preprocessing):
         cubic: bool = False,
     ) -> Experiment:
         groups = (columns["input"], columns["output"])
-        kind: Interpolation = "cubic" if cubic else self._interpolation
+        kind = self._interpolation
+        if cubic:  # but for inputs that are held, of which there is nothing finer
+            names = [*columns["input"], *columns["channel"]]
+            held = {name: self.interpolation_of(name) for name in names if self._is_held(name)}
+            kind = {name: held.get(name, "cubic") for name in names} if held else "cubic"
         other = Experiment(
             self._t if t is None else t, *groups, self._name, kind, channels=columns["channel"], units=self._units
         )

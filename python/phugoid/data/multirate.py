@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _core
 from ..errors import DataError
-from .experiment import Experiment, FloatArray, Interpolation, Signal
+from .experiment import Experiment, FloatArray, Signal
+from .interpolation import Interpolations, checked_kinds, interpolated, kind_of
 
 __all__ = ["distinct", "multirate", "together"]
 
@@ -23,15 +23,16 @@ def multirate(
     inputs: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
     outputs: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
     name: str = "experiment",
-    interpolation: Interpolation = "linear",
+    interpolation: Interpolations = "linear",
     *,
     units: Mapping[str, str] | None = None,
 ) -> Experiment:
     """An experiment of channels with time stamps of their own (s), each given as ``(times, values)``.
 
     Its samples are those of all outputs together, in the span that all inputs cover; an output is missing (NaN) where
-    it has no sample of its own. Inputs are interpolated between their own samples. A mesh follows the output that is
-    sampled most often. Raises DataError for what `Experiment` refuses, and for channels that do not overlap.
+    it has no sample of its own. Inputs are interpolated between their own samples, as ``interpolation`` says. A mesh
+    follows the output that is sampled most often. Raises DataError for what `Experiment` refuses, and for channels that
+    do not overlap.
 
     >>> fast, slow = np.linspace(0, 1, 5), np.linspace(0, 1, 3)
     >>> multirate({"de": (slow, [0, 1, 0])}, {"q": (fast, fast**2), "alpha": (slow + 0.1, slow)})
@@ -58,10 +59,9 @@ def multirate(
             f"experiment '{name}': {t.size} sample(s) between {first:g} and {last:g} s; at least 2 are needed"
         )
     signals: dict[str, Signal] = {key: (*pair, 0.0, 0) for key, pair in u.items()}
-    at = {
-        key: np.array(_core.interpolate(interpolation, s.tolist(), v.tolist(), t.tolist())) for key, (s, v) in u.items()
-    }
-    record = Experiment(t, at, columns, name, interpolation, units=units)
+    kinds = checked_kinds(name, interpolation, u)
+    at = {key: interpolated(kind_of(kinds, key), s, v, t) for key, (s, v) in u.items()}
+    record = Experiment(t, at, columns, name, kinds, units=units)
     fastest = max(z.values(), key=lambda pair: pair[0].size)[0]
     return record._sampled(signals, fastest)
 

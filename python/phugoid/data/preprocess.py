@@ -119,7 +119,8 @@ class Preprocessing(Channelled):
         inputs  keep every so-many-th sample of the inputs instead (a divisor of ``factor``): what is estimated then
                 sees inputs finer than outputs, with cubic splines between. Straight lines lose 3 dB already at 0.32
                 of the sampling rate (the square of sin(x)/x), and a model pays for that with wrong parameters.
-                Columns that are not yet told apart are kept both ways.
+                Columns that are not yet told apart are kept both ways. Inputs that are held between their
+                samples keep them all in any case: their jumps stay where they are.
         filter  first an anti-alias filter on all channels: Chebyshev of order 8, causal, to 0.8 of the new Nyquist
                 frequency, as `scipy.signal.decimate` has it. It starts like `band_pass`.
 
@@ -154,11 +155,15 @@ class Preprocessing(Channelled):
             columns[kind] = {channel: values[::factor] for channel, values in group.items()}
             for channel, values in group.items():
                 keeps = fine if fine is not None and kind == "input" else factor
-                share = 0.0 if channel in signals and kind != "output" else power_above(values, 1.0 / keeps)
+                stays = kind != "output" and (channel in signals or self._is_held(channel))
+                share = 0.0 if stays else power_above(values, 1.0 / keeps)
                 if share > _RELEVANT:
                     aliased.append(f"{100 * share:.2g} % of the power of {channel} above {0.5 * rate / keeps:g} Hz")
-        if fine is not None:
-            for channel, values in {**self._columns_of()["channel"], **self._columns_of()["input"]}.items():
+        for channel, values in {**self._columns_of()["channel"], **self._columns_of()["input"]}.items():
+            if self._is_held(channel):
+                if np.isfinite(values).all():  # or it is no input
+                    signals.setdefault(channel, (t, values, 0.0, 0))
+            elif fine is not None:
                 signals[channel] = t[::fine], values[::fine], 0.0, 0
         step = f"decimated by {factor} to {rate / factor:g} Hz"
         if fine is not None:
@@ -181,6 +186,12 @@ class Preprocessing(Channelled):
         higher rate: it would give outputs that nobody measured, and standard errors that are too small.
         """
         name, t = self._times()
+        for channel in {**self._columns_of()["input"], **self._columns_of()["channel"]}:
+            if self._is_held(channel):
+                raise OptionError(
+                    f"resample: the input '{channel}' of experiment '{name}' is held between its samples, and its "
+                    "steps have no limit of frequency: take .low_pass and .decimate, which keep it exact"
+                )
         rate = number(rate, "resample: rate (Hz)")
         old = even_rate(t, t, f"experiment '{name}'", "resample")
         if rate > old * (1.0 + 1e-9):
@@ -217,7 +228,7 @@ class Preprocessing(Channelled):
         samples lose amplitude (lines 3 dB at 0.32 of the sampling rate): with a factor of 4 the input is true to
         0.1 % up to 0.44 of it, except over some 20 samples at either end. Not for inputs that jump or were held
         between samples: these are not band-limited. Columns that are not yet told apart are upsampled as well,
-        unless samples are missing.
+        unless samples are missing; inputs that are held between their samples are left alone.
         """
         name, t = self._times()
         factor = whole_from(2, factor, "upsample_inputs: factor")
@@ -226,7 +237,7 @@ class Preprocessing(Channelled):
         done = []
         for kind in ("channel", "input"):
             for channel, values in columns[kind].items():
-                if kind == "channel" and not np.isfinite(values).all():
+                if self._is_held(channel) or (kind == "channel" and not np.isfinite(values).all()):
                     continue
                 where = f"experiment '{name}', {kind} '{channel}'"
                 own, values = signals[channel][:2] if channel in signals else (t, values)
@@ -238,6 +249,6 @@ class Preprocessing(Channelled):
                 signals[channel] = fine, between, 0.0, 0
                 done.append(channel)
         if not done:
-            raise DataError(f"experiment '{name}': upsample_inputs finds no inputs")
+            raise DataError(f"experiment '{name}': upsample_inputs finds no inputs that are not held between samples")
         step = f"inputs upsampled by {factor}, band-limited, cubic splines between: {', '.join(dict.fromkeys(done))}"
         return self._stepped(step, columns, signals, cubic=True)

@@ -4,17 +4,58 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 
 from ..errors import DataError
-from .experiment import Experiment, FloatArray, Interpolation
+from .experiment import Experiment, FloatArray
+from .gaps import checked_gaps
+from .interpolation import Interpolations
 from .multirate import multirate
 from .readers import open_source
 from .readers.record import Record, Units, some
 
 __all__ = ["read"]
+
+
+@overload
+def read(
+    path: str | PathLike[str] | Any,
+    time: str | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    rename: Mapping[str, str] | None = None,
+    columns: Sequence[str] | None = None,
+    units: Units | None = None,
+    delimiter: str | None = None,
+    name: str | None = None,
+    interpolation: Interpolations = "linear",
+    window: tuple[float, float] | None = None,
+    rate: float | None = None,
+    convert: bool = False,
+    split_gaps: Literal[False] = False,
+) -> Experiment: ...
+
+
+@overload
+def read(
+    path: str | PathLike[str] | Any,
+    time: str | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    rename: Mapping[str, str] | None = None,
+    columns: Sequence[str] | None = None,
+    units: Units | None = None,
+    delimiter: str | None = None,
+    name: str | None = None,
+    interpolation: Interpolations = "linear",
+    window: tuple[float, float] | None = None,
+    rate: float | None = None,
+    convert: bool = False,
+    *,
+    split_gaps: Literal[True] | float,
+) -> list[Experiment]: ...
 
 
 def read(
@@ -27,11 +68,12 @@ def read(
     units: Units | None = None,
     delimiter: str | None = None,
     name: str | None = None,
-    interpolation: Interpolation = "linear",
+    interpolation: Interpolations = "linear",
     window: tuple[float, float] | None = None,
     rate: float | None = None,
     convert: bool = False,
-) -> Experiment:
+    split_gaps: bool | float = False,
+) -> Experiment | list[Experiment]:
     """Reads a record from a file, whose ending says what it is, or from a table in memory.
 
     path       a text table (CSV, TSV or columns apart by blanks, also gzipped), MATLAB ``.mat``, HDF5 ``.h5`` or
@@ -51,8 +93,11 @@ def read(
                understood.
     delimiter  of a text file; None: found out from the file.
     name       name of the experiment; None: the file's name without its ending.
+    interpolation  how inputs behave between samples, as `Experiment` takes it.
     window     ``(t0, t1)`` in s keeps a part.
     rate       samples a second, for a file without a time column: time runs from 0, and ``time`` is not looked for.
+    split_gaps  True or a length in s: the parts between gaps in the sampling, as `Experiment.split` has them, are
+               returned as a list.
     convert    True brings each column whose unit is known to SI. Times whose unit is told become seconds in any case.
 
     Channels with time stamps of their own keep them, see `multirate`; ``inputs`` and ``outputs`` must then be given.
@@ -72,12 +117,16 @@ def read(
         raise DataError(f"time={time!r}: give the name of the time column, or rate=... in Hz where there is none")
     renaming, labels = dict(rename or {}), dict(units or {})
     window = _span(window)
+    if split_gaps is not False:
+        checked_gaps("read: split_gaps", split_gaps)
     for kind, wanted in (("input", inputs), ("output", outputs), ("unit", units)):
         if isinstance(wanted, str):
             raise DataError(f"{kind}s='{wanted}' is text: give a list of names, such as {kind}s=['{wanted}']")
     now = {old: new for old, new in renaming.items() if isinstance(old, str) and old not in renaming.values()}
     time = None if time is None else now.get(time, time)
     inputs, outputs = _called(inputs, now), _called(outputs, now)
+    if isinstance(interpolation, Mapping):
+        interpolation = {now.get(n, n): kind for n, kind in interpolation.items()}
     labels = {now.get(n, n): unit for n, unit in labels.items()}
     called = [old for old, new in renaming.items() if new == time] or ([] if time is None else [time])
     asked = {*(inputs or ()), *(outputs or ()), *labels}
@@ -90,7 +139,9 @@ def read(
     given = inputs is not None and outputs is not None
     used = list(dict.fromkeys([*(inputs or ()), *(outputs or ())])) if given else record.available
     result = _one_rate(record, used, inputs, outputs, name, interpolation, window, not given)
-    return result if result is not None else _many_rates(record, inputs, outputs, name, interpolation, window)
+    if result is None:
+        result = _many_rates(record, inputs, outputs, name, interpolation, window)
+    return result if split_gaps is False else result.split(split_gaps)
 
 
 def _called(names: Sequence[str] | None, now: Mapping[str, str]) -> Sequence[str] | None:
@@ -115,7 +166,7 @@ def _one_rate(
     inputs: Sequence[str] | None,
     outputs: Sequence[str] | None,
     name: str | None,
-    interpolation: Interpolation,
+    interpolation: Interpolations,
     window: tuple[float, float] | None,
     open_ended: bool,
 ) -> Experiment | None:
@@ -154,7 +205,7 @@ def _many_rates(
     inputs: Sequence[str] | None,
     outputs: Sequence[str] | None,
     name: str | None,
-    interpolation: Interpolation,
+    interpolation: Interpolations,
     window: tuple[float, float] | None,
 ) -> Experiment:
     def channel(n: str, beyond: int) -> tuple[FloatArray, FloatArray]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .. import _core
 from ..correlations import correlation_matrix
 from ..data.experiment import Experiment
+from ..data.interpolation import kinds_for
 from ..goodness_of_fit import chi_square_warning
 from ..match import match, no_match
 from ..modelling.model import Model
@@ -21,6 +22,7 @@ from ..records import Record
 from ..repeated_outputs import repeated_outputs
 from ..result import Fit
 from ..solvers import HINTS, Solution
+from ..transcription.collocation import records_of
 from ..transcription.shooting import Transcription
 
 __all__ = ["make_fit"]
@@ -141,6 +143,7 @@ def make_fit(
     of_each = noise.noise if isinstance(noise, PerExperiment) else noise
     if not (isinstance(of_each, Gaussian) and (of_each.correlated or of_each.covariance is not None)):
         warnings += repeated_outputs(records, model.output_names)
+    warnings += _core.gap_warnings(model.input_names, records_of(model, experiments))
     unknowns = _unknowns(problem, int((held < n_model).sum()))
     warnings += _few_samples(unknowns, records, model.declared_parameters.values())
     explained = {name: match(records, name).r_squared for name in model.output_names}
@@ -296,7 +299,7 @@ def _record(
         mesh_t=mesh_t,
         mesh_states=dict(zip(model.state_names, path, strict=True)),
         units=model.units,
-        interpolation=experiment.interpolation,
+        interpolation=kinds_for(experiment.interpolation, model.input_names),
         input_samples=experiment.own_samples(model.input_names),
         feasible=feasible,
     )

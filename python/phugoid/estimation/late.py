@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
 from ..data.experiment import Experiment, FloatArray, Signal
+from ..data.interpolation import Interpolation, interpolated, kinds_for
 from ..data.multirate import distinct, together
 from ..errors import DataError
 from ..guess import parameter_start
@@ -49,14 +49,16 @@ def _moved(model: Model, slim: Model, experiment: Experiment, base: Mapping[str,
         channels[name] = own[inside], experiment.output(name)[inside]
     times, outputs = together(channels)
     signals: dict[str, Signal] = {}
+    kinds: dict[str, Interpolation] = {}
     for name in slim.input_names:
         whole = name.removesuffix("_rate").removesuffix("_bend") if name not in dict(model._core.inputs) else name
         order = 0 if name == whole else 1 if name.endswith("_rate") else 2
         of, delay = (delays.inputs[whole][0], base[delays.inputs[whole][1]]) if whole in delays.inputs else (whole, 0.0)
         own_t, values, already, _ = experiment.signal(of) or (t, experiment.input(of), 0.0, 0)
-        signals[name] = own_t, values, already + delay, order
-    inputs = {name: np.interp(times, s[0] + s[2], s[1]) for name, s in signals.items()}
-    record = Experiment(times, inputs, outputs, experiment.name, experiment.interpolation, units=experiment.units)
+        signals[name], kinds[name] = (own_t, values, already + delay, order), experiment.interpolation_of(of)
+    inputs = {name: interpolated(kinds[name], s[0], s[1], times - s[2]) for name, s in signals.items()}
+    alike = kinds_for(kinds, kinds)
+    record = Experiment(times, inputs, outputs, experiment.name, alike, units=experiment.units)
     return record._sampled(signals, t if experiment.mesh_times is None else experiment.mesh_times)
 
 
@@ -172,7 +174,8 @@ def simulated_late(
     earlier = {name: t - delays[tau] for name, tau in model.delays.outputs.items()}
     everything = np.concatenate([t, *later, *earlier.values()])
     times = distinct(everything, 1e-9 * float(np.median(np.diff(t))))
-    if data.interpolation == "cubic":
+    kinds = {n: data.interpolation_of(model.delays.inputs.get(n, (n, ""))[0]) for n in slim.input_names}
+    if "cubic" in kinds.values():
         # A spline through samples of a spline that was moved is another: on a finer grid hardly so.
         share = np.arange(4 * (times.size - 1) + 1) / 4
         times = np.interp(share, np.arange(times.size), times)
@@ -181,12 +184,10 @@ def simulated_late(
     for name in slim.input_names:
         of, tau = model.delays.inputs.get(name, (name, ""))
         if of in model.input_names:
-            at = (times - delays.get(tau, 0.0)).tolist()
-            own, u = (part.tolist() for part in data.samples(of))
-            inputs[name] = np.array(_core.interpolate(data.interpolation, own, u, at))
+            inputs[name] = interpolated(kinds[name], *data.samples(of), times - delays.get(tau, 0.0))
         else:  # a rate, which counts for nothing at the delay itself
             inputs[name] = np.zeros(times.size)
-    fine = Experiment(times, inputs, name=data.name, interpolation=data.interpolation, units=data.units)
+    fine = Experiment(times, inputs, name=data.name, interpolation=kinds_for(kinds, inputs), units=data.units)
     path = simulate(slim, dict(values), fine, **options)
     there = {*data.outputs, *data.channels}
     measured = {n: data.output(n) for n in model.output_names if n in there}

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data.interpolation import kind_of
 from ..integration import IntegrationError
 from ..refinement import Refinement, Step
 from ..result import Fit
@@ -79,13 +80,17 @@ def _split(fit: Fit, found: Sequence[IntegrationError], order: int, tolerance: f
 def _bent(fit: Fit, found: Sequence[IntegrationError]) -> bool:
     """Whether inputs bend inside a segment, so that a higher order would be lost there."""
     for record, each in zip(fit.records, found, strict=True):
-        bends = record.input_times
+        linear = [name for name in record.inputs if kind_of(record.interpolation, name) == "linear"]
+        if not linear:
+            continue
+        bends = np.concatenate([record.input_samples.get(name, (record.t,))[0] for name in linear])
+        bends = bends[(bends >= record.t[0]) & (bends <= record.t[-1])]
         ends = np.searchsorted(each.edges, bends)
         near = np.minimum(
             np.abs(bends - each.edges[np.minimum(ends, each.edges.size - 1)]),
             np.abs(bends - each.edges[np.maximum(ends - 1, 0)]),
         )
-        if record.inputs and record.interpolation == "linear" and near.max() > 1e-6 * np.diff(each.edges).min():
+        if near.max(initial=0.0) > 1e-6 * np.diff(each.edges).min():
             return True
     return False
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ..data.interpolation import kind_of
 from ..errors import ModelError, OptionError
 from ..linear.linearise import labels_of, numbers_of
 from ..modelling.model import Model
@@ -32,6 +33,7 @@ class Contents:
     values: Mapping[str, float]
     states: Mapping[str, float]
     inputs: Mapping[str, float]
+    held: frozenset[str]  # inputs that are held between their samples in the experiment
     facts: tuple[str, ...]
 
 
@@ -52,6 +54,7 @@ def contents_of(
         )
     states = dict.fromkeys(model.state_names, 0.0)
     inputs = {name: 0.0 for name, _ in model._core.inputs}
+    held: list[str] = []
     facts = [f"model: {model.name}"]
     if isinstance(fit, Fit):
         labels = labels_of(caller, fit, experiment)
@@ -66,8 +69,11 @@ def contents_of(
         first = {n: float(v[0]) for n, v in record.inputs.items()}
         of_late = {name: of for name, (of, _) in model.delays.inputs.items()}
         inputs = {n: first[of_late.get(n, n)] for n in inputs}
+        held = [n for n in inputs if kind_of(record.interpolation, of_late.get(n, n)) == "hold"]
         facts.append(f"fit: {fit.status}, log-likelihood {fit.log_likelihood:.10g}, experiment '{record.name}'")
-    return Contents(model, values, states, inputs, tuple(facts))
+    if held:
+        facts.append(f"inputs held between samples: {', '.join(held)}")
+    return Contents(model, values, states, inputs, frozenset(held), tuple(facts))
 
 
 def identifier(text: str) -> str:

@@ -50,7 +50,8 @@ def export_fmu(
     Variables are inputs, parameters (tunable) and outputs by their names, states as ``state.<name>`` and their
     derivatives as ``der(state.<name>)``, with units; an output that is called like an input or a parameter is
     ``output.<name>``. Start values are those of the fit: its estimates, the first states and inputs of the experiment.
-    Directional derivatives are exact; the state can be saved and restored.
+    An input that is held between samples in the data of the fit is discrete, and the others are continuous. Directional
+    derivatives are exact; the state can be saved and restored.
 
     ``parameters``, ``experiment``  as in `linearise`.
     ``step``    longest Runge-Kutta step (order 4) of co-simulation in s; else a tenth of the shortest sampling
@@ -183,7 +184,8 @@ def _description(contents: Contents, name: str, guid: str) -> bytes:
         for n, tau in delays.outputs.items()
     }
     for k, (n, value) in enumerate(contents.inputs.items()):
-        add(2 * n_x + k, n, units.get(n, ""), {"start": number(value)}, causality="input", variability="continuous")
+        kind = "discrete" if n in contents.held else "continuous"
+        add(2 * n_x + k, n, units.get(n, ""), {"start": number(value)}, causality="input", variability=kind)
     for k, n in enumerate(model.output_names):
         title = f"output.{n}" if n in taken else n
         add(2 * n_x + n_u + n_p + k, title, of_outputs[n], {}, causality="output", variability="continuous",

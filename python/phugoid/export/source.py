@@ -35,7 +35,7 @@ def export_c(
     ``<name>_outputs(t, x, u, p, y)``        y = g
     ``<name>_jacobians(t, x, u, p, A, B, C, D)``  df/dx, df/du, dg/dx, dg/du, exact, row by row
     ``<name>_step(t, h, u0, u1, p, x)``      one classical Runge-Kutta step of x from t to t + h (order 4), over which
-                                             inputs run linearly from u0 to u1
+                                             inputs run linearly from u0 to u1; one that is held has one value in both
     ``<name>_p``, ``<name>_x0``              values of the parameters, and states to begin with
     ``<name>_x_names``, ``<name>_x_units``   and of u, y, p likewise
 

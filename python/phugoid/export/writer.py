@@ -188,7 +188,8 @@ class _Writer:
             f"{self._signature('outputs', ['y'])};",
             "/* A = df/dx, B = df/du, C = dg/dx, D = dg/du, row by row */",
             f"{self._signature('jacobians', list('ABCD'))};",
-            "/* x from t to t + h by one Runge-Kutta step of order 4; inputs run from u0 to u1 */",
+            "/* x from t to t + h by one Runge-Kutta step of order 4; "
+            "inputs run\n   from u0 to u1, and one that is held between samples has the same value in both */",
             f"{self._step_signature()};",
         ]
         parts = [

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data.interpolation import kind_of
 from ..match import match
 from ..records import Record
 from ..tolerance import Tolerance
@@ -58,7 +59,10 @@ def draw_channel(axis: Axes, record: Record, name: str, tolerance: Tolerance | N
         if tolerance is not None and name in record.measured:
             _keep_in_view(axis, record, name, tolerance)
     elif name in record.inputs:
-        axis.plot(record.t, record.inputs[name], color=INPUT, linewidth=0.8, label="input", rasterized=many)
+        steps = "steps-post" if kind_of(record.interpolation, name) == "hold" else "default"
+        axis.plot(
+            record.t, record.inputs[name], color=INPUT, linewidth=0.8, label="input", rasterized=many, drawstyle=steps
+        )
     else:
         axis.plot(record.t, record.states[name], color=STATE, linewidth=0.9, label="state", rasterized=many)
     text = labelled(name, record.units)

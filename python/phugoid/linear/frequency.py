@@ -75,7 +75,9 @@ def frequency_response(source: Experiment | Fit | Model | StateSpace, *args: Any
 
     Input and output need complete, evenly spaced samples at the same times. An input that has finer samples of its own
     (``decimate(..., inputs=...)``) is taken at the times of the record, which is right where it holds nothing above
-    the Nyquist frequency; one with coarser samples is refused, since interpolation alters its spectrum.
+    the Nyquist frequency; one with coarser samples is refused, since interpolation alters its spectrum. Of an input
+    that is held between its samples the response is that from sample to sample, with the lag of half an interval that
+    holding brings.
 
     **Of a model**, ``frequency_response(fit, frequencies_hz, input=None, output=None, *, parameters, at,
     experiment)``: C (j 2 pi f - A)^-1 B + D, with its delays.

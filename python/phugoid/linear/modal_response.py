@@ -10,8 +10,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
 from ..data.experiment import Experiment
+from ..data.interpolation import interpolated
 
 __all__ = ["Answers", "Driven"]
 
@@ -166,4 +166,4 @@ def _between(run: Experiment, name: str, times: _Array) -> _Array:
         times = np.clip(times - delay, t[0], t[-1])
     else:
         t, samples = run.t, run.input(name)
-    return np.array(_core.interpolate(run.interpolation, t.tolist(), samples.tolist(), times.tolist()))
+    return interpolated(run.interpolation_of(name), t, samples, times)

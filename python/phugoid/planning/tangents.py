@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
+from ..data.interpolation import kinds_for
 from ..discrepancy.search.linearised import Linearised
 from ..errors import EvaluationError
 from ..estimation.estimate import estimate
@@ -87,7 +88,7 @@ def _stepped(model: Model, values: Mapping[str, float], run: Experiment, *, init
         measured={},
         residuals={},
         units=model.units,
-        interpolation=run.interpolation,
+        interpolation=kinds_for(run.interpolation, model.input_names),
         input_samples=run.own_samples(model.input_names),
     )
 

@@ -8,7 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _core
 from ..data.experiment import Experiment
+from ..data.interpolation import kinds_for
 from ..match import match, no_match
 from ..modelling.model import Model
 from ..noise.noise import Noise
@@ -18,6 +20,7 @@ from ..repeated_outputs import repeated_outputs
 from ..result import Fit
 from ..solvers import HINTS
 from ..solvers.quasi_newton import Minimum
+from ..transcription.collocation import records_of
 from ..transcription.filter_error import FilterError
 from .variables import Objective
 
@@ -97,6 +100,7 @@ def make_filter_fit(
         active: Literal["lower"] | None = "lower" if none else None
         estimates.append(Estimate(name, values[i], errors[i], unit, bounds=(0.0, np.inf), bounds_active=active))
 
+    warnings += _core.gap_warnings(model.input_names, records_of(model, experiments))
     records, initial = _records(model, experiments, objective, z, covariance)
     warnings += repeated_outputs(records, model.output_names)
     poor = no_match({name: match(records, name).r_squared for name in model.output_names})
@@ -175,6 +179,7 @@ def _records(
                 mesh_t=e.t,
                 mesh_states=by_state,
                 units=model.units,
+                interpolation=kinds_for(e.interpolation, model.input_names),
                 input_samples=e.own_samples(model.input_names),
                 state_std=dict(zip(model.state_names, deviations, strict=True)),
                 innovations=dict(zip(model.output_names, innovations, strict=True)),

@@ -16,6 +16,7 @@ import numpy as np
 from .. import _core
 from .._core import Expr
 from ..data.experiment import Experiment
+from ..data.interpolation import kinds_for
 from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
 from ..parameters import Estimates
@@ -56,7 +57,8 @@ class Separated:
         switches = {f"experiment__{i}": np.full(e.n, float(i == number)) for i in range(len(self.records))}
         inputs = {name: e.input(name) for name in self.original.input_names}
         outputs = {name: e.output(name) for name in self.original.output_names}
-        other = Experiment(e.t, {**inputs, **switches}, outputs, e.name, e.interpolation, units=e.units)
+        kinds = kinds_for(e.interpolation, inputs)
+        other = Experiment(e.t, {**inputs, **switches}, outputs, e.name, kinds, units=e.units)
         signals = {name: s for name in inputs if (s := e.signal(name)) is not None}
         return other._sampled(signals, e.mesh_times)
 

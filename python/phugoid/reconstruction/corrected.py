@@ -6,6 +6,7 @@ import numpy as np
 
 from .. import _core
 from ..data.experiment import Experiment
+from ..data.interpolation import kinds_for
 from ..errors import ModelError
 from ..modelling.model import Model
 from ..records import Record
@@ -43,7 +44,9 @@ def corrected(fit: Fit, record: Record, run: Experiment) -> Experiment:
     found |= {n: np.asarray(v) for n, v in record.states.items()}
     channels = {**run.channels, **run.outputs, **run.inputs, **found}
     units = {**run.units, **{n: model.units[n] for n in found if n in model.units}}
-    made = Experiment(run.t, name=run.name, interpolation=run.interpolation, channels=channels, units=units)
+    made = Experiment(
+        run.t, name=run.name, interpolation=kinds_for(run.interpolation, channels), channels=channels, units=units
+    )
     # Inputs with samples of their own, such as controls, keep them; those of the inertial sensors are used up.
     kept = {n: s for n, s in run._signals.items() if n not in found}
     return made._sampled(kept, run.mesh_times)._after(run, f"flight path reconstructed: {', '.join(found)}")

@@ -22,7 +22,7 @@ GridSpec = tuple[str, int, "list[float] | None"]
 _MOST_SEGMENTS, _MOST_THREADS = 10_000_000, 1024
 _Array = NDArray[np.float64]
 _Signal = tuple[_Array, _Array, float, int]
-_Record = tuple[str, _Array, list[_Array], list[_Array], str, list[_Signal | None]]
+_Record = tuple[str, _Array, list[_Array], list[_Array], list[str], list[_Signal | None]]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Collocation:
     ``order`` is the number of points of a segment, ends included: 2 is the trapezoid, m integrates to order
     2m - 2. By default every interval between samples is a segment; ``substeps`` divides each further;
     ``segments`` gives a number of equal segments, or the times of their ends (s), instead, which need not be
-    sample times (a list of such for several experiments). ``threads`` 0 is one a core.
+    sample times (a list of such for several experiments). Where an input that is held between its samples jumps, a
+    segment ends in any case. ``threads`` 0 is one a core.
 
     ``refine``: estimate the integration error of each segment, split those where it is above ``tolerance`` (in units
     of the noise of the state's measurement; see `IntegrationError`), or raise the order where most are, and estimate
@@ -116,7 +117,7 @@ def records_of(model: Model, experiments: Sequence[Experiment]) -> list[_Record]
             np.ascontiguousarray(e.t),
             [np.ascontiguousarray(e.input(n)) for n in model.input_names],
             [np.ascontiguousarray(e.output(n)) for n in model.output_names],
-            e.interpolation,
+            [e.interpolation_of(n) for n in model.input_names],
             [e.signal(n) for n in model.input_names],
         )
         for e in experiments

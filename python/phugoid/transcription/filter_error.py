@@ -9,9 +9,10 @@ from numbers import Integral
 from typing import Any
 
 from .. import _core
-from ..data.experiment import Experiment, Signal
+from ..data.experiment import Experiment
 from ..errors import OptionError, did_you_mean
 from ..modelling.model import Model
+from .collocation import records_of
 
 __all__ = ["FEWEST", "FilterError"]
 
@@ -94,7 +95,7 @@ class FilterError:
                     f"FilterError: the intensity of state '{name}' is called 'q_{name}', as is a parameter of the "
                     "model: rename the parameter"
                 )
-        records = [_record(model, e) for e in experiments]
+        records = records_of(model, experiments)
         priors = [initial.get(name, (0.0, math.inf)) for name in model.state_names]
         steps, terms = self.mesh
         return _core.Filter(model._core, records, sigmas, list(self.states), steps, terms, priors)
@@ -124,12 +125,6 @@ class FilterError:
         if (steps, terms) != FEWEST:
             text += f", of {terms} term{'s' * (terms > 1)} and {steps} step{'s' * (steps > 1)} between samples"
         return text
-
-
-def _record(model: Model, e: Experiment) -> tuple[str, Any, list[Any], list[Any], str, list[Signal | None]]:
-    """An experiment as the core takes it."""
-    inputs, outputs = [e.input(n) for n in model.input_names], [e.output(n) for n in model.output_names]
-    return e.name, e.t, inputs, outputs, e.interpolation, [e.signal(n) for n in model.input_names]
 
 
 def _prior(name: str, value: Any) -> tuple[float, float] | None:

@@ -1,7 +1,7 @@
 //! One record of measured inputs and outputs.
 
 use crate::error::{Error, did_you_mean};
-use crate::interpolate::{Interpolation, derivative, interpolate};
+use crate::interpolate::{Interpolant, Interpolation, derivative, interpolate};
 use crate::model::Model;
 
 /// One record. Channels stand in the order of the model's inputs ([`Model::input_names`]) and outputs.
@@ -34,14 +34,14 @@ pub struct Experiment {
     pub inputs: Vec<Vec<f64>>,
     /// Measured outputs, n_y channels of N samples; NaN where a sample is missing.
     pub outputs: Vec<Vec<f64>>,
-    /// How inputs behave between samples.
+    /// How inputs behave between samples, unless [`Signal::interpolation`] says otherwise of one.
     pub interpolation: Interpolation,
-    /// Inputs that were sampled at times of their own, or of which something else is wanted: by input, or
-    /// empty for none.
+    /// Inputs that were sampled at times of their own, that behave otherwise between samples, or of which something
+    /// else is wanted: by input, or empty for none.
     pub signals: Vec<Option<Signal>>,
 }
 
-/// An input sampled at times of its own, and what is taken of it.
+/// An input sampled at times of its own, how it behaves between them, and what is taken of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
     /// Its sample times, s, strictly increasing.
@@ -52,16 +52,34 @@ pub struct Signal {
     pub delay: f64,
     /// Which derivative with respect to time is taken: 0 for none, to 2.
     pub derivative: usize,
+    /// How it behaves between its samples; `None` for what the record says of all inputs.
+    pub interpolation: Option<Interpolation>,
 }
 
 impl Signal {
-    /// What is taken of it at these times.
+    /// What is taken of it at these times; `kind` is how all inputs of the record behave between samples.
     pub fn at(&self, kind: Interpolation, times: &[f64]) -> Vec<f64> {
+        let kind = self.interpolation.unwrap_or(kind);
         let earlier: Vec<f64> = times.iter().map(|t| t - self.delay).collect();
         match self.derivative {
             0 => interpolate(kind, &self.t, &self.values, &earlier),
             order => derivative(kind, &self.t, &self.values, &earlier, order),
         }
+    }
+
+    /// What is taken of it where it is held: a signal that is held too, with the times from which its values hold.
+    fn held(&self) -> (Vec<f64>, Vec<f64>) {
+        let mut t: Vec<f64> = self.t.iter().map(|t| t + self.delay).collect();
+        if self.derivative == 0 {
+            return (t, self.values.clone());
+        }
+        let middles: Vec<f64> = self.t.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect();
+        let mut values = derivative(Interpolation::Hold, &self.t, &self.values, &middles, self.derivative);
+        // Nothing changes before the first sample and after the last.
+        values.insert(0, 0.0);
+        values.push(0.0);
+        t.insert(0, t[0] - 1.0);
+        (t, values)
     }
 }
 
@@ -121,7 +139,84 @@ impl Experiment {
         Ok(Experiment { outputs: vec![missing; model.outputs.len()], ..run })
     }
 
-    /// An input at any times.
+    /// The same record with one input, by name, that behaves in its own way between its samples.
+    ///
+    /// # Errors
+    /// For a name that is no input of the model.
+    pub fn with_interpolation(
+        mut self,
+        model: &Model,
+        input: &str,
+        kind: Interpolation,
+    ) -> Result<Self, Error> {
+        let names = model.input_names();
+        let Some(channel) = names.iter().position(|n| *n == input) else {
+            let hint = did_you_mean(input, names);
+            return Err(Error::Data(format!("experiment '{}': it has no input '{input}'.{hint}", self.name)));
+        };
+        self.signals.resize(names.len().max(self.signals.len()), None);
+        let mut signal = self.signal(channel);
+        signal.interpolation = Some(kind);
+        self.signals[channel] = Some(signal);
+        Ok(self)
+    }
+
+    /// An input with its own samples, or those of the record.
+    pub(crate) fn signal(&self, channel: usize) -> Signal {
+        self.signals.get(channel).cloned().flatten().unwrap_or_else(|| Signal {
+            t: self.t.clone(),
+            values: self.inputs.get(channel).cloned().unwrap_or_default(),
+            delay: 0.0,
+            derivative: 0,
+            interpolation: None,
+        })
+    }
+
+    /// How an input behaves between its samples.
+    pub fn kind(&self, channel: usize) -> Interpolation {
+        let own = self.signals.get(channel).and_then(|s| s.as_ref()?.interpolation);
+        own.unwrap_or(self.interpolation)
+    }
+
+    /// Whether an input is held between its samples, and so may jump at them.
+    pub fn is_held(&self, channel: usize) -> bool {
+        self.kind(channel) == Interpolation::Hold
+    }
+
+    /// Whether any input is.
+    pub fn any_held(&self) -> bool {
+        (0..self.inputs.len()).any(|c| self.is_held(c))
+    }
+
+    /// Times within the record at which inputs that are held jump, in order.
+    pub fn jumps(&self) -> Vec<f64> {
+        let (first, last) = (self.t[0], self.t[self.t.len() - 1]);
+        let mut all = Vec::new();
+        for c in (0..self.inputs.len()).filter(|&c| self.is_held(c)) {
+            let (t, values) = self.signal(c).held();
+            let jumps = values.windows(2).zip(&t[1..]).filter(|(w, _)| w[0] != w[1]).map(|(_, t)| *t);
+            all.extend(jumps.filter(|t| first < *t && *t < last));
+        }
+        all.sort_by(f64::total_cmp);
+        all.dedup();
+        all
+    }
+
+    /// An input at times each of which belongs to a span of time, such as a segment of a mesh or a step: where it is
+    /// held, it is what it is inside that span, its mean where it jumps there.
+    pub fn input_over(&self, channel: usize, times: &[f64], spans: &[[f64; 2]]) -> Vec<f64> {
+        if !self.is_held(channel) {
+            return self.input(channel, times);
+        }
+        let (t, values) = self.signal(channel).held();
+        let held = Interpolant::new(Interpolation::Hold, &t, &values);
+        let one = |(time, [begin, end]): (&f64, &[f64; 2])| {
+            if begin < end { held.over(*begin, *end) } else { held.at(*time) }
+        };
+        times.iter().zip(spans).map(one).collect()
+    }
+
+    /// An input at any times. One that is held jumps to a sample's value at its time.
     pub fn input(&self, channel: usize, times: &[f64]) -> Vec<f64> {
         match self.signals.get(channel) {
             Some(Some(signal)) => signal.at(self.interpolation, times),

@@ -15,16 +15,24 @@ pub enum Interpolation {
     /// scipy's `CubicSpline` (de Boor, A Practical Guide to Splines, 1978):
     /// the parabola through 3 samples, the line through 2.
     Cubic,
+    /// Each sample is held until the next (zero-order hold), as a computer puts out a command. At a sample time the
+    /// value is that of the sample.
+    Hold,
 }
+
+/// A time this part of a sampling interval before a sample counts as that of the sample where the sample is held:
+/// delays and divisions of time carry rounding.
+const SAME: f64 = 1e-9;
 
 /// Values at the times `at` of a signal sampled as `values` at the times `t`.
 ///
 /// `t` increases strictly, at any spacing; `at` may be in any order. At a
 /// sample time the result is the sample, bit for bit. Outside `[t[0], t[N-1]]`
-/// the end values are held, for either kind: a polynomial continued past its
+/// the end values are held, for any kind: a polynomial continued past its
 /// data soon means nothing. NaN in `at` gives NaN. Missing (NaN)
 /// values are for the caller to reject or fill: one of them spoils its two
-/// neighbouring intervals if linear, and everything between samples if cubic.
+/// neighbouring intervals if linear, everything between samples if cubic, and
+/// the interval after it if held.
 ///
 /// # Panics
 /// If `t` is empty or its length is not that of `values`.
@@ -35,6 +43,7 @@ pub enum Interpolation {
 /// let (t, u) = ([0.0, 1.0, 3.0, 4.0], [0.0, 1.0, 9.0, 16.0]);
 /// assert_eq!(interpolate(Interpolation::Linear, &t, &u, &[2.0]), [5.0]);
 /// assert_eq!(interpolate(Interpolation::Cubic, &t, &u, &[2.0]), [4.0]);
+/// assert_eq!(interpolate(Interpolation::Hold, &t, &u, &[2.0, 3.0]), [1.0, 9.0]);
 /// ```
 pub fn interpolate(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64]) -> Vec<f64> {
     let signal = Interpolant::new(kind, t, values);
@@ -46,6 +55,7 @@ pub fn interpolate(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64]) -
 pub struct Interpolant<'a> {
     t: &'a [f64],
     values: &'a [f64],
+    held: bool,
     /// Derivatives at the samples of a spline; none of straight lines.
     slopes: Option<Vec<f64>>,
 }
@@ -60,7 +70,7 @@ impl<'a> Interpolant<'a> {
         assert_eq!(t.len(), values.len(), "as many sample times as sample values are needed");
         debug_assert!(t.windows(2).all(|pair| pair[0] < pair[1]), "sample times must increase strictly");
         let slopes = (kind == Interpolation::Cubic).then(|| spline_slopes(t, values));
-        Interpolant { t, values, slopes }
+        Interpolant { t, values, held: kind == Interpolation::Hold, slopes }
     }
 
     /// Its value at a time; before the first sample and after the last one it is theirs.
@@ -78,6 +88,9 @@ impl<'a> Interpolant<'a> {
         if n == t.len() || t[i] == s {
             return values[i];
         }
+        if self.held {
+            return values[if t[n] - s <= SAME * (t[n] - t[i]) { n } else { i }];
+        }
         let (h, u) = (t[n] - t[i], s - t[i]);
         let secant = (values[n] - values[i]) / h;
         let Some(slopes) = &self.slopes else { return values[i] + secant * u };
@@ -86,10 +99,31 @@ impl<'a> Interpolant<'a> {
         let c3 = bend / h;
         values[i] + u * (slopes[i] + u * (c2 + u * c3))
     }
+
+    /// What a held signal is from `begin` to `end`: its value where it does not jump inside, else its mean there.
+    pub fn over(&self, begin: f64, end: f64) -> f64 {
+        let (t, values) = (self.t, self.values);
+        let slack = SAME * (end - begin);
+        let first = t.partition_point(|&sample| sample <= begin + slack);
+        let last = t.partition_point(|&sample| sample < end - slack);
+        let before = values[first.saturating_sub(1)];
+        if (first..last).all(|i| values[i] == before) {
+            return before;
+        }
+        let (mut from, mut sum) = (begin, 0.0);
+        for i in first..last {
+            sum += (t[i] - from) * values[i.saturating_sub(1)];
+            from = t[i];
+        }
+        (sum + (end - from) * values[last - 1]) / (end - begin)
+    }
 }
 
 /// First or second derivative of what [`interpolate`] gives. Where it jumps, at samples, it is the mean of both
 /// sides; outside the samples it is zero.
+///
+/// A signal that is held has impulses for its derivative: each is taken as spread evenly over the two intervals beside
+/// the jump, one half over each, so that its integral and its mean time are kept. The second derivative is zero.
 ///
 /// # Panics
 /// As [`interpolate`], and for another order than 1 or 2.
@@ -99,8 +133,11 @@ pub fn derivative(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64], or
     let inside = |i: usize, s: f64| {
         let h = t[i + 1] - t[i];
         let secant = (values[i + 1] - values[i]) / h;
-        if kind == Interpolation::Linear {
-            return if order == 1 { secant } else { 0.0 };
+        match kind {
+            Interpolation::Linear => return if order == 1 { secant } else { 0.0 },
+            Interpolation::Hold if order == 2 => return 0.0,
+            Interpolation::Hold => return held_slope(t, values, i),
+            Interpolation::Cubic => (),
         }
         let bend = (slopes[i] + slopes[i + 1] - 2.0 * secant) / h;
         let (c2, c3, u) = ((secant - slopes[i]) / h - bend, bend / h, s - t[i]);
@@ -119,6 +156,11 @@ pub fn derivative(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64], or
             }
         })
         .collect()
+}
+
+/// The derivative of a held signal over interval i, see [`derivative`].
+fn held_slope(t: &[f64], values: &[f64], i: usize) -> f64 {
+    0.5 * (values[i + 1] - values[i.saturating_sub(1)]) / (t[i + 1] - t[i])
 }
 
 /// First derivatives at the samples of the not-a-knot cubic spline.

@@ -77,7 +77,7 @@
 //! | [`nlp`] | the seam to solvers: a nonlinear program with names |
 //! | [`parameter`], [`noise`] | unknowns; the density of the noise |
 //! | [`model`], [`evaluator`] | states, inputs, parameters, equations, delays; f and g at points |
-//! | [`experiment`], [`mesh`] | records, segments and their points |
+//! | [`experiment`], [`gaps`], [`mesh`] | records, gaps in their sampling, segments and their points |
 //! | [`transcription`] | from all these to the program of collocation, or of single or multiple shooting |
 //! | [`filter`] | process noise: the marginal likelihood of the filter-error method |
 //! | [`linalg`] | the seam to linear algebra: Newton systems; the factorisation of an arrow, and a sparse one |
@@ -97,6 +97,7 @@ pub mod evaluator;
 pub mod experiment;
 pub mod expr;
 pub mod filter;
+pub mod gaps;
 pub mod interpolate;
 pub mod lgl;
 pub mod linalg;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::error::Error;
+use crate::experiment::Experiment;
 use crate::lgl::Lgl;
 
 /// How an experiment is divided into segments (Eq. multiple_shooting_grid).
@@ -99,6 +100,8 @@ pub struct Mesh {
     pub between: Vec<Between>,
     /// Point of each sample.
     pub sample_points: Vec<usize>,
+    /// Whether inputs may jump where segments meet: a point there then has two values of f, one for each segment.
+    pub jumps: bool,
 }
 
 /// Times closer than this fraction of a segment are the same time.
@@ -111,10 +114,22 @@ impl Mesh {
     /// For an order below 2, no segments, edges that do not span the record, or samples so close that
     /// they would share a point.
     pub fn new(order: usize, grid: &Grid, t: &[f64]) -> Result<Mesh, Error> {
+        Mesh::between(order, &edges(grid, t)?, t)
+    }
+
+    /// The mesh of order m for a record. Segments also end where an input that is held between its samples jumps.
+    ///
+    /// # Errors
+    /// As [`Mesh::new`].
+    pub fn of(order: usize, grid: &Grid, record: &Experiment) -> Result<Mesh, Error> {
+        let edges = divided(edges(grid, &record.t)?, &record.jumps());
+        Ok(Mesh { jumps: record.any_held(), ..Mesh::between(order, &edges, &record.t)? })
+    }
+
+    fn between(order: usize, edges: &[f64], t: &[f64]) -> Result<Mesh, Error> {
         if !(2..=64).contains(&order) {
             return Err(Error::Option(format!("collocation order {order}: choose 2 (trapezoid) to 64")));
         }
-        let edges = edges(grid, t)?;
         let segments = edges.len() - 1;
         if segments.saturating_mul(order - 1) > MOST {
             return Err(Error::Option(format!(
@@ -132,7 +147,8 @@ impl Mesh {
         }
         times.push(edges[edges.len() - 1]);
         let n_mesh = times.len();
-        let mut mesh = Mesh { rule, segments, times, n_mesh, between: Vec::new(), sample_points: Vec::new() };
+        let (between, sample_points) = (Vec::new(), Vec::new());
+        let mut mesh = Mesh { rule, segments, times, n_mesh, between, sample_points, jumps: false };
         mesh.place_samples(t);
         // In time order, so that two samples at one point stand side by side.
         if let Some(i) = mesh.sample_points.windows(2).position(|w| w[0] == w[1]) {
@@ -186,6 +202,22 @@ impl Mesh {
 
 /// Most points of the mesh, segments or steps of a record: their states alone take gigabytes.
 pub(crate) const MOST: usize = 10_000_000;
+/// The same segments, divided where one of these times (in order) lies within.
+pub(crate) fn divided(edges: Vec<f64>, at: &[f64]) -> Vec<f64> {
+    let mut out = Vec::with_capacity(edges.len() + at.len());
+    for w in edges.windows(2) {
+        let slack = SAME * (w[1] - w[0]);
+        out.push(w[0]);
+        let first = at.partition_point(|t| *t <= w[0] + slack);
+        for &t in at[first..].iter().take_while(|t| **t < w[1] - slack) {
+            if t > out[out.len() - 1] + slack {
+                out.push(t);
+            }
+        }
+    }
+    out.extend(edges.last());
+    out
+}
 
 /// Ends of the segments of a division.
 pub(crate) fn edges(grid: &Grid, t: &[f64]) -> Result<Vec<f64>, Error> {

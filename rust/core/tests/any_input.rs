@@ -64,9 +64,19 @@ fn times(n: usize) -> impl Strategy<Value = Vec<f64>> {
     ]
 }
 
+fn interpolation() -> impl Strategy<Value = Interpolation> {
+    prop::sample::select(vec![Interpolation::Linear, Interpolation::Cubic, Interpolation::Hold])
+}
+
 fn record() -> impl Strategy<Value = Experiment> {
-    let signal = (times(5), channel(5), number(), 0..4usize);
-    let signal = signal.prop_map(|(t, values, delay, derivative)| Signal { t, values, delay, derivative });
+    let signal = (times(5), channel(5), number(), 0..4usize, prop::option::of(interpolation()));
+    let signal = signal.prop_map(|(t, values, delay, derivative, interpolation)| Signal {
+        t,
+        values,
+        delay,
+        derivative,
+        interpolation,
+    });
     let parts = |n| {
         let outputs = prop_oneof![9 => prop::collection::vec(channel(n), 2), 1 => prop::collection::vec(channel(n), 0..4)];
         let inputs = prop_oneof![9 => prop::collection::vec(channel(n), 1), 1 => prop::collection::vec(channel(n), 0..3)];
@@ -75,10 +85,14 @@ fn record() -> impl Strategy<Value = Experiment> {
     let size = prop_oneof![9 => 4..16usize, 1 => 0..4usize];
     let signals =
         prop_oneof![4 => Just(Vec::new()), 1 => prop::collection::vec(prop::option::of(signal), 0..3)];
-    (size.prop_flat_map(parts), any::<bool>(), signals, "[a-f]").prop_map(
-        |((t, inputs, outputs), cubic, signals, name)| {
-            let interpolation = if cubic { Interpolation::Cubic } else { Interpolation::Linear };
-            Experiment { name, t, inputs, outputs, interpolation, signals }
+    (size.prop_flat_map(parts), interpolation(), signals, "[a-f]").prop_map(
+        |((t, inputs, outputs), interpolation, signals, name)| Experiment {
+            name,
+            t,
+            inputs,
+            outputs,
+            interpolation,
+            signals,
         },
     )
 }

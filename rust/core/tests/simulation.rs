@@ -60,6 +60,7 @@ fn inputs_keep_their_own_samples() {
         values: vec![0.0, 0.0, 1.0, 1.0],
         delay: 0.0,
         derivative: 0,
+        interpolation: None,
     };
     run.signals = vec![Some(signal)];
     let path = Simulation::new(&model, &run)
@@ -150,7 +151,8 @@ fn what_cannot_be_simulated_is_named() {
     // Finite until it is no more: x grows by e^100 a second.
     assert_error(with(-0.01).initial("x", 1e300), &["'run'", "ends at t ="]);
     let mut rate = run.clone();
-    rate.signals = vec![Some(Signal { t: run.t.clone(), values: vec![0.0; 5], delay: 0.0, derivative: 1 })];
+    let (t, values) = (run.t.clone(), vec![0.0; 5]);
+    rate.signals = vec![Some(Signal { t, values, delay: 0.0, derivative: 1, interpolation: None })];
     assert_error(
         Simulation::new(&model, &rate).parameter("tau", 1.0).parameter("b", 0.0),
         &["'u' is a derivative"],

@@ -24,7 +24,7 @@ impl PyCollocation {
         divisions: Vec<GridSpec>,
         threads: usize,
     ) -> PyResult<PyClassInitializer<Self>> {
-        let records: Vec<_> = experiments.into_iter().map(experiment).collect();
+        let records: Vec<_> = experiments.into_iter().map(experiment).collect::<PyResult<_>>()?;
         let settings =
             Settings { order, grid: grids(divisions)?, threads, noise_per_experiment: noise.per_experiment };
         let (model, noise) = (&model.0, noise.noise.clone());

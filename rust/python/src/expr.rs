@@ -452,10 +452,8 @@ impl PyTable {
     }
 }
 
-/// Values of sampled channels at other times: `kind` is "linear" or "cubic".
+/// Values of a sampled channel at other times: `kind` is "linear", "cubic" or "hold".
 #[pyfunction]
-pub fn interpolate(kind: &str, t: Vec<f64>, values: Vec<f64>, at: Vec<f64>) -> Vec<f64> {
-    use phugoid::interpolate::{Interpolation, interpolate};
-    let kind = if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear };
-    interpolate(kind, &t, &values, &at)
+pub fn interpolate(kind: &str, t: Vec<f64>, values: Vec<f64>, at: Vec<f64>) -> PyResult<Vec<f64>> {
+    Ok(phugoid::interpolate::interpolate(crate::problem::interpolation(kind)?, &t, &values, &at))
 }

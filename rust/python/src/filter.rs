@@ -67,7 +67,7 @@ impl PyFilter {
         terms: usize,
         initial: Vec<Option<(f64, f64)>>,
     ) -> PyResult<Self> {
-        let records: Vec<_> = experiments.into_iter().map(experiment).collect();
+        let records: Vec<_> = experiments.into_iter().map(experiment).collect::<PyResult<_>>()?;
         let noise = Noise::Gaussian(sigmas.into_iter().map(sigma).collect());
         let settings = Settings { states, substeps, terms, initial };
         let model = &model.0;

@@ -38,5 +38,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(expr::load_expression, m)?)?;
     m.add_function(wrap_pyfunction!(expr::lgl, m)?)?;
     m.add_function(wrap_pyfunction!(expr::interpolate, m)?)?;
+    m.add_function(wrap_pyfunction!(problem::gaps, m)?)?;
+    m.add_function(wrap_pyfunction!(problem::gap_warnings, m)?)?;
     Ok(())
 }

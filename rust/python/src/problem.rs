@@ -14,13 +14,14 @@ use crate::errors::named;
 /// An input sampled at times of its own: times, samples, delay, derivative.
 type SignalSpec<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, f64, usize);
 
-/// A record as Python hands it over: name, times, inputs, outputs, interpolation, signals in place of inputs.
+/// A record as Python hands it over: name, times, inputs, outputs, how each input behaves between samples, signals in
+/// place of inputs.
 pub type Record<'py> = (
     String,
     PyReadonlyArray1<'py, f64>,
     Vec<PyReadonlyArray1<'py, f64>>,
     Vec<PyReadonlyArray1<'py, f64>>,
-    String,
+    Vec<String>,
     Vec<Option<SignalSpec<'py>>>,
 );
 
@@ -64,19 +65,47 @@ fn grid((kind, n, edges): GridSpec) -> PyResult<Grid> {
 }
 
 fn signal((t, values, delay, derivative): &SignalSpec<'_>) -> Signal {
-    Signal { t: vector(t), values: vector(values), delay: *delay, derivative: *derivative }
+    let (t, values) = (vector(t), vector(values));
+    Signal { t, values, delay: *delay, derivative: *derivative, interpolation: None }
+}
+
+/// How an input behaves between its samples.
+pub fn interpolation(kind: &str) -> PyResult<Interpolation> {
+    match kind {
+        "linear" => Ok(Interpolation::Linear),
+        "cubic" => Ok(Interpolation::Cubic),
+        "hold" => Ok(Interpolation::Hold),
+        _ => Err(PyValueError::new_err(format!("unknown interpolation '{kind}'"))),
+    }
 }
 
 /// A record of the core.
-pub fn experiment((name, t, inputs, outputs, kind, signals): Record<'_>) -> Experiment {
-    Experiment {
-        name,
-        t: vector(&t),
-        inputs: inputs.iter().map(vector).collect(),
-        outputs: outputs.iter().map(vector).collect(),
-        interpolation: if kind == "cubic" { Interpolation::Cubic } else { Interpolation::Linear },
-        signals: signals.iter().map(|s| s.as_ref().map(signal)).collect(),
+pub fn experiment((name, t, inputs, outputs, kinds, signals): Record<'_>) -> PyResult<Experiment> {
+    let kinds: Vec<Interpolation> = kinds.iter().map(|k| interpolation(k)).collect::<PyResult<_>>()?;
+    let (t, inputs): (Vec<f64>, Vec<Vec<f64>>) = (vector(&t), inputs.iter().map(vector).collect());
+    let common = kinds.first().copied().unwrap_or(Interpolation::Linear);
+    let mut own: Vec<Option<Signal>> = signals.iter().map(|s| s.as_ref().map(signal)).collect();
+    for ((own, kind), values) in own.iter_mut().zip(&kinds).zip(&inputs).filter(|((_, k), _)| **k != common) {
+        let (t, values) = (t.clone(), values.clone());
+        let as_sampled = || Signal { t, values, delay: 0.0, derivative: 0, interpolation: None };
+        own.get_or_insert_with(as_sampled).interpolation = Some(*kind);
     }
+    let outputs = outputs.iter().map(vector).collect();
+    Ok(Experiment { name, t, inputs, outputs, interpolation: common, signals: own })
+}
+
+/// Numbers of the intervals between sample times that are gaps: longer than ten times those beside them.
+#[pyfunction]
+pub fn gaps(t: Vec<f64>) -> Vec<usize> {
+    phugoid::gaps::gaps(&t)
+}
+
+/// Warnings about gaps of records over which inputs of these names move, one for each record.
+#[pyfunction]
+pub fn gap_warnings(inputs: Vec<String>, experiments: Vec<Record<'_>>) -> PyResult<Vec<String>> {
+    let records: Vec<Experiment> = experiments.into_iter().map(experiment).collect::<PyResult<_>>()?;
+    let names: Vec<&str> = inputs.iter().map(String::as_str).collect();
+    Ok(phugoid::gaps::gap_warnings(&names, &records))
 }
 
 impl PyProblem {

@@ -30,7 +30,7 @@ impl PyShooting {
         steps: StepSpec,
         threads: usize,
     ) -> PyResult<PyClassInitializer<Self>> {
-        let records: Vec<_> = experiments.into_iter().map(experiment).collect();
+        let records: Vec<_> = experiments.into_iter().map(experiment).collect::<PyResult<_>>()?;
         let unknown = |what: &str| PyValueError::new_err(format!("unknown {what}"));
         let integrator = Integrator::from_name(integrator).ok_or_else(|| unknown("integrator"))?;
         let steps = match steps.0.as_str() {

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ... import _core
 from ...data.experiment import Experiment
+from ...data.interpolation import interpolated, kinds_for
 from ...errors import EvaluationError
 from ...estimation.estimate import estimate
 from ...guess import spread
@@ -40,9 +41,9 @@ def dataset(fit: Fit) -> Sequence[Experiment]:
     if fit.experiments:
         return fit.experiments
     return [
-        Experiment(
-            r.t, dict(r.inputs), dict(r.measured), r.name, "cubic" if r.interpolation == "cubic" else "linear"
-        )._sampled({name: (*own, 0.0, 0) for name, own in r.input_samples.items()}, None)
+        Experiment(r.t, dict(r.inputs), dict(r.measured), r.name, kinds_for(r.interpolation, r.inputs))._sampled(
+            {name: (*own, 0.0, 0) for name, own in r.input_samples.items()}, None
+        )
         for r in fit.records
     ]
 
@@ -146,24 +147,35 @@ class Linearised:
             found = derivatives(theta, columns)
             if not all(np.isfinite(part).all() for part in (found.f, found.g, found.by_state, found.by_parameter)):
                 raise EvaluationError(f"diagnose: the model is not finite along the path of '{experiment.name}'")
+            at = place_of[problem.sample_points(e)]
+            seen = derivatives(theta, self._at_samples(experiment, columns[:, at]))
             for of, name in late.items():  # what acts on an input, acts on it late
                 by_place, inputs = found.by_place, [n for n, _ in model._core.inputs]
-                (f, g), (more_f, more_g) = by_place[Place("input", of)], by_place[Place("input", name)]
-                by_place[Place("input", of)] = f + more_f, g + more_g
+                for each in (by_place, seen.by_place):
+                    (f, g), (more_f, more_g) = each[Place("input", of)], each[Place("input", name)]
+                    each[Place("input", of)] = f + more_f, g + more_g
                 columns[1 + inputs.index(of)] = columns[1 + inputs.index(name)]
-            at = place_of[problem.sample_points(e)]
             mesh = place_of[: record[e].mesh_t.size]
             self.sample_points.append(at)
             self._places.append(place_of)
-            self._by_state.append(found.by_state[:, :, at])
+            self._by_state.append(seen.by_state)
             by_variable = np.zeros((len(model.output_names), n_theta, at.size))
             for i, ((_, p, own), (_, slope)) in enumerate(zip(problem.estimands, values, strict=True)):
                 if own is None or own == e:
-                    by_variable[:, i] = slope * found.by_parameter[:, p, at]
+                    by_variable[:, i] = slope * seen.by_parameter[:, p]
             self._by_variable.append(by_variable)
             self._slopes.append({place: f[:, mesh] for place, (f, _) in found.by_place.items()})
-            self._direct.append({place: g[:, at] for place, (_, g) in found.by_place.items()})
+            self._direct.append({place: g for place, (_, g) in seen.by_place.items()})
             self.points.append(self._points(experiment.name, columns, found))
+
+    def _at_samples(self, experiment: Experiment, columns: _Array) -> _Array:
+        """Columns at the samples, with inputs that are held as the outputs see them: from the sample's time on."""
+        columns = columns.copy()
+        for row, (name, _) in enumerate(self.model._core.inputs, start=1):
+            own, values, delay, order = experiment.signal(name) or (experiment.t, experiment.input(name), 0.0, 0)
+            if experiment.interpolation_of(name) == "hold" and order == 0:
+                columns[row] = interpolated("hold", own, values, columns[0] - delay)
+        return columns
 
     def _points(self, name: str, columns: _Array, found: Any) -> Points:
         """The path at all points; slopes of inputs and outputs by differences along time."""

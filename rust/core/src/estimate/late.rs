@@ -213,11 +213,9 @@ fn moved(
             None => (whole.name.as_str(), 0.0),
         };
         let place = measured.iter().position(|n| *n == of).expect("a late input is one of the model's");
-        let (own_t, values, already) = match run.signals.get(place) {
-            Some(Some(s)) => (s.t.clone(), s.values.clone(), s.delay),
-            _ => (run.t.clone(), run.inputs[place].clone(), 0.0),
-        };
-        signals.push(Some(Signal { t: own_t, values, delay: already + delay, derivative }));
+        let own = run.signal(place);
+        let (delay, interpolation) = (own.delay + delay, Some(run.kind(place)));
+        signals.push(Some(Signal { delay, derivative, interpolation, ..own }));
     }
     let at = |s: &Option<Signal>| s.as_ref().map_or_else(Vec::new, |s| s.at(run.interpolation, &t));
     Ok(Experiment {

@@ -4,6 +4,7 @@ use super::fit::{Bound, Estimate, Fit, Record};
 use super::judge::{NOT_FEASIBLE, confounded, feasible, judge, large_defects, unlike_noise};
 use crate::diagnosis::information;
 use crate::experiment::Experiment;
+use crate::gaps::gap_warnings;
 use crate::model::{Model, Variable};
 use crate::noise::{Reported, SIGMA};
 use crate::solver::Solution;
@@ -99,6 +100,9 @@ impl Fit {
         if feasible {
             warnings.extend(large_defects(model, problem, xi));
         }
+        let inputs: Vec<&str> = model.inputs.iter().map(|v| v.name.as_str()).collect();
+        warnings.extend(gap_warnings(&inputs, experiments));
+
         let record = |e: usize| record(model, &experiments[e], problem, xi, &errors, e);
         let records: Vec<Record> = (0..experiments.len()).map(record).collect();
         let of_model = held.iter().filter(|&&i| i < n_model).count();

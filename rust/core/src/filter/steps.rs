@@ -1,6 +1,6 @@
 //! Steps of the classical Runge-Kutta method of order 4 over the intervals between samples, in lanes.
 
-use super::block::{Block, Loaded, data_columns};
+use super::block::{Block, Loaded};
 use super::noises::legendre;
 use crate::experiment::Experiment;
 use crate::tape::Workspace;
@@ -14,7 +14,8 @@ pub(super) const REACH: [f64; 4] = [0.0, 0.5, 0.5, 1.0];
 pub(super) struct Intervals {
     /// Lengths, s.
     pub(super) h: Vec<f64>,
-    /// Time, inputs, and the polynomials of the noise over √h: [node][column][interval], 2 substeps + 1 nodes.
+    /// Time, inputs, and the polynomials of the noise over √h: [node][column][interval], three nodes a substep. An
+    /// input that is held and jumps inside a substep is its mean there.
     nodes: Vec<Vec<Vec<f64>>>,
     substeps: usize,
 }
@@ -24,24 +25,31 @@ impl Intervals {
         let t = &experiment.t;
         let pairs = || t.windows(2);
         let share = |node: usize| node as f64 / (2 * substeps) as f64;
-        let at = |node: usize| {
-            let time =
-                |w: &[f64]| if node == 2 * substeps { w[1] } else { w[0] + share(node) * (w[1] - w[0]) };
-            let mut columns = data_columns(experiment, pairs().map(time).collect());
+        let time = |w: &[f64], node: usize| {
+            if node == 2 * substeps { w[1] } else { w[0] + share(node) * (w[1] - w[0]) }
+        };
+        let at = |of_step: usize| {
+            let (substep, node) = (of_step / 3, 2 * (of_step / 3) + of_step % 3);
+            let spans: Vec<[f64; 2]> =
+                pairs().map(|w| [time(w, 2 * substep), time(w, 2 * substep + 2)]).collect();
+            let times: Vec<f64> = pairs().map(|w| time(w, node)).collect();
+            let inputs = (0..experiment.inputs.len()).map(|c| experiment.input_over(c, &times, &spans));
+            let inputs: Vec<Vec<f64>> = inputs.collect();
+            let mut columns = [vec![times], inputs].concat();
             let scaled = |value: f64| pairs().map(|w| value / (w[1] - w[0]).sqrt()).collect();
             columns.extend(legendre(share(node), terms).into_iter().map(scaled));
             columns
         };
         Intervals {
             h: pairs().map(|w| w[1] - w[0]).collect(),
-            nodes: (0..=2 * substeps).map(at).collect(),
+            nodes: (0..3 * substeps).map(at).collect(),
             substeps,
         }
     }
 
     /// Data of the four stages of a substep.
     pub(super) fn stages(&self, block: &Block, substep: usize) -> [Vec<f64>; 4] {
-        [0, 1, 1, 2].map(|node| block.cut(&self.nodes[2 * substep + node]))
+        [0, 1, 1, 2].map(|node| block.cut(&self.nodes[3 * substep + node]))
     }
 
     /// Length of a substep on each lane.

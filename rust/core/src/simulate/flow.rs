@@ -6,7 +6,7 @@ use super::path::Path;
 use crate::error::Error;
 use crate::evaluator::Evaluator;
 use crate::experiment::Experiment;
-use crate::interpolate::Interpolant;
+use crate::interpolate::{Interpolant, Interpolation};
 use crate::model::Model;
 
 /// Times closer than this part of the shortest sampling interval are the same.
@@ -35,6 +35,7 @@ const ERROR: [f64; 7] =
 struct Input<'a> {
     name: &'a str,
     signal: Interpolant<'a>,
+    held: bool,
     delay: f64,
 }
 
@@ -47,7 +48,7 @@ pub(super) struct Flow<'a> {
     inputs: Vec<Input<'a>>,
     /// By how much each output is late, s.
     late: Vec<f64>,
-    /// Where inputs bend or an output is taken.
+    /// Where inputs bend or jump or an output is taken.
     knots: Vec<f64>,
     same: f64,
 }
@@ -81,11 +82,9 @@ impl<'a> Flow<'a> {
             };
             let delay = delay + already;
             knots.extend(t.iter().map(|t| t + delay));
-            inputs.push(Input {
-                name: &input.name,
-                signal: Interpolant::new(run.interpolation, t, u),
-                delay,
-            });
+            let kind = run.kind(place);
+            let held = kind == Interpolation::Hold;
+            inputs.push(Input { name: &input.name, signal: Interpolant::new(kind, t, u), held, delay });
         }
         for by in late.iter().filter(|by| **by != 0.0) {
             knots.extend(run.t.iter().map(|t| t - by));
@@ -109,21 +108,25 @@ impl<'a> Flow<'a> {
         Ok(Flow { model, run, parameters, evaluator, inputs, late, knots: kept, same })
     }
 
-    /// Time, inputs and states at a point.
-    fn point(&self, t: f64, x: &[f64]) -> Vec<f64> {
-        let inputs = self.inputs.iter().map(|input| input.signal.at(t - input.delay));
-        [t].into_iter().chain(inputs).chain(x.iter().copied()).collect()
+    /// Time, inputs and states at a point, of an interval between knots where one is given: an input that is held is
+    /// there what it is inside.
+    fn point(&self, t: f64, interval: Option<(f64, f64)>, x: &[f64]) -> Vec<f64> {
+        let value = |input: &Input<'_>| match interval {
+            Some((begin, end)) if input.held => input.signal.over(begin - input.delay, end - input.delay),
+            _ => input.signal.at(t - input.delay),
+        };
+        [t].into_iter().chain(self.inputs.iter().map(value)).chain(x.iter().copied()).collect()
     }
 
-    fn slope(&self, t: f64, x: &[f64]) -> Vec<f64> {
-        let point = self.point(t, x);
+    fn slope(&self, t: f64, interval: (f64, f64), x: &[f64]) -> Vec<f64> {
+        let point = self.point(t, Some(interval), x);
         let columns: Vec<&[f64]> = point.iter().map(std::slice::from_ref).collect();
         let slopes = self.evaluator.dynamics(self.parameters, &columns);
         slopes.expect("a point has all columns").into_iter().flatten().collect()
     }
 
     fn outputs(&self, t: f64, x: &[f64]) -> Vec<f64> {
-        let point = self.point(t, x);
+        let point = self.point(t, None, x);
         let columns: Vec<&[f64]> = point.iter().map(std::slice::from_ref).collect();
         let outputs = self.evaluator.outputs(self.parameters, &columns);
         outputs.expect("a point has all columns").into_iter().flatten().collect()
@@ -188,9 +191,10 @@ impl<'a> Flow<'a> {
         absolute: &[f64],
     ) -> Result<Vec<f64>, Error> {
         let (mut t, mut x) = (begin, x.to_vec());
-        let mut slope = self.slope(t, &x);
+        let within = (begin, end);
+        let mut slope = self.slope(t, within, &x);
         if slope.iter().any(|v| !v.is_finite()) {
-            return Err(self.failure(t, &x, &slope));
+            return Err(self.failure(t, within, &x, &slope));
         }
         for _ in 0..STEPS {
             let left = end - t;
@@ -205,7 +209,7 @@ impl<'a> Flow<'a> {
                 }
                 // At its end an interval has the input of the next knot, to the bit.
                 let at = if last && C[stage] == 1.0 { end } else { t + C[stage] * h };
-                k.push(self.slope(at, &next));
+                k.push(self.slope(at, within, &next));
             }
             let error = (0..x.len()).map(|i| {
                 let error: f64 = h * ERROR.iter().zip(&k).map(|(e, k)| e * k[i]).sum::<f64>();
@@ -226,14 +230,14 @@ impl<'a> Flow<'a> {
             }
             *step = if sound { h * (0.9 * error.powf(-0.2)).max(0.1) } else { 0.1 * h };
             if t + *step <= t || *step < 1e-14 * (end - begin) {
-                return Err(self.failure(t, &x, &self.slope(t + h, &next)));
+                return Err(self.failure(t, within, &x, &self.slope(t + h, within, &next)));
             }
         }
-        Err(self.failure(t, &x, &slope))
+        Err(self.failure(t, within, &x, &slope))
     }
 
     /// Why there is no solution from a time on.
-    fn failure(&self, t: f64, x: &[f64], slope: &[f64]) -> Error {
+    fn failure(&self, t: f64, interval: (f64, f64), x: &[f64], slope: &[f64]) -> Error {
         let text = format!(
             "experiment '{}': the simulation of '{}' ends at t = {t} s of {} s: ",
             self.run.name,
@@ -245,7 +249,7 @@ impl<'a> Flow<'a> {
                 "{text}the solution grows without limit; the model may be unstable with these parameters"
             ));
         };
-        let point = self.point(t, x);
+        let point = self.point(t, Some(interval), x);
         let inputs = self.inputs.iter().map(|input| input.name).zip(&point[1..]);
         let states = self.model.states.iter().map(|s| s.name.as_str()).zip(x);
         let place: Vec<String> = states.chain(inputs).map(|(name, v)| format!("{name} = {v}")).collect();

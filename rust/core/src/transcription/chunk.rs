@@ -4,6 +4,9 @@
 //! segment s. What a segment combines from its nodes then runs over contiguous lanes for all its
 //! segments at once, whatever the order of the rule. The end point of a chunk is the first of the
 //! next: it is evaluated in both, one point in about 64 more.
+//!
+//! Where inputs jump between segments ([`Mesh::jumps`]), f has two values at a point where two segments meet. Such a
+//! chunk has lanes for the last node of each segment too, lane(j, s) = j·S + s, and shares no lane with the next.
 
 use std::sync::Arc;
 
@@ -19,8 +22,10 @@ pub(super) struct Chunk {
     pub(super) h: Vec<f64>,
     /// Length of the segment before the first, where there is one in the experiment.
     pub(super) h_before: Option<f64>,
-    /// Whether the last segment ends the experiment.
+    /// Whether the last segment ends the experiment, or shares no lane with the next.
     pub(super) last: bool,
+    /// Whether the last node of a segment has lanes of its own.
+    pub(super) jumps: bool,
     /// Point of each lane, counted over all experiments. Spare lanes repeat a point.
     pub(super) points: Vec<u32>,
     /// First vector constraint.
@@ -60,8 +65,8 @@ pub fn segments_in_chunk(order: usize) -> usize {
 impl Chunk {
     /// Cuts the mesh of an experiment into chunks. `data` and the first entries are filled later.
     pub(super) fn cut(experiment: usize, mesh: &Mesh, layout: &Layout) -> Vec<Chunk> {
-        let k = mesh.rule.order() - 1;
-        let size = segments_in_chunk(mesh.rule.order());
+        let (k, jumps) = (mesh.rule.order() - 1, mesh.jumps);
+        let size = segments_in_chunk(mesh.rule.order() + usize::from(jumps));
         let (point0, row0) = (layout.first_point[experiment], layout.first_row(experiment));
         let mut chunks: Vec<Chunk> = Vec::new();
         let mut between = mesh.between.iter().peekable();
@@ -71,8 +76,9 @@ impl Chunk {
                 experiment,
                 rule: mesh.rule.clone(),
                 h: segments.iter().map(|s| s.h).collect(),
-                h_before: first.checked_sub(1).map(|p| mesh.segments[p].h),
-                last: first + n == mesh.segments.len(),
+                h_before: first.checked_sub(1).filter(|_| !jumps).map(|p| mesh.segments[p].h),
+                last: jumps || first + n == mesh.segments.len(),
+                jumps,
                 points: Vec::new(),
                 row: row0 + first * k,
                 between: Vec::new(),
@@ -82,8 +88,8 @@ impl Chunk {
                 jacobian_entries: 0,
                 hessian: 0,
             };
-            for j in 0..k {
-                for s in 0..=n {
+            for j in 0..k + usize::from(jumps) {
+                for s in 0..n + usize::from(!jumps) {
                     // Only node 0 has an (S+1)-th place: the end point.
                     let s = if j == 0 { s } else { s.min(n - 1) };
                     chunk.points.push((point0 + segments[0].point + s * k + j) as u32);
@@ -94,7 +100,7 @@ impl Chunk {
             while let Some(tie) = between.next_if(|b| b.segment < first + n) {
                 chunk.between.push(tied(tie, first, point0, row0));
             }
-            if let Some(before) = chunks.last() {
+            if let Some(before) = chunks.last().filter(|_| !jumps) {
                 let ties = before.between.iter().filter(|t| t.segment + 1 == before.segments());
                 chunk.between_before = ties.cloned().collect();
             }
@@ -113,10 +119,21 @@ impl Chunk {
         self.points.len()
     }
 
-    /// First lane of node j; lanes of the S segments follow. The last node is the next segment's first.
+    /// First lane of node j; lanes of the S segments follow. The last node is the next segment's first, unless inputs
+    /// jump between them.
     #[inline(always)]
     pub(super) fn lane(&self, j: usize) -> usize {
-        if j + 1 == self.rule.order() { 1 } else { j * (self.segments() + 1) }
+        match j + 1 == self.rule.order() {
+            _ if self.jumps => j * self.segments(),
+            true => 1,
+            false => j * (self.segments() + 1),
+        }
+    }
+
+    /// Segment of the chunk to which each lane belongs where inputs jump; spare lanes repeat the last.
+    pub(super) fn segment_of_lanes(&self) -> impl Iterator<Item = usize> + '_ {
+        let (n, last) = (self.segments(), self.segments() * self.rule.order() - 1);
+        (0..self.lanes()).map(move |lane| lane.min(last) % n)
     }
 
     /// C[j,k] and first lane of every node j: what constraint k combines.
@@ -127,10 +144,10 @@ impl Chunk {
 
     /// Runs of lanes whose points belong to this chunk: the end point belongs to the next one.
     pub(super) fn own(&self) -> impl Iterator<Item = std::ops::Range<usize>> + '_ {
-        let n = self.segments();
-        (0..self.rule.order() - 1).map(move |j| {
-            let start = j * (n + 1);
-            start..start + n + usize::from(j == 0 && self.last)
+        let (n, nodes) = (self.segments(), self.rule.order() - usize::from(!self.jumps));
+        (0..nodes).map(move |j| {
+            let start = self.lane(j);
+            start..start + n + usize::from(j == 0 && self.last && !self.jumps)
         })
     }
 

@@ -79,7 +79,8 @@ pub struct Collocation {
     pub layout: Layout,
     /// One mesh an experiment.
     pub meshes: Vec<Mesh>,
-    /// Inputs at all points of each experiment: `inputs[experiment][channel][point]`.
+    /// Inputs at all points of each experiment: `inputs[experiment][channel][point]`. Where an input jumps between
+    /// two segments, it is the mean of both sides.
     pub inputs: Vec<Vec<Vec<f64>>>,
     dynamics: Dynamics,
     chunks: Vec<Chunk>,
@@ -153,14 +154,31 @@ impl Collocation {
     /// Fills chunks and blocks of samples with data in the order of their lanes.
     fn place_data(&mut self) {
         for (e, (experiment, mesh)) in self.posed.experiments.iter().zip(&self.meshes).enumerate() {
-            let channels = 0..experiment.inputs.len();
-            let inputs: Vec<Vec<f64>> = channels.map(|c| experiment.input(c, &mesh.times)).collect();
-            let first = self.layout.first_point[e] as u32;
+            let channels = || 0..experiment.inputs.len();
+            let mut inputs: Vec<Vec<f64>> = channels().map(|c| experiment.input(c, &mesh.times)).collect();
+            let held: Vec<Option<Vec<f64>>> = channels().map(|c| held_values(experiment, c, mesh)).collect();
+            let first = self.layout.first_point[e];
+            let mut segment = 0;
             for mut chunk in Chunk::cut(e, mesh, &self.layout) {
-                for column in std::iter::once(&mesh.times).chain(&inputs) {
-                    chunk.data.extend(chunk.points.iter().map(|&p| column[(p - first) as usize]));
+                let at_points = |column: &[f64]| -> Vec<f64> {
+                    chunk.points.iter().map(|&p| column[p as usize - first]).collect()
+                };
+                let mut data = at_points(&mesh.times);
+                for (column, held) in inputs.iter().zip(&held) {
+                    match held {
+                        Some(of) => data.extend(chunk.segment_of_lanes().map(|s| of[segment + s])),
+                        None => data.extend(at_points(column)),
+                    }
                 }
+                chunk.data = data;
+                segment += chunk.segments();
                 self.chunks.push(chunk);
+            }
+            for (column, of) in inputs.iter_mut().zip(&held).filter_map(|(c, h)| Some((c, h.as_ref()?))) {
+                for (s, segment) in mesh.segments.iter().enumerate() {
+                    column[segment.point..segment.point + mesh.rule.order()].fill(of[s]);
+                    column[segment.point] = 0.5 * (of[s.saturating_sub(1)] + of[s]);
+                }
             }
             self.objective.add(&self.posed, &self.layout, e, &mesh.sample_points);
             self.inputs.push(inputs);
@@ -201,6 +219,11 @@ impl Collocation {
 
     fn dynamics_job<'a>(&'a self, chunk: &'a Chunk, xi: &'a [f64], uniforms: &'a [f64]) -> defects::Job<'a> {
         defects::Job { dynamics: &self.dynamics, layout: &self.layout, chunk, xi, uniforms }
+    }
+
+    /// The chunks of an experiment.
+    pub(super) fn chunks_of(&self, experiment: usize) -> impl Iterator<Item = &Chunk> {
+        self.chunks.iter().filter(move |c| c.experiment == experiment)
     }
 
     /// Whether anything is said of states at the last samples.
@@ -248,9 +271,20 @@ impl Collocation {
     }
 }
 
+/// The value of an input in each segment of a mesh; `None` for one that is not held between its samples.
+fn held_values(experiment: &Experiment, channel: usize, mesh: &Mesh) -> Option<Vec<f64>> {
+    if !experiment.is_held(channel) {
+        return None;
+    }
+    let begins: Vec<f64> = mesh.segments.iter().map(|s| s.t).collect();
+    let ends = begins[1..].iter().copied().chain([mesh.times[mesh.n_mesh - 1]]);
+    let spans: Vec<[f64; 2]> = begins.iter().copied().zip(ends).map(|(a, b)| [a, b]).collect();
+    Some(experiment.input_over(channel, &begins, &spans))
+}
+
 fn meshes(experiments: &[Experiment], settings: &Settings) -> Result<Vec<Mesh>, Error> {
     let grids = Grid::for_each(&settings.grid, experiments.len())?;
-    experiments.iter().zip(grids).map(|(x, grid)| Mesh::new(settings.order, grid, &x.t)).collect()
+    experiments.iter().zip(grids).map(|(x, grid)| Mesh::of(settings.order, grid, x)).collect()
 }
 
 impl Nlp for Collocation {

@@ -25,11 +25,33 @@ impl Collocation {
             .or_else(|| self.objective(xi).is_err().then(|| UNDERFLOW.into()))
     }
 
-    /// Values of all symbols at a point.
-    fn symbols_at(&self, xi: &[f64], e: usize, point: usize) -> HashMap<Arc<str>, f64> {
-        let inputs = self.inputs[e].iter().map(|channel| channel[point]);
+    /// Values of all symbols at a point, with these inputs.
+    fn symbols_at(&self, xi: &[f64], e: usize, point: usize, inputs: &[f64]) -> HashMap<Arc<str>, f64> {
         let x = self.layout.state(self.layout.first_point[e] + point);
+        let inputs = inputs.iter().copied();
         self.symbols(xi, e, self.meshes[e].times[point], inputs, &xi[x..x + self.layout.n_x])
+    }
+
+    /// Points of an experiment at which f is evaluated, with the inputs there: one where two segments meet has two
+    /// values of an input that jumps.
+    fn evaluated(&self, e: usize) -> Vec<(usize, Vec<f64>)> {
+        let first = self.layout.first_point[e];
+        let mut found = Vec::new();
+        for chunk in self.chunks_of(e) {
+            for lane in chunk.own().flatten() {
+                let inputs = chunk.data.chunks_exact(chunk.lanes()).skip(1).map(|column| column[lane]);
+                found.push((chunk.points[lane] as usize - first, inputs.collect()));
+            }
+        }
+        found.sort_by_key(|(point, _)| *point);
+        found
+    }
+
+    /// Points of the samples of an experiment, with the inputs there.
+    fn sampled(&self, e: usize) -> Vec<(usize, Vec<f64>)> {
+        let columns = self.posed.sample_columns(e);
+        let inputs = |k: usize| columns[1..].iter().take(self.inputs[e].len()).map(move |c| c[k]).collect();
+        self.meshes[e].sample_points.iter().enumerate().map(|(k, &point)| (point, inputs(k))).collect()
     }
 
     fn explain_variables(&self, xi: &[f64]) -> Option<String> {
@@ -40,8 +62,8 @@ impl Collocation {
     fn explain_dynamics(&self, xi: &[f64]) -> Option<String> {
         let f = &self.posed.f;
         for (e, mesh) in self.meshes.iter().enumerate() {
-            for (point, &t) in mesh.times[..mesh.n_mesh].iter().enumerate() {
-                let names = self.symbols_at(xi, e, point);
+            for (point, inputs) in self.evaluated(e) {
+                let (t, names) = (mesh.times[point], self.symbols_at(xi, e, point, &inputs));
                 for (root, state) in f.roots.iter().zip(&self.state_names) {
                     let what = format!("the equation of {state}' is");
                     if let Some(text) = self.describe(&what, f, &names, &[*root], e, t) {
@@ -54,9 +76,9 @@ impl Collocation {
     }
 
     fn explain_outputs(&self, xi: &[f64]) -> Option<String> {
-        for (e, (mesh, experiment)) in self.meshes.iter().zip(&self.experiments).enumerate() {
-            for (k, (&point, &t)) in mesh.sample_points.iter().zip(&experiment.t).enumerate() {
-                let names = self.symbols_at(xi, e, point);
+        for (e, experiment) in self.experiments.iter().enumerate() {
+            for (k, ((point, inputs), &t)) in self.sampled(e).into_iter().zip(&experiment.t).enumerate() {
+                let names = self.symbols_at(xi, e, point, &inputs);
                 // What an output is where nothing was measured does not matter.
                 let measured = |c: &usize| !experiment.outputs[*c][k].is_nan();
                 let roots: Vec<Id> =
@@ -96,9 +118,8 @@ impl Collocation {
             let function = Function { graph: Arc::new(graph), ..function.clone() };
             for (e, mesh) in self.meshes.iter().enumerate() {
                 // f is evaluated at mesh points, g at samples.
-                let mesh_points: Vec<usize> = (0..mesh.n_mesh).collect();
-                for &point in if is_output { &mesh.sample_points } else { &mesh_points } {
-                    let values = self.symbols_at(xi, e, point);
+                for (point, inputs) in if is_output { self.sampled(e) } else { self.evaluated(e) } {
+                    let values = self.symbols_at(xi, e, point, &inputs);
                     if trace(&function.graph, &ids, &values).is_none() {
                         continue;
                     }

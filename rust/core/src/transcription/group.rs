@@ -100,8 +100,12 @@ impl Group {
                     }
                 })
                 .collect();
+            // The step that each time belongs to; the end of the last to none.
+            let spans: Vec<[f64; 2]> = (0..times.len())
+                .map(|at| [0, 1].map(|end| ends(at % width, at / width / stages + end)))
+                .collect();
             let mut columns = vec![times.clone()];
-            columns.extend((0..experiment.inputs.len()).map(|c| experiment.input(c, &times)));
+            columns.extend((0..experiment.inputs.len()).map(|c| experiment.input_over(c, &times, &spans)));
             let mut data = Vec::with_capacity(columns.len() * times.len());
             for point in 0..=steps * stages {
                 columns.iter().for_each(|c| data.extend(&c[point * width..(point + 1) * width]));

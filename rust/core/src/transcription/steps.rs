@@ -2,9 +2,10 @@
 
 use crate::error::Error;
 use crate::experiment::Experiment;
-use crate::mesh::{Grid, MOST, edges};
+use crate::mesh::{Grid, MOST, divided, edges};
 
-/// How segments are divided into steps (Eq. multiple_shooting_mesh).
+/// How segments are divided into steps (Eq. multiple_shooting_mesh). In a record with inputs that are held between
+/// their samples, steps also end where these jump and at the samples.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Steps {
     /// From sample to sample, each interval in so many; they also end where a segment does.
@@ -62,7 +63,19 @@ impl Track {
                 experiment.name
             )));
         }
-        let segments: Vec<Vec<f64>> = edges.windows(2).map(|w| divide(w[0], w[1], steps, t)).collect();
+        let ends = if experiment.any_held() { experiment.jumps() } else { Vec::new() };
+        let segment = |w: &[f64]| {
+            let parts =
+                if experiment.any_held() { divided(divided(w.to_vec(), t), &ends) } else { w.to_vec() };
+            let share = |part: &[f64]| (part[1] - part[0]) / (w[1] - w[0]);
+            let mut out = Vec::new();
+            for part in parts.windows(2) {
+                out.pop();
+                out.extend(divide(part[0], part[1], share(part), steps, t));
+            }
+            out
+        };
+        let segments: Vec<Vec<f64>> = edges.windows(2).map(segment).collect();
         let mut samples = Vec::with_capacity(t.len());
         let (mut s, mut i) = (0, 0);
         for &time in t {
@@ -88,14 +101,14 @@ impl Track {
     }
 }
 
-/// Ends of steps from a to b.
-fn divide(a: f64, b: f64, steps: &Steps, t: &[f64]) -> Vec<f64> {
+/// Ends of steps from a to b, which is this share of a segment.
+fn divide(a: f64, b: f64, share: f64, steps: &Steps, t: &[f64]) -> Vec<f64> {
     let even = |from: f64, to: f64, n: usize, out: &mut Vec<f64>| {
         out.extend((0..n).map(|i| from + (to - from) * i as f64 / n as f64));
     };
     let mut out = Vec::new();
     match *steps {
-        Steps::Number(n) => even(a, b, n, &mut out),
+        Steps::Number(n) => even(a, b, ((n as f64 * share * (1.0 - SAME)).ceil() as usize).max(1), &mut out),
         Steps::Length(h) => even(a, b, ((b - a) / h * (1.0 - SAME)).ceil().max(1.0) as usize, &mut out),
         Steps::Samples(n) => {
             let near = SAME * (b - a);

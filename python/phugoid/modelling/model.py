@@ -11,7 +11,7 @@ from typing import Any
 
 from .. import _core
 from .._core import Expr
-from ..errors import DataError, ModelError, did_you_mean
+from ..errors import DataError, ModelError, did_you_mean, refuse_attribute
 from ..noise.kinds import PerOutput, noise_from_dict
 from ..noise.noise import KINDS, Gaussian, Noise, Sigma
 from ..parameters import Parameter
@@ -77,6 +77,10 @@ class Model:
         self._core = _core.Model(str(name))
         self._noise: Noise = Gaussian()
         self._delays = Delays()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        refuse_attribute(self, Model, name, value)
+        object.__setattr__(self, name, value)
 
     @property
     def name(self) -> str:

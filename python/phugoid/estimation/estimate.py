@@ -17,6 +17,7 @@ from ..errors import ModelError, OptionError
 from ..guess import check_names, measured_states, parameter_start, spread, state_start
 from ..interrupts import interrupts
 from ..modelling.model import Model
+from ..modelling.scaling import scalings
 from ..noise.noise import KINDS, Noise
 from ..process_noise.fit import better, doubtful, filter_error
 from ..process_noise.variables import split
@@ -138,9 +139,14 @@ def estimate(
     given: Mapping[str, Any] = _given(start, noise)
     check_names(model, given, experiments, noise.names(model.output_names))
     parameters = parameter_start(model, given)
+    # A scale that no output can tell would let the solver drift without end.
+    free = scalings(model._core, parameters)
+    held = {scaling.held: scaling.at for scaling in free}
+    posed, given = model._holding(held), {n: v for n, v in given.items() if n.partition("[")[0] not in held}
+    parameters |= held
     spreads = {name: spread(experiments, name) for name in model.output_names}
-    problem = transcription.problem(model, experiments, noise.resolve(model.output_names, spreads, given))
-    xi = starting_point(problem, model, experiments, parameters, given, warm)
+    problem = transcription.problem(posed, experiments, noise.resolve(model.output_names, spreads, given))
+    xi = starting_point(problem, posed, experiments, parameters, given, warm)
     known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
     with interrupts() as pressed:
         with Progress.of(progress, model.name) as watch:
@@ -150,7 +156,7 @@ def estimate(
         stopped = solution.status == "interrupted"
         # One more than ended the run.
         enough = max(pressed(), 1) + 1 if stopped else 1
-        fit = make_fit(model, experiments, noise, transcription, problem, solution, lambda: pressed() >= enough)
+        fit = make_fit(model, experiments, noise, transcription, problem, solution, free, lambda: pressed() >= enough)
         if pressed() and not stopped:  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
     return fit

@@ -12,6 +12,7 @@ from .. import _core
 from ..correlations import correlation_matrix
 from ..data.experiment import Experiment
 from ..modelling.model import Model
+from ..modelling.scaling import Scaling
 from ..noise.noise import Noise
 from ..parameters import Estimate, Estimates, Parameter
 from ..records import Record
@@ -46,9 +47,13 @@ def make_fit(
     transcription: Transcription,
     problem: _core.Problem,
     solution: Solution,
+    free: Sequence[Scaling] = (),
     stop: Callable[[], bool] | None = None,
 ) -> Fit:
-    """The fit at a solution; where ``stop`` says so, without standard errors, which take long in large problems."""
+    """The fit at a solution; where ``stop`` says so, without standard errors, which take long in large problems.
+
+    ``free`` are scalings that no output can tell, of which the solver held one parameter each.
+    """
     xi = solution.xi
     n_theta, n_x, n_model = problem.n_theta, len(model.state_names), len(problem.estimands)
     lower, upper = problem.bounds()
@@ -94,6 +99,7 @@ def make_fit(
         names = [name for name, *_ in problem.estimands]
         warnings += _confounded([*names, *problem.noise_parameters], cov)
 
+    status, message = _scaled(model, free, problem, firsts, (full, cov), (status, message), warnings)
     values = problem.values(xi[:n_model].tolist())
     parameters = _model_estimates(model, problem, values, full, active)
     slopes = np.ones(n_theta)
@@ -165,6 +171,30 @@ def _undetermined(names: Sequence[str]) -> str:
     if len(names) == 1:
         return f"{names[0]} has no influence on the outputs with these data: fix it, or give it a prior"
     return f"{', '.join(names)} cannot be told apart with these data: fix one of them, or give it a prior"
+
+
+def _scaled(
+    model: Model,
+    free: Sequence[Scaling],
+    problem: _core.Problem,
+    firsts: Sequence[int],
+    errors: tuple[_Array, _Array],
+    end: tuple[str, str],
+    warnings: list[str],
+) -> tuple[str, str]:
+    """Status and message where scales are free; what is scaled loses its standard errors."""
+    full, cov = errors
+    for scaling in free:
+        local = [i for i, (name, *_) in enumerate(problem.estimands) if name.partition("[")[0] in scaling.exponents]
+        full[local] = np.nan
+        cov[local], cov[:, local] = np.nan, np.nan
+        for first in firsts:
+            full[[first + i for i, name in enumerate(model.state_names) if name in scaling.exponents]] = np.nan
+        warnings.append(scaling.advice(model.state_names))
+    if not free or end[0] not in ("converged", "acceptable", "unidentifiable"):
+        return end
+    said = end[1] if end[0] == "unidentifiable" else HINTS["unidentifiable"]
+    return "unidentifiable", f"{said} ({'; '.join(', '.join(s.exponents) + ': one scale is free' for s in free)})"
 
 
 def _few_samples(

@@ -17,6 +17,7 @@ from ..noise.noise import KINDS, Gaussian, Noise, Sigma
 from ..parameters import Parameter
 from .declared import Declared
 from .delayed import Delays, at_delays
+from .rebuilt import rebuilt
 
 __all__ = ["Model"]
 
@@ -320,6 +321,17 @@ class Model:
         model._noise = noise_from_dict(saved.get("noise", {}))
         model._delays = Delays.from_dict(saved.get("delays", {}))
         return model
+
+    def _holding(self, values: Mapping[str, float]) -> Model:
+        """The model with some parameters fixed at these values."""
+        if not values:
+            return self
+
+        def declare(core: _core.Model, declared: Any) -> None:
+            name, unit, start, low, high, prior, fixed, *others = declared
+            core.parameter(name, unit, values.get(name, start), low, high, prior, fixed or name in values, *others)
+
+        return self._around(rebuilt(self._core, self._core.inputs, declare), self._delays)
 
     def _around(self, core: _core.Model, delays: Delays) -> Model:
         """A model with another core and the noise of this one."""

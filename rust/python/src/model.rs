@@ -114,6 +114,13 @@ impl PyModel {
         self.0.check().map_err(raise)
     }
 
+    /// Scalings that no output can tell: exponents by name, the parameter to hold, and where.
+    #[allow(clippy::type_complexity)]
+    fn scalings(&self, starts: Vec<f64>) -> PyResult<Vec<(Vec<(String, f64)>, String, f64)>> {
+        let found = self.0.scalings(&starts).map_err(raise)?;
+        Ok(found.into_iter().map(|s| (s.exponents, s.held, s.at)).collect())
+    }
+
     /// Names and units.
     #[getter]
     fn states(&self) -> Vec<(String, String)> {

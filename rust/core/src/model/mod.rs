@@ -6,6 +6,7 @@ mod check;
 mod compiled;
 mod delays;
 mod saved;
+mod scaling;
 
 use serde::{Deserialize, Serialize};
 
@@ -13,6 +14,7 @@ pub use crate::parameter::Parameter;
 pub use compiled::Compiled;
 pub(crate) use delays::rates;
 pub use delays::{Delays, LateInput, LateOutput};
+pub use scaling::Scaling;
 
 use crate::condition::{Condition, End};
 use crate::error::{Error, did_you_mean};

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,12 @@ from .data.experiment import Experiment
 from .errors import DataError, ModelError, did_you_mean
 from .modelling.model import Model
 
-__all__ = ["check_names", "measured_states", "parameter_start", "state_start"]
+__all__ = ["begun_elsewhere", "check_names", "declared_paths", "measured_states", "parameter_start", "state_start"]
 
 _Array = NDArray[np.float64]
+
+# Where states are tried of which nothing is known, if the model has no finite derivatives at 0.
+_ELSEWHERE = (1.0, 0.1, 10.0, -1.0)
 
 
 def check_names(
@@ -88,11 +91,13 @@ def state_start(
 ) -> _Array:
     """Starting states at mesh points, shape (n_x, points).
 
-    In order of preference: given in ``start`` (a number, or an array over the samples); measured; zero.
+    In order of preference: given in ``start`` (a number, or an array over the samples); measured; as declared (`State`,
+    `Model.initial`); zero. Within the bounds of the states.
     """
-    measured = measured_states(model, parameters)
+    measured, declared = measured_states(model, parameters), declared_paths(model, parameters)
     states = np.zeros((len(model.state_names), times.size))
-    for i, name in enumerate(model.state_names):
+    for i, (name, state) in enumerate(model.declared_states.items()):
+        states[i] = declared.get(name, 0.0)
         if name in start:
             states[i] = _given(name, start[name], experiment, times)
         elif name in measured:
@@ -101,7 +106,46 @@ def state_start(
             present = np.isfinite(z)
             values = (z[present] - a) / b
             states[i] = _core.interpolate("linear", experiment.t[present].tolist(), values.tolist(), times.tolist())
+        states[i] = np.clip(states[i], *state.bounds)
     return states
+
+
+def declared_paths(model: Model, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Where states start whose start is declared, or whose initial value follows from the parameters alone."""
+    found: dict[str, float] = {}
+    for end, name, e, _ in model._core.conditions:
+        if end == "initial" and set(e.symbols) <= set(parameters):
+            value = e.evaluate({n: parameters[n] for n in e.symbols})
+            if np.isfinite(value):
+                found[name] = value
+    return found | {name: s.start for name, s in model.declared_states.items() if s.start is not None}
+
+
+def begun_elsewhere(
+    model: Model, problem: _core.Problem, xi: _Array, parameters: Mapping[str, float], given: Collection[str]
+) -> _Array:
+    """The point ``xi`` with states of which nothing is known at a value at which the model has finite derivatives.
+
+    These states, neither given nor measured nor declared, start at 0, where a square root has no derivative. Returns
+    ``xi`` itself where that does no harm or nothing helps.
+    """
+    known = {*given, *measured_states(model, parameters), *declared_paths(model, parameters)}
+    unknown = [i for i, name in enumerate(model.state_names) if name not in known]
+    if not unknown or _finite(problem, xi):
+        return xi
+    bounds = list(model.declared_states.values())
+    for value in _ELSEWHERE:
+        trial = xi.copy()
+        for i in unknown:
+            trial[problem.n_theta + i :: len(bounds)] = np.clip(value, *bounds[i].bounds)
+        if _finite(problem, trial):
+            return trial
+    return xi
+
+
+def _finite(problem: _core.Problem, xi: _Array) -> bool:
+    finite = np.isfinite(problem.objective(xi)) and problem.constraints(xi) is not None
+    return bool(finite and problem.jacobian(xi) is not None and problem.gradient(xi) is not None)
 
 
 def _given(name: str, value: Any, experiment: Experiment, times: _Array) -> _Array:

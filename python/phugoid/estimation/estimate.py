@@ -14,7 +14,7 @@ from ..data.checked import moves
 from ..data.experiment import Experiment, as_experiments
 from ..data.unit_check import check_units
 from ..errors import ModelError, OptionError
-from ..guess import check_names, measured_states, parameter_start, spread, state_start
+from ..guess import begun_elsewhere, check_names, measured_states, parameter_start, spread, state_start
 from ..interrupts import interrupts
 from ..modelling.model import Model
 from ..modelling.scaling import scalings
@@ -52,8 +52,8 @@ def estimate(
     ``data``: one experiment or several with shared parameters. Initial states are free.
     ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number
     or one value a sample), or a fit to go on from, or the result of `equation_error`. Parameters not named start as
-    declared, standard deviations at the spread of the measurements, states as measured where an output measures them
-    and else at 0.
+    declared, standard deviations at the spread of the measurements, states as measured where an output measures them,
+    else as declared (`State`, `Model.initial`), else at 0, or at 1 where the model has no finite derivative at 0.
     ``transcription``: `Collocation`, `MultipleShooting` or `SingleShooting`, or `FilterError` where there is process
     noise, such as turbulence; the latter has a solver of its own.
     ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, or `PerExperiment` of these,
@@ -147,6 +147,8 @@ def estimate(
     spreads = {name: spread(experiments, name) for name in model.output_names}
     problem = transcription.problem(posed, experiments, noise.resolve(model.output_names, spreads, given))
     xi = starting_point(problem, posed, experiments, parameters, given, warm)
+    if warm is None:
+        xi = begun_elsewhere(model, problem, xi, parameters, given)
     known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
     with interrupts() as pressed:
         with Progress.of(progress, model.name) as watch:

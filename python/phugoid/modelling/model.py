@@ -18,6 +18,7 @@ from ..parameters import Parameter
 from .declared import Declared
 from .delayed import Delays, at_delays
 from .rebuilt import rebuilt
+from .state import State
 
 __all__ = ["Model"]
 
@@ -88,10 +89,14 @@ class Model:
         """Title."""
         return self._core.name
 
-    def states(self, *names: str, **units: str) -> tuple[Expr, ...]:
-        """Declares states, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
-        declared = _with_units("states", _declared("states", names, units))
-        return Declared(self._core.state(n, u) for n, u in declared.items())
+    def states(self, *names: str, **states: str | State) -> tuple[Expr, ...]:
+        """Declares states, ``name="unit"``, ``"a b c"``, or ``name=State("unit", start=..., bounds=...)``; returns
+        their symbols in order."""
+        declared = _declared("states", names, states)
+        plain = {name: value for name, value in declared.items() if not isinstance(value, State)}
+        whole = {name: State(unit) for name, unit in _with_units("states", plain).items()}
+        each = {name: whole.get(name, value) for name, value in declared.items()}
+        return Declared(self._core.state(name, s.unit, s.start, *s.bounds) for name, s in each.items())
 
     def inputs(self, *names: str, **units: str) -> tuple[Expr, ...]:
         """Declares inputs, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
@@ -268,6 +273,11 @@ class Model:
             name: Parameter(start, (low, high), unit, prior, fixed, local, "log" if log else None, scale)
             for name, unit, start, low, high, prior, fixed, local, log, scale in self._core.parameters
         }
+
+    @property
+    def declared_states(self) -> dict[str, State]:
+        """The states as declared."""
+        return {name: State(unit, start, (low, high)) for name, unit, start, low, high in self._core.declared_states}
 
     @property
     def units(self) -> dict[str, str]:

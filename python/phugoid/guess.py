@@ -14,12 +14,12 @@ from .data.experiment import Experiment
 from .errors import DataError, ModelError, did_you_mean
 from .modelling.model import Model
 
-__all__ = ["begun_elsewhere", "check_names", "declared_paths", "measured_states", "parameter_start", "state_start"]
+__all__ = ["check_names", "declared_paths", "further_starts", "measured_states", "parameter_start", "state_start"]
 
 _Array = NDArray[np.float64]
 
 # Where states are tried of which nothing is known, if the model has no finite derivatives at 0.
-_ELSEWHERE = (1.0, 0.1, 10.0, -1.0)
+_ELSEWHERE = (1.0, 10.0, 0.1, -1.0)
 
 
 def check_names(
@@ -121,26 +121,29 @@ def declared_paths(model: Model, parameters: Mapping[str, float]) -> dict[str, f
     return found | {name: s.start for name, s in model.declared_states.items() if s.start is not None}
 
 
-def begun_elsewhere(
+def further_starts(
     model: Model, problem: _core.Problem, xi: _Array, parameters: Mapping[str, float], given: Collection[str]
-) -> _Array:
-    """The point ``xi`` with states of which nothing is known at a value at which the model has finite derivatives.
+) -> list[_Array]:
+    """The points to start from instead of ``xi``, where that makes no sense.
 
-    These states, neither given nor measured nor declared, start at 0, where a square root has no derivative. Returns
-    ``xi`` itself where that does no harm or nothing helps.
+    States that are neither given nor measured nor declared start at 0, where a square root has no derivative, and which
+    may be outside their bounds. Here they start at each of a few values at which all is finite. Empty where ``xi`` does,
+    or where nothing helps.
     """
     known = {*given, *measured_states(model, parameters), *declared_paths(model, parameters)}
     unknown = [i for i, name in enumerate(model.state_names) if name not in known]
-    if not unknown or _finite(problem, xi):
-        return xi
     bounds = list(model.declared_states.values())
+    inside = all(bounds[i].bounds[0] < 0 < bounds[i].bounds[1] for i in unknown)
+    if not unknown or (inside and _finite(problem, xi)):
+        return []
+    found: list[_Array] = []
     for value in _ELSEWHERE:
         trial = xi.copy()
         for i in unknown:
             trial[problem.n_theta + i :: len(bounds)] = np.clip(value, *bounds[i].bounds)
-        if _finite(problem, trial):
-            return trial
-    return xi
+        if _finite(problem, trial) and not any(np.array_equal(trial, other) for other in found):
+            found.append(trial)
+    return found
 
 
 def _finite(problem: _core.Problem, xi: _Array) -> bool:

@@ -13,8 +13,8 @@ from .. import _core
 from ..data.checked import moves
 from ..data.experiment import Experiment, as_experiments
 from ..data.unit_check import check_units
-from ..errors import ModelError, OptionError
-from ..guess import begun_elsewhere, check_names, measured_states, parameter_start, spread, state_start
+from ..errors import EvaluationError, ModelError, OptionError
+from ..guess import check_names, further_starts, measured_states, parameter_start, spread, state_start
 from ..interrupts import interrupts
 from ..modelling.model import Model
 from ..modelling.scaling import scalings
@@ -35,6 +35,9 @@ from .refine import refined
 __all__ = ["estimate"]
 
 _Array = NDArray[np.float64]
+
+# How a run ends at an optimum.
+_ENDS = ("converged", "acceptable", "unidentifiable")
 
 
 def estimate(
@@ -147,14 +150,24 @@ def estimate(
     spreads = {name: spread(experiments, name) for name in model.output_names}
     problem = transcription.problem(posed, experiments, noise.resolve(model.output_names, spreads, given))
     xi = starting_point(problem, posed, experiments, parameters, given, warm)
-    if warm is None:
-        xi = begun_elsewhere(model, problem, xi, parameters, given)
+    starts = [] if warm else further_starts(model, problem, xi, parameters, given)
+    if starts and not collocated:
+        # A path that follows the measurements is found by collocation; an integration from poor values is none.
+        first = estimate(model, experiments, noise=noise, start=given, progress=progress)
+        if first.status in _ENDS:
+            options: dict[str, Any] = {"noise": noise, "start": first, "progress": progress}
+            fit = estimate(model, experiments, transcription=transcription, solver=solver, **options)
+            return replace(fit, iterations=first.iterations + fit.iterations, time=first.time + fit.time)
     known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
     with interrupts() as pressed:
         with Progress.of(progress, model.name) as watch:
             before = _warm(warm, transcription, problem, xi)
             near = isinstance(start, Fit)
-            solution = solver.solve(problem, xi, before, _until(pressed, watch), states_known=known, near=near)
+
+            def solve(xi: _Array) -> Solution:
+                return solver.solve(problem, xi, before, _until(pressed, watch), states_known=known, near=near)
+
+            solution = solve(xi) if not starts else _best(problem, starts, solve)
         stopped = solution.status == "interrupted"
         # One more than ended the run.
         enough = max(pressed(), 1) + 1 if stopped else 1
@@ -162,6 +175,24 @@ def estimate(
         if pressed() and not stopped:  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
     return fit
+
+
+def _best(problem: _core.Problem, starts: Sequence[_Array], solve: Callable[[_Array], Solution]) -> Solution:
+    """The best of the solutions from several points: at an end if possible, and of the greatest likelihood."""
+    found: list[Solution] = []
+    for xi in starts:
+        try:
+            found.append(solve(xi))
+        except EvaluationError:
+            if len(found) == 0 and xi is starts[-1]:
+                raise
+            continue
+        if found[-1].status == "interrupted":
+            break
+    best = min(found, key=lambda s: (s.status not in _ENDS, problem.objective(s.xi)))
+    if found[-1].status == "interrupted":
+        best = replace(best, status="interrupted", message=found[-1].message)
+    return replace(best, iterations=sum(s.iterations for s in found), time=sum(s.time for s in found))
 
 
 def _until(pressed: Callable[[], int], watch: Callable[[Iteration], None] | None) -> Callable[[Iteration], None]:

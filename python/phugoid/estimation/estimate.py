@@ -164,7 +164,7 @@ def estimate(
             before = _warm(warm, transcription, problem, xi)
             near = isinstance(start, Fit)
 
-            def solve(xi: _Array) -> Solution:
+            def solve(xi: _Array, known: bool = known) -> Solution:
                 return solver.solve(problem, xi, before, _until(pressed, watch), states_known=known, near=near)
 
             solution = solve(xi) if not starts else _best(problem, starts, solve)
@@ -177,17 +177,23 @@ def estimate(
     return fit
 
 
-def _best(problem: _core.Problem, starts: Sequence[_Array], solve: Callable[[_Array], Solution]) -> Solution:
-    """The best of the solutions from several points: at an end if possible, and of the greatest likelihood."""
+def _best(problem: _core.Problem, starts: Sequence[_Array], solve: Callable[..., Solution]) -> Solution:
+    """The best of the solutions from several points: at an end if possible, and of the greatest likelihood.
+
+    Where none of them is at an end, a regression on the states as they start goes before each.
+    """
     found: list[Solution] = []
-    for xi in starts:
-        try:
-            found.append(solve(xi))
-        except EvaluationError:
-            if len(found) == 0 and xi is starts[-1]:
-                raise
-            continue
-        if found[-1].status == "interrupted":
+    for known in (False, True):
+        for xi in starts:
+            try:
+                found.append(solve(xi, known))
+            except EvaluationError:
+                if not found and known and xi is starts[-1]:
+                    raise
+                continue
+            if found[-1].status == "interrupted":
+                break
+        if any(s.status in _ENDS or s.status == "interrupted" for s in found):
             break
     best = min(found, key=lambda s: (s.status not in _ENDS, problem.objective(s.xi)))
     if found[-1].status == "interrupted":

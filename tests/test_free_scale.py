@@ -58,9 +58,7 @@ def test_a_free_scale_is_named_with_what_to_fix(transcription: ph.Collocation, s
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("fixed", ["k2", "k4"])
 @pytest.mark.parametrize("transcription", TRANSCRIPTIONS, ids=str)
-def test_with_the_scale_fixed_it_converges_to_the_truth(
-    transcription: ph.Collocation, fixed: str, seed: int
-) -> None:
+def test_with_the_scale_fixed_it_converges_to_the_truth(transcription: ph.Collocation, fixed: str, seed: int) -> None:
     fit = ph.estimate(tanks(seed, fixed), record(seed), transcription=transcription)
     assert fit.status == "converged"
     for name in TRUE.keys() - {fixed}:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .. import _core
 from ..correlations import correlation_matrix
 from ..data.experiment import Experiment
+from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
 from ..modelling.scaling import Scaling
 from ..noise.noise import Noise
@@ -31,6 +32,8 @@ _AT_BOUND = 1e-6
 _SINGULAR = 1e-12
 # A point is the optimum when the Newton step left is this small a part of every standard error.
 _CLOSE = 1e-3
+# Ends that kinks of the state equations explain.
+_KINKED = ("infeasible", "iteration limit", "failed", "diverging", "acceptable")
 _BOUND: dict[_Activity, Literal["lower", "upper"] | None] = {
     "lower": "lower",
     "upper": "upper",
@@ -100,6 +103,10 @@ def make_fit(
         warnings += _confounded([*names, *problem.noise_parameters], cov)
 
     status, message = _scaled(model, free, problem, firsts, (full, cov), (status, message), warnings)
+    kinks = kink_advice(model._core) if status in _KINKED else ""
+    if kinks:
+        warnings.insert(0, kinks)
+        message = f"{message}; above all, the state equations have kinks or jumps (see the warning)"
     values = problem.values(xi[:n_model].tolist())
     parameters = _model_estimates(model, problem, values, full, active)
     slopes = np.ones(n_theta)

@@ -44,7 +44,8 @@ impl PyModel {
         lower: f64,
         upper: f64,
     ) -> PyResult<PyExpr> {
-        let (lower, upper) = ((lower != f64::NEG_INFINITY).then_some(lower), (upper != f64::INFINITY).then_some(upper));
+        let (lower, upper) =
+            ((lower != f64::NEG_INFINITY).then_some(lower), (upper != f64::INFINITY).then_some(upper));
         let state = Variable { start, lower, upper, ..Variable::new(name, unit) };
         self.0.state_within(state).map(PyExpr).map_err(raise)
     }
@@ -129,6 +130,11 @@ impl PyModel {
 
     fn check(&self) -> PyResult<()> {
         self.0.check().map_err(raise)
+    }
+
+    /// Kinks and jumps in the states: the quantity or the state with a prime, the operation, the expression.
+    fn kinks(&self) -> Vec<(String, &'static str, String)> {
+        self.0.kinks()
     }
 
     /// Scalings that no output can tell: exponents by name, the parameter to hold, and where.

@@ -5,6 +5,7 @@
 mod check;
 mod compiled;
 mod delays;
+mod kinks;
 mod saved;
 mod scaling;
 

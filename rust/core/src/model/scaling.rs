@@ -59,10 +59,8 @@ impl Model {
         let names: Vec<&str> = (self.states.iter().map(|s| s.name.as_str()))
             .chain(free.iter().map(|&i| self.parameters[i].name.as_str()))
             .collect();
-        let known_zero: Vec<&str> = (self.parameters.iter())
-            .filter(|p| p.fixed && p.start == 0.0)
-            .map(|p| p.name.as_str())
-            .collect();
+        let known_zero: Vec<&str> =
+            (self.parameters.iter()).filter(|p| p.fixed && p.start == 0.0).map(|p| p.name.as_str()).collect();
 
         let mut equations = Equations::new(names.len());
         let roots = [&compiled.dynamics[..], &compiled.outputs, &compiled.conditions].concat();
@@ -83,9 +81,9 @@ impl Model {
         let scaling = |(column, vector): (usize, Vec<f64>)| {
             let parameter = free.get(column.checked_sub(n_x)?)?;
             let held = &self.parameters[*parameter];
-            let order = (0..n_x).chain((0..self.parameters.len()).filter_map(|i| {
-                free.iter().position(|&f| f == i).map(|k| n_x + k)
-            }));
+            let order = (0..n_x).chain(
+                (0..self.parameters.len()).filter_map(|i| free.iter().position(|&f| f == i).map(|k| n_x + k)),
+            );
             let there: Vec<usize> = order.filter(|&k| vector[k].abs() > NOTHING).collect();
             let unit = vector[*there.first()?];
             let exponents = there.iter().map(|&k| (names[k].to_owned(), vector[k] / unit)).collect();

@@ -127,8 +127,8 @@ def further_starts(
     """The points to start from instead of ``xi``, where that makes no sense.
 
     States that are neither given nor measured nor declared start at 0, where a square root has no derivative, and which
-    may be outside their bounds. Here they start at each of a few values at which all is finite. Empty where ``xi`` does,
-    or where nothing helps.
+    may be outside their bounds. Here they start at each of a few values at which all is finite. Empty where ``xi``
+    does, or where nothing helps.
     """
     known = {*given, *measured_states(model, parameters), *declared_paths(model, parameters)}
     unknown = [i for i, name in enumerate(model.state_names) if name not in known]

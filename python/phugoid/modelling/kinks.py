@@ -26,7 +26,7 @@ def kink_advice(core: _core.Model) -> str:
     more = f" and {len(kinks) - _NAMED} more" if len(kinks) > _NAMED else ""
     functions = " and ".join(dict.fromkeys(f"ph.{_SMOOTH[name]}" for _, name, _ in kinks))
     return (
-        f"the state equations have kinks or jumps: {', '.join(named)}{more}. No smooth path satisfies such equations at "
-        f"the points of a mesh: write {functions}, with a width that is small beside the motion, and reduce it in steps, "
-        "each with start=fit of the last"
+        f"the state equations have kinks or jumps: {', '.join(named)}{more}. No smooth path satisfies such equations "
+        f"at the points of a mesh: write {functions}, with a width that is small beside the motion, and reduce it in "
+        "steps, each with start=fit of the last"
     )

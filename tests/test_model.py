@@ -226,7 +226,7 @@ def test_text_that_is_no_model_is_refused(text: str) -> None:
 
 def test_model_of_a_later_version_is_refused() -> None:
     text = complete().to_json().replace('"version":1', '"version":99')
-    with pytest.raises(ModelError, match="version 99; this release reads phugoid-model up to 2"):
+    with pytest.raises(ModelError, match="version 99; this release reads phugoid-model up to 3"):
         Model.from_json(text)
 
 

@@ -39,6 +39,7 @@ from .linear.trim import trim
 from .loading import load
 from .match import match
 from .modelling.model import Model
+from .modelling.state import State
 from .noise.densities import Density, Huber, Laplace, StudentT
 from .noise.kinds import PerExperiment, PerOutput
 from .noise.noise import Gaussian, Sigma
@@ -120,6 +121,7 @@ __all__ = [
     "Sigma",
     "SingleShooting",
     "SmoothingSpline",
+    "State",
     "StateSpace",
     "StudentT",
     "Table",

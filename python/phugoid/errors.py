@@ -6,6 +6,7 @@ Each subclass is also the built-in exception that a reader would expect, so ``ex
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from typing import Any
 
 __all__ = [
     "DataError",
@@ -14,9 +15,11 @@ __all__ = [
     "ModelError",
     "OptionError",
     "PhugoidError",
+    "UnknownAttribute",
     "UnknownName",
     "did_you_mean",
     "listing",
+    "refuse_attribute",
 ]
 
 
@@ -53,6 +56,10 @@ class OptionError(PhugoidError, ValueError):
 
 class EvaluationError(PhugoidError, ArithmeticError):
     """An equation gave NaN or infinity where a number is needed."""
+
+
+class UnknownAttribute(PhugoidError, AttributeError):
+    """A value was assigned to a method, to a read-only attribute, or to an attribute that does not exist."""
 
 
 class MissingDependency(PhugoidError, ImportError):
@@ -93,3 +100,23 @@ def listing(name: str, available: Collection[str]) -> str:
     " Did you mean 'q'? There are: q, alpha."
     """
     return f"{did_you_mean(name, available)} There are: {', '.join(available) or 'none'}."
+
+
+def refuse_attribute(instance: Any, kind: type, name: str, value: Any) -> None:
+    """Raise UnknownAttribute unless ``value`` may be assigned as ``name`` to an instance of the public class ``kind``.
+
+    Private names may be assigned, and a subclass may have attributes of its own.
+    """
+    what, public = type(instance).__name__, getattr(kind, name, None)
+    if name.startswith("_"):
+        return
+    if callable(public):
+        given = repr(value)
+        given = given if len(given) <= 60 else "..."
+        raise UnknownAttribute(f"{what}.{name} is a method: call it, `.{name}({given})`, instead of assigning to it")
+    if public is not None:
+        raise UnknownAttribute(f"{what}.{name} is read-only")
+    if type(instance) is kind:
+        known = [n for n in dir(kind) if not n.startswith("_")]
+        article = "an" if what[0] in "AEIOU" else "a"
+        raise UnknownAttribute(f"{article} {what} has no attribute '{name}'.{did_you_mean(name, known)}")

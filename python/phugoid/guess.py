@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,12 @@ from .data.experiment import Experiment
 from .errors import DataError, ModelError, did_you_mean
 from .modelling.model import Model
 
-__all__ = ["check_names", "measured_states", "parameter_start", "state_start"]
+__all__ = ["check_names", "declared_paths", "further_starts", "measured_states", "parameter_start", "state_start"]
 
 _Array = NDArray[np.float64]
+
+# Where states are tried of which nothing is known, if the model has no finite derivatives at 0.
+_ELSEWHERE = (1.0, 10.0, 0.1, -1.0)
 
 
 def check_names(
@@ -88,11 +91,13 @@ def state_start(
 ) -> _Array:
     """Starting states at mesh points, shape (n_x, points).
 
-    In order of preference: given in ``start`` (a number, or an array over the samples); measured; zero.
+    In order of preference: given in ``start`` (a number, or an array over the samples); measured; as declared (`State`,
+    `Model.initial`); zero. Within the bounds of the states.
     """
-    measured = measured_states(model, parameters)
+    measured, declared = measured_states(model, parameters), declared_paths(model, parameters)
     states = np.zeros((len(model.state_names), times.size))
-    for i, name in enumerate(model.state_names):
+    for i, (name, state) in enumerate(model.declared_states.items()):
+        states[i] = declared.get(name, 0.0)
         if name in start:
             states[i] = _given(name, start[name], experiment, times)
         elif name in measured:
@@ -101,7 +106,49 @@ def state_start(
             present = np.isfinite(z)
             values = (z[present] - a) / b
             states[i] = _core.interpolate("linear", experiment.t[present].tolist(), values.tolist(), times.tolist())
+        states[i] = np.clip(states[i], *state.bounds)
     return states
+
+
+def declared_paths(model: Model, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Where states start whose start is declared, or whose initial value follows from the parameters alone."""
+    found: dict[str, float] = {}
+    for end, name, e, _ in model._core.conditions:
+        if end == "initial" and set(e.symbols) <= set(parameters):
+            value = e.evaluate({n: parameters[n] for n in e.symbols})
+            if np.isfinite(value):
+                found[name] = value
+    return found | {name: s.start for name, s in model.declared_states.items() if s.start is not None}
+
+
+def further_starts(
+    model: Model, problem: _core.Problem, xi: _Array, parameters: Mapping[str, float], given: Collection[str]
+) -> list[_Array]:
+    """The points to start from instead of ``xi``, where that makes no sense.
+
+    States that are neither given nor measured nor declared start at 0, where a square root has no derivative, and which
+    may be outside their bounds. Here they start at each of a few values at which all is finite. Empty where ``xi``
+    does, or where nothing helps.
+    """
+    known = {*given, *measured_states(model, parameters), *declared_paths(model, parameters)}
+    unknown = [i for i, name in enumerate(model.state_names) if name not in known]
+    bounds = list(model.declared_states.values())
+    inside = all(bounds[i].bounds[0] < 0 < bounds[i].bounds[1] for i in unknown)
+    if not unknown or (inside and _finite(problem, xi)):
+        return []
+    found: list[_Array] = []
+    for value in _ELSEWHERE:
+        trial = xi.copy()
+        for i in unknown:
+            trial[problem.n_theta + i :: len(bounds)] = np.clip(value, *bounds[i].bounds)
+        if _finite(problem, trial) and not any(np.array_equal(trial, other) for other in found):
+            found.append(trial)
+    return found
+
+
+def _finite(problem: _core.Problem, xi: _Array) -> bool:
+    finite = np.isfinite(problem.objective(xi)) and problem.constraints(xi) is not None
+    return bool(finite and problem.jacobian(xi) is not None and problem.gradient(xi) is not None)
 
 
 def _given(name: str, value: Any, experiment: Experiment, times: _Array) -> _Array:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import DataError, listing
+from ..errors import DataError, listing, refuse_attribute
 from ..tabular import experiment_dataset, experiment_frame
 from . import checked
 from .channelwise import Columns, Signal
@@ -85,6 +85,10 @@ class Experiment(Preprocessing):
             checked.check_input(checked.where(self._name, "input", channel), values, self._t)
         for channel, values in self._outputs.items():
             checked.check_output(checked.where(self._name, "output", channel), values, self._t)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        refuse_attribute(self, Experiment, name, value)
+        object.__setattr__(self, name, value)
 
     @property
     def name(self) -> str:

@@ -13,10 +13,11 @@ from .. import _core
 from ..data.checked import moves
 from ..data.experiment import Experiment, as_experiments
 from ..data.unit_check import check_units
-from ..errors import ModelError, OptionError
-from ..guess import check_names, measured_states, parameter_start, spread, state_start
+from ..errors import EvaluationError, ModelError, OptionError
+from ..guess import check_names, further_starts, measured_states, parameter_start, spread, state_start
 from ..interrupts import interrupts
 from ..modelling.model import Model
+from ..modelling.scaling import scalings
 from ..noise.noise import KINDS, Noise
 from ..process_noise.fit import better, doubtful, filter_error
 from ..process_noise.variables import split
@@ -35,6 +36,9 @@ __all__ = ["estimate"]
 
 _Array = NDArray[np.float64]
 
+# How a run ends at an optimum.
+_ENDS = ("converged", "acceptable", "unidentifiable")
+
 
 def estimate(
     model: Model,
@@ -51,8 +55,8 @@ def estimate(
     ``data``: one experiment or several with shared parameters. Initial states are free.
     ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number
     or one value a sample), or a fit to go on from, or the result of `equation_error`. Parameters not named start as
-    declared, standard deviations at the spread of the measurements, states as measured where an output measures them
-    and else at 0.
+    declared, standard deviations at the spread of the measurements, states as measured where an output measures them,
+    else as declared (`State`, `Model.initial`), else at 0, or at 1 where the model has no finite derivative at 0.
     ``transcription``: `Collocation`, `MultipleShooting` or `SingleShooting`, or `FilterError` where there is process
     noise, such as turbulence; the latter has a solver of its own.
     ``noise``: `Gaussian`, `StudentT`, `Huber`, `Laplace`, `Density` or `PerOutput`, or `PerExperiment` of these,
@@ -138,19 +142,36 @@ def estimate(
     given: Mapping[str, Any] = _given(start, noise)
     check_names(model, given, experiments, noise.names(model.output_names))
     parameters = parameter_start(model, given)
+    # A scale that no output can tell would let the solver drift without end.
+    free = scalings(model._core, parameters)
+    held = {scaling.held: scaling.at for scaling in free}
+    posed, given = model._holding(held), {n: v for n, v in given.items() if n.partition("[")[0] not in held}
+    parameters |= held
     spreads = {name: spread(experiments, name) for name in model.output_names}
-    problem = transcription.problem(model, experiments, noise.resolve(model.output_names, spreads, given))
-    xi = starting_point(problem, model, experiments, parameters, given, warm)
+    problem = transcription.problem(posed, experiments, noise.resolve(model.output_names, spreads, given))
+    xi = starting_point(problem, posed, experiments, parameters, given, warm)
+    starts = [] if warm else further_starts(model, problem, xi, parameters, given)
+    if starts and not collocated:
+        # A path that follows the measurements is found by collocation; an integration from poor values is none.
+        first = estimate(model, experiments, noise=noise, start=given, progress=progress)
+        if first.status in _ENDS:
+            options: dict[str, Any] = {"noise": noise, "start": first, "progress": progress}
+            fit = estimate(model, experiments, transcription=transcription, solver=solver, **options)
+            return replace(fit, iterations=first.iterations + fit.iterations, time=first.time + fit.time)
     known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
     with interrupts() as pressed:
         with Progress.of(progress, model.name) as watch:
             before = _warm(warm, transcription, problem, xi)
             near = isinstance(start, Fit)
-            solution = solver.solve(problem, xi, before, _until(pressed, watch), states_known=known, near=near)
+
+            def solve(xi: _Array, known: bool = known) -> Solution:
+                return solver.solve(problem, xi, before, _until(pressed, watch), states_known=known, near=near)
+
+            solution = solve(xi) if not starts else _best(problem, starts, solve)
         stopped = solution.status == "interrupted"
         # One more than ended the run.
         enough = max(pressed(), 1) + 1 if stopped else 1
-        fit = make_fit(model, experiments, noise, transcription, problem, solution, lambda: pressed() >= enough)
+        fit = make_fit(model, experiments, noise, transcription, problem, solution, free, lambda: pressed() >= enough)
         if pressed() and not stopped:  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
     if isinstance(start, Fit) and (worse := _worse_than_start(fit, start)):
@@ -177,6 +198,28 @@ def _worse_than_start(fit: Fit, start: Fit) -> str:
         f"the log-likelihood is {lost:.4g} below that of the fit it started from, on the same data: this is another, "
         "poorer optimum; start from elsewhere, or with fewer parameters free at once"
     )
+def _best(problem: _core.Problem, starts: Sequence[_Array], solve: Callable[..., Solution]) -> Solution:
+    """The best of the solutions from several points: at an end if possible, and of the greatest likelihood.
+
+    Where none of them is at an end, a regression on the states as they start goes before each.
+    """
+    found: list[Solution] = []
+    for known in (False, True):
+        for xi in starts:
+            try:
+                found.append(solve(xi, known))
+            except EvaluationError:
+                if not found and known and xi is starts[-1]:
+                    raise
+                continue
+            if found[-1].status == "interrupted":
+                break
+        if any(s.status in _ENDS or s.status == "interrupted" for s in found):
+            break
+    best = min(found, key=lambda s: (s.status not in _ENDS, problem.objective(s.xi)))
+    if found[-1].status == "interrupted":
+        best = replace(best, status="interrupted", message=found[-1].message)
+    return replace(best, iterations=sum(s.iterations for s in found), time=sum(s.time for s in found))
 
 
 def _until(pressed: Callable[[], int], watch: Callable[[Iteration], None] | None) -> Callable[[Iteration], None]:

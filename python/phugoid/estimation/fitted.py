@@ -14,7 +14,9 @@ from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..goodness_of_fit import chi_square_warning
 from ..match import match, no_match
+from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
+from ..modelling.scaling import Scaling
 from ..noise.kinds import PerExperiment
 from ..noise.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates, Parameter
@@ -39,6 +41,8 @@ _MOTION, _ROUNDING = 1e-2, 1e-6
 _SINGULAR = 1e-12
 # A point is the optimum when the Newton step left is this small a part of every standard error.
 _CLOSE = 1e-3
+# Ends that kinks of the state equations explain.
+_KINKED = ("infeasible", "iteration limit", "failed", "diverging", "acceptable")
 _BOUND: dict[_Activity, Literal["lower", "upper"] | None] = {
     "lower": "lower",
     "upper": "upper",
@@ -55,9 +59,13 @@ def make_fit(
     transcription: Transcription,
     problem: _core.Problem,
     solution: Solution,
+    free: Sequence[Scaling] = (),
     stop: Callable[[], bool] | None = None,
 ) -> Fit:
-    """The fit at a solution; where ``stop`` says so, without standard errors, which take long in large problems."""
+    """The fit at a solution; where ``stop`` says so, without standard errors, which take long in large problems.
+
+    ``free`` are scalings that no output can tell, of which the solver held one parameter each.
+    """
     xi = solution.xi
     n_theta, n_x, n_model = problem.n_theta, len(model.state_names), len(problem.estimands)
     lower, upper = problem.bounds()
@@ -111,6 +119,11 @@ def make_fit(
         names = [name for name, *_ in problem.estimands]
         warnings += _confounded([*names, *problem.noise_parameters], cov)
 
+    status, message = _scaled(model, free, problem, firsts, (full, cov), (status, message), warnings)
+    kinks = kink_advice(model._core) if status in _KINKED else ""
+    if kinks:
+        warnings.insert(0, kinks)
+        message = f"{message}; above all, the state equations have kinks or jumps (see the warning)"
     values = problem.values(xi[:n_model].tolist())
     parameters = _model_estimates(model, problem, values, full, active)
     slopes = np.ones(n_theta)
@@ -196,6 +209,30 @@ def _unknowns(problem: _core.Problem, held: int) -> int:
     """Return the number of parameters of the model and initial states that are estimated; ``held`` are not."""
     # Each constraint, of the path or on its ends, takes one away.
     return problem.n - problem.m - held - (problem.n_theta - len(problem.estimands))
+
+
+def _scaled(
+    model: Model,
+    free: Sequence[Scaling],
+    problem: _core.Problem,
+    firsts: Sequence[int],
+    errors: tuple[_Array, _Array],
+    end: tuple[str, str],
+    warnings: list[str],
+) -> tuple[str, str]:
+    """Status and message where scales are free; what is scaled loses its standard errors."""
+    full, cov = errors
+    for scaling in free:
+        local = [i for i, (name, *_) in enumerate(problem.estimands) if name.partition("[")[0] in scaling.exponents]
+        full[local] = np.nan
+        cov[local], cov[:, local] = np.nan, np.nan
+        for first in firsts:
+            full[[first + i for i, name in enumerate(model.state_names) if name in scaling.exponents]] = np.nan
+        warnings.append(scaling.advice(model.state_names))
+    if not free or end[0] not in ("converged", "acceptable", "unidentifiable"):
+        return end
+    said = end[1] if end[0] == "unidentifiable" else HINTS["unidentifiable"]
+    return "unidentifiable", f"{said} ({'; '.join(', '.join(s.exponents) + ': one scale is free' for s in free)})"
 
 
 def _few_samples(unknowns: int, records: Sequence[Record], declared: Iterable[Parameter]) -> list[str]:

@@ -11,13 +11,15 @@ from typing import Any
 
 from .. import _core
 from .._core import Expr
-from ..errors import DataError, ModelError, did_you_mean
+from ..errors import DataError, ModelError, did_you_mean, refuse_attribute
 from ..noise.kinds import PerOutput, noise_from_dict
 from ..noise.noise import KINDS, Gaussian, Noise, Sigma
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
 from .declared import Declared
 from .delayed import Delays, at_delays
+from .rebuilt import rebuilt
+from .state import State
 
 __all__ = ["Model"]
 
@@ -79,15 +81,23 @@ class Model:
         self._noise: Noise = Gaussian()
         self._delays = Delays()
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        refuse_attribute(self, Model, name, value)
+        object.__setattr__(self, name, value)
+
     @property
     def name(self) -> str:
         """Title."""
         return self._core.name
 
-    def states(self, *names: str, **units: str) -> tuple[Expr, ...]:
-        """Declares states, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
-        declared = _with_units("states", _declared("states", names, units))
-        return Declared(self._core.state(n, u) for n, u in declared.items())
+    def states(self, *names: str, **states: str | State) -> tuple[Expr, ...]:
+        """Declares states, ``name="unit"``, ``"a b c"``, or ``name=State("unit", start=..., bounds=...)``; returns
+        their symbols in order."""
+        declared = _declared("states", names, states)
+        plain = {name: value for name, value in declared.items() if not isinstance(value, State)}
+        whole = {name: State(unit) for name, unit in _with_units("states", plain).items()}
+        each = {name: whole.get(name, value) for name, value in declared.items()}
+        return Declared(self._core.state(name, s.unit, s.start, *s.bounds) for name, s in each.items())
 
     def inputs(self, *names: str, **units: str) -> tuple[Expr, ...]:
         """Declares inputs, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
@@ -266,6 +276,11 @@ class Model:
         }
 
     @property
+    def declared_states(self) -> dict[str, State]:
+        """The states as declared."""
+        return {name: State(unit, start, (low, high)) for name, unit, start, low, high in self._core.declared_states}
+
+    @property
     def units(self) -> dict[str, str]:
         """Units of states, inputs, parameters and outputs by name, where known."""
         pairs = [*self._core.states, *self._core.inputs]
@@ -324,6 +339,17 @@ class Model:
                 f"saved model: its noise or delays are damaged ({type(error).__name__}: {error})"
             ) from error
         return model
+
+    def _holding(self, values: Mapping[str, float]) -> Model:
+        """The model with some parameters fixed at these values."""
+        if not values:
+            return self
+
+        def declare(core: _core.Model, declared: Any) -> None:
+            name, unit, start, low, high, prior, fixed, *others = declared
+            core.parameter(name, unit, values.get(name, start), low, high, prior, fixed or name in values, *others)
+
+        return self._around(rebuilt(self._core, self._core.inputs, declare), self._delays)
 
     def _around(self, core: _core.Model, delays: Delays) -> Model:
         """A model with another core and the noise of this one."""

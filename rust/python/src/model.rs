@@ -1,7 +1,7 @@
 //! Models.
 
 use phugoid::condition::{Condition, End};
-use phugoid::model::{Model, Parameter};
+use phugoid::model::{Model, Parameter, Variable};
 use phugoid::transform::Transform;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -35,8 +35,26 @@ impl PyModel {
         &self.0.name
     }
 
-    fn state(&mut self, name: &str, unit: &str) -> PyResult<PyExpr> {
-        self.0.state(name, unit).map(PyExpr).map_err(raise)
+    #[pyo3(signature = (name, unit, start=None, lower=f64::NEG_INFINITY, upper=f64::INFINITY))]
+    fn state(
+        &mut self,
+        name: &str,
+        unit: &str,
+        start: Option<f64>,
+        lower: f64,
+        upper: f64,
+    ) -> PyResult<PyExpr> {
+        let (lower, upper) =
+            ((lower != f64::NEG_INFINITY).then_some(lower), (upper != f64::INFINITY).then_some(upper));
+        let state = Variable { start, lower, upper, ..Variable::new(name, unit) };
+        self.0.state_within(state).map(PyExpr).map_err(raise)
+    }
+
+    /// Name, unit, start and bounds of the states.
+    #[getter]
+    fn declared_states(&self) -> Vec<(String, String, Option<f64>, f64, f64)> {
+        let one = |v: &Variable| (v.name.clone(), v.unit.clone(), v.start, v.bounds().0, v.bounds().1);
+        self.0.states.iter().map(one).collect()
     }
 
     fn input(&mut self, name: &str, unit: &str) -> PyResult<PyExpr> {
@@ -112,6 +130,18 @@ impl PyModel {
 
     fn check(&self) -> PyResult<()> {
         self.0.check().map_err(raise)
+    }
+
+    /// Kinks and jumps in the states: the quantity or the state with a prime, the operation, the expression.
+    fn kinks(&self) -> Vec<(String, &'static str, String)> {
+        self.0.kinks()
+    }
+
+    /// Scalings that no output can tell: exponents by name, the parameter to hold, and where.
+    #[allow(clippy::type_complexity)]
+    fn scalings(&self, starts: Vec<f64>) -> PyResult<Vec<(Vec<(String, f64)>, String, f64)>> {
+        let found = self.0.scalings(&starts).map_err(raise)?;
+        Ok(found.into_iter().map(|s| (s.exponents, s.held, s.at)).collect())
     }
 
     /// Names and units.

@@ -9,6 +9,11 @@ use crate::nlp::{Chains, Nlp, Structure};
 /// states of a point where there are chains, else a single one or one each variable.
 pub fn kkt_for(nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
     let Some(chains) = nlp.chains() else { return Box::new(sparse(nlp, units)) };
+    // The chains of the arrow hold no variables in place.
+    let (lower, upper) = nlp.bounds();
+    if lower.iter().zip(&upper).skip(chains.border).any(|(l, u)| l.is_finite() || u.is_finite()) {
+        return Box::new(sparse(nlp, units));
+    }
     let sizes = (nlp.n(), nlp.m());
     let structures = (nlp.hessian_structure(), nlp.jacobian_structure());
     let Some(arrow) = ArrowKkt::new(chains, structures.0, structures.1, sizes, &units[..chains.n_x]) else {

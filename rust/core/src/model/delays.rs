@@ -189,7 +189,7 @@ impl Model {
                 if used.contains(name.as_str()) {
                     let unit =
                         if input.unit.is_empty() { String::new() } else { format!("{}/{unit}", input.unit) };
-                    model.inputs.push(Variable { name, unit });
+                    model.inputs.push(Variable { name, unit, ..Variable::default() });
                 }
             }
         }

@@ -6,7 +6,9 @@ mod check;
 mod compiled;
 mod declared;
 mod delays;
+mod kinks;
 mod saved;
+mod scaling;
 
 use serde::{Deserialize, Serialize};
 
@@ -14,6 +16,7 @@ pub use crate::parameter::Parameter;
 pub use compiled::Compiled;
 pub(crate) use delays::rates;
 pub use delays::{Delays, LateInput, LateOutput};
+pub use scaling::Scaling;
 
 use crate::condition::{Condition, End};
 use crate::error::{Error, did_you_mean};
@@ -23,13 +26,48 @@ use crate::noise::NoiseModel;
 /// Name of the symbol of time.
 pub const TIME: &str = "time";
 
-/// A named variable with its unit.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// A named variable with its unit; where it starts and its bounds are a state's alone.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Variable {
     /// Name.
     pub name: String,
     /// Unit, as text; empty where unknown.
     pub unit: String,
+    /// Where the path of a state starts that is not measured; `None` for no declaration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<f64>,
+    /// Lower bound of a state; `None` for none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lower: Option<f64>,
+    /// Upper bound of a state; `None` for none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub upper: Option<f64>,
+}
+
+impl Variable {
+    /// A variable without start and bounds.
+    pub fn new(name: &str, unit: &str) -> Self {
+        Variable { name: name.to_owned(), unit: unit.to_owned(), ..Variable::default() }
+    }
+
+    /// Lower and upper bound.
+    pub fn bounds(&self) -> (f64, f64) {
+        (self.lower.unwrap_or(f64::NEG_INFINITY), self.upper.unwrap_or(f64::INFINITY))
+    }
+
+    /// What is wrong with its numbers.
+    fn wrong(&self) -> Option<String> {
+        let (low, high) = self.bounds();
+        if low.is_nan() || high.is_nan() || low >= high || low == f64::INFINITY || high == f64::NEG_INFINITY {
+            return Some(format!("its bounds ({low}, {high}) are not a lower and a greater upper bound"));
+        }
+        let start = self.start?;
+        if !start.is_finite() {
+            return Some(format!("its start {start} is not a finite number"));
+        }
+        (start < low || start > high)
+            .then(|| format!("its start {start} lies outside its bounds ({low}, {high}); move one of them"))
+    }
 }
 
 /// A named equation: quantity, state equation or output.
@@ -141,15 +179,27 @@ impl Model {
 
     /// Declares a state; returns its symbol.
     pub fn state(&mut self, name: &str, unit: &str) -> Result<Expr, Error> {
-        self.claim("state", name)?;
-        self.states.push(Variable { name: name.to_owned(), unit: unit.to_owned() });
-        Ok(Expr::symbol(name))
+        self.state_within(Variable::new(name, unit))
+    }
+
+    /// Declares a state with a start or bounds: its path starts there where no output measures it, and stays within
+    /// the bounds at the points of the mesh (collocation), where segments start (multiple shooting), or at the first
+    /// sample (single shooting).
+    pub fn state_within(&mut self, state: Variable) -> Result<Expr, Error> {
+        self.claim("state", &state.name)?;
+        let name = &state.name;
+        if let Some(wrong) = state.wrong() {
+            return Err(Error::Model(format!("state '{name}': {wrong}")));
+        }
+        let symbol = Expr::symbol(name);
+        self.states.push(state);
+        Ok(symbol)
     }
 
     /// Declares an input; returns its symbol.
     pub fn input(&mut self, name: &str, unit: &str) -> Result<Expr, Error> {
         self.claim("input", name)?;
-        self.inputs.push(Variable { name: name.to_owned(), unit: unit.to_owned() });
+        self.inputs.push(Variable::new(name, unit));
         Ok(Expr::symbol(name))
     }
 

@@ -94,9 +94,9 @@ struct SavedCondition {
 }
 
 const FORMAT: &str = "phugoid-model";
-/// Models with conditions, with local or transformed parameters are of version 2: older releases would read
-/// them as other models.
-const VERSION: u32 = 2;
+/// Models with conditions, with local or transformed parameters are of version 2, those with bounds of states of
+/// version 3: older releases would read them as other models.
+const VERSION: u32 = 3;
 
 impl Model {
     /// The model as JSON text; [`Model::from_json`] reads it back exactly.
@@ -112,12 +112,17 @@ impl Model {
         let equations = self.quantities.iter().chain(&self.dynamics).chain(&self.outputs);
         let all = equations.map(|e| &e.expr).chain(self.conditions.iter().map(|c| &c.expr));
         let plain = |p: &Parameter| !p.local && p.transform == Transform::None;
+        let within = self.states.iter().any(|s| s.lower.is_some() || s.upper.is_some());
         let old = self.conditions.is_empty() && self.parameters.iter().all(plain);
         let condition =
             |c: &Condition| SavedCondition { end: c.end, state: c.state.clone(), source: c.source.clone() };
         let saved = SavedModel {
             format: FORMAT.into(),
-            version: if old { 1 } else { VERSION },
+            version: match (within, old) {
+                (true, _) => VERSION,
+                (false, true) => 1,
+                (false, false) => 2,
+            },
             name: self.name.clone(),
             states: self.states.clone(),
             inputs: self.inputs.clone(),
@@ -170,7 +175,7 @@ impl Model {
         let mut exprs = exprs.into_iter();
         let mut model = Model::new(&saved.name);
         for v in &saved.states {
-            model.state(&v.name, &v.unit)?;
+            model.state_within(v.clone())?;
         }
         for v in &saved.inputs {
             model.input(&v.name, &v.unit)?;

@@ -17,10 +17,17 @@ pub(super) struct Active {
     /// Held at a bound in the last step.
     was: Vec<bool>,
     profiled: Range<usize>,
+    /// Variables from here on are states, of which one at a time is held.
+    border: usize,
+    /// The state that was held last.
+    last: Option<usize>,
 }
 
+/// A state leaves its bounds where it does so by more than this, in its unit: the next point is within them.
+const STATE_TOLERANCE: f64 = 1e-9;
+
 impl Active {
-    pub fn new(bounds: &(Vec<f64>, Vec<f64>)) -> Active {
+    pub fn new(bounds: &(Vec<f64>, Vec<f64>), border: usize) -> Active {
         let n = bounds.0.len();
         let fixed: Vec<bool> = (0..n).map(|i| bounds.0[i] == bounds.1[i]).collect();
         let bounded = (0..n).filter(|&i| bounds.0[i].is_finite() || bounds.1[i].is_finite()).collect();
@@ -32,6 +39,8 @@ impl Active {
             multiplier: vec![0.0; n],
             was: vec![false; n],
             profiled: 0..0,
+            border,
+            last: None,
         }
     }
 
@@ -52,7 +61,8 @@ impl Active {
         for &i in &self.bounded {
             (self.to[i], self.multiplier[i]) = (0.0, 0.0);
             let at = xi[i] == bounds.0[i] && gradient[i] >= 0.0 || xi[i] == bounds.1[i] && gradient[i] <= 0.0;
-            self.held[i] |= self.was[i] && at;
+            // States are held anew in each step: what holds one may leave another no choice.
+            self.held[i] |= self.was[i] && at && i < self.border;
         }
         for i in profiled.clone() {
             self.held[i] = true;
@@ -88,7 +98,14 @@ impl Run<'_> {
             if !self.change_sides(round < most / 2) {
                 break;
             }
-            self.kkt.finish(self.active.held(), self.shift);
+            let found = self.kkt.finish(self.active.held(), self.shift);
+            if let Some(last) = self.active.last.take().filter(|_| !found.is_positive()) {
+                // The equations leave this state no choice, given the others that are held.
+                self.active.held[last] = false;
+                self.kkt.finish(self.active.held(), self.shift);
+                self.resolve();
+                break;
+            }
             self.resolve();
         }
         for &i in &self.active.bounded {
@@ -111,6 +128,7 @@ impl Run<'_> {
     /// Holds what left its bounds, else releases what is held back from a gain; whether anything changed.
     fn change_sides(&mut self, release: bool) -> bool {
         let mut any = false;
+        let mut farthest: Option<(usize, f64)> = None; // a state, and how far it left its bounds
         for k in 0..self.active.bounded.len() {
             let i = self.active.bounded[k];
             if self.active.held[i] {
@@ -119,10 +137,24 @@ impl Run<'_> {
             let (x, low, high) = (self.here.xi[i], self.bounds.0[i], self.bounds.1[i]);
             let to = x + self.d[i];
             if to < low || to > high {
-                self.active.held[i] = true;
                 self.active.to[i] = if to < low { low - x } else { high - x };
-                any = true;
+                if i < self.active.border {
+                    self.active.held[i] = true;
+                    any = true;
+                    continue;
+                }
+                let units = &self.units.states;
+                let unit = units[(i - self.active.border) % units.len()];
+                let far = (low - to).max(to - high) / unit;
+                if farthest.is_none_or(|(_, most)| far > most) && far > STATE_TOLERANCE {
+                    farthest = Some((i, far));
+                }
             }
+        }
+        if let Some((i, _)) = farthest.filter(|_| !any) {
+            self.active.held[i] = true;
+            self.active.last = Some(i);
+            any = true;
         }
         self.multipliers_of_bounds();
         if any || !release {

@@ -170,7 +170,7 @@ impl<'a> Run<'a> {
             settings,
             began: Instant::now(),
             kkt: kkt_for(nlp, &units.states),
-            active: Active::new(&bounds),
+            active: Active::new(&bounds, nlp.n_parameters().min(n)),
             bounds,
             sizes: units.first_sizes(nlp, start),
             units,

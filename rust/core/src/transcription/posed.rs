@@ -11,7 +11,7 @@ use super::samples::Samples;
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
-use crate::model::{Compiled, Model, Parameter};
+use crate::model::{Compiled, Model, Parameter, Variable};
 use crate::nlp::{NotFinite, Reach};
 use crate::noise::{Counts, Missing, Noise, Reported, Sample};
 use crate::tape::{Arguments, Function, Pairs, Tape, Workspace};
@@ -34,6 +34,8 @@ pub struct Posed {
     pub(super) model_names: Vec<String>,
     output_names: Vec<String>,
     pub(super) state_names: Vec<String>,
+    /// Lower and upper bounds of the states.
+    state_bounds: Vec<(f64, f64)>,
     pub(super) input_names: Vec<String>,
     pub(super) experiments: Vec<Experiment>,
     pub(super) f: Arc<Function>,
@@ -182,6 +184,7 @@ impl Posed {
             model_names: model.parameters.iter().map(|p| p.name.clone()).collect(),
             output_names: model.outputs.iter().map(|o| o.name.clone()).collect(),
             state_names: model.states.iter().map(|s| s.name.clone()).collect(),
+            state_bounds: model.states.iter().map(Variable::bounds).collect(),
             input_names: model.inputs.iter().map(|s| s.name.clone()).collect(),
             experiments: experiments.to_vec(),
             f: Arc::new(f),
@@ -306,7 +309,7 @@ impl Posed {
         self.priors(xi).map(|(_, [e, ..])| 0.5 * e * e).sum()
     }
 
-    /// Bounds of n variables, the parameters first.
+    /// Bounds of n variables: the parameters, then states, those of a point together.
     pub(super) fn bounds_of(&self, n: usize) -> (Vec<f64>, Vec<f64>) {
         let (mut lower, mut upper) = (vec![f64::NEG_INFINITY; n], vec![f64::INFINITY; n]);
         for (i, p) in self.parameters.iter().enumerate() {
@@ -314,6 +317,10 @@ impl Posed {
             let (low, high) = if p.fixed { (Some(p.start), Some(p.start)) } else { (p.lower, p.upper) };
             lower[i] = low.map_or(f64::NEG_INFINITY, |p| transform.inverse(p));
             upper[i] = high.map_or(f64::INFINITY, |p| transform.inverse(p));
+        }
+        let states = lower.iter_mut().zip(&mut upper).skip(self.parameters.len());
+        for ((low, high), bounds) in states.zip(self.state_bounds.iter().cycle()) {
+            (*low, *high) = *bounds;
         }
         (lower, upper)
     }

@@ -68,8 +68,8 @@ fn a_chain_of_cases_has_a_derivative_in_proportion_to_its_length() {
     let (short, long) = (nodes(200), nodes(400));
     assert!(long < 3 * short, "{short} nodes for 200 cases, {long} for 400");
     let slope = chain(400).derivative("x");
-    for x in [-1.0, 0.5, 3.5, 398.5, 1000.0] {
-        let k = (x as f64).ceil() - 1.0;
+    for x in [-1.0_f64, 0.5, 3.5, 398.5, 1000.0] {
+        let k = x.ceil() - 1.0;
         let expected = if x < 0.0 { 0.0 } else { k.min(399.0) };
         assert_eq!(slope.evaluate(&values(&[("x", x)])).unwrap(), expected, "at {x}");
     }

@@ -1,4 +1,4 @@
-"""Expressions with shared parts and long chains: printed, differentiated and named in errors in little text."""
+"""Expressions with shared parts and long chains are printed, differentiated, converted and named in short texts."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def test_numbers_that_only_the_record_makes_too_many() -> None:
     m.dynamics(x=p * x)
     m.outputs(x=x)
     t = np.linspace(0, 1, 21)
-    run = ph.Experiment("run", t=t, outputs={"x": np.exp(-t)})
+    run = ph.Experiment(t, outputs={"x": np.exp(-t)}, name="run")
     for how in (
         ph.Collocation(substeps=5_000_000),
         ph.SingleShooting(step=1e-300),

@@ -24,6 +24,8 @@ fn record(model: &Model) -> Experiment {
     Experiment::new(model, "run", t.clone(), [("u", t), ("y", y)]).unwrap()
 }
 
+type Change = fn(&mut Parameter);
+
 fn refused(change: impl FnOnce(&mut Model), expected: &str) {
     let mut m = model();
     let run = record(&m);
@@ -37,7 +39,7 @@ fn refused(change: impl FnOnce(&mut Model), expected: &str) {
 
 #[test]
 fn parameters() {
-    let cases: [(fn(&mut Parameter), &str); 8] = [
+    let cases: [(Change, &str); 8] = [
         (|p| p.start = f64::NAN, "not a finite number"),
         (|p| (p.lower, p.upper) = (Some(1.0), Some(-1.0)), "not a lower and an upper bound"),
         (|p| p.upper = Some(f64::NAN), "not a lower and an upper bound"),

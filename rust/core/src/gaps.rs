@@ -45,7 +45,7 @@ pub fn gap_warnings(inputs: &[&str], experiments: &[Experiment]) -> Vec<String> 
 fn gap_warning(inputs: &[&str], experiment: &Experiment) -> Option<String> {
     // Begin and end of each gap, and the inputs that it is one of.
     let mut found: Vec<([f64; 2], Vec<&str>)> = Vec::new();
-    let common = (!inputs.is_empty()).then(|| gaps(&experiment.t)).unwrap_or_default();
+    let common = if inputs.is_empty() { Vec::new() } else { gaps(&experiment.t) };
     for (channel, name) in inputs.iter().enumerate() {
         let own = experiment.signals.get(channel).and_then(Option::as_ref);
         let apart = own.filter(|s| s.t != experiment.t);

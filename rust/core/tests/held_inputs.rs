@@ -126,7 +126,7 @@ fn collocation_is_exact() {
     for (run, states) in [record(80), record_of_own_jumps()] {
         for grid in [Grid::Samples(1), Grid::Samples(2), Grid::Uniform(7)] {
             let settings = Settings { order: 9, grid: vec![grid.clone()], ..Settings::default() };
-            let problem = Collocation::new(&model, &[run.clone()], noise(), &settings).unwrap();
+            let problem = Collocation::new(&model, std::slice::from_ref(&run), noise(), &settings).unwrap();
             let mut xi = vec![0.0; problem.n()];
             xi[..3].copy_from_slice(&TRUTH);
             let first = problem.layout.state(0);
@@ -182,7 +182,7 @@ fn derivatives_are_those_of_differences() {
     for grid in [Grid::Samples(1), Grid::Uniform(31)] {
         let settings = Settings { order: 3, grid: vec![grid], threads: 1, ..Settings::default() };
         let noise = Noise::Gaussian(vec![Sigma::Known(0.1)]);
-        let problem = Collocation::new(&m, &[run.clone()], noise, &settings).unwrap();
+        let problem = Collocation::new(&m, std::slice::from_ref(&run), noise, &settings).unwrap();
         let wave = |i: usize, s: f64| (s * (i as f64 + 1.0)).sin();
         let xi: Vec<f64> = (0..problem.n()).map(|i| 0.5 + 0.3 * wave(i, 1.7)).collect();
         let lambda: Vec<f64> = (0..problem.m()).map(|i| wave(i, 0.9)).collect();

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .. import _core
 from ..correlations import correlation_matrix
 from ..data.experiment import Experiment
+from ..errors import EvaluationError
 from ..modelling.model import Model
 from ..noise.noise import Noise
 from ..parameters import Estimate, Estimates, Parameter
@@ -61,15 +62,13 @@ def make_fit(
     full = np.full((problem.n, 1), np.nan)[:, 0]  # standard errors by variable
     cov = np.full((n_theta, n_theta), np.nan)
     status, message = solution.status, solution.message
-    found, stopped = None, False
+    found = None
     try:
         found = _core.information(problem, xi, solution.multipliers, wanted.tolist(), held.tolist(), stop)
     except KeyboardInterrupt:
-        stopped = True
-    if stopped:
         warnings.append("interrupted: there are no standard errors; estimate with start=fit goes on from here")
-    elif found is None:
-        warnings.append("the standard errors could not be computed: the information matrix is singular")
+    except EvaluationError as error:
+        warnings.append(f"the standard errors could not be computed: {error}")
     if found is not None:
         covariance, step, undetermined, saddle = found
         variance = np.diag(covariance)

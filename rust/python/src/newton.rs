@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1};
 use phugoid::diagnosis::{NoInformation, information as information_of};
+use phugoid::linalg::KktError;
 use phugoid::solver::{Control, Iteration, Settings, Solution, solve};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
@@ -91,8 +92,9 @@ impl PySolution {
 }
 
 /// Covariance (k, k) of some variables, the Newton step (k,) that is left, groups of variables that the
-/// data do not determine, and whether the point is a saddle; `None` where something is not finite. `stop` is asked now
-/// and then: where it says so, and at a Ctrl-C that nobody has taken, KeyboardInterrupt.
+/// data do not determine, and whether the point is a saddle. EvaluationError where there is none: something is not
+/// finite, or a constraint depends on others. `stop` is asked now and then: where it says so, and at a Ctrl-C that
+/// nobody has taken, KeyboardInterrupt.
 #[pyfunction]
 #[pyo3(signature = (problem, xi, multipliers, wanted, held, stop = None))]
 #[allow(clippy::type_complexity)] // a tuple for Python
@@ -104,7 +106,7 @@ pub fn information<'py>(
     wanted: Vec<usize>,
     held: Vec<usize>,
     stop: Option<Py<PyAny>>,
-) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Vec<Vec<usize>>, bool)>> {
+) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Vec<Vec<usize>>, bool)> {
     let (nlp, xi, lambda) = (problem.inner(), xi.as_slice()?, multipliers.as_slice()?);
     let mut error: Option<PyErr> = None;
     let mut go_on = || {
@@ -120,13 +122,21 @@ pub fn information<'py>(
     };
     let found = match py.detach(|| information_of(nlp, xi, lambda, &wanted, &held, &mut go_on)) {
         Ok(found) => found,
-        Err(NoInformation::NotFinite) => return Ok(None),
+        Err(NoInformation::NotFinite) => {
+            let what = py.detach(|| nlp.explain(xi));
+            let what = what.unwrap_or_else(|| "a derivative of the model is not finite".into());
+            return Err(named("EvaluationError", what));
+        }
+        Err(NoInformation::Singular(KktError::Dependent { row })) => {
+            return Err(named("EvaluationError", format!("the {} depends on others", nlp.constraint_name(row))));
+        }
+        Err(NoInformation::Singular(other)) => return Err(named("EvaluationError", other.to_string())),
         Err(NoInformation::Stopped) => {
             return Err(error.unwrap_or_else(|| PyKeyboardInterrupt::new_err("stopped")));
         }
     };
     let covariance = PyArray1::from_vec(py, found.covariance).reshape([wanted.len(), wanted.len()])?;
-    Ok(Some((covariance, PyArray1::from_vec(py, found.step), found.undetermined, found.saddle)))
+    Ok((covariance, PyArray1::from_vec(py, found.step), found.undetermined, found.saddle))
 }
 
 /// Minimises from xi without the interpreter lock. `watch` is called with each line of the table; a

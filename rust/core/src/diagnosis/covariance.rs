@@ -1,7 +1,7 @@
 //! Covariance of the estimates, and their distance from the optimum, from one factorisation.
 
 use super::SLIGHT;
-use crate::linalg::kkt_for;
+use crate::linalg::{KktError, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::state_units;
 
@@ -23,8 +23,10 @@ pub struct Information {
 /// Why there is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoInformation {
-    /// A derivative is not finite there, or the constraints depend on each other.
+    /// A derivative is not finite there.
     NotFinite,
+    /// The Newton system cannot be factorised: constraints that depend on each other, above all.
+    Singular(KktError),
     /// It was told not to go on.
     Stopped,
 }
@@ -52,8 +54,8 @@ const KNOWN: f64 = 0.1;
 /// `go_on` is asked between its parts, which take long where there are many states.
 ///
 /// # Errors
-/// [`NoInformation::NotFinite`] when a derivative is not finite there, or the constraints depend on each other;
-/// [`NoInformation::Stopped`] when it was told not to go on.
+/// [`NoInformation::NotFinite`] when a derivative is not finite there, [`NoInformation::Singular`] when the constraints
+/// depend on each other, [`NoInformation::Stopped`] when it was told not to go on.
 pub fn information(
     nlp: &dyn Nlp,
     xi: &[f64],
@@ -74,7 +76,7 @@ pub fn information(
     unless_stopped()?;
     let mut kkt = kkt_for(nlp, &state_units(nlp, xi));
     kkt.set_refinement(true);
-    kkt.factorize(&hessian, &jacobian).map_err(|_| NoInformation::NotFinite)?;
+    kkt.factorize(&hessian, &jacobian).map_err(NoInformation::Singular)?;
     unless_stopped()?;
     let mut holding = vec![false; n];
     held.iter().for_each(|&i| holding[i] = true);

@@ -2,7 +2,7 @@
 
 use super::arrow::ArrowKkt;
 use super::sparse::SparseKkt;
-use super::{Curvature, KktSolver, Singular};
+use super::{Curvature, KktError, KktSolver};
 use crate::nlp::{Chains, Nlp, Structure};
 
 /// The arrow factorisation where the program has chains, else the sparse one. `units` are those of the
@@ -59,15 +59,20 @@ struct Parts {
 }
 
 impl KktSolver for Either {
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         let done = self.now.factorize(hessian, jacobian);
-        if done.is_ok() {
+        // Of these the other knows better; everything else would stop it, too.
+        if !matches!(done, Err(KktError::Boundary | KktError::Dependent { .. })) {
             return done;
         }
         let Some(parts) = self.other.take() else { return done };
         let Parts { hessian: h, jacobian: a, columns, rows } = &parts;
         self.now = Box::new(SparseKkt::new(columns.len(), rows.len(), h, a, columns, rows));
         self.now.factorize(hessian, jacobian)
+    }
+
+    fn set_hurry(&mut self, on: bool) {
+        self.now.set_hurry(on);
     }
 
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {

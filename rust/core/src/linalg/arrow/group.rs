@@ -20,6 +20,7 @@ use super::piece::{Along, Piece};
 use super::products::Products;
 use super::run::Run;
 use super::shape::Shape;
+use crate::linalg::KktError;
 use crate::simd::kernel;
 use crate::tape::lanes::all_finite;
 
@@ -89,7 +90,7 @@ impl Group {
         products: &mut Products,
         hessian: &[f64],
         jacobian: &[f64],
-    ) -> Result<(), usize> {
+    ) -> Result<(), KktError> {
         self.splits.clear();
         factorize(self, context, products, hessian, jacobian)?;
         self.form.put_together(context.shape, &self.pieces, products);
@@ -134,7 +135,7 @@ kernel! {
         products: &mut Products,
         hessian: &[f64],
         jacobian: &[f64],
-    ) -> Result<(), usize> {
+    ) -> Result<(), KktError> {
         let (shape, plan) = (context.shape, context.plan);
         let n = shape.n;
         let along = Along { shape, plan, segments: &g.segments, row: g.row };
@@ -160,10 +161,10 @@ kernel! {
             let mut growth: f64 = 0.0;
             for (p, (part, piece)) in shape.parts.iter().zip(&mut g.pieces).enumerate() {
                 if let Err(row) = piece.factorize(part, &plan.parts[p], along, (i, s), jacobian) {
-                    return Err(plan.row(s, n) + part.row(row, n));
+                    return Err(KktError::Dependent { row: plan.row(s, n) + part.row(row, n) });
                 }
                 if !all_finite(&piece.z) {
-                    return Err(plan.row(s, n) + part.states[0]);
+                    return Err(KktError::NotFinite);
                 }
                 growth = growth.max(piece.growth(part));
             }

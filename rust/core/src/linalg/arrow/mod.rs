@@ -61,8 +61,9 @@ use plan::Plan;
 use products::Products;
 use tree::add;
 
-use super::{Curvature, KktSolver, Singular, covariance_by_solving};
+use super::{Curvature, KktError, KktSolver, covariance_by_solving};
 use crate::nlp::{Chains, Structure};
+use crate::tape::lanes::all_finite;
 
 /// Least number of points for which waking other threads pays.
 const PARALLEL_POINTS: usize = 2000;
@@ -169,7 +170,7 @@ impl ArrowKkt {
     }
 
     /// Eliminates the interior of all groups.
-    fn eliminate(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+    fn eliminate(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         let ArrowKkt { plan, forest, products, parallel, .. } = self;
         for (tree, chain) in forest.trees.iter_mut().zip(&plan.chains) {
             let context = Context { shape: &plan.shape, plan: chain };
@@ -179,7 +180,7 @@ impl ArrowKkt {
     }
 
     /// Merges the groups of each chain, and adds up the reduced Hessian of the border.
-    fn merge(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+    fn merge(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         let shape = &self.plan.shape;
         self.outer.fill(0.0);
         for &(entry, row, column) in &self.plan.border {
@@ -197,7 +198,7 @@ impl ArrowKkt {
         for (i, d) in self.diagonal.iter_mut().enumerate() {
             *d = self.s[i * shape.border + i];
         }
-        if self.s.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(Singular { row: 0 }) }
+        if self.s.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(KktError::NotFinite) }
     }
 
     /// Takes a right-hand side.
@@ -271,18 +272,20 @@ fn clear_held(theta: &mut [f64], held: &[bool]) {
 }
 
 impl KktSolver for ArrowKkt {
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         let done = self.on_threads(|arrow| {
             arrow.forest.rejoin(&arrow.plan);
             arrow.eliminate(hessian, jacobian)?;
             if arrow.hurry && arrow.forest.grows_wildly() {
-                return Err(Singular { row: 0 });
+                return Err(KktError::TooCostly);
             }
             if arrow.forest.split(&arrow.plan) {
                 arrow.eliminate(hessian, jacobian)?;
             }
             arrow.merge(hessian, jacobian)
         });
+        // Comparisons with NaN find no pivot, as where there is none.
+        let done = done.map_err(|error| if all_finite(jacobian) { error } else { KktError::NotFinite });
         self.refining = self.refine || self.forest.is_split();
         if self.refining {
             self.jacobian.copy_from_slice(jacobian);

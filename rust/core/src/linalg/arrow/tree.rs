@@ -11,7 +11,7 @@ use super::merge::Merge;
 use super::own::Own;
 use super::products::Products;
 use super::top::Top;
-use crate::linalg::Singular;
+use crate::linalg::KktError;
 
 /// A group, or two merged.
 #[derive(Clone, Copy, Debug)]
@@ -89,7 +89,7 @@ impl Tree {
         parallel: bool,
         hessian: &[f64],
         jacobian: &[f64],
-    ) -> Result<(), Singular> {
+    ) -> Result<(), KktError> {
         let done = if parallel {
             let work = |g: &mut Group| {
                 let own = rayon::current_thread_index().unwrap_or(0) % room.len();
@@ -102,7 +102,13 @@ impl Tree {
             let products = room[0].get_mut().unwrap_or_else(PoisonError::into_inner);
             self.groups.iter_mut().try_for_each(|g| g.factorize(context, products, hessian, jacobian))
         };
-        done.map_err(|row| Singular { row: context.plan.constraint(row, context.shape.n) })
+        // Groups number the rows of their chain.
+        done.map_err(|error| match error {
+            KktError::Dependent { row } => {
+                KktError::Dependent { row: context.plan.constraint(row, context.shape.n) }
+            }
+            other => other,
+        })
     }
 
     /// Merges the groups up to one, and finds the reduced Hessian of that; `units` are reciprocals.
@@ -112,10 +118,9 @@ impl Tree {
         units: &[f64],
         jacobian: &[f64],
         parallel: bool,
-    ) -> Result<(), Singular> {
+    ) -> Result<(), KktError> {
         let (shape, plan) = (context.shape, context.plan);
         let Tree { groups, levels, root, top, .. } = self;
-        let singular = Singular { row: plan.chain.row };
         for l in 0..levels.len() {
             let (done, level) = levels.split_at_mut(l);
             let form = |node: &Node| of(groups, done, *node).0;
@@ -127,8 +132,9 @@ impl Tree {
             } else {
                 level[0].iter_mut().map(work).fold(true, |a, b| a & b)
             };
+            // The states between two groups always follow, unless a coefficient is too large.
             if !fine {
-                return Err(singular);
+                return Err(KktError::NotFinite);
             }
         }
         let columns = shape.n + shape.used();
@@ -137,7 +143,7 @@ impl Tree {
             let (row, column) = (place / columns, place % columns);
             top.boundary[place] += jacobian[entry] * plan.boundary_factor(units, row, column);
         }
-        if top.factorize(shape, of(groups, levels, *root).0) { Ok(()) } else { Err(singular) }
+        top.factorize(shape, of(groups, levels, *root).0)
     }
 
     /// From what is left of the right-hand side up to what stands right in the border, which is added to.

@@ -29,7 +29,7 @@ mod products;
 mod reduced;
 mod rows;
 
-use super::{Curvature, KktSolver, Singular};
+use super::{Curvature, KktError, KktSolver};
 use crate::nlp::Structure;
 use basis::Basis;
 use reduced::Reduced;
@@ -262,18 +262,13 @@ fn worse(worst: f64, rest: f64, size: f64) -> f64 {
 }
 
 impl KktSolver for SparseKkt {
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         self.stage = Stage::Empty;
         self.h.fill(hessian);
         self.a.fill(jacobian);
         let finite = |rows: &Rows, i: usize| rows.row(i).all(|(_, value)| value.is_finite());
-        if let Some(row) = (0..self.m).find(|&i| !finite(&self.a, i)) {
-            return Err(Singular { row });
-        }
-        if let Some(v) = (0..self.n).find(|&i| !finite(&self.h, i)) {
-            // A constraint on the variable says at least where.
-            let row = (0..self.m).find(|&i| self.a.columns(i).binary_search(&(v as u32)).is_ok());
-            return Err(Singular { row: row.unwrap_or(0) });
+        if !((0..self.m).all(|i| finite(&self.a, i)) && (0..self.n).all(|i| finite(&self.h, i))) {
+            return Err(KktError::NotFinite);
         }
         self.diagonal.fill(1.0);
         for (i, d) in self.diagonal.iter_mut().enumerate() {
@@ -281,7 +276,7 @@ impl KktSolver for SparseKkt {
                 *d = h.abs();
             }
         }
-        self.basis.factorize(&self.a).map_err(|row| Singular { row })?;
+        self.basis.factorize(&self.a).map_err(|row| KktError::Dependent { row })?;
         self.reduced.assemble(&self.h, &self.basis);
         self.stage = Stage::Factorized;
         Ok(())

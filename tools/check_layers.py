@@ -13,7 +13,7 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "lgl", "interpolate", "table", "error", "pairs", "expr", "tape", "transform", "parameter",
+    "math", "simd", "interrupt", "lgl", "interpolate", "table", "error", "pairs", "expr", "tape", "transform", "parameter",
     "nlp", "noise", "condition", "model", "evaluator", "experiment", "mesh", "transcription", "filter", "linalg",
     "solver", "diagnosis", "estimate", "simulate",
 ]

@@ -24,6 +24,7 @@ from ..progress import Progress
 from ..regression.result import EquationError
 from ..result import Fit
 from ..solvers import HINTS, Ipopt, Iteration, Newton, Solution
+from ..solvers.limits import Deadline
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
@@ -66,6 +67,7 @@ def estimate(
     Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model is not
     finite at the start. Not to converge is a status of the fit, not an error.
     """
+    deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
     experiments = as_experiments(data, "estimate")
     if not isinstance(model, Model):
         raise ModelError(f"estimate: the first argument is a Model, not a {type(model).__name__}")
@@ -98,6 +100,7 @@ def estimate(
 
         def solve(mesh: Collocation, fit: Fit | None) -> Fit:
             begin, by = (fit, again) if fit else (start, solver)
+            by = replace(by, time_limit=deadline.left())
             return estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
 
         return refined(solve, transcription)
@@ -105,8 +108,8 @@ def estimate(
     if model.delays:
         if isinstance(transcription, FilterError):
             raise OptionError("FilterError: delays are not supported")
-        options = {"transcription": transcription, "noise": noise, "solver": solver, "progress": progress}
-        return estimate_late(estimate, model, experiments, start, options)
+        options = {"transcription": transcription, "noise": noise, "progress": progress}
+        return estimate_late(estimate, model, experiments, start, (solver, deadline), options)
 
     moving = [_moving(e, model.output_names) for e in experiments]
     for i, experiment in enumerate(experiments):
@@ -146,11 +149,20 @@ def estimate(
         with Progress.of(progress, model.name) as watch:
             before = _warm(warm, transcription, problem, xi)
             near = isinstance(start, Fit)
-            solution = solver.solve(problem, xi, before, _until(pressed, watch), states_known=known, near=near)
+            in_time = replace(solver, time_limit=deadline.left())
+            solution = in_time.solve(
+                problem,
+                xi,
+                before,
+                _until(pressed, watch) if watch is not None else None,
+                states_known=known,
+                near=near,
+                stop=lambda: pressed() > 0,
+            )
         stopped = solution.status == "interrupted"
         # One more than ended the run.
         enough = max(pressed(), 1) + 1 if stopped else 1
-        fit = make_fit(model, experiments, noise, transcription, problem, solution, lambda: pressed() >= enough)
+        fit = make_fit(model, experiments, noise, transcription, problem, solution, lambda: pressed() >= enough, deadline)
         if pressed() and not stopped:  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
     return fit

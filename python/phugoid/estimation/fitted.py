@@ -18,6 +18,7 @@ from ..parameters import Estimate, Estimates, Parameter
 from ..records import Record
 from ..result import Fit
 from ..solvers import HINTS, Solution
+from ..solvers.limits import Deadline
 from ..transcription.shooting import Transcription
 
 __all__ = ["make_fit"]
@@ -48,8 +49,10 @@ def make_fit(
     problem: _core.Problem,
     solution: Solution,
     stop: Callable[[], bool] | None = None,
+    deadline: Deadline | None = None,
 ) -> Fit:
-    """The fit at a solution; where ``stop`` says so, without standard errors, which take long in large problems."""
+    """The fit at a solution; without standard errors, which take long in large problems, where ``stop`` says so or
+    there is no time left."""
     xi = solution.xi
     n_theta, n_x, n_model = problem.n_theta, len(model.state_names), len(problem.estimands)
     lower, upper = problem.bounds()
@@ -63,8 +66,11 @@ def make_fit(
     cov = np.full((n_theta, n_theta), np.nan)
     status, message = solution.status, solution.message
     found = None
+    limit = None if deadline is None else deadline.with_grace()
     try:
-        found = _core.information(problem, xi, solution.multipliers, wanted.tolist(), held.tolist(), stop)
+        found = _core.information(problem, xi, solution.multipliers, wanted.tolist(), held.tolist(), limit, stop)
+    except TimeoutError:
+        warnings.append("time limit: there are no standard errors; allow more time, or go on with start=fit")
     except KeyboardInterrupt:
         warnings.append("interrupted: there are no standard errors; estimate with start=fit goes on from here")
     except EvaluationError as error:
@@ -149,6 +155,8 @@ def _delta(cov: _Array, n_model: int, gradients: _Array) -> _Array:
     ``gradients`` (k, k): row i holds the derivatives of the i-th reported value. An unknown without covariance (NaN)
     leaves those values without that depend on it.
     """
+    if np.isnan(np.diag(cov)).all():
+        return cov
     jacobian = np.eye(cov.shape[0])
     if gradients.size:
         jacobian[n_model:, n_model:] = gradients

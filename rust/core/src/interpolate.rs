@@ -63,6 +63,11 @@ impl<'a> Interpolant<'a> {
         Interpolant { t, values, slopes }
     }
 
+    /// The times of its samples.
+    pub fn times(&self) -> &'a [f64] {
+        self.t
+    }
+
     /// Its value at a time; before the first sample and after the last one it is theirs.
     pub fn at(&self, s: f64) -> f64 {
         let (t, values) = (self.t, self.values);

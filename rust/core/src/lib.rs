@@ -98,6 +98,7 @@ pub mod experiment;
 pub mod expr;
 pub mod filter;
 pub mod interpolate;
+pub mod interrupt;
 pub mod lgl;
 pub mod linalg;
 pub mod math;

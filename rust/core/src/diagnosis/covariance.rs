@@ -1,6 +1,9 @@
 //! Covariance of the estimates, and their distance from the optimum, from one factorisation.
 
+use std::fmt;
+
 use super::SLIGHT;
+use crate::interrupt::current;
 use crate::linalg::{KktError, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::state_units;
@@ -29,6 +32,16 @@ pub enum NoInformation {
     Singular(KktError),
     /// It was told not to go on.
     Stopped,
+}
+
+impl fmt::Display for NoInformation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            NoInformation::NotFinite => f.write_str("a derivative of the model is not finite"),
+            NoInformation::Singular(error) => error.fmt(f),
+            NoInformation::Stopped => f.write_str("there was no time left"),
+        }
+    }
 }
 
 impl From<NotFinite> for NoInformation {
@@ -64,7 +77,22 @@ pub fn information(
     held: &[usize],
     go_on: &mut dyn FnMut() -> bool,
 ) -> Result<Information, NoInformation> {
-    let mut unless_stopped = || if go_on() { Ok(()) } else { Err(NoInformation::Stopped) };
+    let found = informed(nlp, xi, lambda, wanted, held, go_on);
+    // Whatever was found after a stop is none.
+    if current().stops() { Err(NoInformation::Stopped) } else { found }
+}
+
+fn informed(
+    nlp: &dyn Nlp,
+    xi: &[f64],
+    lambda: &[f64],
+    wanted: &[usize],
+    held: &[usize],
+    go_on: &mut dyn FnMut() -> bool,
+) -> Result<Information, NoInformation> {
+    let interrupt = current();
+    let mut unless_stopped =
+        || if go_on() && !interrupt.stops() { Ok(()) } else { Err(NoInformation::Stopped) };
     let (n, m, k) = (nlp.n(), nlp.m(), wanted.len());
     let mut hessian = vec![0.0; nlp.hessian_structure().len()];
     let mut jacobian = vec![0.0; nlp.jacobian_structure().len()];
@@ -88,6 +116,7 @@ pub fn information(
     let mut found = kkt.finish(&holding, 0.0);
     // What the data leave open is set aside, one variable of each direction at a time.
     while !found.is_positive() {
+        unless_stopped()?;
         saddle |= found.negative > 0;
         let mut next: Vec<(usize, usize)> = Vec::new(); // a variable, and its group
         for direction in kkt.weak_directions() {

@@ -3,11 +3,15 @@
 use super::arrow::ArrowKkt;
 use super::sparse::SparseKkt;
 use super::{Curvature, KktError, KktSolver};
+use crate::interrupt::current;
 use crate::nlp::{Chains, Nlp, Structure};
 
 /// The arrow factorisation where the program has chains, else the sparse one. `units` are those of the
 /// states of a point where there are chains, else a single one or one each variable.
 pub fn kkt_for(nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
+    if current().stops() {
+        return Box::new(Unmade((nlp.n(), nlp.m())));
+    }
     let Some(chains) = nlp.chains() else { return Box::new(sparse(nlp, units)) };
     let sizes = (nlp.n(), nlp.m());
     let structures = (nlp.hessian_structure(), nlp.jacobian_structure());
@@ -40,6 +44,36 @@ fn scales(nlp: &dyn Nlp, units: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let mut rows: Vec<f64> = units.iter().copied().cycle().take(nlp.m() - at_ends.len()).collect();
     rows.extend(at_ends);
     (columns, rows)
+}
+
+/// Of a run that was stopped before it began: to plan an elimination takes long in large programs.
+struct Unmade((usize, usize));
+
+impl KktSolver for Unmade {
+    fn factorize(&mut self, _: &[f64], _: &[f64]) -> Result<(), KktError> {
+        Err(KktError::Stopped)
+    }
+
+    fn finish(&mut self, _: &[bool], _: f64) -> Curvature {
+        Curvature { negative: 0, zero: 1 }
+    }
+
+    fn solve(&mut self, _: &[f64], _: &[f64], d: &mut [f64], lambda: &mut [f64]) {
+        d.fill(f64::NAN);
+        lambda.fill(f64::NAN);
+    }
+
+    fn weak_directions(&self) -> &[Vec<(usize, f64)>] {
+        &[]
+    }
+
+    fn sizes(&self) -> (usize, usize) {
+        self.0
+    }
+
+    fn flops(&self) -> u64 {
+        0
+    }
 }
 
 /// The arrow as long as it serves. Boundary conditions may determine parameters instead of states, as when an

@@ -6,6 +6,7 @@ pub mod sparse;
 
 use std::fmt;
 
+pub(crate) use arrow::dense::{backward, cholesky, forward};
 pub use choose::kkt_for;
 
 /// Why a Newton system was not factorised.

@@ -32,7 +32,7 @@
 mod border;
 mod chain;
 mod covariance;
-mod dense;
+pub(crate) mod dense;
 mod forest;
 mod form;
 mod group;
@@ -62,6 +62,7 @@ use products::Products;
 use tree::add;
 
 use super::{Curvature, KktError, KktSolver, covariance_by_solving};
+use crate::interrupt::current;
 use crate::nlp::{Chains, Structure};
 use crate::tape::lanes::all_finite;
 
@@ -240,7 +241,8 @@ impl ArrowKkt {
     fn on_threads<R: Send>(&mut self, work: impl FnOnce(&mut Self) -> R + Send) -> R {
         match self.pool.take() {
             Some(pool) => {
-                let result = pool.install(|| work(self));
+                let interrupt = current();
+                let result = pool.install(|| interrupt.run(|| work(self)));
                 self.pool = Some(pool);
                 result
             }
@@ -285,7 +287,10 @@ impl KktSolver for ArrowKkt {
             arrow.merge(hessian, jacobian)
         });
         // Comparisons with NaN find no pivot, as where there is none.
-        let done = done.map_err(|error| if all_finite(jacobian) { error } else { KktError::NotFinite });
+        let done = done.map_err(|error| match error {
+            KktError::Dependent { .. } if !all_finite(jacobian) => KktError::NotFinite,
+            other => other,
+        });
         self.refining = self.refine || self.forest.is_split();
         if self.refining {
             self.jacobian.copy_from_slice(jacobian);
@@ -308,6 +313,9 @@ impl KktSolver for ArrowKkt {
         self.held.copy_from_slice(&held[..shape.border]);
         self.eliminated.copy_from_slice(&self.s);
         let mut found = Curvature::default();
+        if current().stops() {
+            return Curvature { zero: 1, ..found };
+        }
         for (tree, plan) in self.forest.trees.iter_mut().zip(&self.plan.chains) {
             let before = self.weak.len();
             let here = tree.top.eliminate(shape, shift, &mut self.eliminated, &mut self.weak);
@@ -328,6 +336,11 @@ impl KktSolver for ArrowKkt {
     }
 
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
+        if current().stops() {
+            d.fill(f64::NAN);
+            lambda.fill(f64::NAN);
+            return;
+        }
         self.on_threads(|arrow| {
             arrow.take(p, q);
             arrow.solve_rest();

@@ -11,6 +11,7 @@ use super::merge::Merge;
 use super::own::Own;
 use super::products::Products;
 use super::top::Top;
+use crate::interrupt::current;
 use crate::linalg::KktError;
 
 /// A group, or two merged.
@@ -90,17 +91,19 @@ impl Tree {
         hessian: &[f64],
         jacobian: &[f64],
     ) -> Result<(), KktError> {
+        let interrupt = current();
         let done = if parallel {
             let work = |g: &mut Group| {
                 let own = rayon::current_thread_index().unwrap_or(0) % room.len();
                 // Nothing is left in it that matters after a panic.
                 let mut products = room[own].lock().unwrap_or_else(PoisonError::into_inner);
-                g.factorize(context, &mut products, hessian, jacobian)
+                g.factorize(context, &mut products, hessian, jacobian, &interrupt)
             };
             self.groups.par_iter_mut().map(work).reduce(|| Ok(()), Result::and)
         } else {
             let products = room[0].get_mut().unwrap_or_else(PoisonError::into_inner);
-            self.groups.iter_mut().try_for_each(|g| g.factorize(context, products, hessian, jacobian))
+            let work = |g: &mut Group| g.factorize(context, products, hessian, jacobian, &interrupt);
+            self.groups.iter_mut().try_for_each(work)
         };
         // Groups number the rows of their chain.
         done.map_err(|error| match error {
@@ -121,11 +124,12 @@ impl Tree {
     ) -> Result<(), KktError> {
         let (shape, plan) = (context.shape, context.plan);
         let Tree { groups, levels, root, top, .. } = self;
+        let interrupt = current();
         for l in 0..levels.len() {
             let (done, level) = levels.split_at_mut(l);
             let form = |node: &Node| of(groups, done, *node).0;
             let work = |(left, right, merge): &mut (Node, Node, Merge)| {
-                merge.factorize(shape, form(left), form(right))
+                !interrupt.stops() && merge.factorize(shape, form(left), form(right))
             };
             let fine = if level[0].len() > FEW && parallel {
                 level[0].par_iter_mut().map(work).all(|x| x)
@@ -134,7 +138,7 @@ impl Tree {
             };
             // The states between two groups always follow, unless a coefficient is too large.
             if !fine {
-                return Err(KktError::NotFinite);
+                return Err(if interrupt.stops() { KktError::Stopped } else { KktError::NotFinite });
             }
         }
         let columns = shape.n + shape.used();

@@ -30,6 +30,7 @@ mod reduced;
 mod rows;
 
 use super::{Curvature, KktError, KktSolver};
+use crate::interrupt::current;
 use crate::nlp::Structure;
 use basis::Basis;
 use reduced::Reduced;
@@ -276,7 +277,11 @@ impl KktSolver for SparseKkt {
                 *d = h.abs();
             }
         }
-        self.basis.factorize(&self.a).map_err(|row| KktError::Dependent { row })?;
+        let found = self.basis.factorize(&self.a);
+        if current().stops() {
+            return Err(KktError::Stopped);
+        }
+        found.map_err(|row| KktError::Dependent { row })?;
         self.reduced.assemble(&self.h, &self.basis);
         self.stage = Stage::Factorized;
         Ok(())
@@ -285,7 +290,7 @@ impl KktSolver for SparseKkt {
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {
         self.held.copy_from_slice(held);
         self.shift = shift;
-        if self.stage == Stage::Empty {
+        if self.stage == Stage::Empty || current().stops() {
             // There is no factorisation: nothing is known, so nothing is positive.
             self.weak.clear();
             return Curvature { negative: 0, zero: self.n.saturating_sub(self.m).max(1) };
@@ -297,7 +302,7 @@ impl KktSolver for SparseKkt {
     }
 
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
-        if self.stage != Stage::Finished {
+        if self.stage != Stage::Finished || current().stops() {
             d.fill(f64::NAN);
             lambda.fill(f64::NAN);
             return;

@@ -162,7 +162,9 @@ def estimate(
         stopped = solution.status == "interrupted"
         # One more than ended the run.
         enough = max(pressed(), 1) + 1 if stopped else 1
-        fit = make_fit(model, experiments, noise, transcription, problem, solution, lambda: pressed() >= enough, deadline)
+        fit = make_fit(
+            model, experiments, noise, transcription, problem, solution, lambda: pressed() >= enough, deadline
+        )
         if pressed() and not stopped:  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
     return fit

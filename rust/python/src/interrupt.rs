@@ -49,6 +49,11 @@ pub fn watched<'a, R: Send>(
             Err(e) => Err(e),
         }
     };
+    // What was pressed before counts, however quick the work is.
+    if let Err(e) = ask(py) {
+        interrupt.stop();
+        error = Some(e);
+    }
     let done = py.detach(|| {
         thread::scope(|scope| {
             let (sender, receiver) = channel::<Message<'a, R>>();

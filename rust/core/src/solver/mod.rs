@@ -369,7 +369,7 @@ impl<'a> Run<'a> {
             return true;
         }
         self.count.gradient += 1;
-        if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() {
+        if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() || self.interrupt.stops() {
             return false;
         }
         let reach = Reach::Step { up: TENFOLD, down: if step == 1.0 { TENFOLD } else { 1.0 } };

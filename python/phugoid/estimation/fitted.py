@@ -73,8 +73,8 @@ def make_fit(
         warnings.append("time limit: there are no standard errors; allow more time, or go on with start=fit")
     except KeyboardInterrupt:
         warnings.append("interrupted: there are no standard errors; estimate with start=fit goes on from here")
-    except EvaluationError as error:
-        warnings.append(f"the standard errors could not be computed: {error}")
+    except EvaluationError as why:
+        warnings.append(f"the standard errors could not be computed: {why}")
     if found is not None:
         covariance, step, undetermined, saddle = found
         variance = np.diag(covariance)

@@ -14,8 +14,8 @@ from pathlib import Path
 # fmt: off
 RUST = [
     "math", "simd", "interrupt", "lgl", "interpolate", "table", "error", "pairs", "expr", "tape", "transform",
-    "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment", "mesh", "transcription", "filter", "linalg",
-    "solver", "diagnosis", "estimate", "simulate",
+    "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment", "mesh", "transcription", "filter",
+    "linalg", "solver", "diagnosis", "estimate", "simulate",
 ]
 
 PYTHON = [

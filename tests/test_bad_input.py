@@ -254,7 +254,7 @@ def test_one_list_of_segments_for_two_experiments() -> None:
         ({"tolerance": 0.0}, "tolerance is a number between 0 and 1, not 0.0"),
         ({"tolerance": 1.0}, "not 1.0"),
         ({"tolerance": "tight"}, "not 'tight'"),
-        ({"time_limit": 0.0}, "time_limit is a positive number of seconds, not 0.0"),
+        ({"time_limit": -0.5}, "time_limit is a number of seconds from 0, or None, not -0.5"),
         ({"time_limit": "1 min"}, "not '1 min'"),
         ({"options": ["tol"]}, r"options are values by name"),
     ],

@@ -134,8 +134,8 @@ def test_the_exact_hessian_alone_finds_the_same() -> None:
         ({"max_iterations": 2.5}, "max_iterations is a whole number from 0, not 2.5"),
         ({"tolerance": 0}, "tolerance is a number between 0 and 1, not 0"),
         ({"tolerance": "tight"}, "tolerance is a number between 0 and 1, not 'tight'"),
-        ({"time_limit": 0}, "time_limit is a positive number of seconds, not 0"),
-        ({"time_limit": float("inf")}, "time_limit is a positive number of seconds, not inf"),
+        ({"time_limit": -1}, "time_limit is a number of seconds from 0, or None, not -1"),
+        ({"time_limit": float("nan")}, "time_limit is a number of seconds from 0, or None, not nan"),
         ({"regression": "yes"}, "regression is True, False or None, not 'yes'"),
     ],
 )

@@ -13,9 +13,9 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "lgl", "interpolate", "table", "error", "threads", "pairs", "expr", "tape", "transform",
-    "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment", "gaps", "mesh", "transcription",
-    "filter", "linalg", "solver", "diagnosis", "estimate", "simulate",
+    "math", "simd", "interrupt", "lgl", "interpolate", "table", "error", "threads", "pairs", "expr", "tape",
+    "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment", "gaps", "mesh",
+    "transcription", "filter", "linalg", "solver", "diagnosis", "estimate", "simulate",
 ]
 
 PYTHON = [

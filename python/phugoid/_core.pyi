@@ -28,6 +28,7 @@ __all__ = [
     "load_expression",
     "newton",
     "operations",
+    "simulate",
     "tangents",
 ]
 
@@ -337,6 +338,7 @@ def newton(
     regression: bool,
     wide: bool,
     watch: Callable[..., object] | None,
+    stop: Callable[[], bool] | None = None,
 ) -> NewtonSolution: ...
 
 @final
@@ -356,8 +358,18 @@ def information(
     multipliers: _Array,
     wanted: Sequence[int],
     held: Sequence[int],
+    time_limit: float | None = None,
     stop: Callable[[], bool] | None = None,
-) -> tuple[_Array, _Array, list[list[int]], bool] | None: ...
+) -> tuple[_Array, _Array, list[list[int]], bool]: ...
+def simulate(
+    model: Model,
+    record: _Record,
+    parameters: Sequence[tuple[str, float]],
+    initial: Sequence[tuple[str, float]],
+    method: str,
+    tolerance: float,
+    time_limit: float | None,
+) -> tuple[list[_Array], list[_Array]]: ...
 def tangents(
     problem: Problem, xi: _Array, held: Sequence[int], variables: Sequence[int]
 ) -> tuple[_Array, bool] | None: ...

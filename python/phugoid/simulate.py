@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from numbers import Real
 from typing import Any
 
@@ -12,10 +11,9 @@ from numpy.typing import NDArray
 
 from . import _core
 from .data.experiment import Experiment
-from .data.interpolation import interpolated, kinds_for
-from .data.multirate import distinct
+from .data.interpolation import kinds_for
 from .data.unit_check import check_units
-from .errors import DataError, EvaluationError, ModelError, OptionError, did_you_mean
+from .errors import DataError, ModelError, OptionError, did_you_mean
 from .estimation.late import simulated_late
 from .guess import measured_states
 from .modelling.model import Model
@@ -26,7 +24,7 @@ __all__ = ["first_values", "simulate"]
 
 _Array = NDArray[np.float64]
 
-_METHODS = ("RK45", "RK23", "DOP853", "Radau", "BDF", "LSODA")
+_METHODS = ("auto", "DOP853", "Radau")
 
 
 def simulate(
@@ -35,18 +33,23 @@ def simulate(
     data: Experiment,
     *,
     initial: Mapping[str, float] | None = None,
-    method: str = "DOP853",
+    method: str = "auto",
     rtol: float = 1e-9,
+    time_limit: float | None = None,
 ) -> Record:
     """Integrates the model over an experiment's inputs; returns its outputs and states at the samples.
 
     ``parameters``: values by name (numbers or estimates), or a fit. ``initial``: states at the first sample; those
     not given are the fit's for this experiment, else as the model's initial conditions say, else as measured at the
     first sample that has a value, else 0.
-    ``method`` and ``rtol`` are those of `scipy.integrate.solve_ivp`.
+    ``method``: "DOP853", Dormand and Prince's explicit Runge-Kutta method of order 8; "Radau", the implicit Radau IIA
+    method of order 5, for stiff systems; "auto" begins with the first and goes on with the second from where stability
+    and not accuracy limits the step (Hairer, Norsett and Wanner, Solving Ordinary Differential Equations).
+    ``rtol``: error that a step may make, relative to the state. ``time_limit``: most time to spend, in s.
 
     Raises ModelError for a missing or unknown parameter, DataError for missing inputs, OptionError for a wrong
-    method or tolerance, EvaluationError where the solution ceases to exist or an output is not finite, with the time.
+    method, tolerance or time limit, EvaluationError where the solution ceases to exist, an output is not finite or the
+    time limit is reached, with the time. Ctrl-C ends it (KeyboardInterrupt).
     """
     if not isinstance(model, Model):
         raise ModelError(f"simulate: the first argument is a Model, not a {type(model).__name__}")
@@ -56,6 +59,8 @@ def simulate(
         raise OptionError(f"simulate: method is one of {', '.join(_METHODS)}, not {method!r}")
     if not (isinstance(rtol, Real) and 0 < rtol < 1):
         raise OptionError(f"simulate: rtol is a number between 0 and 1, not {rtol!r}")
+    if time_limit is not None and not (isinstance(time_limit, Real) and float(time_limit) >= 0):
+        raise OptionError(f"simulate: time_limit is a number of seconds from 0, or None, not {time_limit!r}")
     model.check()
     data.check_for(model.input_names, [])
     check_units(model, [data], "simulate")
@@ -63,10 +68,17 @@ def simulate(
     x0 = first_values(model, values, parameters, data, initial or {})
     if model.delays:
         first = dict(zip(model.state_names, x0, strict=True))
-        return simulated_late(simulate, model, values, data, initial=first, method=method, rtol=rtol)
-    flow = _Flow(model, values, data)
-    states = flow.path(x0, method, float(rtol))
-    y = flow.outputs(states)
+        options = {"method": method, "rtol": rtol, "time_limit": time_limit}
+        return simulated_late(simulate, model, values, data, initial=first, **options)
+    states, y = _core.simulate(
+        model._core,
+        _record(model, data),
+        list(values.items()),
+        list(zip(model.state_names, x0.tolist(), strict=True)),
+        method,
+        float(rtol),
+        None if time_limit is None else float(time_limit),
+    )
     outputs = dict(zip(model.output_names, y, strict=True))
     there = {*data.outputs, *data.channels}
     measured = {n: data.output(n) for n in model.output_names if n in there}
@@ -84,112 +96,17 @@ def simulate(
     )
 
 
-class _Flow:
-    """A model with numbers put in, over the inputs of an experiment."""
-
-    def __init__(self, model: Model, values: Mapping[str, float], data: Experiment) -> None:
-        self.model, self.data = model, data
-        self.theta = np.array(list(values.values()))
-        self.evaluator = _core.Evaluator(model._core)
-        self.t = data.t
-        self.inputs = np.array([data.input(name) for name in model.input_names]).reshape(-1, data.n)
-        self.splines: dict[int, tuple[Any, _Array]] = {}  # of inputs that are cubic, and the ends of their samples
-        self.knots = self.t
-        samples = [data.samples(name) for name in model.input_names]
-        kinds = [data.interpolation_of(name) for name in model.input_names]
-        if "cubic" in kinds:
-            from scipy.interpolate import CubicSpline
-
-            cubic = [i for i, kind in enumerate(kinds) if kind == "cubic"]
-            self.splines = {i: (CubicSpline(*samples[i]), samples[i][0][[0, -1]]) for i in cubic}  # as the core's
-        own = [t for (t, _), kind in zip(samples, kinds, strict=True) if t is not self.t and kind != "cubic"]
-        if own:
-            # Where inputs with samples of their own bend or jump.
-            same = 1e-9 * float(np.diff(self.t).min())
-            inner = distinct(np.concatenate(own), same)
-            inner = inner[(inner > self.t[0] + same) & (inner < self.t[-1] - same)]
-            after = np.searchsorted(self.t, inner)
-            apart = np.minimum(inner - self.t[after - 1], self.t[after] - inner) > same
-            self.knots = np.union1d(self.t, inner[apart])
-        at = [interpolated(kind, *own, self.knots) for kind, own in zip(kinds, samples, strict=True)]
-        # Inputs where intervals begin, and where they end: what is held jumps there.
-        self.begins = np.array(at).reshape(-1, self.knots.size)
-        self.ends = self.begins.copy()
-        held = [i for i, kind in enumerate(kinds) if kind == "hold"]
-        self.ends[held, 1:] = self.begins[held, :-1]
-        self.bad: tuple[float, _Array, _Array] | None = None  # the last point where an equation was not finite
-
-    def at(self, k: int, time: float) -> _Array:
-        """Inputs at a time in the interval after knot ``k``."""
-        if time == self.knots[k + 1]:
-            return np.asarray(self.ends[:, k + 1])  # to the bit: a hair below zero may have no square root
-        share = (time - self.knots[k]) / (self.knots[k + 1] - self.knots[k])
-        u = self.begins[:, k] + share * (self.ends[:, k + 1] - self.begins[:, k])
-        for i, (spline, ends) in self.splines.items():
-            # Beyond its own samples an input stays as it was, as in the core.
-            u[i] = spline(min(max(time, ends[0]), ends[1]))
-        return np.asarray(u)
-
-    def rhs(self, k: int, time: float, x: _Array) -> _Array:
-        """x' in that interval."""
-        u = self.at(k, time)
-        slope = self.evaluator.dynamics(self.theta, np.concatenate([[time], u, x])[:, np.newaxis])[:, 0]
-        if not np.isfinite(slope).all() and np.isfinite(x).all():
-            self.bad = time, np.concatenate([x, u]), slope
-        return slope
-
-    def path(self, x0: _Array, method: str, rtol: float) -> _Array:
-        """States at the samples, shape (n_x, N).
-
-        Each interval by itself: inputs bend or jump at the samples, which no integrator sees coming.
-        """
-        from scipy.integrate import solve_ivp
-
-        states = np.empty((x0.size, self.knots.size))
-        states[:, 0] = x0
-        self.rhs(0, self.t[0], x0)
-        if self.bad is not None:  # the integrator would never return
-            raise self.failure(self.t[0])
-        atol = rtol * np.maximum(np.abs(x0), 1e-3)
-        step = None
-        with np.errstate(all="ignore"):
-            for k, (begin, end) in enumerate(zip(self.knots[:-1], self.knots[1:], strict=True)):
-                step = None if step is None else min(step, end - begin)
-                options = {"rtol": rtol, "atol": atol, "first_step": step}
-                solution = solve_ivp(partial(self.rhs, k), (begin, end), states[:, k], method, **options)
-                if not solution.success or not np.isfinite(solution.y[:, -1]).all():
-                    raise self.failure(solution.t[-1])
-                states[:, k + 1] = solution.y[:, -1]
-                step = float(np.diff(solution.t).max())
-        return states[:, np.searchsorted(self.knots, self.t)]
-
-    def failure(self, reached: float) -> EvaluationError:
-        """Why there is no solution from a time on."""
-        text = (
-            f"experiment '{self.data.name}': the simulation of '{self.model.name}' ends at t = {reached:g} s "
-            f"of {self.t[-1]:g} s: "
-        )
-        if self.bad is None:
-            return EvaluationError(
-                f"{text}the solution grows without limit; the model may be unstable with these parameters"
-            )
-        time, point, slope = self.bad
-        state = self.model.state_names[int(np.flatnonzero(~np.isfinite(slope))[0])]
-        names = (*self.model.state_names, *self.model.input_names)
-        where = ", ".join(f"{n} = {v:.6g}" for n, v in zip(names, point, strict=True))
-        return EvaluationError(f"{text}the equation of {state}' is not finite at t = {time:.6g} s, {where}")
-
-    def outputs(self, states: _Array) -> _Array:
-        """Outputs at the samples, shape (n_y, N)."""
-        y = self.evaluator.outputs(self.theta, np.vstack([self.t, self.inputs, states]))
-        wrong = np.argwhere(~np.isfinite(y.T))
-        if wrong.size:
-            k, c = wrong[0]
-            raise EvaluationError(
-                f"experiment '{self.data.name}': the output '{self.model.output_names[c]}' of '{self.model.name}' "
-                f"is {y[c, k]} at t = {self.t[k]:g} s"
-            )
-        return y
+def _record(model: Model, data: Experiment) -> tuple[Any, ...]:
+    """The experiment as the core takes it; outputs need not be measured."""
+    missing = np.full(data.n, np.nan)
+    return (
+        data.name,
+        np.ascontiguousarray(data.t),
+        [np.ascontiguousarray(data.input(n)) for n in model.input_names],
+        [missing for _ in model.output_names],
+        [data.interpolation_of(n) for n in model.input_names],
+        [data.signal(n) for n in model.input_names],
+    )
 
 
 # Names of what is estimated of the noise begin like this; they may be there, as in Estimates.to_dict().

@@ -25,6 +25,7 @@ from ..progress import Progress
 from ..regression.result import EquationError
 from ..result import Fit
 from ..solvers import HINTS, Ipopt, Iteration, Newton, Solution
+from ..solvers.limits import Deadline
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
@@ -70,6 +71,7 @@ def estimate(
     Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model is not
     finite at the start. Not to converge is a status of the fit, not an error.
     """
+    deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
     experiments = as_experiments(data, "estimate")
     if not isinstance(model, Model):
         raise ModelError(f"estimate: the first argument is a Model, not a {type(model).__name__}")
@@ -102,6 +104,7 @@ def estimate(
 
         def solve(mesh: Collocation, fit: Fit | None) -> Fit:
             begin, by = (fit, again) if fit else (start, solver)
+            by = replace(by, time_limit=deadline.left())
             return estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
 
         return refined(solve, transcription)
@@ -109,8 +112,8 @@ def estimate(
     if model.delays:
         if isinstance(transcription, FilterError):
             raise OptionError("FilterError: delays are not supported")
-        options = {"transcription": transcription, "noise": noise, "solver": solver, "progress": progress}
-        return estimate_late(estimate, model, experiments, start, options)
+        options = {"transcription": transcription, "noise": noise, "progress": progress}
+        return estimate_late(estimate, model, experiments, start, (solver, deadline), options)
 
     moving = [_moving(e, model.output_names) for e in experiments]
     for i, experiment in enumerate(experiments):
@@ -165,13 +168,23 @@ def estimate(
             near = isinstance(start, Fit)
 
             def solve(xi: _Array, known: bool = known) -> Solution:
-                return solver.solve(problem, xi, before, _until(pressed, watch), states_known=known, near=near)
+                return replace(solver, time_limit=deadline.left()).solve(
+                    problem,
+                    xi,
+                    before,
+                    _until(pressed, watch) if watch is not None else None,
+                    states_known=known,
+                    near=near,
+                    stop=lambda: pressed() > 0,
+                )
 
             solution = solve(xi) if not starts else _best(problem, starts, solve)
         stopped = solution.status == "interrupted"
         # One more than ended the run.
         enough = max(pressed(), 1) + 1 if stopped else 1
-        fit = make_fit(model, experiments, noise, transcription, problem, solution, free, lambda: pressed() >= enough)
+        fit = make_fit(
+            model, experiments, noise, transcription, problem, solution, free, lambda: pressed() >= enough, deadline
+        )
         if pressed() and not stopped:  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
     if isinstance(start, Fit) and (worse := _worse_than_start(fit, start)):
@@ -198,6 +211,8 @@ def _worse_than_start(fit: Fit, start: Fit) -> str:
         f"the log-likelihood is {lost:.4g} below that of the fit it started from, on the same data: this is another, "
         "poorer optimum; start from elsewhere, or with fewer parameters free at once"
     )
+
+
 def _best(problem: _core.Problem, starts: Sequence[_Array], solve: Callable[..., Solution]) -> Solution:
     """The best of the solutions from several points: at an end if possible, and of the greatest likelihood.
 

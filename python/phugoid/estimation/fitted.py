@@ -12,6 +12,7 @@ from .. import _core
 from ..correlations import correlation_matrix
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
+from ..errors import EvaluationError
 from ..goodness_of_fit import chi_square_warning
 from ..match import match, no_match
 from ..modelling.kinks import kink_advice
@@ -24,6 +25,7 @@ from ..records import Record
 from ..repeated_outputs import repeated_outputs
 from ..result import Fit
 from ..solvers import HINTS, Solution
+from ..solvers.limits import Deadline
 from ..transcription.collocation import records_of
 from ..transcription.shooting import Transcription
 
@@ -61,8 +63,10 @@ def make_fit(
     solution: Solution,
     free: Sequence[Scaling] = (),
     stop: Callable[[], bool] | None = None,
+    deadline: Deadline | None = None,
 ) -> Fit:
-    """The fit at a solution; where ``stop`` says so, without standard errors, which take long in large problems.
+    """The fit at a solution; without standard errors, which take long in large problems, where ``stop`` says so or
+    there is no time left.
 
     ``free`` are scalings that no output can tell, of which the solver held one parameter each.
     """
@@ -80,21 +84,23 @@ def make_fit(
     full = np.full((problem.n, 1), np.nan)[:, 0]  # standard errors by variable
     cov = np.full((n_theta, n_theta), np.nan)
     status, message = solution.status, solution.message
-    found, stopped = None, False
-    if feasible:
-        try:
-            found = _core.information(problem, xi, solution.multipliers, wanted.tolist(), held.tolist(), stop)
-        except KeyboardInterrupt:
-            stopped = True
-    if not feasible:
-        warnings.append(
-            "the states do not satisfy the equations where the run ended: there is no log-likelihood, no standard "
-            "error, and nothing is said of how well the outputs match"
-        )
-    elif stopped:
+    found = None
+    limit = None if deadline is None else deadline.with_grace()
+    try:
+        if feasible:
+            multipliers = solution.multipliers
+            found = _core.information(problem, xi, multipliers, wanted.tolist(), held.tolist(), limit, stop)
+        else:
+            warnings.append(
+                "the states do not satisfy the equations where the run ended: there is no log-likelihood, no standard "
+                "error, and nothing is said of how well the outputs match"
+            )
+    except TimeoutError:
+        warnings.append("time limit: there are no standard errors; allow more time, or go on with start=fit")
+    except KeyboardInterrupt:
         warnings.append("interrupted: there are no standard errors; estimate with start=fit goes on from here")
-    elif found is None:
-        warnings.append("the standard errors could not be computed: the information matrix is singular")
+    except EvaluationError as why:
+        warnings.append(f"the standard errors could not be computed: {why}")
     if found is not None:
         covariance, step, undetermined, saddle = found
         variance = np.diag(covariance)
@@ -188,6 +194,8 @@ def _delta(cov: _Array, n_model: int, gradients: _Array) -> _Array:
     ``gradients`` (k, k): row i holds the derivatives of the i-th reported value. An unknown without covariance (NaN)
     leaves those values without that depend on it.
     """
+    if np.isnan(np.diag(cov)).all():
+        return cov
     jacobian = np.eye(cov.shape[0])
     if gradients.size:
         jacobian[n_model:, n_model:] = gradients

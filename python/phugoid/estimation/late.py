@@ -22,7 +22,8 @@ from ..modelling.model import Model
 from ..parameters import Estimate, Parameter
 from ..records import Record
 from ..result import Fit
-from ..solvers import HINTS
+from ..solvers import HINTS, Ipopt, Newton
+from ..solvers.limits import Deadline
 
 __all__ = ["estimate_late", "simulated_late"]
 
@@ -67,9 +68,11 @@ def estimate_late(
     model: Model,
     experiments: Sequence[Experiment],
     start: Any,
+    by: tuple[Newton | Ipopt, Deadline],
     options: Mapping[str, Any],
 ) -> Fit:
-    """`estimate` for a model with delays, by passes of it over models without."""
+    """`estimate` for a model with delays, by passes of it over models without, which share the time that is left."""
+    solver, deadline = by
     given = start.as_start() if isinstance(start, Fit) else dict(start or {})
     names = model.delays.parameters
     values = parameter_start(model, given)
@@ -81,7 +84,8 @@ def estimate_late(
     for number in range(model.delays.passes):
         slim = at_delays(model, base, _REACH * interval)
         moved = [_moved(model, slim, e, base) for e in experiments]
-        fit = estimate(slim, moved, start=_at(moved[0], experiments[0], model, begin), **options)
+        in_time = replace(solver, time_limit=deadline.left())
+        fit = estimate(slim, moved, start=_at(moved[0], experiments[0], model, begin), solver=in_time, **options)
         iterations, time, begin = iterations + fit.iterations, time + fit.time, fit
         left = {name: fit.parameters[name].value - base[name] for name in names}
         errors = {name: fit.parameters[name].std_error for name in names}

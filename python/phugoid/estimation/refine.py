@@ -31,13 +31,16 @@ _POINTS = 2_000_000
 def refined(solve: Callable[[Collocation, Fit | None], Fit], transcription: Collocation) -> Fit:
     """The fit on a mesh that is fine enough: ``solve`` estimates with a transcription, from a fit or the user's start.
 
-    Ends where the tolerance is met, after 10 passes, or with a pass that does not converge.
+    Ends where the tolerance is met, after 10 passes, or with a pass that does not converge. Without a pass that was
+    finished there is no `Fit.refinement`.
     """
     first = fit = solve(replace(transcription, refine=False), None)
     steps: list[Step] = []
     raised = 0.0  # largest error before the order was raised last
     raising = True
     while True:
+        if fit.status in ("interrupted", "time limit"):  # no time to see how exact it is
+            break
         found = fit.integration_error()
         assert isinstance(fit.transcription, Collocation)  # or there was no error to estimate
         worst = np.concatenate([each.worst for each in found])
@@ -60,6 +63,8 @@ def refined(solve: Callable[[Collocation, Fit | None], Fit], transcription: Coll
             order, edges, raised = step.order, _split(fit, found, step.order, transcription.tolerance), 0.0
         segments = tuple(tuple(e.tolist()) for e in edges)
         fit = solve(replace(transcription, order=order, substeps=1, segments=segments, refine=False), fit)
+    if not steps:
+        return fit
     return replace(fit, refinement=Refinement.of(first.parameters, fit.parameters, steps, transcription.tolerance))
 
 

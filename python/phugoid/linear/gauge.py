@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
+from ..errors import EvaluationError
 from ..guess import spread
 from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
@@ -75,8 +76,9 @@ class Uncertainty:
             labels = [name for name, *_ in problem.estimands]
             free = [i for i, label in enumerate(labels) if not self._held[self.names.index(label)]]
             held = [i for i in range(len(labels)) if i not in free]
-            answer = _core.information(problem, xi, multipliers, free, held)
-            if answer is None:
+            try:
+                answer = _core.information(problem, xi, multipliers, free, held)
+            except EvaluationError:
                 return []
             slopes = np.array([slope for _, slope in problem.values(xi[: len(labels)].tolist())])[free]
             places = [self.names.index(labels[i]) for i in free]

@@ -15,7 +15,7 @@ from .. import _core
 from ..errors import EvaluationError, OptionError
 from .cyipopt_module import load_cyipopt
 from .ipopt_callbacks import STATUS, Callbacks, interruptible
-from .limits import check_limits
+from .limits import Deadline, check_limits
 from .scaling import Scaling, scale_from_curvature, scale_from_data
 from .solution import HINTS, Iteration, Solution
 
@@ -61,8 +61,10 @@ class Ipopt:
         watch: Callable[[Iteration], None] | None = None,
         states_known: bool = False,
         near: bool = False,
+        stop: Callable[[], bool] | None = None,
     ) -> Solution:
-        """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration.
+        """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration, ``stop`` is
+        asked at each evaluation and ends the run.
 
         In stages, unless ``warm`` or ``gauss_newton`` False asks for the last alone: with the Gauss-Newton Hessian
         until the log-likelihood hardly changes, then with the exact Hessian. Scaled by the data at first and by the
@@ -76,8 +78,12 @@ class Ipopt:
         wrapper = load_cyipopt()
         _check_start(problem, xi)
         started = time.perf_counter()
+        deadline = Deadline(self.time_limit)
+        if deadline.passed():
+            none = np.zeros(problem.n)
+            return Solution(xi, np.zeros(problem.m), (none, none), "time limit", HINTS["time limit"], 0, 0.0)
         scaling = scale_from_data(problem, xi)
-        run = Callbacks(problem, wrapper.CyIpoptEvaluationError, watch)
+        run = Callbacks(problem, wrapper.CyIpoptEvaluationError, watch, deadline, stop)
         x = xi
         multipliers: Mapping[str, Any] | None = warm.multipliers_by_name() if warm else None
         run.near = warm is not None or not self.gauss_newton
@@ -91,7 +97,11 @@ class Ipopt:
                 multipliers = info if run.near else None
         if run.error is not None:
             raise run.error
-        status = "interrupted" if run.stop else STATUS.get(info["status"], "failed")
+        status = STATUS.get(info["status"], "failed")
+        if run.stop:
+            status = "interrupted"
+        elif run.late:
+            status = "time limit"
         said = info["status_msg"]
         said = (said.decode() if isinstance(said, bytes) else str(said)).strip().rstrip(".")
         message = HINTS[status]
@@ -151,7 +161,9 @@ class Ipopt:
             "honor_original_bounds": "yes",
         }
         if self.time_limit is not None:
-            options["max_wall_time"] = max(self.time_limit - (time.perf_counter() - started), 1e-3)
+            # More than Ipopt takes is no limit.
+            left = self.time_limit - (time.perf_counter() - started)
+            options["max_wall_time"] = min(max(left, 1e-3), 1e20)
         if self.scaling:
             options["nlp_scaling_method"] = "user-scaling"
             nlp.set_problem_scaling(scaling.objective, scaling.variables, scaling.constraints)

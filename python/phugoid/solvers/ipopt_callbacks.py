@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
+from .limits import Deadline
 from .solution import Iteration
 
 __all__ = ["STATUS", "Callbacks", "interruptible"]
@@ -48,11 +49,19 @@ class Callbacks:
     """The program as cyipopt wants it, and what happened on the way."""
 
     def __init__(
-        self, problem: _core.Problem, failure: type[Exception], watch: Callable[[Iteration], None] | None
+        self,
+        problem: _core.Problem,
+        failure: type[Exception],
+        watch: Callable[[Iteration], None] | None,
+        deadline: Deadline,
+        pressed: Callable[[], bool] | None = None,
     ) -> None:
         self.problem = problem
         self.failure = failure
         self.watch = watch
+        self._deadline, self._pressed = deadline, pressed
+        self.late = False
+        """Whether the time limit ended it."""
         self.history: list[Iteration] = []
         self.before = 0
         """Iterations of earlier stages."""
@@ -77,11 +86,18 @@ class Callbacks:
 
     def goes_on(self, code: int) -> bool:
         """Whether another stage follows one that ended with Ipopt's ``code``."""
-        if self.stop or self.error is not None or STATUS.get(code) in ("iteration limit", "time limit"):
+        if self.stop or self.late or self.error is not None or STATUS.get(code) in ("iteration limit", "time limit"):
             return False
         if not self.rescale:
             self.near = True  # arrived, or stuck: the exact Hessian decides
         return True
+
+    def _ask(self) -> None:
+        """Refuses all evaluations once the run is to end: Ipopt then ends at the point that it has."""
+        self.stop = self.stop or (self._pressed is not None and self._pressed())
+        self.late = self.late or self._deadline.passed()
+        if self.stop or self.late:
+            raise self.failure()
 
     def _finite(self, values: _Array | None) -> _Array:
         if values is None:
@@ -89,28 +105,33 @@ class Callbacks:
         return values
 
     def objective(self, x: _Array) -> float:
+        self._ask()
         value = self.problem.objective(x)
         if not math.isfinite(value):
             raise self.failure()
         return value
 
     def gradient(self, x: _Array) -> _Array:
+        self._ask()
         self._latest = x[self._roots].copy()  # Ipopt asks for the gradient at accepted points
         return self._finite(self.problem.gradient(x))
 
     def constraints(self, x: _Array) -> _Array:
+        self._ask()
         return self._finite(self.problem.constraints(x))
 
     def jacobianstructure(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
         return self._jacobian_structure
 
     def jacobian(self, x: _Array) -> _Array:
+        self._ask()
         return self._finite(self.problem.jacobian(x))
 
     def hessianstructure(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
         return self._hessian_structure
 
     def hessian(self, x: _Array, lagrange: _Array, obj_factor: float) -> _Array:
+        self._ask()
         if self.near:
             return self._finite(self.problem.hessian(x, obj_factor, lagrange))
         return self._finite(self.problem.gauss_newton(x, obj_factor))

@@ -31,7 +31,7 @@ class Newton:
     where every state is measured or its start is given. Where the model is not linear in its parameters, the linear
     ones are projected out (Golub & Pereyra 1973) and other places are looked at, too, unless a fit is the start.
     ``gauss_newton`` False uses the exact Hessian from the start.
-    ``time_limit`` in seconds.
+    ``time_limit`` in seconds, of all that the estimation does; the best point so far is the result.
     """
 
     max_iterations: int = 200
@@ -53,8 +53,10 @@ class Newton:
         watch: Callable[[Iteration], None] | None = None,
         states_known: bool = False,
         near: bool = False,
+        stop: Callable[[], bool] | None = None,
     ) -> Solution:
-        """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration.
+        """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration, ``stop`` is
+        asked now and then and ends the run.
 
         ``states_known``: the states in ``xi`` are measured, so that a regression on them makes sense.
         ``near``: they and the parameters are those of a fit, so that there is no need to look elsewhere.
@@ -82,6 +84,7 @@ class Newton:
             bool(regression and not warm),
             not near,
             each if watch is not None else None,
+            stop,
         )
         history += [line(*entries[:6]) for entries in found.history]
         at = found.xi

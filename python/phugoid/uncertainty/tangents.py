@@ -124,8 +124,11 @@ class Tangents:
                 wanted += range(variable, variable + n_x)
                 rows.append(self.states[n_x * (first + sample) : n_x * (first + sample + 1)])
             first += at.size
-        found = _core.information(problem, linear._xi, linear.inner.solution.multipliers, wanted, held)
-        if found is None or found[3] or not np.isfinite(found[0]).all():
+        try:
+            found = _core.information(problem, linear._xi, linear.inner.solution.multipliers, wanted, held)
+        except EvaluationError:
+            return None
+        if found[3] or not np.isfinite(found[0]).all():
             return None
         covariance, which = found[0], np.vstack(rows)
         size = np.sqrt(np.abs(np.diag(covariance)))

@@ -73,6 +73,11 @@ impl<'a> Interpolant<'a> {
         Interpolant { t, values, held: kind == Interpolation::Hold, slopes }
     }
 
+    /// The times of its samples.
+    pub fn times(&self) -> &'a [f64] {
+        self.t
+    }
+
     /// Its value at a time; before the first sample and after the last one it is theirs.
     pub fn at(&self, s: f64) -> f64 {
         let (t, values) = (self.t, self.values);

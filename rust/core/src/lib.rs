@@ -99,6 +99,7 @@ pub mod expr;
 pub mod filter;
 pub mod gaps;
 pub mod interpolate;
+pub mod interrupt;
 pub mod lgl;
 pub mod linalg;
 pub mod math;

@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector};
 use phugoid::experiment::Experiment;
 use phugoid::interpolate::Interpolation;
 use phugoid::linalg::sparse::SparseKkt;
-use phugoid::linalg::{Curvature, KktSolver};
+use phugoid::linalg::{Curvature, KktError, KktSolver};
 use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::{Nlp, Structure};
@@ -439,7 +439,8 @@ fn a_constraint_that_depends_on_others_is_named() {
             }
         }
         let mut kkt = dependent.sparse();
-        let row = kkt.factorize(&dependent.hessian, &dependent.jacobian).unwrap_err().row;
+        let error = kkt.factorize(&dependent.hessian, &dependent.jacobian).unwrap_err();
+        let KktError::Dependent { row } = error else { panic!("{error}") };
         assert!(row == m || of.contains(&row), "{row} for {m} or {of:?}");
         // Nothing is positive then, and nothing looks like a solution.
         assert!(!kkt.finish(&vec![false; n], 0.0).is_positive());
@@ -494,11 +495,10 @@ fn numbers_that_are_not_finite_are_refused() {
     for bad in [f64::NAN, f64::INFINITY] {
         let mut jacobian = case.jacobian.clone();
         jacobian[5] = bad;
-        let row = kkt.factorize(&case.hessian, &jacobian).unwrap_err().row;
-        assert_eq!(row, case.a.rows[5] as usize);
+        assert_eq!(kkt.factorize(&case.hessian, &jacobian), Err(KktError::NotFinite));
         let mut hessian = case.hessian.clone();
         hessian[3] = bad;
-        assert!(kkt.factorize(&hessian, &case.jacobian).unwrap_err().row < 4);
+        assert_eq!(kkt.factorize(&hessian, &case.jacobian), Err(KktError::NotFinite));
     }
     kkt.factorize(&case.hessian, &case.jacobian).unwrap();
     assert!(kkt.finish(&[false; 10], 0.0).is_positive());

@@ -5,12 +5,14 @@ mod errors;
 mod evaluator;
 mod expr;
 mod filter;
+mod interrupt;
 mod model;
 mod newton;
 mod noise;
 mod problem;
 mod response;
 mod shooting;
+mod simulate;
 mod whitening;
 
 use pyo3::prelude::*;
@@ -31,6 +33,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<whitening::PyWhitening>()?;
     m.add_function(wrap_pyfunction!(newton::newton, m)?)?;
     m.add_function(wrap_pyfunction!(newton::information, m)?)?;
+    m.add_function(wrap_pyfunction!(simulate::simulate, m)?)?;
     m.add_function(wrap_pyfunction!(response::answers, m)?)?;
     m.add_function(wrap_pyfunction!(response::tangents, m)?)?;
     m.add_function(wrap_pyfunction!(expr::apply, m)?)?;

@@ -1,15 +1,16 @@
 //! The Newton solver.
 
-use std::time::Duration;
-
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1};
 use phugoid::diagnosis::{NoInformation, information as information_of};
+use phugoid::interrupt::Interrupt;
+use phugoid::linalg::KktError;
 use phugoid::solver::{Control, Iteration, Settings, Solution, solve};
 use phugoid::transcription::Transcribed;
-use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
+use pyo3::exceptions::{PyTimeoutError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::errors::named;
+use crate::interrupt::{seconds, watched};
 use crate::problem::PyProblem;
 
 /// Where the solver ended.
@@ -100,11 +101,12 @@ fn check_sizes(nlp: &dyn Transcribed, xi: &[f64], multipliers: Option<&[f64]>) -
 }
 
 /// Covariance (k, k) of some variables, the Newton step (k,) that is left, groups of variables that the
-/// data do not determine, and whether the point is a saddle; `None` where something is not finite. `stop` is asked now
-/// and then: where it says so, and at a Ctrl-C that nobody has taken, KeyboardInterrupt.
+/// data do not determine, and whether the point is a saddle. EvaluationError where there is none: something is not
+/// finite, or a constraint depends on others. `stop` is asked now and then: where it says so, and at a Ctrl-C that
+/// nobody has taken, KeyboardInterrupt; where it takes more than `time_limit` seconds, TimeoutError.
 #[pyfunction]
-#[pyo3(signature = (problem, xi, multipliers, wanted, held, stop = None))]
-#[allow(clippy::type_complexity)] // a tuple for Python
+#[pyo3(signature = (problem, xi, multipliers, wanted, held, time_limit = None, stop = None))]
+#[allow(clippy::type_complexity, clippy::too_many_arguments)] // a tuple for Python
 pub fn information<'py>(
     py: Python<'py>,
     problem: &PyProblem,
@@ -112,40 +114,48 @@ pub fn information<'py>(
     multipliers: PyReadonlyArray1<'py, f64>,
     wanted: Vec<usize>,
     held: Vec<usize>,
+    time_limit: Option<f64>,
     stop: Option<Py<PyAny>>,
-) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Vec<Vec<usize>>, bool)>> {
+) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Vec<Vec<usize>>, bool)> {
     let (nlp, xi, lambda) = (problem.inner(), xi.as_slice()?, multipliers.as_slice()?);
     check_sizes(nlp, xi, Some(lambda))?;
     if let Some(i) = wanted.iter().chain(&held).find(|&&i| i >= nlp.n()) {
         return Err(PyValueError::new_err(format!("there is no unknown {i} among {}", nlp.n())));
     }
-    let mut error: Option<PyErr> = None;
-    let mut go_on = || {
-        let asked = Python::attach(|py| {
-            py.check_signals()?;
-            stop.as_ref().map_or(Ok(false), |s| s.call0(py)?.extract::<bool>(py))
-        });
-        let stopped = asked.unwrap_or_else(|e| {
-            error = Some(e);
-            true
-        });
-        !stopped
-    };
-    let found = match py.detach(|| information_of(nlp, xi, lambda, &wanted, &held, &mut go_on)) {
+    let limit = seconds(time_limit);
+    let work =
+        || Interrupt::within(limit).run(|| information_of(nlp, xi, lambda, &wanted, &held, &mut || true));
+    let (found, error) = watched(py, stop.as_ref(), |_| work());
+    if let Some(error) = error {
+        return Err(error);
+    }
+    let found = match found {
         Ok(found) => found,
-        Err(NoInformation::NotFinite) => return Ok(None),
+        Err(NoInformation::NotFinite) => {
+            let what = py.detach(|| nlp.explain(xi));
+            let what = what.unwrap_or_else(|| "a derivative of the model is not finite".into());
+            return Err(named("EvaluationError", what));
+        }
+        Err(NoInformation::Singular(KktError::Dependent { row })) => {
+            return Err(named(
+                "EvaluationError",
+                format!("the {} depends on others", nlp.constraint_name(row)),
+            ));
+        }
+        Err(NoInformation::Singular(other)) => return Err(named("EvaluationError", other.to_string())),
         Err(NoInformation::Stopped) => {
-            return Err(error.unwrap_or_else(|| PyKeyboardInterrupt::new_err("stopped")));
+            return Err(PyTimeoutError::new_err("the time limit was reached"));
         }
     };
     let covariance = PyArray1::from_vec(py, found.covariance).reshape([wanted.len(), wanted.len()])?;
-    Ok(Some((covariance, PyArray1::from_vec(py, found.step), found.undetermined, found.saddle)))
+    Ok((covariance, PyArray1::from_vec(py, found.step), found.undetermined, found.saddle))
 }
 
-/// Minimises from xi without the interpreter lock. `watch` is called with each line of the table; a
-/// KeyboardInterrupt, from it or from Ctrl-C, ends the run with the best point so far.
+/// Minimises from xi without the interpreter lock. `watch` is called with each line of the table, `stop` is asked now and
+/// then. A KeyboardInterrupt from one of them or from Ctrl-C, and a `stop` that says so, end the run with the best point
+/// so far; `time_limit` is in seconds, and none where it is more than a clock can tell.
 #[pyfunction]
-#[pyo3(signature = (problem, xi, multipliers, max_iterations, tolerance, time_limit, gauss_newton, regression, wide, watch))]
+#[pyo3(signature = (problem, xi, multipliers, max_iterations, tolerance, time_limit, gauss_newton, regression, wide, watch, stop = None))]
 #[allow(clippy::too_many_arguments)] // options, all by name in Python
 pub fn newton(
     py: Python<'_>,
@@ -159,6 +169,7 @@ pub fn newton(
     regression: bool,
     wide: bool,
     watch: Option<Py<PyAny>>,
+    stop: Option<Py<PyAny>>,
 ) -> PyResult<PySolution> {
     let nlp = problem.inner();
     let xi = xi.as_slice()?.to_vec();
@@ -167,26 +178,24 @@ pub fn newton(
     let settings = Settings {
         max_iterations,
         tolerance,
-        time_limit: time_limit.map(Duration::from_secs_f64),
+        time_limit: seconds(time_limit),
         gauss_newton,
         regression,
         wide,
     };
-    let mut error: Option<PyErr> = None;
-    let mut each = |i: &Iteration| {
-        let said = Python::attach(|py| {
-            py.check_signals()?;
-            watch.as_ref().map_or(Ok(()), |w| w.call1(py, line(i)).map(|_| ()))
-        });
-        match said {
-            Ok(()) => Control::Continue,
-            Err(e) => {
-                error = Some(e);
+    let watch = watch.as_ref();
+    let (solved, error) = watched(py, stop.as_ref(), |caller| {
+        let mut each = |i: &Iteration| {
+            let line = line(i);
+            let Some(watch) = watch else { return Control::Continue };
+            if caller.call(move |py| watch.call1(py, line).map(|_| ())) {
+                Control::Continue
+            } else {
                 Control::Stop
             }
-        }
-    };
-    let solved = py.detach(|| solve(nlp, &xi, multipliers.as_deref(), &settings, &mut each));
+        };
+        solve(nlp, &xi, multipliers.as_deref(), &settings, &mut each)
+    });
     let interrupt = |e: &PyErr| e.is_instance_of::<pyo3::exceptions::PyKeyboardInterrupt>(py);
     if let Some(e) = error.filter(|e| !interrupt(e)) {
         return Err(e);

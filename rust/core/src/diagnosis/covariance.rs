@@ -1,7 +1,10 @@
 //! Covariance of the estimates, and their distance from the optimum, from one factorisation.
 
+use std::fmt;
+
 use super::SLIGHT;
-use crate::linalg::kkt_for;
+use crate::interrupt::current;
+use crate::linalg::{KktError, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::Units;
 
@@ -23,10 +26,22 @@ pub struct Information {
 /// Why there is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoInformation {
-    /// A derivative is not finite there, or the constraints depend on each other.
+    /// A derivative is not finite there.
     NotFinite,
+    /// The Newton system cannot be factorised: constraints that depend on each other, above all.
+    Singular(KktError),
     /// It was told not to go on.
     Stopped,
+}
+
+impl fmt::Display for NoInformation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            NoInformation::NotFinite => f.write_str("a derivative of the model is not finite"),
+            NoInformation::Singular(error) => error.fmt(f),
+            NoInformation::Stopped => f.write_str("there was no time left"),
+        }
+    }
 }
 
 impl From<NotFinite> for NoInformation {
@@ -54,8 +69,8 @@ const KNOWN: f64 = 0.1;
 /// `go_on` is asked between its parts, which take long where there are many states.
 ///
 /// # Errors
-/// [`NoInformation::NotFinite`] when a derivative is not finite there, or the constraints depend on each other;
-/// [`NoInformation::Stopped`] when it was told not to go on.
+/// [`NoInformation::NotFinite`] when a derivative is not finite there, [`NoInformation::Singular`] when the constraints
+/// depend on each other, [`NoInformation::Stopped`] when it was told not to go on.
 pub fn information(
     nlp: &dyn Nlp,
     xi: &[f64],
@@ -64,7 +79,22 @@ pub fn information(
     held: &[usize],
     go_on: &mut dyn FnMut() -> bool,
 ) -> Result<Information, NoInformation> {
-    let mut unless_stopped = || if go_on() { Ok(()) } else { Err(NoInformation::Stopped) };
+    let found = informed(nlp, xi, lambda, wanted, held, go_on);
+    // Whatever was found after a stop is none.
+    if current().stops() { Err(NoInformation::Stopped) } else { found }
+}
+
+fn informed(
+    nlp: &dyn Nlp,
+    xi: &[f64],
+    lambda: &[f64],
+    wanted: &[usize],
+    held: &[usize],
+    go_on: &mut dyn FnMut() -> bool,
+) -> Result<Information, NoInformation> {
+    let interrupt = current();
+    let mut unless_stopped =
+        || if go_on() && !interrupt.stops() { Ok(()) } else { Err(NoInformation::Stopped) };
     let (n, m, k) = (nlp.n(), nlp.m(), wanted.len());
     let mut hessian = vec![0.0; nlp.hessian_structure().len()];
     let mut jacobian = vec![0.0; nlp.jacobian_structure().len()];
@@ -77,7 +107,7 @@ pub fn information(
     let units = Units::new(nlp, xi);
     let mut kkt = kkt_for(nlp, &units.states);
     kkt.set_refinement(true);
-    kkt.factorize(&hessian, &jacobian).map_err(|_| NoInformation::NotFinite)?;
+    kkt.factorize(&hessian, &jacobian).map_err(NoInformation::Singular)?;
     unless_stopped()?;
     let mut holding = vec![false; n];
     held.iter().for_each(|&i| holding[i] = true);
@@ -90,6 +120,7 @@ pub fn information(
     let mut kept = false; // by a slight curvature
     // What the data leave open is set aside, one variable of each direction at a time.
     while !found.is_positive() {
+        unless_stopped()?;
         saddle |= found.negative > 0;
         let mut next: Vec<(usize, usize)> = Vec::new(); // a variable, and its group
         for direction in kkt.weak_directions() {

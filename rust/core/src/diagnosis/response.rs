@@ -1,7 +1,7 @@
 //! How the fitted path answers to a force on its equations: the sensitivities behind every candidate term.
 
 use super::SLIGHT;
-use crate::linalg::{KktSolver, Singular, kkt_for};
+use crate::linalg::{KktSolver, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::state_units;
 use crate::transcription::Collocation;
@@ -35,7 +35,7 @@ impl<'a> Response<'a> {
         problem.gauss_newton(xi, 1.0, &mut hessian)?;
         problem.jacobian(xi, &mut jacobian)?;
         let mut kkt = kkt_for(problem, &state_units(problem, xi));
-        kkt.factorize(&hessian, &jacobian).map_err(|Singular { .. }| NotFinite)?;
+        kkt.factorize(&hessian, &jacobian).map_err(|_| NotFinite)?;
         let mut holding = vec![false; n];
         held.iter().for_each(|&i| holding[i] = true);
         if !kkt.finish(&holding, 0.0).is_positive() && !kkt.finish(&holding, SLIGHT).is_positive() {

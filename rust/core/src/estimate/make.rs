@@ -5,6 +5,7 @@ use super::judge::{NOT_FEASIBLE, confounded, feasible, judge, large_defects, unl
 use crate::diagnosis::information;
 use crate::experiment::Experiment;
 use crate::gaps::gap_warnings;
+use crate::interrupt::Interrupt;
 use crate::model::{Model, Variable};
 use crate::noise::{Reported, SIGMA};
 use crate::solver::Solution;
@@ -15,12 +16,13 @@ use crate::transcription::Transcribed;
 const AT_BOUND: f64 = 1e-9;
 
 impl Fit {
-    /// The fit at a solution.
+    /// The fit at a solution, with standard errors where the limit leaves time for them.
     pub(super) fn new(
         model: &Model,
         experiments: &[Experiment],
         problem: &dyn Transcribed,
         solution: Solution,
+        limit: &Interrupt,
     ) -> Self {
         let (xi, n_theta, n_x) = (&solution.xi, problem.layout().n_theta, problem.layout().n_x);
         let bounds = active_bounds(problem, xi);
@@ -37,14 +39,13 @@ impl Fit {
         let reported = problem.posed().noise_report(xi);
         let mut errors = vec![f64::NAN; problem.n()];
         let mut covariance = vec![f64::NAN; n_theta * n_theta];
+        let multipliers = &solution.multipliers;
         let feasible = feasible(model, problem, xi);
-        let found =
-            feasible.then(|| information(problem, xi, &solution.multipliers, &wanted, &held, &mut || true));
+        let found = feasible
+            .then(|| limit.run(|| information(problem, xi, multipliers, &wanted, &held, &mut || true)));
         match found {
             None => warnings.push(NOT_FEASIBLE.into()),
-            Some(Err(_)) => {
-                warnings.push("there are no standard errors: the information matrix is singular".into())
-            }
+            Some(Err(why)) => warnings.push(format!("there are no standard errors: {why}")),
             Some(Ok(found)) => {
                 judge(problem, &found, &wanted, (&mut status, &mut message), &mut warnings);
                 let k = wanted.len();

@@ -14,6 +14,7 @@ pub use start::Start;
 
 use crate::error::{Error, did_you_mean};
 use crate::experiment::Experiment;
+use crate::interrupt::{Interrupt, current};
 use crate::mesh::Grid;
 use crate::model::Model;
 use crate::noise::{Density, Noise, NoiseModel, SIGMA, Scale};
@@ -199,10 +200,14 @@ impl<'a> Estimation<'a> {
     /// As [`Estimation::solve`].
     pub fn solve_with(&self, mut watch: impl FnMut(&Iteration) -> Control) -> Result<Fit, Error> {
         self.solver.check()?;
-        if !self.model.delays.is_empty() {
-            return self.solve_late(&mut watch);
-        }
-        self.solve_now(&mut watch)
+        // All passes share the time, and standard errors are computed if some is left.
+        Interrupt::within(self.solver.time_limit).run(|| {
+            if self.model.delays.is_empty() {
+                self.solve_now(&mut watch)
+            } else {
+                self.solve_late(&mut watch)
+            }
+        })
     }
 
     /// The estimate of a model in which nothing is late.
@@ -226,7 +231,8 @@ impl<'a> Estimation<'a> {
                 "{what}; give other start values, or bounds that keep functions finite"
             ))
         })?;
-        Ok(Fit::new(self.model, self.experiments, problem, solution))
+        let limit = current();
+        Ok(Interrupt::shielded(|| Fit::new(self.model, self.experiments, problem, solution, &limit)))
     }
 
     /// The nonlinear program of collocation and the point to start from: for a solver of one's own.

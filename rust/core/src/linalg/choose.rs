@@ -2,12 +2,16 @@
 
 use super::arrow::ArrowKkt;
 use super::sparse::SparseKkt;
-use super::{Curvature, KktSolver, Singular};
+use super::{Curvature, KktError, KktSolver};
+use crate::interrupt::current;
 use crate::nlp::{Chains, Nlp, Structure};
 
 /// The arrow factorisation where the program has chains, else the sparse one. `units` are those of the
 /// states of a point where there are chains, else a single one or one each variable.
 pub fn kkt_for(nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
+    if current().stops() {
+        return Box::new(Unmade((nlp.n(), nlp.m())));
+    }
     let Some(chains) = nlp.chains() else { return Box::new(sparse(nlp, units)) };
     // The chains of the arrow hold no variables in place.
     let (lower, upper) = nlp.bounds();
@@ -47,6 +51,36 @@ fn scales(nlp: &dyn Nlp, units: &[f64]) -> (Vec<f64>, Vec<f64>) {
     (columns, rows)
 }
 
+/// Of a run that was stopped before it began: to plan an elimination takes long in large programs.
+struct Unmade((usize, usize));
+
+impl KktSolver for Unmade {
+    fn factorize(&mut self, _: &[f64], _: &[f64]) -> Result<(), KktError> {
+        Err(KktError::Stopped)
+    }
+
+    fn finish(&mut self, _: &[bool], _: f64) -> Curvature {
+        Curvature { negative: 0, zero: 1 }
+    }
+
+    fn solve(&mut self, _: &[f64], _: &[f64], d: &mut [f64], lambda: &mut [f64]) {
+        d.fill(f64::NAN);
+        lambda.fill(f64::NAN);
+    }
+
+    fn weak_directions(&self) -> &[Vec<(usize, f64)>] {
+        &[]
+    }
+
+    fn sizes(&self) -> (usize, usize) {
+        self.0
+    }
+
+    fn flops(&self) -> u64 {
+        0
+    }
+}
+
 /// The arrow as long as it serves. Boundary conditions may determine parameters instead of states, as when an
 /// integrator without feedback is to end where it began; the ends of the chain cannot meet these, and the
 /// sparse factorisation takes over.
@@ -64,15 +98,20 @@ struct Parts {
 }
 
 impl KktSolver for Either {
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         let done = self.now.factorize(hessian, jacobian);
-        if done.is_ok() {
+        // Of these the other knows better; everything else would stop it, too.
+        if !matches!(done, Err(KktError::Boundary | KktError::Dependent { .. })) {
             return done;
         }
         let Some(parts) = self.other.take() else { return done };
         let Parts { hessian: h, jacobian: a, columns, rows } = &parts;
         self.now = Box::new(SparseKkt::new(columns.len(), rows.len(), h, a, columns, rows));
         self.now.factorize(hessian, jacobian)
+    }
+
+    fn set_hurry(&mut self, on: bool) {
+        self.now.set_hurry(on);
     }
 
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {

@@ -4,15 +4,46 @@ pub mod arrow;
 mod choose;
 pub mod sparse;
 
+use std::fmt;
+
+pub(crate) use arrow::dense::{backward, cholesky, forward};
 pub use choose::kkt_for;
 
-/// A Newton system cannot be factorised: constraints that depend on each other, or numbers that are
-/// not finite.
+/// Why a Newton system was not factorised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Singular {
-    /// A constraint that depends on others.
-    pub row: usize,
+#[non_exhaustive]
+pub enum KktError {
+    /// A constraint depends on others.
+    Dependent {
+        /// The constraint.
+        row: usize,
+    },
+    /// The boundary conditions determine more than the states at the ends of a chain, which is all that
+    /// this factorisation lets them determine.
+    Boundary,
+    /// An entry of H or A, or a number on the way, is not finite.
+    NotFinite,
+    /// The factorisation would be very costly, and was to be quick: [`KktSolver::set_hurry`].
+    TooCostly,
+    /// The run was stopped meanwhile.
+    Stopped,
 }
+
+impl fmt::Display for KktError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            KktError::Dependent { row } => write!(f, "constraint {row} depends on others"),
+            KktError::Boundary => {
+                f.write_str("the boundary conditions determine more than the states at the ends")
+            }
+            KktError::NotFinite => f.write_str("the Newton system is not finite"),
+            KktError::TooCostly => f.write_str("the Newton system is too costly to factorise"),
+            KktError::Stopped => f.write_str("the factorisation was stopped"),
+        }
+    }
+}
+
+impl std::error::Error for KktError {}
 
 /// The curvature of the Lagrangian along the constraints: of the *reduced* Hessian ZᵀHZ, Z a basis of
 /// the null space of A.
@@ -44,11 +75,12 @@ pub trait KktSolver: Send {
     /// Takes new entries of H and A and eliminates what can be eliminated once and for all.
     ///
     /// # Errors
-    /// When A has not full rank, or something is not finite.
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular>;
+    /// When A has not full rank, something is not finite, or as [`set_hurry`](Self::set_hurry) says.
+    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError>;
 
     /// Whether a system that is very costly, as one of a wildly unstable motion may be, need not be factorised:
-    /// there is another point to go on from. To be set before `factorize`, which then fails.
+    /// there is another point to go on from. To be set before `factorize`, which then fails with
+    /// [`KktError::TooCostly`].
     fn set_hurry(&mut self, _on: bool) {}
 
     /// Completes the factorisation with some variables held in place (d = 0 there) and `shift` ≥ 0 times

@@ -135,7 +135,7 @@ fn exponents(
                 name => Exponent::Of(names.iter().map(|n| f64::from(u8::from(Some(*n) == name))).collect()),
             },
             Item::Apply(op, _) => match op {
-                Op::Add | Op::Sub | Op::Min | Op::Max => equations.equal(&of(0), &of(1)),
+                Op::Add | Op::Sub | Op::Min | Op::Max | Op::Hypot => equations.equal(&of(0), &of(1)),
                 Op::Mul => combined(&of(0), 1.0, &of(1), 1.0),
                 Op::Div => combined(&of(0), 1.0, &of(1), -1.0),
                 Op::Neg | Op::Abs => of(0),
@@ -159,7 +159,9 @@ fn exponents(
                     equations.equal(&of(1), &of(2))
                 }
                 Op::Exp
+                | Op::Expm1
                 | Op::Log
+                | Op::Log1p
                 | Op::Sin
                 | Op::Cos
                 | Op::Tan

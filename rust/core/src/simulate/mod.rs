@@ -1,17 +1,24 @@
 //! What a model says for given parameters, by integration.
 
+mod dop853;
+mod field;
 mod flow;
+mod interval;
 mod path;
+mod radau;
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::time::Duration;
 
+pub use interval::Method;
 pub use path::Path;
 
 use crate::condition::End;
 use crate::error::{Error, did_you_mean};
 use crate::estimate::{Fit, measured_states};
 use crate::experiment::{Experiment, Signal};
+use crate::interrupt::Interrupt;
 use crate::model::{Model, TIME};
 use crate::noise::SIGMA;
 use flow::Flow;
@@ -49,13 +56,24 @@ pub struct Simulation<'a> {
     parameters: Vec<(String, f64)>,
     initial: Vec<(String, f64)>,
     tolerance: f64,
+    method: Method,
+    time_limit: Option<Duration>,
 }
 
 impl<'a> Simulation<'a> {
     /// Of a model over the inputs of a record.
     pub fn new(model: &'a Model, experiment: &'a Experiment) -> Self {
         let (parameters, initial) = (Vec::new(), Vec::new());
-        Simulation { model, experiment, fit: None, parameters, initial, tolerance: 1e-9 }
+        Simulation {
+            model,
+            experiment,
+            fit: None,
+            parameters,
+            initial,
+            tolerance: 1e-9,
+            method: Method::Automatic,
+            time_limit: None,
+        }
     }
 
     /// Parameters and first states as a fit has them; single ones given go before.
@@ -82,8 +100,20 @@ impl<'a> Simulation<'a> {
         self
     }
 
-    /// Integrates, interval by interval between the times at which inputs bend, by Dormand and Prince's method of
-    /// order 5 with control of the step.
+    /// Which steps are taken, [`Method::Automatic`] unless said.
+    pub fn method(mut self, method: Method) -> Self {
+        self.method = method;
+        self
+    }
+
+    /// Most time that the integration may take.
+    pub fn time_limit(mut self, limit: Duration) -> Self {
+        self.time_limit = Some(limit);
+        self
+    }
+
+    /// Integrates, interval by interval between the times at which inputs bend, with control of the step: by Dormand
+    /// and Prince's method of order 8, and from where that is stiff by Radau IIA of order 5.
     ///
     /// # Errors
     /// For missing or unknown parameters and states, a wrong tolerance, inputs that cannot be used, and where the
@@ -109,7 +139,9 @@ impl<'a> Simulation<'a> {
         let first = self.first_states(&parameters)?;
         let delays: HashMap<&str, f64> =
             model.parameters.iter().zip(&parameters).map(|(p, v)| (p.name.as_str(), *v)).collect();
-        Flow::new(model, run, &parameters, &delays)?.path(&first, self.tolerance)
+        let mut flow = Flow::new(model, run, &parameters, &delays)?;
+        let limit = Interrupt::within(self.time_limit);
+        limit.run(|| flow.path(&first, self.tolerance, self.method))
     }
 
     /// Values of the model's parameters, in their order.

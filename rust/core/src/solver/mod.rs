@@ -36,6 +36,7 @@ pub use status::Status;
 pub(crate) use units::Units;
 pub use units::state_units;
 
+use crate::interrupt::{Cause, Interrupt, current};
 use crate::linalg::{KktSolver, kkt_for};
 use crate::nlp::{Nlp, NotFinite, Reach};
 use bounds::Active;
@@ -84,6 +85,18 @@ pub fn solve(
     settings: &Settings,
     watch: &mut dyn FnMut(&Iteration) -> Control,
 ) -> Result<Solution, NotFinite> {
+    let limit = Interrupt::within(settings.time_limit);
+    limit.run(|| solve_within(nlp, start, multipliers, settings, watch))
+}
+
+/// The same under the interrupt in force.
+fn solve_within(
+    nlp: &dyn Nlp,
+    start: &[f64],
+    multipliers: Option<&[f64]>,
+    settings: &Settings,
+    watch: &mut dyn FnMut(&Iteration) -> Control,
+) -> Result<Solution, NotFinite> {
     let plain = Settings { regression: false, ..settings.clone() };
     let mut run = Run::new(nlp, start, multipliers, settings)?;
     let mut status = run.go(watch)?;
@@ -95,14 +108,19 @@ pub fn solve(
         status = run.challenge(status, &rival, &capped, watch)?;
     }
     if settings.regression && settings.wide && run.doubtful(status) {
-        for place in Run::new(nlp, start, None, &plain)?.further_places(start) {
+        let places = if run.interrupt.stops() {
+            Vec::new()
+        } else {
+            Run::new(nlp, start, None, &plain)?.further_places(start)
+        };
+        for place in places {
             status = run.challenge(status, &place, &plain, watch)?;
             if !run.doubtful(status) {
                 break;
             }
         }
     }
-    if settings.regression && status.lost() {
+    if settings.regression && status.lost() && !run.interrupt.stops() {
         // A regression may lead astray, as where parameters are in exponents. Once more without.
         let mut again = Run::new(nlp, start, multipliers, &plain)?;
         again.take_over(&mut run);
@@ -117,6 +135,7 @@ struct Run<'a> {
     nlp: &'a dyn Nlp,
     settings: &'a Settings,
     began: Instant,
+    interrupt: Interrupt,
     kkt: Box<dyn KktSolver>,
     bounds: (Vec<f64>, Vec<f64>),
     units: Units,
@@ -169,6 +188,7 @@ impl<'a> Run<'a> {
             nlp,
             settings,
             began: Instant::now(),
+            interrupt: current(),
             kkt: kkt_for(nlp, &units.states),
             active: Active::new(&bounds, nlp.n_parameters().min(n)),
             bounds,
@@ -197,7 +217,8 @@ impl<'a> Run<'a> {
             detail: String::new(),
             rival: None,
         };
-        run.here.evaluate(nlp, &run.units, &mut run.count)?;
+        // The start is always known: it may be all that is left.
+        Interrupt::shielded(|| run.here.evaluate(nlp, &run.units, &mut run.count))?;
         Ok(run)
     }
 
@@ -221,8 +242,8 @@ impl<'a> Run<'a> {
         settings: &'a Settings,
         watch: &mut dyn FnMut(&Iteration) -> Control,
     ) -> Result<Status, NotFinite> {
-        if status.unfinished() {
-            return Ok(status);
+        if status.unfinished() || self.interrupt.stops() {
+            return Ok(self.stopped().unwrap_or(status));
         }
         let mut other = Run::new(self.nlp, place, None, settings)?;
         other.take_over(self);
@@ -236,9 +257,20 @@ impl<'a> Run<'a> {
         Ok(if end == Status::Interrupted { end } else { status })
     }
 
+    /// How the run ends where it has been stopped.
+    fn stopped(&self) -> Option<Status> {
+        self.interrupt.cause().map(|cause| match cause {
+            Cause::Stopped => Status::Interrupted,
+            Cause::TimeLimit => Status::TimeLimit,
+        })
+    }
+
     fn go(&mut self, watch: &mut dyn FnMut(&Iteration) -> Control) -> Result<Status, NotFinite> {
         if self.settings.regression {
             self.regress();
+        }
+        if let Some(status) = self.stopped() {
+            return Ok(status);
         }
         let mut line = Iteration {
             number: self.history.last().map_or(0, |l| l.number + 1),
@@ -264,6 +296,12 @@ impl<'a> Run<'a> {
                 promise = self.undamped();
             }
             line.promise = promise.map_or(f64::INFINITY, |p| p.gain);
+            if let Some(status) = self.stopped() {
+                self.detail.clear();
+                line.promise = f64::INFINITY;
+                self.history.push(line);
+                return Ok(status);
+            }
             if promise.is_err() && self.history.is_empty() && self.detail.is_empty() {
                 return Err(NotFinite);
             }
@@ -288,14 +326,14 @@ impl<'a> Run<'a> {
             if line.number >= self.settings.max_iterations {
                 return Ok(Status::IterationLimit);
             }
-            if self.settings.time_limit.is_some_and(|limit| self.began.elapsed() >= limit) {
-                return Ok(Status::TimeLimit);
-            }
             if promise.gain < NEAR && self.crawls() {
                 self.detail = self.farthest_names();
                 return Ok(Status::Acceptable);
             }
             let searched = self.search(&promise);
+            if let Some(status) = self.stopped().filter(|_| searched.is_none()) {
+                return Ok(status);
+            }
             if searched.is_none()
                 && let Some(status) = self.stuck(&promise)
             {
@@ -335,14 +373,14 @@ impl<'a> Run<'a> {
             return true;
         }
         self.count.gradient += 1;
-        if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() {
+        if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() || self.interrupt.stops() {
             return false;
         }
         let reach = Reach::Step { up: TENFOLD, down: if step == 1.0 { TENFOLD } else { 1.0 } };
         let change = self.nlp.profile(&self.here.xi, &self.gradient, &reach, &mut self.profile);
         self.here.xi[roots].copy_from_slice(&self.profile);
-        // It was finite, and can only come down.
-        let _ = self.here.evaluate_objective(self.nlp, &mut self.count);
+        // It was finite, and can only come down. Stopped between, the point would not go with its objective.
+        let _ = Interrupt::shielded(|| self.here.evaluate_objective(self.nlp, &mut self.count));
         change < SETTLED
     }
 }

@@ -1,10 +1,13 @@
 //! Normal equations of a regression, from sparse entries that stand in any order.
 
+use crate::interrupt::current;
 use crate::nlp::Structure;
 use crate::simd::kernel;
 
 /// Rows gathered before they are added to the normal matrix: they stay in a cache.
 const ROWS: usize = 512;
+/// Operations, about, between two looks at the interrupt.
+const ASK: usize = 500_000;
 
 /// Rows of ∂c/∂θ, gathered block by block, and the sums AᵀWA and AᵀWc.
 ///
@@ -62,8 +65,18 @@ impl Normal {
         }
     }
 
-    /// Sums over all rows with entries `values`, the constraints `c`, and weights that repeat along them.
-    pub fn sum(&mut self, s: &Structure, values: &[f64], place: &[usize], c: &[f64], weights: &[f64]) {
+    /// Sums over all rows with entries `values`, the constraints `c`, and weights that repeat along them. Nothing where
+    /// the interrupt in force stops it.
+    pub fn sum(
+        &mut self,
+        s: &Structure,
+        values: &[f64],
+        place: &[usize],
+        c: &[f64],
+        weights: &[f64],
+    ) -> Option<()> {
+        let interrupt = current();
+        let ask = 1 + ASK / (1 + self.k * self.k);
         self.square.fill(0.0);
         self.right.fill(0.0);
         let mut start = 0;
@@ -81,12 +94,17 @@ impl Normal {
                 self.ids[slot] = s.rows[t];
                 self.rows[slot * self.width + place[s.columns[t] as usize]] += values[t];
             }
-            for (row, &id) in self.rows.chunks_exact(self.width).zip(&self.ids[..count]) {
+            let rows = self.rows.chunks_exact(self.width).zip(&self.ids[..count]);
+            for (number, (row, &id)) in rows.enumerate() {
+                if number % ask == 0 && interrupt.stops() {
+                    return None;
+                }
                 let w = weights[id as usize % weights.len()];
                 add_row(row, w, w * c[id as usize], self.k, &mut self.square, &mut self.right);
             }
             start = end;
         }
+        Some(())
     }
 
     /// Entry of AᵀWA, i ≥ j.

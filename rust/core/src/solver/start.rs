@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::Run;
 use super::normal::Normal;
+use crate::linalg::{backward, cholesky, forward};
 use crate::nlp::Reach;
 
 /// Most passes: a model linear in its parameters needs three or so for the weights to settle.
@@ -47,11 +48,18 @@ pub(super) struct Equations {
 impl Equations {
     /// The step with these parts added to the diagonal.
     pub fn step(&self, damping: impl Fn(usize) -> f64) -> Option<DVector<f64>> {
-        let mut a = self.a.clone();
-        for i in 0..a.nrows() {
-            a[(i, i)] += RIDGE + damping(i);
+        let n = self.b.len();
+        // Row-major, the lower triangle.
+        let mut l = vec![0.0; n * n];
+        for i in 0..n {
+            (0..=i).for_each(|j| l[i * n + j] = self.a[(i, j)]);
+            l[i * n + i] += RIDGE + damping(i);
         }
-        let step = a.cholesky()?.solve(&self.b.component_mul(&self.scale)).component_mul(&self.scale);
+        cholesky(&mut l, n, 0.0).ok()?;
+        let mut step = self.b.component_mul(&self.scale);
+        forward(&l, n, step.as_mut_slice());
+        backward(&l, n, step.as_mut_slice());
+        let step = step.component_mul(&self.scale);
         step.iter().all(|x| x.is_finite()).then_some(step)
     }
 
@@ -70,10 +78,16 @@ impl Run<'_> {
     /// follow the residuals. Does nothing where it cannot improve.
     pub(super) fn regress(&mut self) {
         let Some(mut r) = self.regression() else { return };
+        let start = self.here.clone();
         if self.settings.wide && r.nonlinear.contains(&true) {
             self.regress_separably(&mut r);
         } else {
             self.regress_linearly(&mut r);
+        }
+        if self.interrupt.stops() {
+            // It was left half way.
+            self.here.copy(&start);
+            self.rival = None;
         }
         self.merit = super::Merit::default();
     }
@@ -207,7 +221,7 @@ impl Run<'_> {
         nlp.jacobian(&self.here.xi, &mut self.jacobian).ok()?;
         nlp.gauss_newton(&self.here.xi, 1.0, &mut self.hessian).ok()?;
         nlp.gradient(&self.here.xi, &mut self.gradient).ok()?;
-        r.normal.sum(nlp.jacobian_structure(), &self.jacobian, &r.place, &self.here.c, weights);
+        r.normal.sum(nlp.jacobian_structure(), &self.jacobian, &r.place, &self.here.c, weights)?;
         let mut a = DMatrix::from_fn(k, k, |i, j| if j <= i { r.normal.square(i, j) } else { 0.0 });
         let mut b = DVector::from_fn(k, |i, _| -r.normal.right(i));
         let s = nlp.hessian_structure();

@@ -2,7 +2,7 @@
 
 use super::Run;
 use super::status::Status;
-use crate::linalg::Curvature;
+use crate::linalg::{Curvature, KktError};
 
 /// Greatest shift of the reduced Hessian, in units of its diagonal, that is tried.
 pub(super) const GREATEST_SHIFT: f64 = 1e8;
@@ -116,9 +116,15 @@ impl Run<'_> {
 
     fn factorize(&mut self) -> Result<Curvature, Status> {
         self.count.factorizations += 1;
-        if let Err(singular) = self.kkt.factorize(&self.hessian, &self.jacobian) {
-            self.detail = format!("the {} depends on others", self.nlp.constraint_name(singular.row));
-            return Err(Status::Infeasible);
+        if let Err(error) = self.kkt.factorize(&self.hessian, &self.jacobian) {
+            self.detail = match error {
+                KktError::Dependent { row } => {
+                    format!("the {} depends on others", self.nlp.constraint_name(row))
+                }
+                other => other.to_string(),
+            };
+            let depends = matches!(error, KktError::Dependent { .. } | KktError::Boundary);
+            return Err(if depends { Status::Infeasible } else { Status::Failed });
         }
         let profiled = if self.near { 0..0 } else { self.nlp.profiled() };
         self.active.begin(&self.here.xi, &self.bounds, &self.gradient, profiled);

@@ -10,7 +10,11 @@
 
 use super::group::{Group, Sampled};
 use super::tableau::Tableau;
+use crate::interrupt::current;
 use crate::tape::{BLOCK, Function, LANE_MULTIPLE, Tape, Workspace};
+
+/// Steps between two looks at the interrupt.
+const ASK: usize = 256;
 
 /// A group with what its integration needs.
 #[derive(Clone, Copy)]
@@ -96,7 +100,12 @@ impl Flow<'_> {
             }
         }
         let size = n_x * W;
+        let interrupt = current();
         for i in 0..steps {
+            // A single shot goes over the whole record.
+            if i % ASK == ASK - 1 && interrupt.stops() {
+                return false;
+            }
             let (first, h) = (i * s, lanes::<W>(&self.group.h, i));
             for j in 0..=s {
                 let weights = if j < s { &self.tableau.a[j] } else { &self.tableau.b };

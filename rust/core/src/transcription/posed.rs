@@ -11,6 +11,7 @@ use super::samples::Samples;
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
+use crate::interrupt::current;
 use crate::model::{Compiled, Model, Parameter, Variable};
 use crate::nlp::{NotFinite, Reach};
 use crate::noise::{Counts, Missing, Noise, Reported, Sample};
@@ -258,7 +259,12 @@ impl Posed {
         let batch = (PARTS / step).max(BATCH).min(items.len().max(1));
         parts.clear();
         parts.resize(batch * step, 0.0);
+        let interrupt = current();
         let run = |(item, part): (&T, &mut [f64])| {
+            // What was not finished is taken for not finite; whoever set the interrupt knows.
+            if interrupt.stops() {
+                return false;
+            }
             let uniforms = &uniforms[of(item) * length..][..length];
             SCRATCH.with(|s| work(item, uniforms, &mut s.borrow_mut(), &mut part[..width]))
         };

@@ -1,12 +1,21 @@
 //! The dense border: what is left when all chains are eliminated.
 
-use nalgebra::{DMatrix, SymmetricEigen};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::thread;
+use std::time::Duration;
+
+use nalgebra::{DMatrix, Dyn, SymmetricEigen};
 
 use super::dense::{backward, cholesky, forward};
+use crate::interrupt::current;
 use crate::linalg::Curvature;
 
 /// Pivots of the reduced Hessian, its diagonal scaled to 1, at or below this are no curvature.
 pub(super) const TINY: f64 = 1e-13;
+
+/// Rows from which the eigenvectors of a matrix take long, and how often the interrupt is asked then.
+const LARGE: usize = 150;
+const ASK: Duration = Duration::from_millis(5);
 
 /// The dense border, factorised.
 #[derive(Clone, Debug, Default)]
@@ -31,6 +40,9 @@ impl Border {
         self.fill(s, held, shift);
         if cholesky(&mut self.l, b, TINY).is_ok() {
             return Curvature::default();
+        }
+        if current().stops() {
+            return Curvature { negative: 0, zero: 1 };
         }
         self.fill(s, held, shift);
         let (found, vectors) = directions(&self.l, b);
@@ -77,12 +89,32 @@ pub(super) fn scale_of(diagonal: f64) -> f64 {
     if size > 1e-290 && size.is_finite() { 1.0 / size.sqrt() } else { 1.0 }
 }
 
+/// The eigenvectors of a symmetric matrix, unless the interrupt in force comes first. Those of a large one take seconds
+/// in which nothing can be asked: they are left to a thread, which is not waited for then.
+fn eigen(a: DMatrix<f64>) -> Option<SymmetricEigen<f64, Dyn>> {
+    let interrupt = current();
+    if a.nrows() < LARGE || interrupt.is_none() {
+        return Some(SymmetricEigen::new(a));
+    }
+    let (sender, receiver) = channel();
+    thread::spawn(move || sender.send(SymmetricEigen::new(a)));
+    loop {
+        match receiver.recv_timeout(ASK) {
+            Ok(found) => return Some(found),
+            Err(RecvTimeoutError::Timeout) if !interrupt.stops() => {}
+            Err(_) => return None,
+        }
+    }
+}
+
 /// Inertia of a symmetric matrix, and the directions in which it has no positive curvature.
 pub(super) fn directions(a: &[f64], n: usize) -> (Curvature, Vec<Vec<f64>>) {
     if a.iter().any(|x| !x.is_finite()) {
         return (Curvature { negative: 0, zero: n }, Vec::new());
     }
-    let eigen = SymmetricEigen::new(DMatrix::from_row_slice(n, n, a));
+    let Some(eigen) = eigen(DMatrix::from_row_slice(n, n, a)) else {
+        return (Curvature { negative: 0, zero: n }, Vec::new());
+    };
     let size = eigen.eigenvalues.amax().max(1.0);
     let mut found = Curvature::default();
     let mut vectors = Vec::new();

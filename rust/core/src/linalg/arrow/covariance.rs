@@ -3,13 +3,22 @@
 use nalgebra::DMatrix;
 
 use super::ArrowKkt;
+use crate::interrupt::current;
+
+/// Columns that are computed between two looks at the interrupt.
+const COLUMNS: usize = 32;
 
 impl ArrowKkt {
     /// Reads it off the reduced Hessian; whether all that is wanted are parameters and first states, which that tells.
     pub(super) fn read_covariance(&mut self, wanted: &[usize], out: &mut [f64]) -> bool {
         let (n, border, k) = (self.plan.shape.n, self.plan.shape.border, wanted.len());
         let mut of_border = DMatrix::<f64>::identity(border, border);
+        let interrupt = current();
         for mut column in of_border.column_iter_mut() {
+            if interrupt.stops() {
+                out.fill(f64::NAN);
+                return true;
+            }
             self.border.solve(column.as_mut_slice());
         }
         for i in (0..border).filter(|&i| self.held[i]) {
@@ -47,7 +56,17 @@ impl ArrowKkt {
         if found < k {
             return false;
         }
-        let all = &follow * of_border * follow.transpose() + beside;
+        let mut all = beside;
+        let back = follow.transpose();
+        for first in (0..k).step_by(COLUMNS) {
+            let count = COLUMNS.min(k - first);
+            if interrupt.stops() {
+                out.fill(f64::NAN);
+                return true;
+            }
+            let of_these = &of_border * back.columns(first, count);
+            all.columns_mut(first, count).gemm(1.0, &follow, &of_these, 1.0);
+        }
         for (i, row) in out.chunks_exact_mut(k).enumerate() {
             row.iter_mut().enumerate().for_each(|(j, o)| *o = all[(i, j)]);
         }

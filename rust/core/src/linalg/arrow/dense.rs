@@ -1,5 +1,7 @@
 //! Small dense matrices, row-major with a stride, and rows of whole vectors.
 
+use crate::interrupt::current;
+
 /// to += a · from. `V` is the number of vectors of eight where it is known (the loop is then unrolled),
 /// else 0.
 #[inline(always)]
@@ -129,9 +131,13 @@ pub(super) fn triangularise(a: &mut [f64], rows: usize, columns: usize, k: usize
 }
 
 /// Cholesky's factor L in the lower triangle, for a matrix with unit-like diagonal; the index at which
-/// a pivot falls to `tiny` or below.
-pub(super) fn cholesky(a: &mut [f64], n: usize, tiny: f64) -> Result<(), usize> {
+/// a pivot falls to `tiny` or below, or at which the interrupt in force stops it.
+pub(crate) fn cholesky(a: &mut [f64], n: usize, tiny: f64) -> Result<(), usize> {
+    let interrupt = current();
     for j in 0..n {
+        if j % 32 == 31 && interrupt.stops() {
+            return Err(j);
+        }
         let (above, rest) = a.split_at_mut(j * n);
         let row = &mut rest[..n];
         for k in 0..j {
@@ -149,7 +155,7 @@ pub(super) fn cholesky(a: &mut [f64], n: usize, tiny: f64) -> Result<(), usize> 
 }
 
 /// Solves L x = b in place.
-pub(super) fn forward(l: &[f64], n: usize, b: &mut [f64]) {
+pub(crate) fn forward(l: &[f64], n: usize, b: &mut [f64]) {
     for i in 0..n {
         let sum: f64 = l[i * n..i * n + i].iter().zip(&b[..i]).map(|(x, y)| x * y).sum();
         b[i] = (b[i] - sum) / l[i * n + i];
@@ -157,7 +163,7 @@ pub(super) fn forward(l: &[f64], n: usize, b: &mut [f64]) {
 }
 
 /// Solves Lᵀ x = b in place.
-pub(super) fn backward(l: &[f64], n: usize, b: &mut [f64]) {
+pub(crate) fn backward(l: &[f64], n: usize, b: &mut [f64]) {
     for i in (0..n).rev() {
         b[i] /= l[i * n + i];
         for k in 0..i {

@@ -20,11 +20,16 @@ use super::piece::{Along, Piece};
 use super::products::Products;
 use super::run::Run;
 use super::shape::Shape;
+use crate::interrupt::Interrupt;
+use crate::linalg::KktError;
 use crate::simd::kernel;
 use crate::tape::lanes::all_finite;
 
 /// Greatest sensitivity of the end of a group to its start, in units of the states.
 pub(super) const GROWTH: f64 = 100.0;
+
+/// Operations, about, between two looks at the interrupt.
+const ASK: usize = 100_000;
 
 /// Consecutive segments of a chain, with all that their elimination keeps.
 #[derive(Clone, Debug)]
@@ -89,9 +94,10 @@ impl Group {
         products: &mut Products,
         hessian: &[f64],
         jacobian: &[f64],
-    ) -> Result<(), usize> {
+        interrupt: &Interrupt,
+    ) -> Result<(), KktError> {
         self.splits.clear();
-        factorize(self, context, products, hessian, jacobian)?;
+        factorize(self, context, products, hessian, jacobian, interrupt)?;
         self.form.put_together(context.shape, &self.pieces, products);
         Ok(())
     }
@@ -134,8 +140,10 @@ kernel! {
         products: &mut Products,
         hessian: &[f64],
         jacobian: &[f64],
-    ) -> Result<(), usize> {
+        interrupt: &Interrupt,
+    ) -> Result<(), KktError> {
         let (shape, plan) = (context.shape, context.plan);
+        let ask = 1 + ASK / (1 + shape.form() * shape.form());
         let n = shape.n;
         let along = Along { shape, plan, segments: &g.segments, row: g.row };
         restart(shape, &mut g.pieces);
@@ -157,13 +165,16 @@ kernel! {
             products.add(shape, plan.runs(0), &g.values[own], &g.pieces, |piece| &piece.z);
         }
         for (i, s) in g.segments.clone().enumerate() {
+            if i % ask == 0 && interrupt.stops() {
+                return Err(KktError::Stopped);
+            }
             let mut growth: f64 = 0.0;
             for (p, (part, piece)) in shape.parts.iter().zip(&mut g.pieces).enumerate() {
                 if let Err(row) = piece.factorize(part, &plan.parts[p], along, (i, s), jacobian) {
-                    return Err(plan.row(s, n) + part.row(row, n));
+                    return Err(KktError::Dependent { row: plan.row(s, n) + part.row(row, n) });
                 }
                 if !all_finite(&piece.z) {
-                    return Err(plan.row(s, n) + part.states[0]);
+                    return Err(KktError::NotFinite);
                 }
                 growth = growth.max(piece.growth(part));
             }

@@ -32,7 +32,7 @@
 mod border;
 mod chain;
 mod covariance;
-mod dense;
+pub(crate) mod dense;
 mod forest;
 mod form;
 mod group;
@@ -61,8 +61,10 @@ use plan::Plan;
 use products::Products;
 use tree::add;
 
-use super::{Curvature, KktSolver, Singular, covariance_by_solving};
+use super::{Curvature, KktError, KktSolver, covariance_by_solving};
+use crate::interrupt::current;
 use crate::nlp::{Chains, Structure};
+use crate::tape::lanes::all_finite;
 use crate::threads::{COMMON, Threads};
 
 /// Least number of points for which waking other threads pays.
@@ -171,7 +173,7 @@ impl ArrowKkt {
     }
 
     /// Eliminates the interior of all groups.
-    fn eliminate(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+    fn eliminate(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         let ArrowKkt { plan, forest, products, parallel, .. } = self;
         for (tree, chain) in forest.trees.iter_mut().zip(&plan.chains) {
             let context = Context { shape: &plan.shape, plan: chain };
@@ -181,7 +183,7 @@ impl ArrowKkt {
     }
 
     /// Merges the groups of each chain, and adds up the reduced Hessian of the border.
-    fn merge(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+    fn merge(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         let shape = &self.plan.shape;
         self.outer.fill(0.0);
         for &(entry, row, column) in &self.plan.border {
@@ -199,7 +201,7 @@ impl ArrowKkt {
         for (i, d) in self.diagonal.iter_mut().enumerate() {
             *d = self.s[i * shape.border + i];
         }
-        if self.s.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(Singular { row: 0 }) }
+        if self.s.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(KktError::NotFinite) }
     }
 
     /// Takes a right-hand side.
@@ -241,7 +243,8 @@ impl ArrowKkt {
     fn on_threads<R: Send>(&mut self, work: impl FnOnce(&mut Self) -> R + Send) -> R {
         match self.pool.take() {
             Some(pool) => {
-                let result = pool.install(|| work(self));
+                let interrupt = current();
+                let result = pool.install(|| interrupt.run(|| work(self)));
                 self.pool = Some(pool);
                 result
             }
@@ -274,17 +277,22 @@ fn clear_held(theta: &mut [f64], held: &[bool]) {
 }
 
 impl KktSolver for ArrowKkt {
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         let done = self.on_threads(|arrow| {
             arrow.forest.rejoin(&arrow.plan);
             arrow.eliminate(hessian, jacobian)?;
             if arrow.hurry && arrow.forest.grows_wildly() {
-                return Err(Singular { row: 0 });
+                return Err(KktError::TooCostly);
             }
             if arrow.forest.split(&arrow.plan) {
                 arrow.eliminate(hessian, jacobian)?;
             }
             arrow.merge(hessian, jacobian)
+        });
+        // Comparisons with NaN find no pivot, as where there is none.
+        let done = done.map_err(|error| match error {
+            KktError::Dependent { .. } if !all_finite(jacobian) => KktError::NotFinite,
+            other => other,
         });
         self.refining = self.refine || self.forest.is_split();
         if self.refining {
@@ -308,6 +316,9 @@ impl KktSolver for ArrowKkt {
         self.held.copy_from_slice(&held[..shape.border]);
         self.eliminated.copy_from_slice(&self.s);
         let mut found = Curvature::default();
+        if current().stops() {
+            return Curvature { zero: 1, ..found };
+        }
         for (tree, plan) in self.forest.trees.iter_mut().zip(&self.plan.chains) {
             let before = self.weak.len();
             let here = tree.top.eliminate(shape, shift, &mut self.eliminated, &mut self.weak);
@@ -328,6 +339,11 @@ impl KktSolver for ArrowKkt {
     }
 
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
+        if current().stops() {
+            d.fill(f64::NAN);
+            lambda.fill(f64::NAN);
+            return;
+        }
         self.on_threads(|arrow| {
             arrow.take(p, q);
             arrow.solve_rest();

@@ -10,7 +10,7 @@ use super::border::{TINY, directions, scale_of};
 use super::dense::{backward, cholesky, forward, triangularise};
 use super::form::{Form, Side};
 use super::shape::Shape;
-use crate::linalg::Curvature;
+use crate::linalg::{Curvature, KktError};
 
 /// The top of one chain.
 #[derive(Clone, Debug)]
@@ -64,8 +64,11 @@ impl Top {
         }
     }
 
-    /// The reduced Hessian of a form; whether its constraint determines what it should.
-    pub fn factorize(&mut self, shape: &Shape, form: &Form) -> bool {
+    /// The reduced Hessian of a form.
+    ///
+    /// # Errors
+    /// Where its constraint and the boundary conditions do not determine what they should.
+    pub fn factorize(&mut self, shape: &Shape, form: &Form) -> Result<(), KktError> {
         let (n, border, full) = (shape.n, shape.border, shape.form());
         let (nn, outer, c, free) = (2 * n, n + shape.used(), n + self.k, n - self.k);
         let width = free + border;
@@ -82,8 +85,11 @@ impl Top {
         let largest = (0..c).map(size).fold(0.0, f64::max);
         // Boundary conditions that the ends cannot meet are for another method.
         let least = if self.k > 0 { 1e-8 } else { 0.0 };
-        if (0..c).any(|i| !(size(i) > least * largest && size(i).is_finite())) {
-            return false;
+        if !largest.is_finite() || (0..c).any(|i| !size(i).is_finite()) {
+            return Err(KktError::NotFinite);
+        }
+        if (0..c).any(|i| size(i) <= least * largest) {
+            return Err(KktError::Boundary);
         }
         // F = [Z₂ | −Z₁ R⁻ᵀ C_θ]
         self.f.fill(0.0);
@@ -119,7 +125,7 @@ impl Top {
                 row.iter_mut().zip(product).for_each(|(r, p)| *r += f * p);
             }
         }
-        true
+        Ok(())
     }
 
     /// Adds the part between border variables to a B × B matrix.

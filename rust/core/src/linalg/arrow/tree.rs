@@ -11,7 +11,8 @@ use super::merge::Merge;
 use super::own::Own;
 use super::products::Products;
 use super::top::Top;
-use crate::linalg::Singular;
+use crate::interrupt::current;
+use crate::linalg::KktError;
 
 /// A group, or two merged.
 #[derive(Clone, Copy, Debug)]
@@ -89,20 +90,28 @@ impl Tree {
         parallel: bool,
         hessian: &[f64],
         jacobian: &[f64],
-    ) -> Result<(), Singular> {
+    ) -> Result<(), KktError> {
+        let interrupt = current();
         let done = if parallel {
             let work = |g: &mut Group| {
                 let own = rayon::current_thread_index().unwrap_or(0) % room.len();
                 // Nothing is left in it that matters after a panic.
                 let mut products = room[own].lock().unwrap_or_else(PoisonError::into_inner);
-                g.factorize(context, &mut products, hessian, jacobian)
+                g.factorize(context, &mut products, hessian, jacobian, &interrupt)
             };
             self.groups.par_iter_mut().map(work).reduce(|| Ok(()), Result::and)
         } else {
             let products = room[0].get_mut().unwrap_or_else(PoisonError::into_inner);
-            self.groups.iter_mut().try_for_each(|g| g.factorize(context, products, hessian, jacobian))
+            let work = |g: &mut Group| g.factorize(context, products, hessian, jacobian, &interrupt);
+            self.groups.iter_mut().try_for_each(work)
         };
-        done.map_err(|row| Singular { row: context.plan.constraint(row, context.shape.n) })
+        // Groups number the rows of their chain.
+        done.map_err(|error| match error {
+            KktError::Dependent { row } => {
+                KktError::Dependent { row: context.plan.constraint(row, context.shape.n) }
+            }
+            other => other,
+        })
     }
 
     /// Merges the groups up to one, and finds the reduced Hessian of that; `units` are reciprocals.
@@ -112,23 +121,24 @@ impl Tree {
         units: &[f64],
         jacobian: &[f64],
         parallel: bool,
-    ) -> Result<(), Singular> {
+    ) -> Result<(), KktError> {
         let (shape, plan) = (context.shape, context.plan);
         let Tree { groups, levels, root, top, .. } = self;
-        let singular = Singular { row: plan.chain.row };
+        let interrupt = current();
         for l in 0..levels.len() {
             let (done, level) = levels.split_at_mut(l);
             let form = |node: &Node| of(groups, done, *node).0;
             let work = |(left, right, merge): &mut (Node, Node, Merge)| {
-                merge.factorize(shape, form(left), form(right))
+                !interrupt.stops() && merge.factorize(shape, form(left), form(right))
             };
             let fine = if level[0].len() > FEW && parallel {
                 level[0].par_iter_mut().map(work).all(|x| x)
             } else {
                 level[0].iter_mut().map(work).fold(true, |a, b| a & b)
             };
+            // The states between two groups always follow, unless a coefficient is too large.
             if !fine {
-                return Err(singular);
+                return Err(if interrupt.stops() { KktError::Stopped } else { KktError::NotFinite });
             }
         }
         let columns = shape.n + shape.used();
@@ -137,7 +147,7 @@ impl Tree {
             let (row, column) = (place / columns, place % columns);
             top.boundary[place] += jacobian[entry] * plan.boundary_factor(units, row, column);
         }
-        if top.factorize(shape, of(groups, levels, *root).0) { Ok(()) } else { Err(singular) }
+        top.factorize(shape, of(groups, levels, *root).0)
     }
 
     /// From what is left of the right-hand side up to what stands right in the border, which is added to.

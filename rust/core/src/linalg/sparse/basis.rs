@@ -21,6 +21,7 @@
 
 use super::order::minimum_degree;
 use super::rows::Rows;
+use crate::interrupt::current;
 use crate::simd::kernel;
 
 /// A variable that stands in this many times as many constraints as the median is heavy.
@@ -192,8 +193,12 @@ impl Basis {
             self.heavy.iter().for_each(|&v| self.place[v as usize] = OUTSIDE);
         }
         let poor = if keep_outside { POOR } else { DEPENDENT };
+        let interrupt = current();
         for j in 0..self.m {
             let constraint = self.order[j] as usize;
+            if j % 64 == 63 && interrupt.stops() {
+                return Err(constraint);
+            }
             let mut size = 0.0f64;
             for (v, value) in a.row(constraint) {
                 size = size.max(value.abs());

@@ -29,7 +29,8 @@ mod products;
 mod reduced;
 mod rows;
 
-use super::{Curvature, KktSolver, Singular};
+use super::{Curvature, KktError, KktSolver};
+use crate::interrupt::current;
 use crate::nlp::Structure;
 use basis::Basis;
 use reduced::Reduced;
@@ -262,18 +263,13 @@ fn worse(worst: f64, rest: f64, size: f64) -> f64 {
 }
 
 impl KktSolver for SparseKkt {
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), Singular> {
+    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
         self.stage = Stage::Empty;
         self.h.fill(hessian);
         self.a.fill(jacobian);
         let finite = |rows: &Rows, i: usize| rows.row(i).all(|(_, value)| value.is_finite());
-        if let Some(row) = (0..self.m).find(|&i| !finite(&self.a, i)) {
-            return Err(Singular { row });
-        }
-        if let Some(v) = (0..self.n).find(|&i| !finite(&self.h, i)) {
-            // A constraint on the variable says at least where.
-            let row = (0..self.m).find(|&i| self.a.columns(i).binary_search(&(v as u32)).is_ok());
-            return Err(Singular { row: row.unwrap_or(0) });
+        if !((0..self.m).all(|i| finite(&self.a, i)) && (0..self.n).all(|i| finite(&self.h, i))) {
+            return Err(KktError::NotFinite);
         }
         self.diagonal.fill(1.0);
         for (i, d) in self.diagonal.iter_mut().enumerate() {
@@ -281,7 +277,11 @@ impl KktSolver for SparseKkt {
                 *d = h.abs();
             }
         }
-        self.basis.factorize(&self.a).map_err(|row| Singular { row })?;
+        let found = self.basis.factorize(&self.a);
+        if current().stops() {
+            return Err(KktError::Stopped);
+        }
+        found.map_err(|row| KktError::Dependent { row })?;
         self.reduced.assemble(&self.h, &self.basis);
         self.stage = Stage::Factorized;
         Ok(())
@@ -290,7 +290,7 @@ impl KktSolver for SparseKkt {
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {
         self.held.copy_from_slice(held);
         self.shift = shift;
-        if self.stage == Stage::Empty {
+        if self.stage == Stage::Empty || current().stops() {
             // There is no factorisation: nothing is known, so nothing is positive.
             self.weak.clear();
             return Curvature { negative: 0, zero: self.n.saturating_sub(self.m).max(1) };
@@ -302,7 +302,7 @@ impl KktSolver for SparseKkt {
     }
 
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
-        if self.stage != Stage::Finished {
+        if self.stage != Stage::Finished || current().stops() {
             d.fill(f64::NAN);
             lambda.fill(f64::NAN);
             return;

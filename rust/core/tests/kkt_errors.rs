@@ -1,0 +1,64 @@
+//! Why a Newton system is not factorised is told apart, by every implementation.
+
+use phugoid::condition::End;
+use phugoid::linalg::{KktError, KktSolver, kkt_for};
+use phugoid::nlp::Nlp;
+use phugoid::noise::Noise;
+use phugoid::transcription::{Collocation, Settings};
+use phugoid::{Experiment, Expr, Grid, Model, Parameter, Sigma};
+
+/// x' = a x over 400 segments, with or without a condition on the first state.
+fn problem(condition: bool) -> Collocation {
+    let mut m = Model::new("growth");
+    let (x, a) = (m.state("x", "").unwrap(), m.parameter(Parameter::new("a", 1.0)).unwrap());
+    m.equation("x", a * &x, None).unwrap();
+    m.output("x", x, "", None).unwrap();
+    if condition {
+        m.condition(End::Initial, "x", Expr::from(1.0), None).unwrap();
+    }
+    let t: Vec<f64> = (0..=400).map(f64::from).collect();
+    let run = Experiment::new(&m, "run", t, [("x", vec![1.0; 401])]).unwrap();
+    let settings = Settings { order: 4, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
+    Collocation::new(&m, &[run], Noise::Gaussian(vec![Sigma::Known(1.0)]), &settings).unwrap()
+}
+
+fn factorized(p: &Collocation, kkt: &mut dyn KktSolver, a: f64, spoil: bool) -> Result<(), KktError> {
+    let mut xi = vec![1.0; p.n()];
+    xi[0] = a;
+    let mut hessian = vec![0.0; p.hessian_structure().len()];
+    let mut jacobian = vec![0.0; p.jacobian_structure().len()];
+    p.gauss_newton(&xi, 1.0, &mut hessian).unwrap();
+    p.jacobian(&xi, &mut jacobian).unwrap();
+    if spoil {
+        jacobian[7] = f64::NAN;
+    }
+    kkt.factorize(&hessian, &jacobian)
+}
+
+#[test]
+fn a_costly_system_is_refused_in_a_hurry() {
+    for condition in [false, true] {
+        let p = problem(condition);
+        let mut kkt = kkt_for(&p, &[1.0]);
+        kkt.set_hurry(true);
+        assert_eq!(factorized(&p, &mut *kkt, -0.1, false), Ok(()));
+        // It grows a hundredfold and more in every segment: each is a group of its own.
+        assert_eq!(factorized(&p, &mut *kkt, 6.0, false), Err(KktError::TooCostly));
+        kkt.set_hurry(false);
+        assert_eq!(factorized(&p, &mut *kkt, 6.0, false), Ok(()));
+    }
+}
+
+#[test]
+fn numbers_that_are_not_finite_are_no_dependence() {
+    for condition in [false, true] {
+        let p = problem(condition);
+        let mut kkt = kkt_for(&p, &[1.0]);
+        assert_eq!(factorized(&p, &mut *kkt, -0.1, false), Ok(()));
+        let flops = kkt.flops();
+        assert_eq!(factorized(&p, &mut *kkt, -0.1, true), Err(KktError::NotFinite));
+        // The same factorisation goes on.
+        assert_eq!(factorized(&p, &mut *kkt, -0.1, false), Ok(()));
+        assert_eq!(kkt.flops(), flops);
+    }
+}

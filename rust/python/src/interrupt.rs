@@ -1,0 +1,111 @@
+//! Long work without the interpreter lock, which Ctrl-C ends.
+
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::thread;
+use std::time::Duration;
+
+use phugoid::interrupt::Interrupt;
+use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::prelude::*;
+
+/// Signals are looked for so often.
+const POLL: Duration = Duration::from_millis(10);
+/// The stack that Python's own thread has.
+const STACK: usize = 8 << 20;
+
+type Job<'a> = Box<dyn FnOnce(Python<'_>) -> PyResult<()> + Send + 'a>;
+
+enum Message<'a, R> {
+    /// To be done on the thread that waits, which then tells whether to go on.
+    Do(Job<'a>, Sender<bool>),
+    Done(thread::Result<R>),
+}
+
+/// What the work can have done on the thread that waits for it: Python's own, where its callbacks belong.
+pub struct Caller<'a, R>(Sender<Message<'a, R>>);
+
+impl<'a, R> Caller<'a, R> {
+    /// Calls a function there; whether to go on: not after an error.
+    pub fn call(&self, job: impl FnOnce(Python<'_>) -> PyResult<()> + Send + 'a) -> bool {
+        let (reply, answer) = channel();
+        self.0.send(Message::Do(Box::new(job), reply)).is_ok() && answer.recv().unwrap_or(false)
+    }
+}
+
+/// Does work on a thread of its own while this one looks for signals. `stop` is asked now and then. The result, and the
+/// error that ended the work: a KeyboardInterrupt where `stop` said so.
+pub fn watched<'a, R: Send>(
+    py: Python<'_>,
+    stop: Option<&Py<PyAny>>,
+    work: impl FnOnce(&Caller<'a, R>) -> R + Send,
+) -> (R, Option<PyErr>) {
+    let interrupt = Interrupt::within(None);
+    let mut error: Option<PyErr> = None;
+    let ask = |py: Python<'_>| {
+        py.check_signals()?;
+        match stop.map_or(Ok(false), |s| s.call0(py)?.extract::<bool>(py)) {
+            Ok(true) => Err(PyKeyboardInterrupt::new_err("stopped")),
+            Ok(false) => Ok(()),
+            Err(e) => Err(e),
+        }
+    };
+    // What was pressed before counts, however quick the work is.
+    if let Err(e) = ask(py) {
+        interrupt.stop();
+        error = Some(e);
+    }
+    let done = py.detach(|| {
+        thread::scope(|scope| {
+            let (sender, receiver) = channel::<Message<'a, R>>();
+            let inner = interrupt.clone();
+            let body = move || {
+                let caller = Caller(sender);
+                let run = std::panic::AssertUnwindSafe(|| inner.run(|| work(&caller)));
+                let result = std::panic::catch_unwind(run);
+                let _ = caller.0.send(Message::Done(result));
+            };
+            let started = thread::Builder::new().stack_size(STACK).spawn_scoped(scope, body);
+            if let Err(e) = started {
+                std::panic::resume_unwind(Box::new(e.to_string()));
+            }
+            let mut fail = |e: PyErr| {
+                interrupt.stop();
+                error.get_or_insert(e);
+            };
+            loop {
+                match receiver.recv_timeout(POLL) {
+                    Ok(Message::Done(result)) => break result,
+                    Ok(Message::Do(job, reply)) => {
+                        let said = Python::attach(|py| ask(py).and_then(|()| job(py)).and_then(|()| ask(py)));
+                        let fine = said.is_ok();
+                        said.unwrap_or_else(&mut fail);
+                        let _ = reply.send(fine);
+                    }
+                    Err(RecvTimeoutError::Timeout) => {
+                        Python::attach(&ask).unwrap_or_else(&mut fail);
+                    }
+                    Err(RecvTimeoutError::Disconnected) => unreachable!("the work sends its end"),
+                }
+            }
+        })
+    });
+    match done {
+        Ok(result) => (result, error),
+        Err(panic) => std::panic::resume_unwind(panic),
+    }
+}
+
+/// The same for work that is worth nothing unless it is finished.
+pub fn interruptible<R: Send>(
+    py: Python<'_>,
+    stop: Option<&Py<PyAny>>,
+    work: impl FnOnce() -> R + Send,
+) -> PyResult<R> {
+    let (result, error) = watched(py, stop, |_| work());
+    error.map_or(Ok(result), Err)
+}
+
+/// Seconds from Python: nothing, or what a clock cannot tell, is no limit.
+pub fn seconds(limit: Option<f64>) -> Option<Duration> {
+    limit.and_then(|s| Duration::try_from_secs_f64(s.max(0.0)).ok())
+}

@@ -132,8 +132,8 @@ def match(
     sizes = [math.sqrt(sum(_squares(piece[i]) for piece in pieces)) for i in (1, 2)]
     about = sum(_squares(z - z.mean()) for _, z, _ in pieces)
     sizes_about = [math.sqrt(about), math.sqrt(sum(_squares(y - z.mean()) for _, z, y in pieces))]
-    offset = sum(t.size * float(z.mean() - y.mean()) ** 2 for t, z, y in pieces)
-    spread = sum(t.size * float(z.std() - y.std()) ** 2 for t, z, y in pieces)
+    offset = sum(t.size * float(np.square(z.mean() - y.mean())) for t, z, y in pieces)
+    spread = sum(t.size * float(np.square(z.std() - y.std())) for t, z, y in pieces)
     p_value, lag_one, lags = _whiteness(pieces)
     residuals = np.concatenate([np.empty(0), *(z - y for _, z, y in pieces)])
     measured = np.concatenate([np.empty(0), *(z for _, z, _ in pieces)])

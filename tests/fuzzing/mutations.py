@@ -102,7 +102,7 @@ def _change(node: Any, key: Any, random: Random) -> None:
         for _ in range(random.choice((1, 2, 70, 200))):
             deep = [deep] if random.random() < 0.7 else {"x": deep}
         node[key] = deep
-    elif kind == 4 and isinstance(value, (int, float)) and not isinstance(value, bool):
+    elif kind == 4 and isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300:
         node[key] = random.choice((-value, value + 1, value * 1e6, value * 1e-9, int(value) if abs(value) < 1e9 else 0))
     elif kind == 5:
         other = random.choice(list(node) if isinstance(node, dict) else list(range(len(node))))

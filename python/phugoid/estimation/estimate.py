@@ -102,12 +102,12 @@ def estimate(
         # A mesh that is only finer needs no regression: the path is there.
         again = replace(solver, regression=False) if isinstance(solver, Newton) else solver
 
-        def solve(mesh: Collocation, fit: Fit | None) -> Fit:
+        def fit_on(mesh: Collocation, fit: Fit | None) -> Fit:
             begin, by = (fit, again) if fit else (start, solver)
             by = replace(by, time_limit=deadline.left())
             return estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
 
-        return refined(solve, transcription)
+        return refined(fit_on, transcription)
 
     if model.delays:
         if isinstance(transcription, FilterError):
@@ -156,10 +156,19 @@ def estimate(
     starts = [] if warm else further_starts(model, problem, xi, parameters, given)
     if starts and not collocated:
         # A path that follows the measurements is found by collocation; an integration from poor values is none.
-        first = estimate(model, experiments, noise=noise, start=given, progress=progress)
+        begun_by = Newton(time_limit=deadline.left())
+        first = estimate(model, experiments, noise=noise, start=given, solver=begun_by, progress=progress)
         if first.status in _ENDS:
-            options: dict[str, Any] = {"noise": noise, "start": first, "progress": progress}
-            fit = estimate(model, experiments, transcription=transcription, solver=solver, **options)
+            by = replace(solver, time_limit=deadline.left())
+            fit = estimate(
+                model,
+                experiments,
+                transcription=transcription,
+                noise=noise,
+                start=first,
+                solver=by,
+                progress=progress,
+            )
             return replace(fit, iterations=first.iterations + fit.iterations, time=first.time + fit.time)
     known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
     with interrupts() as pressed:

@@ -32,8 +32,8 @@ def rebuilt(
     """A model with the states of another, ``inputs`` as (name, unit), what ``declare`` makes of each of its parameters,
     and its equations, keyed as by `equations_of`, passed through ``change``."""
     core = _core.Model(old.name)
-    for state in old.declared_states:
-        core.state(*state)
+    for declared_state in old.declared_states:
+        core.state(*declared_state)
     for name, unit in inputs:
         core.input(name, unit)
     for declared in old.parameters:

@@ -365,7 +365,7 @@ def test_bad_input(fit: ph.Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     for step in (0.0, -1.0, float("nan"), "fast"):
         with pytest.raises(OptionError, match="positive number of seconds"):
             fit.export_fmu(tmp_path / "a.fmu", step=step)
-    with pytest.raises(DataError, match="cannot be written"):
+    with pytest.raises(DataError, match="cannot be saved, since there is no folder"):
         fit.export_fmu(tmp_path / "absent" / "a.fmu", binary=False)
     with pytest.raises(ModelError, match="has delays"):
         ph.export_fmu(late(), tmp_path / "a.fmu", {"tau": 0.1, "a": 1.0})

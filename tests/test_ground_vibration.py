@@ -83,6 +83,6 @@ def test_an_unstable_iterate_is_no_end() -> None:
     """From the paper's start growing modes are passed through; the run ends with its best point."""
     data = twin(501).data
     model, start = paper_model()
-    short = ph.estimate(model, data, start=start, transcription=ph.Collocation(order=4), solver=ph.Newton(12))
+    short = ph.estimate(model, data, start=start, transcription=ph.Collocation(order=4), solver=ph.Newton(4))
     best = max(line.log_likelihood for line in short.history if line.defect < 1e-4)
     assert short.log_likelihood == pytest.approx(best, abs=1e-6 * abs(best)) or short.log_likelihood > best

@@ -37,8 +37,8 @@ _Activity: TypeAlias = Literal["lower", "upper", "fixed"] | None  # of the bound
 # A bound is active where the variable lies within this part of it: for Newton's method, which ends exactly on bounds,
 # and for an interior-point method.
 _AT_BOUND, _NEAR_BOUND = 1e-9, 1e-6
-# Parts of the motion of a state that its defects may sum to.
-_MOTION, _ROUNDING = 1e-2, 1e-6
+# Parts of the total variation and of the range of a state that its defects may sum to.
+_VARIATION, _ROUNDING = 1e-2, 1e-6
 # Parameters are confounded where their correlation matrix has an eigenvalue below this.
 _SINGULAR = 1e-12
 # A point is the optimum when the Newton step left is this small a part of every standard error.
@@ -362,17 +362,19 @@ def _total_defects(model: Model, problem: _core.Problem, xi: _Array) -> _Array:
 def _feasible(model: Model, problem: _core.Problem, xi: _Array) -> bool:
     """Return whether the states satisfy the equations.
 
-    Defects add up along the path. They may do so to a hundredth of the motion of a state, and no further than the
-    noise of the output of the same name; far below the motion they are rounding, whatever the noise is.
+    Defects add up along the path. They may do so to a hundredth of the way that a state goes (its total variation), and
+    no further than the noise of the output of the same name; far below the range of the state they are rounding,
+    whatever the noise is.
     """
     total = _total_defects(model, problem, xi)
     states = xi[problem.n_theta :].reshape(-1, len(model.state_names))
     size = np.abs(states).max(axis=0)
-    motion = np.ptp(states, axis=0)
-    motion = np.where(motion > 1e-12 * size, motion, size)
+    span = np.ptp(states, axis=0)
+    span = np.where(span > 1e-12 * size, span, size)
+    variation = np.abs(np.diff(states, axis=0)).sum(axis=0)
     sigmas = dict(zip(model.output_names, problem.sigmas(xi), strict=True))
     noise = np.array([sigmas.get(name, np.inf) for name in model.state_names])
-    limit = np.maximum(_ROUNDING * motion, np.minimum(_MOTION * motion, noise))
+    limit = np.maximum(_ROUNDING * span, np.minimum(_VARIATION * variation, noise))
     return bool(np.all(total <= limit))
 
 

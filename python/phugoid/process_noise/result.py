@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from .. import _core
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
-from ..match import match, no_match
 from ..modelling.model import Model
 from ..noise.noise import Noise
 from ..parameters import Estimate, Estimates
@@ -103,8 +102,6 @@ def make_filter_fit(
     warnings += _core.gap_warnings(model.input_names, records_of(model, experiments))
     records, initial = _records(model, experiments, objective, z, covariance)
     warnings += repeated_outputs(records, model.output_names)
-    poor = no_match({name: match(records, name).r_squared for name in model.output_names})
-    warnings = [*filter(None, [poor]), *warnings]
     message = HINTS.get(status, "")
     return Fit(
         model=model,

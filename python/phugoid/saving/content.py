@@ -113,21 +113,24 @@ def _records(fit: Fit) -> None:
     _require(len({*names}) == len(names), "records: two have one name")
     for i, r in enumerate(fit.records):
         place = f"records[{i}]"
-        check_kinds(place, vars(r), ("name", "interpolation"))
-        _require(r.interpolation in ("linear", "cubic"), f"{place}.interpolation is {_brief(r.interpolation)}")
+        check_kinds(place, vars(r), ("name",), (), (), ("feasible",))
+        how = r.interpolation
+        kinds = list(how.values()) if isinstance(how, Mapping) else [how]
+        _require(all(kind in ("linear", "cubic", "hold") for kind in kinds), f"{place}.interpolation is {_brief(how)}")
         _units(f"{place}.units", r.units)
         _times(f"{place}.t", r.t)
         _times(f"{place}.mesh_t", r.mesh_t, empty=True)
         _names(f"{place}.inputs", r.inputs, model.input_names)
         for kind in ("outputs", "measured", "residuals", "innovations", "innovation_std"):
             _names(f"{place}.{kind}", getattr(r, kind), model.output_names, empty=kind.startswith("innovation"))
-        for kind in ("states", "state_std", "mesh_states"):
+        for kind in ("states", "state_std", "predicted_states", "mesh_states"):
             _names(f"{place}.{kind}", getattr(r, kind), model.state_names, empty=kind != "states")
         _groups(place, r, finite)
 
 
 def _groups(place: str, r: Record, finite: bool) -> None:
-    for kind in ("inputs", "outputs", "states", "measured", "residuals", "state_std", "innovations", "innovation_std"):
+    of_samples = ("inputs", "outputs", "states", "measured", "residuals", "state_std", "predicted_states")
+    for kind in (*of_samples, "innovations", "innovation_std"):
         for name, values in getattr(r, kind).items():
             missing = not (finite and kind in ("inputs", "outputs", "states"))
             _array(f"{place}.{kind}.{name}", values, (r.t.size,), missing)

@@ -15,8 +15,8 @@ use crate::transcription::Transcribed;
 const CLOSE: f64 = 1e-3;
 /// Defects may add up along a path to this part of the noise of the same name.
 const SMALL: f64 = 0.01;
-/// Parts of the motion of a state that its defects may sum to; below the second they are rounding.
-const MOTION: f64 = 1e-2;
+/// Parts of the total variation and of the range of a state that its defects may sum to; below the second they are rounding.
+const VARIATION: f64 = 1e-2;
 const ROUNDING: f64 = 1e-6;
 /// Residuals are reported to differ from noise that was given where their variance differs by more than this factor, and
 /// by more than so many standard deviations: chance does that once in a thousand times.
@@ -110,8 +110,9 @@ fn total_defects(problem: &dyn Transcribed, xi: &[f64]) -> Option<Vec<f64>> {
     Some((0..n_x).map(|i| defects.iter().skip(i).step_by(n_x).map(|c| c.abs()).sum()).collect())
 }
 
-/// Whether the states satisfy the equations. Defects add up along the path: they may do so to a hundredth of the motion
-/// of a state, and no further than the noise of the output of the same name. Far below the motion they are rounding.
+/// Whether the states satisfy the equations. Defects add up along the path: they may do so to a hundredth of the way
+/// that a state goes (its total variation), and no further than the noise of the output of the same name. Far below the
+/// range of the state they are rounding.
 pub(super) fn feasible(model: &Model, problem: &dyn Transcribed, xi: &[f64]) -> bool {
     let Some(total) = total_defects(problem, xi) else { return false };
     let sigmas = problem.posed().sigmas(xi);
@@ -121,10 +122,11 @@ pub(super) fn feasible(model: &Model, problem: &dyn Transcribed, xi: &[f64]) -> 
         let path = || states.iter().skip(i).step_by(n_x);
         let (low, high) = path().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
         let size = low.abs().max(high.abs());
-        let motion = if high - low > 1e-12 * size { high - low } else { size };
+        let span = if high - low > 1e-12 * size { high - low } else { size };
+        let variation: f64 = path().zip(path().skip(1)).map(|(a, b)| (b - a).abs()).sum();
         let noise =
             model.outputs.iter().position(|o| o.name == state.name).map_or(f64::INFINITY, |c| sigmas[c]);
-        total[i] <= (ROUNDING * motion).max(noise.min(MOTION * motion))
+        total[i] <= (ROUNDING * span).max(noise.min(VARIATION * variation))
     })
 }
 

@@ -81,11 +81,50 @@ const NAMED: usize = 3;
 
 type Names = HashMap<*const Node, String>;
 
+/// What a node is, its arguments as numbers of what they are: nodes that are equal here print alike.
+#[derive(PartialEq, Eq, Hash)]
+enum Shape<'a> {
+    Constant(u64),
+    Symbol(&'a str),
+    Apply(Op, Vec<usize>),
+    Lookup(&'a str, [u8; 2], Vec<usize>),
+}
+
+/// For each node the first one that prints alike: whether parts that are equal are one node in memory must not show, as a
+/// model that was saved and read shares more of them.
+fn representatives(root: &Expr) -> HashMap<*const Node, *const Node> {
+    let key = |e: &Expr| std::ptr::from_ref(e.node());
+    let (mut numbers, mut kinds) = (HashMap::new(), HashMap::<Shape<'_>, usize>::new());
+    let (mut firsts, mut found) = (Vec::new(), HashMap::new());
+    root.visit(|e| {
+        let args = || e.args().iter().map(|a| numbers[&key(a)]).collect();
+        let shape = match e.node() {
+            Node::Constant(c) => Shape::Constant(c.to_bits()),
+            Node::Symbol(name) => Shape::Symbol(name),
+            Node::Apply(op, _) => Shape::Apply(*op, args()),
+            Node::Lookup(lookup, _) => Shape::Lookup(lookup.table.name(), lookup.order, args()),
+        };
+        let next = kinds.len();
+        let number = *kinds.entry(shape).or_insert(next);
+        if number == firsts.len() {
+            firsts.push(key(e));
+        }
+        numbers.insert(key(e), number);
+        found.insert(key(e), firsts[number]);
+    });
+    found
+}
+
 /// Names for the parts that occur more than once, and those parts in the order in which they need each other.
 fn shared(root: &Expr) -> (Names, Vec<&Expr>) {
-    let key = |e: &Expr| std::ptr::from_ref(e.node());
+    let first = representatives(root);
+    let key = |e: &Expr| first[&std::ptr::from_ref(e.node())];
     let (mut uses, mut sizes) = (HashMap::new(), HashMap::new());
+    let mut seen = HashSet::new();
     root.visit(|e| {
+        if !seen.insert(key(e)) {
+            return;
+        }
         let mut size = 1_usize;
         for arg in e.args() {
             *uses.entry(key(arg)).or_insert(0_usize) += 1;
@@ -103,12 +142,14 @@ fn shared(root: &Expr) -> (Names, Vec<&Expr>) {
         let own = e.args().iter().map(|a| if names.contains_key(&key(a)) { 1 } else { sizes[&key(a)] });
         let own = own.fold(1_usize, usize::saturating_add);
         sizes.insert(key(e), own);
-        if own >= NAMED && uses.get(&key(e)).is_some_and(|&n| n > 1) {
+        if own >= NAMED && uses.get(&key(e)).is_some_and(|&n| n > 1) && !names.contains_key(&key(e)) {
             names.insert(key(e), free.next().expect("names without end"));
             parts.push(e);
         }
     });
-    (names, parts)
+    // By each node, as the printer meets them.
+    let each = first.iter().filter_map(|(node, first)| Some((*node, names.get(first)?.clone())));
+    (each.collect(), parts)
 }
 
 /// a to z, then a1 to z1 and so on.

@@ -2,6 +2,9 @@
 
 use crate::nlp::{Chains, Nlp};
 
+/// Defects that sum to no more than this part of the unit of their state are none.
+const SATISFIED: f64 = 1e-6;
+
 /// Units of states, and of constraints: a defect is measured in that of its state, and so is a boundary
 /// condition.
 #[derive(Clone, Debug)]
@@ -124,8 +127,8 @@ fn units_from_curvature(nlp: &dyn Nlp, xi: &[f64]) -> Vec<f64> {
 }
 
 /// Replaces units that are zero. The defects of a state i whose motion is known show what a state j, whose path is zero,
-/// should have done: Σ|c_i| / Σ|∂c_i/∂x_j|. A state that no such defect depends on has the sum of its own defects for
-/// unit, what its equation adds up to along the path, or else 1.
+/// should have done: Σ|c_i| / Σ|∂c_i/∂x_j|. Its own defects, of m in all, show what it should have done, too: Σ|c_j|/√m,
+/// which is more where segments are long. The unit is the geometric mean of both, one of them, or else 1.
 fn sizes_from_equations(nlp: &dyn Nlp, xi: &[f64], chains: &Chains, units: &mut [f64]) {
     let n = chains.n_x;
     let rows = nlp.m() - chains.boundary_states().count();
@@ -143,16 +146,26 @@ fn sizes_from_equations(nlp: &dyn Nlp, xi: &[f64], chains: &Chains, units: &mut 
             }
         }
     }
+    let zero: Vec<usize> = (0..n).filter(|&j| units[j] == 0.0).collect();
     // Those that follow from known ones may tell of others in turn.
     for _ in 0..n {
         let known = units.to_vec();
         for j in (0..n).filter(|&j| known[j] == 0.0) {
-            let from = (0..n).filter(|&i| known[i] > 0.0).map(|i| defects[i] / slopes[i * n + j]);
+            // Where the path satisfies the equation of i, rounding errors are left, which say nothing of j.
+            let tells = |i: &usize| known[*i] > 0.0 && defects[*i] > SATISFIED * known[*i];
+            let from = (0..n).filter(tells).map(|i| defects[i] / slopes[i * n + j]);
             let least = from.filter(|size| *size > 0.0 && size.is_finite()).fold(f64::INFINITY, f64::min);
             units[j] = if least.is_finite() { least } else { 0.0 };
         }
     }
-    for (unit, defects) in units.iter_mut().zip(&defects).filter(|(unit, _)| **unit == 0.0) {
-        *unit = if *defects > 0.0 { *defects } else { 1.0 };
+    // What a state's own defects add up to, as in a random walk: their signs are not known.
+    let root = (rows.max(1) as f64).sqrt();
+    for j in zero {
+        let own = defects[j] / root;
+        units[j] = match (units[j] > 0.0, own > 0.0) {
+            (true, true) => (units[j] * own).sqrt(),
+            (false, false) => 1.0,
+            _ => units[j].max(own),
+        };
     }
 }

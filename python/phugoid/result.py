@@ -96,7 +96,7 @@ class Fit:
 
     @property
     def feasible(self) -> bool:
-        """Whether the states satisfy the equations of the model. Where a run ended elsewhere, log-likelihood, standard
+        """Tell whether the states satisfy the equations of the model. Where a run ended elsewhere, log-likelihood, standard
         errors and how well outputs match are NaN."""
         return all(record.feasible for record in self.records)
 

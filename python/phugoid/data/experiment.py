@@ -144,11 +144,11 @@ class Experiment(Preprocessing):
 
     @property
     def interpolation(self) -> Interpolations:
-        """How inputs behave between samples: one word for all, or a mapping by name, else ``"linear"``."""
+        """Return how inputs behave between samples: one word for all, or a mapping by name, else ``"linear"``."""
         return self._interpolation if isinstance(self._interpolation, str) else dict(self._interpolation)
 
     def interpolation_of(self, name: str) -> Interpolation:
-        """How the input ``name`` behaves between its samples."""
+        """Return how the input ``name`` behaves between its samples."""
         return kind_of(self._interpolation, name)
 
     @property

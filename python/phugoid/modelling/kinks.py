@@ -1,4 +1,4 @@
-"""What to say of kinks and jumps in the state equations of a fit that did not converge."""
+"""Advice on kinks and jumps in the state equations of a fit that did not converge."""
 
 from __future__ import annotations
 

@@ -169,7 +169,7 @@ class Journal:
 
 
 def _outcome(entry: Mapping[str, Any]) -> Outcome:
-    """From a line's entries; TypeError or ValueError where one is not of its kind."""
+    """Return the outcome of a line's entries; TypeError or ValueError where one is not of its kind."""
     known = {f.name for f in fields(Outcome)}
     if not known.issuperset(entry) or not {"index", "start", "status"}.issubset(entry):
         raise TypeError("other entries than an outcome has")

@@ -111,7 +111,13 @@ fn records() {
     assert_eq!(text, "experiment 'run': channel 'u' is given twice");
     for wrong in [f64::NAN, f64::INFINITY] {
         let mut run = record(&m);
-        run.signals = vec![Some(Signal { t: vec![wrong], values: vec![1.0], delay: 0.0, derivative: 0 })];
+        run.signals = vec![Some(Signal {
+            t: vec![wrong],
+            values: vec![1.0],
+            delay: 0.0,
+            derivative: 0,
+            interpolation: None,
+        })];
         let text = Estimation::new(&m, &[run]).solve().unwrap_err().to_string();
         assert!(text.contains("finite, increasing times"), "{text}");
     }

@@ -101,7 +101,7 @@ pub(super) fn confounded(parameters: &[Parameter], covariance: &[f64]) -> Vec<St
     singular.into_iter().map(|k| undetermined(&names(k))).collect()
 }
 
-/// The sum of the absolute defects of each state; `None` where they are not finite.
+/// Returns the sum of the absolute defects of each state; `None` where they are not finite.
 fn total_defects(problem: &dyn Transcribed, xi: &[f64]) -> Option<Vec<f64>> {
     let n_x = problem.layout().n_x;
     let mut defects = vec![0.0; problem.m()];
@@ -110,7 +110,7 @@ fn total_defects(problem: &dyn Transcribed, xi: &[f64]) -> Option<Vec<f64>> {
     Some((0..n_x).map(|i| defects.iter().skip(i).step_by(n_x).map(|c| c.abs()).sum()).collect())
 }
 
-/// Whether the states satisfy the equations. Defects add up along the path: they may do so to a hundredth of the way
+/// Returns whether the states satisfy the equations. Defects add up along the path: they may do so to a hundredth of the way
 /// that a state goes (its total variation), and no further than the noise of the output of the same name. Far below the
 /// range of the state they are rounding.
 pub(super) fn feasible(model: &Model, problem: &dyn Transcribed, xi: &[f64]) -> bool {
@@ -130,7 +130,7 @@ pub(super) fn feasible(model: &Model, problem: &dyn Transcribed, xi: &[f64]) -> 
     })
 }
 
-/// What to say where residuals are not those of Gaussian noise whose standard deviations are known: the chi-square test,
+/// Returns a sentence where residuals are not those of Gaussian noise whose standard deviations are known: the chi-square test,
 /// with the approximation of Wilson and Hilferty (1931).
 pub(super) fn unlike_noise(noise: &Noise, records: &[Record], unknowns: usize) -> Option<String> {
     let Noise::Gaussian(sigmas) = noise else { return None };

@@ -81,7 +81,7 @@ const NAMED: usize = 3;
 
 type Names = HashMap<*const Node, String>;
 
-/// What a node is, its arguments as numbers of what they are: nodes that are equal here print alike.
+/// The content of a node, its arguments by number: nodes with equal content print alike.
 #[derive(PartialEq, Eq, Hash)]
 enum Shape<'a> {
     Constant(u64),
@@ -90,7 +90,7 @@ enum Shape<'a> {
     Lookup(&'a str, [u8; 2], Vec<usize>),
 }
 
-/// For each node the first one that prints alike: whether parts that are equal are one node in memory must not show, as a
+/// Returns for each node the first one that prints alike: whether parts that are equal are one node in memory must not show, as a
 /// model that was saved and read shares more of them.
 fn representatives(root: &Expr) -> HashMap<*const Node, *const Node> {
     let key = |e: &Expr| std::ptr::from_ref(e.node());

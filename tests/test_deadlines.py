@@ -15,8 +15,8 @@ import pytest
 
 import phugoid as ph
 
-# On a machine that others share, a limit may be passed by so much (s); what it passed by before was 2 s and more.
-_SLACK = 0.6
+# On a machine that others share, a limit may be passed by so much (s). Without a limit, many parameters take minutes.
+_SLACK = 2.0
 
 
 def oscillator(n: int) -> tuple[ph.Model, ph.Experiment]:

@@ -96,8 +96,8 @@ class Fit:
 
     @property
     def feasible(self) -> bool:
-        """Tell whether the states satisfy the equations of the model. Where a run ended elsewhere, log-likelihood, standard
-        errors and how well outputs match are NaN."""
+        """Tell whether the states satisfy the equations of the model. Where a run ended elsewhere, log-likelihood,
+        standard errors and how well outputs match are NaN."""
         return all(record.feasible for record in self.records)
 
     def _only(self, what: str) -> Record:

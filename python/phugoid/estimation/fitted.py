@@ -14,7 +14,7 @@ from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..errors import EvaluationError
 from ..goodness_of_fit import chi_square_warning
-from ..match import match, no_match
+from ..match import no_match, r_squared
 from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
 from ..modelling.scaling import Scaling
@@ -165,7 +165,7 @@ def make_fit(
     warnings += _core.gap_warnings(model.input_names, records_of(model, experiments))
     unknowns = _unknowns(problem, int((held < n_model).sum()))
     warnings += _few_samples(unknowns, records, model.declared_parameters.values())
-    explained = {name: match(records, name).r_squared for name in model.output_names}
+    explained = {name: r_squared(records, name) for name in model.output_names}
     beware = [chi_square_warning(noise, model.output_names, records, unknowns), no_match(explained)]
     warnings = [*filter(None, beware), *warnings]
     return Fit(

@@ -82,7 +82,7 @@ pub fn watched<'a, R: Send>(
                         let _ = reply.send(fine);
                     }
                     Err(RecvTimeoutError::Timeout) => {
-                        Python::attach(&ask).unwrap_or_else(&mut fail);
+                        Python::attach(ask).unwrap_or_else(&mut fail);
                     }
                     Err(RecvTimeoutError::Disconnected) => unreachable!("the work sends its end"),
                 }

@@ -5,7 +5,7 @@ use crate::expr::ops::Op;
 
 /// A factor or a sign is put into the branches of `where` down to so many levels. Deeper ones, as of a chain of cases,
 /// are taken as a whole: each step of a sweep would go through all of them again.
-const DEEP: u32 = 32;
+const DEEP: u32 = 128;
 
 impl Graph {
     /// Applies an operation, folding constants and the identities that keep derivatives small.

@@ -78,7 +78,8 @@ def make_fit(
     firsts = [n_theta + n_x * point for point in problem.first_point[:-1]]
     wanted = np.concatenate([np.setdiff1d(np.arange(n_theta), held), *(np.arange(f, f + n_x) for f in firsts)])
 
-    feasible = _feasible(model, problem, xi)
+    defects = _total_defects(model, problem, xi)
+    feasible = _feasible(model, problem, xi, defects)
     records = [_record(model, e, problem, xi, i, feasible) for i, e in enumerate(experiments)]
     warnings: list[str] = []
     full = np.full((problem.n, 1), np.nan)[:, 0]  # standard errors by variable
@@ -158,7 +159,7 @@ def make_fit(
         initial[experiment.name] = Estimates(each)
     estimates = Estimates(parameters)
     if feasible:
-        warnings += _defect_warning(model, problem, xi)
+        warnings += _defect_warning(model, problem, xi, defects)
     of_each = noise.noise if isinstance(noise, PerExperiment) else noise
     if not (isinstance(of_each, Gaussian) and (of_each.correlated or of_each.covariance is not None)):
         warnings += repeated_outputs(records, model.output_names)
@@ -359,14 +360,13 @@ def _total_defects(model: Model, problem: _core.Problem, xi: _Array) -> _Array:
     return np.asarray(np.abs(along.reshape(-1, len(model.state_names))).sum(axis=0))
 
 
-def _feasible(model: Model, problem: _core.Problem, xi: _Array) -> bool:
-    """Return whether the states satisfy the equations.
+def _feasible(model: Model, problem: _core.Problem, xi: _Array, total: _Array) -> bool:
+    """Return whether the states satisfy the equations, from the total defects.
 
     Defects add up along the path. They may do so to a hundredth of the way that a state goes (its total variation), and
     no further than the noise of the output of the same name; far below the range of the state they are rounding,
     whatever the noise is.
     """
-    total = _total_defects(model, problem, xi)
     states = xi[problem.n_theta :].reshape(-1, len(model.state_names))
     size = np.abs(states).max(axis=0)
     span = np.ptp(states, axis=0)
@@ -378,9 +378,8 @@ def _feasible(model: Model, problem: _core.Problem, xi: _Array) -> bool:
     return bool(np.all(total <= limit))
 
 
-def _defect_warning(model: Model, problem: _core.Problem, xi: _Array) -> list[str]:
+def _defect_warning(model: Model, problem: _core.Problem, xi: _Array, total: _Array) -> list[str]:
     """Unless defects stay far below sigma, the likelihood is not that of a solution."""
-    total = _total_defects(model, problem, xi)
     found = []
     sigmas = problem.sigmas(xi)
     for i, name in enumerate(model.state_names):

@@ -2,10 +2,13 @@
 
 mod common;
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use common::flights::{SIGMA, TRUTH, problem};
 use common::models;
 use phugoid::diagnosis::information;
 use phugoid::expr::Expr;
+use phugoid::interrupt::{Interrupt, current};
 use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::{Nlp, NotFinite, Structure};
@@ -225,57 +228,74 @@ fn a_hopeless_model_ends_within_its_limits() {
     }
 }
 
-/// A program that does not tell of its chains.
-struct Shapeless(Collocation);
+/// A program that does not tell of its chains, and that is stopped in an evaluation of its Jacobian.
+struct Shapeless {
+    inner: Collocation,
+    /// Evaluations of the Jacobian until then; `usize::MAX` where it never is.
+    until_stop: AtomicUsize,
+    /// How often somebody asked what is not finite.
+    explained: AtomicUsize,
+}
+
+impl Shapeless {
+    fn new(inner: Collocation, until_stop: usize) -> Shapeless {
+        Shapeless { inner, until_stop: AtomicUsize::new(until_stop), explained: AtomicUsize::new(0) }
+    }
+}
 
 impl Nlp for Shapeless {
     fn n(&self) -> usize {
-        self.0.n()
+        self.inner.n()
     }
     fn m(&self) -> usize {
-        self.0.m()
+        self.inner.m()
     }
     fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
-        self.0.bounds()
+        self.inner.bounds()
     }
     fn objective(&self, xi: &[f64]) -> Result<f64, NotFinite> {
-        self.0.objective(xi)
+        self.inner.objective(xi)
     }
     fn gradient(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        self.0.gradient(xi, out)
+        self.inner.gradient(xi, out)
     }
     fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        self.0.constraints(xi, out)
+        self.inner.constraints(xi, out)
     }
     fn jacobian_structure(&self) -> &Structure {
-        self.0.jacobian_structure()
+        self.inner.jacobian_structure()
     }
     fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        self.0.jacobian(xi, out)
+        if self.until_stop.fetch_sub(1, Ordering::Relaxed) == 0 {
+            current().stop();
+            return Err(NotFinite);
+        }
+        self.inner.jacobian(xi, out)
     }
     fn hessian_structure(&self) -> &Structure {
-        self.0.hessian_structure()
+        self.inner.hessian_structure()
     }
     fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
-        self.0.hessian(xi, factor, lambda, out)
+        self.inner.hessian(xi, factor, lambda, out)
     }
     fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
-        self.0.gauss_newton(xi, factor, out)
+        self.inner.gauss_newton(xi, factor, out)
     }
     fn profiled(&self) -> std::ops::Range<usize> {
-        self.0.profiled()
+        self.inner.profiled()
     }
     fn profile(&self, xi: &[f64], gradient: &[f64], reach: &phugoid::nlp::Reach<'_>, out: &mut [f64]) -> f64 {
-        self.0.profile(xi, gradient, reach, out)
+        self.inner.profile(xi, gradient, reach, out)
     }
     fn variable_name(&self, i: usize) -> String {
-        self.0.variable_name(i)
+        self.inner.variable_name(i)
     }
     fn constraint_name(&self, i: usize) -> String {
-        self.0.constraint_name(i)
+        self.inner.constraint_name(i)
     }
     fn explain(&self, xi: &[f64]) -> Option<String> {
-        self.0.explain(xi)
+        self.explained.fetch_add(1, Ordering::Relaxed);
+        self.inner.explain(xi)
     }
 }
 
@@ -283,10 +303,20 @@ impl Nlp for Shapeless {
 fn a_program_without_chains_is_solved_by_the_sparse_factorisation() {
     let (p, xi) = problem(&models::linear(), 61, &settings(3));
     let known = run(&p, &xi, &Options::default());
-    let s = solve(&Shapeless(p), &xi, None, &Options::default(), &mut |_| Control::Continue).unwrap();
+    let s = solve(&Shapeless::new(p, usize::MAX), &xi, None, &Options::default(), &mut |_| Control::Continue).unwrap();
     assert_eq!((known.status, s.status), (Status::Converged, Status::Converged), "{}", s.message);
     assert!((s.objective - known.objective).abs() < 1e-8);
     for i in 0..TRUTH.len() {
         assert!((s.xi[i] / known.xi[i] - 1.0).abs() < 1e-7, "{i}: {} for {}", s.xi[i], known.xi[i]);
     }
+}
+
+#[test]
+fn an_evaluation_that_was_stopped_is_not_searched_for_what_is_not_finite() {
+    let (p, xi) = problem(&models::linear(), 61, &settings(3));
+    let p = Shapeless::new(p, 2);
+    let options = Options { regression: false, ..Options::default() };
+    let s = Interrupt::within(None).run(|| solve(&p, &xi, None, &options, &mut |_| Control::Continue).unwrap());
+    assert_eq!((s.status, s.iterations), (Status::Interrupted, 2));
+    assert_eq!(p.explained.load(Ordering::Relaxed), 0);
 }

@@ -105,9 +105,10 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// A derivative is not finite at a point where the functions are. At the start that is an error.
+    /// A derivative is not finite at a point where the functions are. At the start that is an error. An evaluation that
+    /// was stopped says the same; to search for a cause then would take many times the limit.
     fn not_finite(&mut self) -> Status {
-        if !self.history.is_empty() {
+        if !self.history.is_empty() && !self.interrupt.stops() {
             self.detail =
                 self.nlp.explain(&self.here.xi).unwrap_or_else(|| "a derivative is not finite".into());
         }

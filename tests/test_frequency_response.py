@@ -11,8 +11,8 @@ import pytest
 from scipy import signal
 
 import phugoid as ph
-from phugoid.figures.frequency import plot_frequency_response
-from phugoid.linear.empirical import find_period
+from phugoid.linear.frequency import find_period
+from phugoid.linear.response import plot_frequency_response
 
 matplotlib.use("Agg")
 

@@ -18,7 +18,7 @@ import hidden
 import phugoid as ph
 from phugoid import _core
 from phugoid.discrepancy.candidates.candidate import Candidate
-from phugoid.discrepancy.colour.prediction import Channel
+from phugoid.discrepancy.colour.colour import Channel
 from phugoid.discrepancy.colour.whitening import Whitening
 from phugoid.discrepancy.search.least_squares import Whitened
 from phugoid.discrepancy.search.linearised import Linearised, collocated

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from phugoid.data.read import read
-from phugoid.data.readers.units import convert, si
+from phugoid.data.units import convert, si
 from phugoid.errors import DataError
 
 ONE = np.array([1.0])

@@ -11,10 +11,9 @@ import pytest
 import phugoid as ph
 from phugoid.discrepancy.colour.whitening import Whitening
 from phugoid.discrepancy.search import scan as module
-from phugoid.discrepancy.search.groups import Groups
 from phugoid.discrepancy.search.least_squares import Whitened, own_whitening
 from phugoid.discrepancy.search.linearised import Linearised
-from phugoid.discrepancy.search.scan import CONFOUNDED, Scan, Statistics
+from phugoid.discrepancy.search.scan import CONFOUNDED, Groups, Scan, Statistics
 
 
 @cache

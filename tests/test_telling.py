@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.discrepancy.search.lanes import Lanes
 from phugoid.discrepancy.search.refit import Refit, refit
 from phugoid.discrepancy.telling.flights import Flights
-from phugoid.discrepancy.telling.flown import Flown
+from phugoid.discrepancy.telling.flown import Flown, Lanes
 from phugoid.discrepancy.telling.manoeuvres import planned
 from phugoid.discrepancy.telling.telling import TELLS, advised, telling_manoeuvre
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.data.readers.units import differ
+from phugoid.data.units import differ
 
 T = 0.1 * np.arange(41)
 U = np.sign(np.sin(2.0 * T + 0.1))

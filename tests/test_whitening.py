@@ -12,9 +12,8 @@ from scipy.linalg import block_diag, solve_discrete_lyapunov, toeplitz
 from scipy.signal import lfilter
 from scipy.stats import chi2, multivariate_normal
 
-from phugoid.discrepancy.colour.prediction import autoregressive
-from phugoid.discrepancy.colour.strands import Strand, strands_of
-from phugoid.discrepancy.colour.whitening import Rows, Whitening
+from phugoid.discrepancy.colour.colour import autoregressive
+from phugoid.discrepancy.colour.whitening import Rows, Strand, Whitening, strands_of
 
 AR = [[], [0.9], [1.6, -0.8], [0.5, 0.0, 0.3], [-0.7]]
 

@@ -27,7 +27,7 @@ PYTHON = [
     "__main__",
 ]
 DISCREPANCY = [
-    "colour", "misfit", "candidates", "search", "telling", "page", "findings", "diagnosis", "saved", "diagnose",
+    "colour", "misfit", "candidates", "search", "telling", "page", "diagnosis", "saved", "diagnose",
 ]
 # fmt: on
 # Arrows back: methods of `Fit` that stand where people look for them, such as `validate`, which estimates anew, and

@@ -31,8 +31,7 @@ from .estimation.estimate import estimate
 from .export import export_c, export_fmu
 from .linear.frequency import frequency_response
 from .linear.linear_fit import fit_linear
-from .linear.linearise import linearise
-from .linear.modes import modes
+from .linear.linearise import linearise, modes
 from .linear.state_space import StateSpace
 from .linear.subspace import subspace
 from .linear.trim import trim

@@ -2,11 +2,10 @@
 
 from .discrepancy.candidates.candidate import Candidate, Place
 from .discrepancy.candidates.collection import Candidates
-from .discrepancy.candidates.points import Points
+from .discrepancy.candidates.scales import Points
 from .discrepancy.diagnosis import Diagnosis
 from .discrepancy.misfit.misfit import Misfit
-from .discrepancy.search.extension import Extension, Gain
-from .discrepancy.search.finding import Finding, Scored
+from .discrepancy.search.finding import Extension, Finding, Gain, Scored
 from .integration import IntegrationError
 from .linear.mode_table import Mode, Modes
 from .linear.response import FrequencyResponse

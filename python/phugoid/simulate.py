@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from . import _core
 from .data.experiment import Experiment
 from .data.interpolation import kinds_for
-from .data.unit_check import check_units
+from .data.units import check_units
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .estimation.late import simulated_late
 from .guess import measured_states

@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import DataError, listing, refuse_attribute
 from ..tabular import experiment_dataset, experiment_frame
 from . import checked
-from .channelwise import Columns, Signal
-from .checked import FloatArray
-from .gaps import checked_gaps, gap_intervals, pieces
+from .checked import FloatArray, checked_gaps, gap_intervals, pieces
+from .filtering import Columns, Signal
 from .interpolation import Interpolation, Interpolations, checked_kinds, interpolated, kind_of
 from .preprocess import Preprocessing
 

@@ -15,13 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, OptionError
-from .channelwise import Channelled, Signal, mapped, through, through_butterworth
 from .filtering import (
+    Channelled,
+    Signal,
     anti_alias,
     even_rate,
+    mapped,
     number,
     polyphase,
     power_above,
+    through,
+    through_butterworth,
     whole_from,
 )
 

@@ -16,8 +16,7 @@ from .misfit.misfit import Misfit
 from .page.figures import findings_figure, gain_figure, misfit_figure, ranking_figure
 from .page.page import report
 from .page.words import diagnosis_summary
-from .search.extension import Extension, Gain
-from .search.finding import Finding, Scored
+from .search.finding import Extension, Finding, Gain, Scored
 from .search.refit import Refit
 from .search.search import Search
 

@@ -12,8 +12,7 @@ from ..saving import json_file as io
 from ..saving.fit_file import damage, fit_from, fit_payload, fit_unit
 from .diagnosis import Diagnosis
 from .misfit.misfit import misfit
-from .search.extension import Extension, Gain
-from .search.finding import Finding, Scored
+from .search.finding import Extension, Finding, Gain, Scored
 
 __all__ = ["load_diagnosis", "save_diagnosis"]
 

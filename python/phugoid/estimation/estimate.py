@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .. import _core
 from ..data.checked import moves
 from ..data.experiment import Experiment, as_experiments
-from ..data.unit_check import check_units
+from ..data.units import check_units
 from ..errors import EvaluationError, ModelError, OptionError
 from ..guess import check_names, further_starts, measured_states, parameter_start, spread, state_start
 from ..interrupts import interrupts
@@ -22,7 +22,7 @@ from ..noise.noise import KINDS, Noise
 from ..process_noise.fit import better, doubtful, filter_error
 from ..process_noise.variables import split
 from ..progress import Progress
-from ..regression.result import EquationError
+from ..regression.equation_error import EquationError
 from ..result import Fit
 from ..solvers import HINTS, Ipopt, Iteration, Newton, Solution
 from ..solvers.limits import Deadline

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from .fmu import export_fmu
-from .source import export_c
+from .writer import export_c
 
 __all__ = ["export_c", "export_fmu"]

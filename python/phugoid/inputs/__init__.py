@@ -13,11 +13,9 @@ before ``start``, and where the manoeuvre is over. Add the trim, and make an exp
 Identification, 2nd ed., AIAA 2015, ch. 2.)
 """
 
+from .manoeuvres import doublet, multistep, pulse, rate_limited, step, sweep, three_two_one_one
 from .multisines import multisine, multisines, peak_factor
-from .rates import rate_limited
 from .spectrum import spectrum, step_width
-from .steps import doublet, multistep, pulse, step, three_two_one_one
-from .sweeps import sweep
 
 __all__ = [
     "doublet",

@@ -15,11 +15,9 @@ from ..errors import DataError, OptionError
 from ..progress import Progress
 from ..solvers.solution import Iteration
 from .hankel import triangle
-from .identified import identified
-from .modal_blocks import Blocks
-from .modal_regression import Layout, Regression, path, regression, rows, samples_of
+from .modal_blocks import Blocks, best_places
+from .modal_regression import Layout, Regression, identified, path, regression, rows, samples_of
 from .modal_response import Answers
-from .mode_places import best_places
 from .sampled import Sampled, chosen_outputs
 from .state_space import StateSpace, as_state_space, modal_parts
 

@@ -1,4 +1,4 @@
-"""Models made linear: state-space matrices at a point, and frequency responses with standard errors."""
+"""Models made linear at a point: matrices, frequency responses and modes, with standard errors."""
 
 from __future__ import annotations
 
@@ -8,17 +8,105 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import ModelError, listing
+from .. import _core
+from ..errors import EvaluationError, ModelError, listing
+from ..guess import spread
 from ..modelling.model import Model
+from ..modelling.rebuilt import rebuilt
 from ..result import Fit
-from .gauge import Uncertainty
+from ..transcription.filter_error import FilterError
 from .jacobians import Jacobians
+from .mode_table import Modes, table_of
 from .response import FrequencyResponse
 from .state_space import StateSpace, only, response_of
 
-__all__ = ["labels_of", "linearise", "model_response", "numbers_of"]
+__all__ = ["labels_of", "linearise", "model_response", "modes", "numbers_of"]
 
 _Array: TypeAlias = NDArray[np.float64]
+
+# Two variances are the same when they differ by less than this part.
+_SAME = 0.01
+# Standard deviations of the priors that settle trades, in sizes of the parameters; a parameter near 0 has at least this
+# part of the size of all.
+_WIDTHS, _LEAST = (1.0, 10.0), 0.1
+
+
+class Uncertainty:
+    """Covariances of functions of a fit's parameters, by the delta method.
+
+    Where some parameters trade off (a scale that may go into b or c), the fit has no covariance of them, and yet what
+    does not depend on how they trade (the transfer function) has one. Such parameters get wide priors about their
+    estimates: these settle the trade, and add next to nothing to what the data say. Whether a function depends on the
+    trade shows when the priors are made wider: its variance grows too, and is reported as NaN.
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        self.fit = fit
+        noise = fit.noise_parameters
+        self.names = [name for name in fit.parameters if name not in noise]
+        self._places = [k for k, name in enumerate(fit.parameters) if name not in noise]
+        # What is held has no error of its own.
+        self._held = np.array([fit.parameters[n].fixed or bool(fit.parameters[n].bounds_active) for n in self.names])
+        self._settled: list[_Array] | None = None
+
+    def covariance(self, gradients: _Array) -> _Array:
+        """(k, k) of k functions with these derivatives (k, n) by the parameters ``names``; NaN where not determined."""
+        g = np.where(self._held, 0.0, gradients)
+        own = self.fit.covariance[np.ix_(self._places, self._places)]
+        used = np.any(g != 0.0, axis=0)
+        if np.isfinite(own[np.ix_(used, used)]).all():
+            return np.asarray(g[:, used] @ own[np.ix_(used, used)] @ g[:, used].T)
+        if self._settled is None:
+            self._settled = self._settle()
+        if not self._settled:
+            return np.full((len(g), len(g)), np.nan)
+        narrow, wide = (g @ covariance @ g.T for covariance in self._settled)
+        same = np.abs(np.diag(wide) - np.diag(narrow)) <= _SAME * np.diag(wide)
+        return np.where(np.outer(same, same), wide, np.nan)
+
+    def _settle(self) -> list[_Array]:
+        """Covariances (n, n) with narrower and wider priors where there are none; [] where that cannot be done."""
+        fit = self.fit
+        if isinstance(fit.transcription, FilterError) or fit.solution is None or not fit.experiments or fit._moved:
+            return []
+        names = fit.model.output_names
+        spreads = {name: spread(fit.experiments, name) for name in names}
+        noise = fit.noise.resolve(names, spreads, fit.as_start(fit.noise))
+        xi, multipliers = fit.solution.xi, fit.solution.multipliers
+        found = []
+        for width in _WIDTHS:
+            problem = fit.transcription.problem(self._with_priors(width), fit.experiments, noise)
+            if (xi.size, multipliers.size) != (problem.n, problem.m):
+                return []
+            labels = [name for name, *_ in problem.estimands]
+            free = [i for i, label in enumerate(labels) if not self._held[self.names.index(label)]]
+            held = [i for i in range(len(labels)) if i not in free]
+            try:
+                answer = _core.information(problem, xi, multipliers, free, held)
+            except EvaluationError:
+                return []
+            slopes = np.array([slope for _, slope in problem.values(xi[: len(labels)].tolist())])[free]
+            places = [self.names.index(labels[i]) for i in free]
+            covariance = np.zeros((len(self.names), len(self.names)))
+            covariance[np.ix_(places, places)] = np.asarray(answer[0]) * np.outer(slopes, slopes)
+            found.append(covariance)
+        return found
+
+    def _with_priors(self, width: float) -> Model:
+        """The model with priors on parameters that the data leave open, so many times as wide as these are large."""
+        fit = self.fit
+        variance = np.diag(fit.covariance)[self._places]
+        without = [n for n, v, h in zip(self.names, variance, self._held, strict=True) if not h and not v > 0.0]
+        loose = {label.partition("[")[0]: fit.parameters[label].value for label in without}
+        typical = float(np.sqrt(np.mean(np.square(list(loose.values())))))
+
+        def declare(core: _core.Model, declared: Any) -> None:
+            name, unit, start, low, high, prior, *others = declared
+            if name in loose and prior is None:
+                prior = (loose[name], width * (abs(loose[name]) + _LEAST * typical or 1.0))
+            core.parameter(name, unit, start, low, high, prior, *others)
+
+        return fit.model._around(rebuilt(fit.model._core, fit.model._core.inputs, declare), fit.model.delays)
 
 
 def linearise(
@@ -201,3 +289,66 @@ def labels_of(caller: str, fit: Fit, experiment: str | None) -> dict[str, str]:
 def _matters(fit: Fit, parameter: str) -> bool:
     """Whether derivatives by states or inputs depend on a parameter: a bias does not matter."""
     return parameter in {*Jacobians(fit.model, "").parameters, *fit.model.delays.parameters}
+
+
+_Complex: TypeAlias = NDArray[np.complex128]
+
+
+def modes(
+    fit: Fit | Model | StateSpace,
+    parameters: Mapping[str, Any] | None = None,
+    *,
+    at: Mapping[str, float] | None = None,
+    experiment: str | None = None,
+) -> Modes:
+    """Natural frequencies, damping ratios and time constants: of the eigenvalues of A = df/dx, exactly differentiated.
+
+    ``parameters``  values by name of a model; of a fit instead of its own.
+    ``at``          of a model that is not linear, states, inputs (and time) about which it is linearised, by name. The
+                    point is taken as it is: it does not move with the parameters.
+    ``experiment``  whose parameters to take, where experiments have their own.
+
+    Of a fit with its own parameters there are standard errors, to first order (the delta method), from the covariance
+    of the parameters and d lambda = w' dA v / (w' v), with v and w the right and left eigenvectors. They are right too
+    where parameters trade off, if the modes do not depend on how: a scale between b and c, or a state space without
+    canonical form. Where the data leave a mode open, and where eigenvalues meet (they have no derivative there), they
+    are NaN. An eigenvalue that is real is taken to stay real.
+
+    Raises ModelError for names that are not there, values that are missing, and a model that is not linear without
+    ``at``.
+
+    >>> m = Model("oscillator")
+    >>> x, v = m.states("x v")
+    >>> k, d = m.parameters("k d")
+    >>> m.dynamics(x=v, v=-k*x - d*v)
+    >>> m.outputs(x=x)
+    >>> print(modes(m, {"k": 100.0, "d": 1.0}))
+    frequency, Hz  damping ratio  time constant, s  eigenvalue, 1/s
+    -------------  -------------  ----------------  ---------------
+    1.59155        0.05           2                 -0.5 ± 9.98749j
+    """
+    if isinstance(fit, StateSpace):
+        return fit.modes
+    model, values = numbers_of("modes", fit, parameters, experiment)
+    jacobians = Jacobians(model, "modes", blocks="A")
+    numbers = jacobians.point(values, at)
+    A = jacobians.matrix("A", numbers)
+    if not isinstance(fit, Fit) or parameters is not None:
+        return table_of(np.linalg.eigvals(A).astype(np.complex128))
+    lam, right = np.linalg.eig(A)
+    try:
+        left = np.linalg.inv(right)
+    except np.linalg.LinAlgError:
+        return table_of(lam.astype(np.complex128))
+    uncertainty = Uncertainty(fit)
+    labels = labels_of("modes", fit, experiment)
+    slopes = np.zeros((lam.size, len(uncertainty.names)), dtype=np.complex128)
+    for name in jacobians.parameters:
+        column = uncertainty.names.index(labels[name])
+        for (i, j), value in jacobians.slopes(name, numbers)["A"]:
+            slopes[:, column] += left[:, i] * value * right[j, :]
+    covariances = np.array([uncertainty.covariance(np.array([d.real, d.imag])) for d in slopes])
+    # Digits that the eigenvectors have lost are lost to the derivatives.
+    meet = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0) > 1e7
+    covariances[meet] = np.nan
+    return table_of(lam.astype(np.complex128), covariances)

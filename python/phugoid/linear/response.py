@@ -2,19 +2,198 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
+from ..figures.style import (
+    BAND,
+    MEASURED,
+    MODEL,
+    ORANGE,
+    PURPLE,
+    RESIDUAL,
+    STATE,
+    STYLE,
+    WIDTH,
+    figure_of,
+    headline,
+    plain,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FrequencyResponse"]
+__all__ = ["FrequencyResponse", "plot_frequency_response"]
+
+# Models differ in colour and in dashes, so that they do in grey too.
+_MODELS = ((MODEL, "-"), (STATE, "--"), (PURPLE, "-."), (ORANGE, ":"))
+# Inches: the left margin, the panels, the title, a row of the legend, what is below.
+_LEFT, _MAGNITUDE, _SMALL, _HEAD, _ROW, _FOOT = 0.78, 2.9, 1.2, 0.34, 0.18, 0.45
+_COLUMNS = 3
+
+
+def plot_frequency_response(
+    empirical: Any,
+    *models: Any,
+    phase: bool = False,
+    coherence: bool = False,
+    logarithmic: bool = False,
+    band: tuple[float, float] | None = None,
+    axes: Mapping[str, Axes] | None = None,
+) -> tuple[Figure, dict[str, Axes]]:
+    """Magnitude in dB over frequency in Hz: the empirical response as points, each model's as a line.
+
+    empirical, models  `FrequencyResponse` objects of one input and output; a band of ±2 standard errors is drawn
+                       where the empirical one has them.
+    phase, coherence   panels of these beneath; the phase in degrees, the coherence of the empirical response.
+    logarithmic        the axis of frequencies.
+    band               ``(low, high)`` in Hz that is shown; None: that of the empirical response.
+    axes               "magnitude", "phase", "coherence" -> axes of your own; those given are drawn.
+
+    Returns the figure and the axes by name. Raises DataError where a model is of another input or output, or the
+    coherence is asked for and not known, or nothing lies in the band.
+    """
+    from matplotlib import rc_context
+
+    for model in models:
+        if (model.input, model.output) != (empirical.input, empirical.output):
+            raise DataError(
+                f"'{model.label}' is the response of {model.output} to {model.input}, and '{empirical.label}' that of "
+                f"{empirical.output} to {empirical.input}: one figure shows one"
+            )
+    wanted = ["magnitude", *["phase"] * phase, *["coherence"] * coherence] if axes is None else list(axes)
+    for name in wanted:
+        if name not in ("magnitude", "phase", "coherence"):
+            raise DataError(f"axes: there are magnitude, phase and coherence, but no '{name}'")
+    if not wanted:
+        raise DataError("axes={}: give at least one axis, or None for a new figure")
+    if "coherence" in wanted and empirical.coherence is None:
+        raise DataError(
+            f"'{empirical.label}' has no coherence: take method='h1', smoothing or several periods in "
+            "frequency_response"
+        )
+    with rc_context(STYLE):
+        rows = -(-(1 + len(models) + (empirical.std_error is not None)) // _COLUMNS)
+        panels = _layout(wanted, rows) if axes is None else dict(axes)
+        figure = figure_of(panels[wanted[0]])
+        shown = empirical if band is None else empirical.band(*band)
+        for name in wanted:
+            _draw(panels[name], name, shown, models)
+        low, high = shown.frequencies_hz[[0, -1]] if band is None else band
+        for name in wanted:
+            if logarithmic:
+                panels[name].set_xscale("log")
+            panels[name].set_xlim(low, high)
+        panels[wanted[-1]].set_xlabel("frequency, Hz")
+        if axes is None:
+            _finish(figure, panels["magnitude"], f"{empirical.output} from {empirical.input}")
+    return figure, panels
+
+
+def _layout(wanted: list[str], rows: int) -> dict[str, Axes]:
+    """Panels below one another, with room for so many rows of a legend above."""
+    import matplotlib.pyplot as plt
+
+    heights = [_MAGNITUDE] + [_SMALL] * (len(wanted) - 1)
+    top = _HEAD + _ROW * rows
+    height = sum(heights) + top + _FOOT + 0.12 * (len(wanted) - 1)
+    figure = plt.figure(figsize=(WIDTH, height))
+    grid = figure.add_gridspec(
+        len(wanted),
+        1,
+        height_ratios=heights,
+        hspace=0.12,
+        left=_LEFT / WIDTH,
+        right=1.0 - 0.15 / WIDTH,
+        bottom=_FOOT / height,
+        top=1.0 - top / height,
+    )
+    panels: dict[str, Axes] = {}
+    for row, name in enumerate(wanted):
+        panels[name] = figure.add_subplot(grid[row, 0], sharex=panels[wanted[0]] if row else None)
+        panels[name].tick_params(labelbottom=row == len(wanted) - 1)
+    return panels
+
+
+def _finish(figure: Figure, magnitude: Axes, title: str) -> None:
+    height = float(figure.get_size_inches()[1])
+    left = _LEFT / WIDTH
+    headline(figure, left, title)
+    handles, labels = magnitude.get_legend_handles_labels()
+    figure.legend(
+        handles,
+        labels,
+        loc="upper left",
+        bbox_to_anchor=(left, 1.0 - 0.27 / height),
+        ncols=_COLUMNS,
+        frameon=False,
+        borderpad=0.0,
+        borderaxespad=0.0,
+        columnspacing=1.6,
+        fontsize=8.0,
+    )
+    figure.align_ylabels()
+
+
+def _draw(axis: Axes, name: str, empirical: Any, models: tuple[Any, ...]) -> None:
+    f = empirical.frequencies_hz
+    many = f.size > 5000  # as vectors, so many points would make a PDF heavy
+    if name == "coherence":
+        axis.plot(*_apart(f, empirical.coherence), color=RESIDUAL, linewidth=0.7, rasterized=many)
+        axis.set_ylim(0.0, 1.02)
+        axis.set_ylabel("coherence")
+        return
+    values = _values(empirical, name)
+    label = plain(empirical.label or "empirical")
+    style: dict[str, Any] = {"color": MEASURED, "marker": ".", "ms": 3.0 if f.size <= 400 else 1.5, "linewidth": 0.4}
+    axis.plot(*_apart(f, values), label=label, rasterized=many, **style)
+    for model, (color, dashes) in zip(models, cycle(_MODELS), strict=False):
+        label = plain(model.label or "model")
+        style = {"color": color, "linestyle": dashes, "linewidth": 1.1}
+        axis.plot(model.frequencies_hz, _values(model, name), label=label, **style)
+    if name == "magnitude" and empirical.std_error is not None:
+        size, spread = empirical.magnitude, 2.0 * empirical.std_error
+        # Below a hundredth of the response the lower bound says no more, and its logarithm ends nowhere.
+        bounds = [np.maximum(size - spread, 0.01 * size), size + spread]
+        with np.errstate(divide="ignore"):
+            (where, low), (_, high) = (_apart(f, 20.0 * np.log10(bound)) for bound in bounds)
+        axis.fill_between(where, low, high, color=BAND, linewidth=0.0, label="±2 standard errors", rasterized=many)
+    if name == "phase":
+        axis.set_ylim(-185.0, 185.0)
+        axis.set_yticks([-180, -90, 0, 90, 180])
+        axis.set_ylabel("phase, deg")
+    else:
+        unit = empirical.unit
+        axis.set_ylabel(f"magnitude, dB{f' re 1 {plain(unit)}' if unit not in ('', '1') else ''}")
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            # The points set the range: a model may fall far below them.
+            margin = 0.05 * max(float(np.ptp(finite)), 1.0)
+            axis.set_ylim(float(finite.min()) - margin, float(finite.max()) + 2.0 * margin)
+
+
+def _values(response: Any, name: str) -> Any:
+    if name == "magnitude":
+        return response.magnitude_db
+    phase = response.phase_deg
+    # A line through a jump from 180 to -180 degrees would cross the whole panel.
+    jumps = np.flatnonzero(np.abs(np.diff(phase)) > 180.0)
+    return np.where(np.isin(np.arange(phase.size), jumps), np.nan, phase)
+
+
+def _apart(f: Any, values: Any) -> tuple[Any, Any]:
+    """Frequencies and values with NaN where frequencies were left out, so that no line bridges the gap."""
+    steps = np.diff(f)
+    gaps = np.flatnonzero(steps > 3.0 * np.median(steps)) + 1 if steps.size else np.zeros(0, dtype=np.intp)
+    return np.insert(f, gaps, np.nan), np.insert(values, gaps, np.nan)
+
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -101,7 +280,6 @@ class FrequencyResponse:
 
         ``options``: phase, coherence, logarithmic, band, axes, as for `frequency_plot.plot_frequency_response`.
         """
-        from ..figures.frequency import plot_frequency_response
 
         return plot_frequency_response(self, *models, **options)
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
 from .hankel import Observability, observability
-from .identified import identified
-from .modal_regression import Regression, regression
+from .modal_regression import Regression, identified, regression
 from .sampled import Sampled, chosen_outputs
 from .state_space import StateSpace, modal_parts
 

@@ -14,10 +14,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..discrepancy.colour.autoregression import Autoregression, burg
-from ..discrepancy.colour.prediction import Channel
-from ..discrepancy.colour.strands import Strand
-from ..discrepancy.colour.whitening import Rows, Whitening
+from ..discrepancy.colour.colour import Autoregression, Channel, burg
+from ..discrepancy.colour.whitening import Rows, Strand, Whitening
 from .grids import Grid
 
 __all__ = ["Laid", "Links", "Process", "common", "fitted", "innovations", "links"]

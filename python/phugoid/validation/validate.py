@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..data.experiment import Experiment, as_experiments
-from ..data.unit_check import check_units
+from ..data.units import check_units
 from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..estimation.estimate import estimate
 from ..goodness_of_fit import chi_square, chi_square_warning

@@ -27,7 +27,7 @@ def open_source(
     path = _path(data)
     ending = path.suffix.lower()
     if not path.is_file():
-        from .px4_tables import find_tables, read_px4_tables
+        from .flight_logs import find_tables, read_px4_tables
 
         tables = find_tables(path)
         if tables:
@@ -35,23 +35,23 @@ def open_source(
         if path.is_dir():
             raise DataError(f"{path}: is a folder without tables of a PX4 log (such as log_vehicle_attitude_0.csv)")
     if ending == ".mat":
-        from .matlab import read_matlab
+        from .named_arrays import read_matlab
 
         return read_matlab(path, time, columns)
     if ending in (".h5", ".hdf5", ".hdf", ".he5"):
-        from .hdf5 import read_hdf5
+        from .named_arrays import read_hdf5
 
         return read_hdf5(path, time, columns)
     if ending in (".parquet", ".pq"):
-        from .parquet import read_parquet
+        from .frames import read_parquet
 
         return read_parquet(path, time)
     if ending == ".ulg":
-        from .ulog import read_ulog
+        from .flight_logs import read_ulog
 
         return read_ulog(path, time, wanted)
     if ending == ".bin":
-        from .ardupilot import read_ardupilot
+        from .flight_logs import read_ardupilot
 
         return read_ardupilot(path, time, wanted)
     from .text import read_text

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ... import _core
 from ..._core import Expr
 from ...errors import DataError
-from .points import Points
+from .scales import Points
 
 __all__ = ["evaluated", "lagged", "late", "late_smooth", "of"]
 

@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import _core
+from ..._core import Expr
+from ...errors import ModelError, did_you_mean
 from ...modelling.model import Model
-from .points import Points
+from ...modelling.rebuilt import Key, equations_of, rebuilt
+from ...parameters import Parameter
+from .along import of
+from .scales import Points, Scales
 
-__all__ = ["Candidate", "Place"]
+__all__ = [
+    "Candidate",
+    "Effect",
+    "Extension",
+    "Place",
+    "largest_coefficient",
+    "place_range",
+    "unused",
+    "with_other_centres",
+]
 
 _Array = NDArray[np.float64]
 
@@ -74,3 +89,213 @@ class Candidate(ABC):
     @abstractmethod
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         """Range of each of its parameters, in its unit, outside of which it is no physical explanation."""
+
+
+_Self = TypeVar("_Self", bound="Effect")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Effect(Candidate):
+    """A candidate that knows the scales of the record.
+
+    family     "square", "delay", ...: what kind of effect it is.
+    variables  symbols of which each must vary, or there is nothing to find.
+    """
+
+    name: str
+    place: Place
+    explanation: str
+    family: str
+    scales: Scales
+    coefficients: tuple[str, ...] = ()
+    shape_names: tuple[str, ...] = ()
+    variables: tuple[str, ...] = ()
+    shapes: Sequence[Mapping[str, float]] = field(init=False, default=({},))
+    unit_amplitude: bool = field(init=False, default=False)
+
+    @property
+    def centred(self) -> bool:
+        """Whether it acts about the trims of its variables."""
+        return False
+
+    def __post_init__(self) -> None:
+        if self.shape_names:
+            object.__setattr__(self, "shapes", tuple({self.shape_names[0]: float(x)} for x in self.grid()))
+        object.__setattr__(self, "unit_amplitude", not self.coefficients)
+
+    def grid(self) -> Iterable[float]:
+        """Values of the shape to try."""
+        return ()
+
+    def on(self: _Self, scales: Scales) -> _Self:
+        """The same effect, with centres, widths and grids for a record."""
+        return replace(self, scales=scales)
+
+    def worthwhile(self) -> bool:
+        """Whether the record can say anything of it at all."""
+        return all(self.scales.varies(name) for name in self.variables)
+
+    def __repr__(self) -> str:
+        return f"<{self.name}: {self.explanation}>"
+
+
+class Extension:
+    """A model under extension: what is declared and changed is put together by `model`."""
+
+    def __init__(self, model: Model, effect: Candidate, start: Mapping[str, float] | None) -> None:
+        if not isinstance(model, Model):
+            raise ModelError(f"{effect.name}: extends a Model, not a {type(model).__name__}")
+        self.old, self.effect, self.start = model, effect, dict(start or {})
+        self.equations: dict[Key, Expr] = dict(equations_of(model._core))
+        self.delays = model.delays
+        self._taken = {*model.state_names, *(n for n, _ in model._core.inputs), *model.parameter_names}
+        self._taken |= {name for name, *_ in model._core.quantities}
+        own = effect.parameters
+        for name in self.start:
+            if name not in own:
+                raise ModelError(f"{effect.name}: start names '{name}', but its parameters are {', '.join(own)}")
+        for name in own:
+            if name in self._taken:
+                raise ModelError(
+                    f"{effect.name}: '{name}' is in the model already; has it been extended by this before?"
+                )
+        self._parameters: list[tuple[str, Parameter]] = []
+        self._states: list[tuple[str, str, Expr, Expr]] = []
+        self._inputs: list[tuple[str, str]] = []
+
+    def parameter(self, name: str, start: float = 0.0, **declared: Any) -> Expr:
+        """One more parameter; a start that was given counts, moved into the bounds."""
+        low, high = declared.get("bounds", (-np.inf, np.inf))
+        value = min(max(float(self.start.get(name, start)), low), high)
+        self._parameters.append((name, Parameter(value, **declared)))
+        return Expr.symbol(name)
+
+    def state(self, wanted: str, unit: str, right: Callable[[Expr], Any], initial: Any) -> Expr:
+        """One more state with its equation, right-hand side by its symbol, and its value at the first sample."""
+        name = self._unused(wanted)
+        symbol = Expr.symbol(name)
+        known: dict[str, Any] = {}  # at the ends of a record quantities have no name
+        for quantity, *_ in self.old._core.quantities:
+            known[quantity] = self.equations["quantity", quantity].substitute(known)
+        self._states.append((name, unit, Expr(right(symbol)), Expr(Expr(initial).substitute(known))))
+        return symbol
+
+    def late_input(self, of: str, tau: str) -> Expr:
+        """The symbol of an input that is late by a parameter."""
+        if of in self.delays.inputs:
+            raise ModelError(f"{self.effect.name}: the input is late already, by '{self.delays.inputs[of][1]}'")
+        name = self._unused(f"{of}_delayed")
+        self._inputs.append((name, self.old.units.get(of, "")))
+        self.delays = self.delays.with_input(name, of, tau)
+        return Expr.symbol(name)
+
+    def late_output(self, output: str, tau: str) -> None:
+        """Says that an output is late by a parameter."""
+        if output in self.delays.outputs:
+            raise ModelError(f"{self.effect.name}: the output is late already, by '{self.delays.outputs[output]}'")
+        self.delays = self.delays.with_output(output, tau)
+
+    def at(self, place: Place) -> Expr:
+        """The expression at a place; ModelError where the model has no such place."""
+        key = (place.kind, place.name)
+        if key not in self.equations:
+            known = [name for kind, name in self.equations if kind == place.kind]
+            hint = did_you_mean(place.name, known)
+            raise ModelError(f"{self.effect.name}: the model has no {place.kind} '{place.name}'.{hint}")
+        return self.equations[key]
+
+    def put(self, place: Place, e: Any) -> None:
+        """Another expression at a place."""
+        self.at(place)
+        self.equations[place.kind, place.name] = Expr(e)
+
+    def replace_input(self, name: str, by: Any) -> None:
+        """Puts an expression for an input wherever it stands."""
+        if name not in {n for n, _ in self.old._core.inputs}:
+            hint = did_you_mean(name, self.old.input_names)
+            raise ModelError(f"{self.effect.name}: the model has no input '{name}'.{hint}")
+        if not any(name in e.symbols for e in self.equations.values()):
+            raise ModelError(
+                f"{self.effect.name}: '{name}' stands in no equation; extend inputs in order of stage, delays last"
+            )
+        self.equations = {key: Expr(e.substitute({name: by})) for key, e in self.equations.items()}
+
+    def model(self) -> Model:
+        """The model as extended."""
+        old = self.old._core
+
+        def declare(core: _core.Model, declared: Any) -> None:
+            core.parameter(*declared)
+
+        core = rebuilt(old, [*old.inputs, *self._inputs], declare, lambda key, _: self.equations[key])
+        for name, p in self._parameters:
+            log = p.transform == "log"
+            core.parameter(name, p.unit, p.start, *p.bounds, p.prior, p.fixed, p.per_experiment, log, p.scale)
+        for name, unit, right, initial in self._states:
+            core.state(name, unit)
+            core.equation(name, right, None)
+            core.condition("initial", name, initial, None)
+        return self.old._around(core, self.delays)
+
+    def _unused(self, wanted: str) -> str:
+        return unused(wanted, self._taken)
+
+
+def unused(wanted: str, taken: set[str]) -> str:
+    """The name, or with a number that makes it none of those taken; it is taken then."""
+    name, number = wanted, 1
+    while name in taken:
+        number += 1
+        name = f"{wanted}_{number}"
+    taken.add(name)
+    return name
+
+
+def place_range(place: Place, points: Sequence[Points]) -> float:
+    """Peak to peak of what stands at a place, over all records; infinite where it does not vary."""
+    groups = {"quantity": "values", "input": "values", "equation": "rates", "output": "outputs"}
+    values = np.concatenate([getattr(p, groups[place.kind])[place.name] for p in points])
+    span = float(np.ptp(values))
+    return span if span > 0 else np.inf
+
+
+def largest_coefficient(effect: Effect, shape: Mapping[str, float], points: Sequence[Points]) -> float:
+    """The coefficient at which a term's varying part is twice as large as all that stands at its place varies: parts
+    of that size could only be there by cancelling others."""
+    signal = np.concatenate([effect.signals(p, shape) for p in points], axis=1)
+    span = float(np.ptp(signal, axis=1).max())
+    if span <= 1e-12 * float(np.abs(signal).max()):
+        span = float(np.abs(signal).max())  # a constant
+    return 2.0 * place_range(effect.place, points) / span if span > 0 else np.inf
+
+
+# Centres of powers differ when they are further apart than this part of a variable's range.
+_NEAR = 0.05
+
+
+def with_other_centres(candidates: Sequence[Candidate], points: Sequence[Points]) -> list[Candidate]:
+    """Candidates; and those that are centred at a trim once more about zero, where it lies within the record, and about
+    the first values.
+
+    A record does not say where its trim is: the scan does.
+    """
+    found: list[Candidate] = []
+    for c in candidates:
+        found.append(c)
+        if not (isinstance(c, Effect) and c.centred):
+            continue
+        scales, tried = c.scales, [[c.scales.centre(n) for n in c.variables]]
+        zero = [0.0 if scales.crosses(n) else scales.centre(n) for n in c.variables]
+        first = [
+            float(np.mean([of(p.values, n, p, "state, input or quantity")[0] for p in points])) for n in c.variables
+        ]
+        for centres in (zero, first):
+            far = [
+                any(abs(a - b) > _NEAR * scales.span(n) for a, b, n in zip(centres, t, c.variables, strict=True))
+                for t in tried
+            ]
+            if all(far):
+                tried.append(centres)
+                trim = {**scales.trim, **dict(zip(c.variables, centres, strict=True))}
+                found.append(c.on(replace(scales, trim=trim)))
+    return found

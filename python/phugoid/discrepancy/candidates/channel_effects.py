@@ -1,4 +1,4 @@
-"""What is wrong in the same way with an input and with an output: scale, lag, delay."""
+"""What is wrong with an input or an output: scale, bias, dead-band, saturation, lag, delay."""
 
 from __future__ import annotations
 
@@ -10,12 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
-from .along import lagged, of
-from .effect import Effect, Extension
-from .points import Points
-from .timing import delay_bounds, delay_grid, lag_bounds, lag_grid, longest_delay, longest_lag
+from ...modelling.model import Model
+from ...symbols import smooth_abs
+from .along import evaluated, lagged, late, late_smooth, of
+from .candidate import Effect, Extension, place_range
+from .scales import Points, delay_bounds, delay_grid, lag_bounds, lag_grid, longest_delay, longest_lag
 
-__all__ = ["Delay", "Lag", "Scale", "channel"]
+__all__ = [
+    "DeadBand",
+    "InputBias",
+    "InputDelay",
+    "InputLag",
+    "InputScale",
+    "Saturation",
+    "SensorDelay",
+    "SensorLag",
+    "SensorScale",
+]
 
 _Array = NDArray[np.float64]
 
@@ -78,3 +89,191 @@ class Delay(Effect):
 
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         return {self.shape_names[0]: (0.0, longest_delay(points))}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorScale(Scale):
+    """y becomes (1 + k) y."""
+
+    stage: int = 6  # of all that the sensor sees, lever arms included
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        k = extension.parameter(self.coefficients[0])
+        extension.put(self.place, (1 + k) * extension.at(self.place))
+        return extension.model()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorLag(Lag):
+    """The output follows with a time constant: tau y' + y = what it was, from a steady start."""
+
+    stage: int = 7
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        y = self.follower(extension, f"{self.place.name}_sensor", extension.at(self.place))
+        extension.put(self.place, y)
+        return extension.model()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorDelay(Delay):
+    """The output is measured late. Where that reaches back before the record there is no sample, and no effect."""
+
+    stage: int = 8
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        y = channel(self, points)
+        rate = of(points.output_rates, self.place.name, points, "rate of output")
+        late = late_smooth(points.t, y, rate, shape[self.shape_names[0]])
+        return np.where(np.isfinite(late), late - y, 0.0)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        extension.at(self.place)
+        extension.late_output(self.place.name, self.delay(extension))
+        return extension.model()
+
+
+# Corners are rounded over this part of the input's range: less than the narrowest dead-band that is tried.
+_CORNER = 0.003
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InputScale(Scale):
+    """u becomes (1 + k) u."""
+
+    stage: int = 1
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        k = extension.parameter(self.coefficients[0])
+        extension.replace_input(self.place.name, (1 + k) * Expr.symbol(self.place.name))
+        return extension.model()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InputBias(Effect):
+    """u becomes u + b."""
+
+    stage: int = 1
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        return np.ones((1, points.n))
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        b = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
+        extension.replace_input(self.place.name, Expr.symbol(self.place.name) + b)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        largest = place_range(self.place, points)  # an offset beyond the whole range would have been seen by eye
+        return {self.coefficients[0]: (-largest, largest)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Limited(Effect):
+    """An input of which the part within a limit about its trim matters."""
+
+    @property
+    def centred(self) -> bool:
+        return True
+
+    least = 0.0  # physical limit, of the greatest deflection
+
+    def _within(self, limit: Any) -> Any:
+        """The distance from the trim, cut off at the limit on either side; corners rounded."""
+        x = self._distance()
+        width = _CORNER * self.scales.span(self.place.name)
+        return 0.5 * (smooth_abs(x + limit, width) - smooth_abs(x - limit, width))
+
+    def _distance(self) -> Expr:
+        centre = self.scales.centre(self.place.name)
+        u = Expr.symbol(self.place.name)
+        return u - centre if centre else u
+
+    def change(self, limit: Any) -> Any:
+        """What is added to the input."""
+        raise NotImplementedError
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        return evaluated(Expr(self.change(shape[self.shape_names[0]])), points)[np.newaxis]
+
+    def _extended(self, model: Model, start: Mapping[str, float] | None, first: float) -> Model:
+        extension = Extension(model, self, start)
+        peak, unit = self.scales.peak(self.place.name), model.units.get(self.place.name, "")
+        limit = extension.parameter(self.shape_names[0], first * peak, bounds=(0.0, 2.0 * peak), unit=unit)
+        extension.replace_input(self.place.name, Expr.symbol(self.place.name) + self.change(limit))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        # Beyond the greatest deflection a saturation does nothing, and a dead-band leaves nothing. A saturation at next
+        # to nothing would be an input that does not act.
+        centre = self.scales.centre(self.place.name)
+        peak = max(float(np.abs(p.values[self.place.name] - centre).max()) for p in points)
+        return {self.shape_names[0]: (self.least * peak, peak)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DeadBand(_Limited):
+    """Deflections within the (half) width about the trim do nothing, larger ones are less by it."""
+
+    stage: int = 1
+
+    def grid(self) -> Iterable[float]:
+        return self.scales.peak(self.place.name) * np.array([0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65])
+
+    def change(self, limit: Any) -> Any:
+        return -self._within(limit)
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        return self._extended(model, start, first=0.1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Saturation(_Limited):
+    """Deflections beyond the limit about the trim do no more than the limit."""
+
+    stage: int = 2
+    least = 0.1
+
+    def grid(self) -> Iterable[float]:
+        return self.scales.peak(self.place.name) * np.array([0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2])
+
+    def change(self, limit: Any) -> Any:
+        return self._within(limit) - self._distance()
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        return self._extended(model, start, first=0.9)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InputLag(Lag):
+    """A first-order actuator: tau z' + z = u, from a steady start, and z acts."""
+
+    stage: int = 3
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        name = self.place.name
+        extension.replace_input(name, self.follower(extension, f"{name}_lag", Expr.symbol(name)))
+        return extension.model()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InputDelay(Delay):
+    """The input acts late; before its first sample it is taken as constant."""
+
+    stage: int = 4
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        u = channel(self, points)
+        return (late(points.t, u, shape[self.shape_names[0]]) - u)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        name = self.place.name
+        extension.replace_input(name, extension.late_input(name, self.delay(extension)))
+        return extension.model()

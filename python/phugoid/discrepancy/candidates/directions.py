@@ -20,8 +20,7 @@ from ...errors import ModelError
 from ...modelling.model import Model
 from ...modelling.rebuilt import Key, rebuilt
 from .candidate import Candidate
-from .points import Points
-from .scales import Scales
+from .scales import Points, Scales
 
 __all__ = ["Directions", "Verdict"]
 

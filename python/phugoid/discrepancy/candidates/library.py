@@ -10,19 +10,23 @@ from typing import Any, Literal
 from ...errors import ModelError, OptionError, did_you_mean
 from ...modelling.model import Model
 from ..misfit.phrases import per_second
-from .candidate import Place
-from .collection import Candidates
+from .candidate import Effect, Place, unused
+from .channel_effects import (
+    DeadBand,
+    InputBias,
+    InputDelay,
+    InputLag,
+    InputScale,
+    Saturation,
+    SensorDelay,
+    SensorLag,
+    SensorScale,
+)
+from .collection import Candidates, read_terms
 from .directions import Directions
-from .effect import Effect, unused
-from .lags import LaggedVariable
-from .periodic import Periodic
 from .places import Anatomy, Variable
-from .points import Points
-from .scales import Scales, trim_of
-from .sensors import SensorDelay, SensorLag, SensorScale
-from .terms import FORMS, Rate, Term, where
-from .transformations import DeadBand, InputBias, InputDelay, InputLag, InputScale, Saturation
-from .user_terms import read_terms
+from .scales import Points, Scales, trim_of
+from .terms import FORMS, LaggedVariable, Periodic, Rate, Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
 

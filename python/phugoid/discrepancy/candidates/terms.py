@@ -1,8 +1,8 @@
-"""Terms: expressions of states and inputs, times a coefficient, in a quantity, a state equation or an output."""
+"""Terms times a coefficient in a quantity, a state equation or an output: expressions, lagged and periodic ones."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from ..._core import Expr
 from ...modelling.model import Model
-from ...symbols import smooth_abs, smooth_sign
-from .along import evaluated, of
-from .candidate import Place
-from .effect import Effect, Extension, largest_coefficient
-from .points import Points
-from .scales import Scales
+from ...symbols import cos, sin, smooth_abs, smooth_sign
+from .along import evaluated, lagged, of
+from .candidate import Effect, Extension, Place, largest_coefficient, place_range
+from .scales import Points, Scales, frequency_grid, lag_bounds, lag_grid, longest_lag
 
-__all__ = ["FORMS", "Form", "Rate", "Term", "where"]
+__all__ = ["FORMS", "LaggedVariable", "Periodic", "Rate", "Term", "where"]
 
 _Array = NDArray[np.float64]
 
@@ -180,3 +178,75 @@ class Rate(Effect):
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         largest = largest_coefficient(self, {}, points)
         return {self.coefficients[0]: (-largest, largest)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LaggedVariable(Effect):
+    """c z with tau z' + z = variable, from a steady start.
+
+    While c is 0 nothing depends on tau: an estimation is to start from values for both, such as a scan gives.
+    """
+
+    def grid(self) -> Iterable[float]:
+        return lag_grid(self.scales)
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        u = of(points.values, self.variables[0], points, "state or input")
+        return lagged(points.t, u, shape[self.shape_names[0]])[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        (tau_name,) = self.shape_names
+        (variable,) = self.variables
+        c = extension.parameter(self.coefficients[0])
+        # An ever smaller time constant with an ever larger coefficient comes to a derivative, and steps in the constant
+        # itself run away there; steps in its logarithm come back from twice as many starts.
+        options = {**lag_bounds(self.scales), "transform": "log"}
+        tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 2][tau_name], **options)
+        u = Expr.symbol(variable)
+        lag = extension.state(f"{variable}_lag", model.units.get(variable, ""), lambda z: (u - z) / tau, u)
+        extension.put(self.place, extension.at(self.place) + c * lag)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        # As a term whose signal is the variable itself: a lag only makes it smaller.
+        shape = {self.shape_names[0]: 0.02 * self.scales.interval}
+        largest = largest_coefficient(self, shape, points)
+        return {self.coefficients[0]: (-largest, largest), self.shape_names[0]: (0.0, longest_lag(points))}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Periodic(Effect):
+    """a sin(w (t - tm)) + b cos(w (t - tm)), with tm the middle of the record: there phase and frequency are estimated
+    almost independently of each other."""
+
+    transferable = False
+
+    def grid(self) -> Iterable[float]:
+        return frequency_grid(self.scales)
+
+    def _middle(self) -> float:
+        return self.scales.begin + 0.5 * self.scales.duration
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        angle = shape[self.shape_names[0]] * (points.t - self._middle())
+        return np.stack([np.sin(angle), np.cos(angle)])
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = Extension(model, self, start)
+        a, b = (extension.parameter(name) for name in self.coefficients)
+        (name,) = self.shape_names
+        # Half a cycle a record is still a trend; near half the sampling rate slow disturbances look fast.
+        bounds = (0.5 * np.pi / self.scales.duration, 0.7 * np.pi / self.scales.interval)
+        w = extension.parameter(name, self.shapes[0][name], bounds=bounds, unit="rad/s")
+        angle = w * (Expr.symbol("time") - self._middle())
+        extension.put(self.place, extension.at(self.place) + a * sin(angle) + b * cos(angle))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        # Amplitudes as those of a term: its peak to peak is twice the amplitude. With less than three cycles in a
+        # record it is a trend, not an oscillation; faster than a quarter of the sampling rate no time history shows it.
+        largest, scales = place_range(self.place, points), Scales.of(points)
+        lowest, highest = 6.0 * np.pi / scales.duration, 0.5 * np.pi / scales.interval
+        a, b = self.coefficients
+        return {a: (-largest, largest), b: (-largest, largest), self.shape_names[0]: (lowest, highest)}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...records import Record
 
-__all__ = ["Series", "channel_series", "residual_of", "same_rate"]
+__all__ = ["Series", "autocorrelation_of", "channel_series", "residual_of", "same_rate"]
 
 _Array = NDArray[np.float64]
 
@@ -142,3 +142,25 @@ def _backward(values: _Array, t: _Array) -> _Array:
 
 def _moves(values: _Array) -> bool:
     return bool(np.isfinite(values).all() and np.ptp(values) > 1e-9 * np.abs(values).max())
+
+
+_LAGS = 100
+
+
+def autocorrelation_of(series: Sequence[Series]) -> tuple[_Array, _Array, _Array]:
+    """Lags in s, autocorrelation about zero, and its variance if residuals are white, of all experiments together.
+
+    The variance is that of residuals of which the size may change (Diebold 1986): a noisy stretch is no colour.
+    """
+    grids = [s.on_grid(s.r) for s in series]
+    n = sum(s.r.size for s in series)
+    power = sum(float(s.r @ s.r) for s in series) / n
+    lags = range(min(_LAGS, n // 4) + 1)
+    rho, scatter = [], []
+    for k in lags:
+        products = np.concatenate([g[k:] * g[: g.size - k] for g in grids if g.size > k])
+        products = products[np.isfinite(products)]
+        rho.append(float(products.mean()) / power if products.size else 0.0)
+        squares = float(np.mean(products**2)) if products.size else 0.0
+        scatter.append(squares / power**2 / products.size if squares > 0.0 else np.inf)
+    return np.array(lags) * series[0].dt, np.array(rho), np.array(scatter)

@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import DataError
-from ..colour.autocorrelation import autocorrelation_of
 from ..colour.colour import Colour, Memory, colour_of
-from ..colour.series import Series, channel_series, same_rate
+from ..colour.series import Series, autocorrelation_of, channel_series, same_rate
 from ..colour.spectrum import Spectrum, Tone, spectrum_of, tones_of
 from .phrases import channel_phrases
-from .regimes import Correlation, Regime, correlations_of, regimes_of
-from .spans import Running, Span, spans_of
+from .regimes import Correlation, Regime, Running, Span, correlations_of, regimes_of, spans_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

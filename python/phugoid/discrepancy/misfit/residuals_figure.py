@@ -26,8 +26,7 @@ from ...figures.style import (
     with_gaps,
 )
 from ...records import Record
-from ..colour.autocorrelation import autocorrelation_of
-from ..colour.series import Series, channel_series
+from ..colour.series import Series, autocorrelation_of, channel_series
 from ..colour.spectrum import spectrum_of
 
 if TYPE_CHECKING:

@@ -12,8 +12,7 @@ from ...figures.style import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, STYL
 from ...records import Record
 from ..misfit.figure import misfit_figure
 from ..misfit.phrases import number
-from ..search.extension import Extension, Gain
-from ..search.finding import Scored
+from ..search.finding import Extension, Gain, Scored
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

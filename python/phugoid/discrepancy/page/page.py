@@ -15,8 +15,7 @@ from ...parameters import Estimate
 from ...writing import check_folder, write
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
-from ..search.extension import Extension
-from ..search.finding import Finding
+from ..search.finding import Extension, Finding
 from .figures import findings_figure, gain_figure, misfit_figure, ranking_figure
 from .words import alias_set, finding_lines, headline, outcome, with_sign
 

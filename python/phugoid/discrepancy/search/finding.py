@@ -1,4 +1,4 @@
-"""What was found to be missing."""
+"""What was found to be missing, the model with it, and what that gains."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-__all__ = ["Finding", "Scored"]
+from ...modelling.model import Model
+from ...parameters import text_table
+from ...result import Fit
+
+__all__ = ["Extension", "Finding", "Gain", "Scored"]
 
 
 @dataclass(frozen=True)
@@ -80,3 +84,84 @@ class Finding:
     rivals: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     ringing: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Extended model minus base model.
+
+    log_likelihood           of the measurements, as fitted.
+    log_likelihood_whitened  the same where each has the coloured noise (autoregressive) that is likeliest for it, so
+                             that slow residuals do not count for more evidence than they are; the figure to go by.
+    bic                      Schwarz's criterion, -2 log L + k log n: below zero is better.
+    held_out                 in log-likelihood, whitened, on data that no parameter was fitted to; NaN without any.
+    rms_before, rms_after    channel -> RMS of the residuals, in its unit.
+    held_out_rms_before, held_out_rms_after   the same on the data held out; empty where there are none.
+    """
+
+    log_likelihood: float
+    log_likelihood_whitened: float
+    bic: float
+    held_out: float
+    rms_before: Mapping[str, float]
+    rms_after: Mapping[str, float]
+    held_out_rms_before: Mapping[str, float] = field(default_factory=dict)
+    held_out_rms_after: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels."""
+        return tuple(self.rms_before)
+
+    def change(self, channel: str, *, held_out: bool = False) -> float:
+        """RMS after over RMS before, minus 1: -0.2 is a fifth less. NaN where there is none."""
+        before, after = (
+            (self.held_out_rms_before, self.held_out_rms_after) if held_out else (self.rms_before, self.rms_after)
+        )
+        if not before.get(channel, 0.0) > 0.0 or channel not in after:
+            return float("nan")
+        return after[channel] / before[channel] - 1.0
+
+    def summary(self) -> str:
+        """A table for the terminal."""
+        held_out = bool(self.held_out_rms_before)
+        rows = []
+        for name in self.channels:
+            row = [name, *map(_number, (self.rms_before[name], self.rms_after[name])), _percent(self.change(name))]
+            if held_out:
+                before, after = self.held_out_rms_before.get(name), self.held_out_rms_after.get(name)
+                row += [_number(before), _number(after)]
+                row.append(_percent(self.change(name, held_out=True)))
+            rows.append(row)
+        heads = ["channel", "RMS before", "after", "change"]
+        heads += ["held out before", "after", "change"] if held_out else []
+        lines = [
+            f"log-likelihood  {self.log_likelihood:+.1f} (residuals taken as white)",
+            f"                {self.log_likelihood_whitened:+.1f} (residuals whitened)",
+        ]
+        if self.held_out == self.held_out:
+            lines.append(f"                {self.held_out:+.1f} (held out, whitened)")
+        lines.append(f"BIC             {self.bic:+.1f} (below zero is better)")
+        return "\n".join(lines) + "\n\n" + text_table(heads, rows, "l" + "r" * (len(heads) - 1))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Extension:
+    """What `Diagnosis.extend` gives: the extended ``model``, its ``fit`` to the same data, names of what was ``added``
+    (canonical, ``where:what``), and the ``gain``."""
+
+    model: Model
+    fit: Fit
+    added: tuple[str, ...]
+    gain: Gain
+
+    def __repr__(self) -> str:
+        return f"<Extension of '{self.model.name}' by {', '.join(self.added) or 'nothing'}>"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None or value != value else f"{value:.4g}"
+
+
+def _percent(change: float) -> str:
+    return "" if change != change else f"{round(100.0 * change):+d} %"

@@ -19,9 +19,8 @@ from ...guess import spread
 from ...result import Fit
 from ...transcription.collocation import Collocation
 from ..candidates.candidate import Candidate, Place
-from ..candidates.points import Points
-from ..colour.strands import strands_of
-from ..colour.whitening import Rows
+from ..candidates.scales import Points
+from ..colour.whitening import Rows, strands_of
 from .derivatives import Derivatives
 
 __all__ = ["Linearised", "collocated", "dataset"]

@@ -23,7 +23,7 @@ from ...errors import PhugoidError
 from ...linear.jacobians import Jacobians
 from ...linear.linearise import numbers_of
 from ...result import Fit
-from ..colour.prediction import Channel
+from ..colour.colour import Channel
 from ..colour.whitening import Whitening
 from .linearised import Linearised
 

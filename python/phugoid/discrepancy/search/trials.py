@@ -13,8 +13,7 @@ from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...result import Fit
 from ...validation.biases import freed_by_default
-from ..candidates.candidate import Candidate
-from ..candidates.centres import with_other_centres
+from ..candidates.candidate import Candidate, with_other_centres
 from ..colour.whitening import Whitening
 from .held_out import HeldOut, across_blocks, gain_on_other_data, on_other_data
 from .linearised import Linearised

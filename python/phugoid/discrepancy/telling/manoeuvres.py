@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inputs.steps import PATTERNS, multistep
-from ...inputs.steps import step as step_input
-from ...inputs.sweeps import sweep
+from ...inputs.manoeuvres import PATTERNS, multistep, sweep
+from ...inputs.manoeuvres import step as step_input
 from ..misfit.phrases import number, with_unit
 
 __all__ = ["KINDS", "SLOW", "Manoeuvre", "planned"]

@@ -1,17 +1,19 @@
-"""Units of flight-test records and what they are in SI."""
+"""Units of flight-test records: what they are in SI, and whether a record has those that a model declares."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ...errors import DataError, listing
-from ..experiment import FloatArray
+from ..errors import DataError, listing
+from ..modelling.model import Model
+from .experiment import Experiment, FloatArray
 
-__all__ = ["convert", "differ", "si"]
+__all__ = ["check_units", "convert", "differ", "si"]
 
 _DEG = math.pi / 180.0
 _FT = 0.3048
@@ -168,3 +170,22 @@ def _parts(base: str) -> list[tuple[str, int]]:
         signed = int(power or 1) * (-1 if i else 1)
         parts += [(d, p * signed) for d, p in _BASE[name].items()]
     return parts
+
+
+def check_units(model: Model, runs: Sequence[Experiment], caller: str) -> None:
+    """Raises DataError, in the caller's name, for a channel in degrees that the model has in radians, and the like.
+
+    Estimates from such data would be wrong without a sign of it. Units that are not told, or not known, are let pass.
+    """
+    declared = model.units
+    for run in runs:
+        for kind, names in (("input", model.input_names), ("output", model.output_names)):
+            for name in names:
+                told, wanted = run.units.get(name, ""), declared.get(name, "")
+                if told and wanted and differ(told, wanted):
+                    raise DataError(
+                        f"{caller}: {kind} '{name}' of experiment '{run.name}' is in '{told}', but the model has it in "
+                        f"'{wanted}'; convert it where it is read, units={{'{name}': ('{told}', '{wanted}')}}, or all "
+                        f"channels to SI, convert=True (--convert at the command line); or put right a wrong label, "
+                        f"units={{'{name}': '{wanted}'}} (--units {name}={wanted})"
+                    )

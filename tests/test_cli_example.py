@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from cli_case import run
 
-from phugoid.cli.examples import EXAMPLES
+from phugoid.cli.example import EXAMPLES
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

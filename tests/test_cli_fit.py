@@ -13,7 +13,7 @@ import pytest
 from cli_case import TRUTH, run, write
 
 import phugoid as ph
-from phugoid.cli import bar
+from phugoid.cli import estimation
 
 
 @pytest.fixture
@@ -79,7 +79,7 @@ def test_a_fit_saved_as_hdf5_is_gone_on_from(here: Path) -> None:
 
 
 def test_interruption_prints_the_best_point(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Interrupting(bar.Progress):
+    class Interrupting(estimation.Progress):
         def __call__(self, line: ph.results.Iteration) -> None:
             if line.number == 1:
                 raise KeyboardInterrupt

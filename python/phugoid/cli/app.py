@@ -10,6 +10,7 @@ from .. import _core
 from .diagnose import diagnose
 from .example import example
 from .fit import fit
+from .guard import command
 from .simulate import simulate
 from .validate import validate
 
@@ -24,8 +25,8 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
-for command in (fit, diagnose, simulate, validate, example):
-    app.command()(command)
+for each in (fit, diagnose, simulate, validate, example):
+    app.command()(command(each))
 
 
 def _version(asked: bool) -> None:

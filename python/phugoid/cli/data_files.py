@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
+
+from typer import Option
 
 from ..data.experiment import Experiment
 from ..data.read import read
@@ -28,33 +31,48 @@ _CALLED = {
 
 @dataclass(frozen=True)
 class Reading:
-    """How data files are read: the options of `read`."""
+    """How data files are read: the options of `read`, as texts. Raises OptionError for what they cannot be."""
 
-    time: str = "t"
-    rename: Mapping[str, str] = field(default_factory=dict)
-    inputs: Sequence[str] | None = None
-    outputs: Sequence[str] | None = None
-    window: tuple[float, float] | None = None
-    units: Mapping[str, str] = field(default_factory=dict)
-    convert: bool = False
-    columns: Sequence[str] | None = None
+    time: Annotated[str, Option("--time", help="Column of time, in s.", metavar="NAME")] = "t"
+    rename: Annotated[
+        list[str] | None, Option("--rename", help="OLD=NEW: a column as the model calls it.", metavar="OLD=NEW")
+    ] = None
+    inputs: Annotated[
+        str | None, Option("--inputs", help="Columns that are inputs; default: the model's.", metavar="A,B")
+    ] = None
+    outputs: Annotated[
+        str | None, Option("--outputs", help="Columns that are outputs; default: the model's.", metavar="A,B")
+    ] = None
+    window: Annotated[str | None, Option("--window", help="Keeps this part of each record, in s.", metavar="T0,T1")] = (
+        None
+    )
+    units: Annotated[
+        list[str] | None,
+        Option("--units", help="Unit of a column, in place of what the file says.", metavar="NAME=UNIT"),
+    ] = None
+    convert: Annotated[
+        bool, Option("--convert", help="Brings columns to SI: degrees to radians, knots to m/s, ...")
+    ] = False
+    columns: Annotated[
+        str | None,
+        Option("--columns", help="Names of all columns in order, of a file without a header.", metavar="T,A,B"),
+    ] = None
 
-    @classmethod
-    def of(
-        cls,
-        time: str,
-        rename: Sequence[str] | None,
-        inputs: str | None,
-        outputs: str | None,
-        window: str | None,
-        units: Sequence[str] | None = None,
-        convert: bool = False,
-        columns: str | None = None,
-    ) -> Reading:
-        """From the texts of the options."""
-        told = pairs("--units", units)
-        names_of = names(inputs), names(outputs)
-        return cls(time, pairs("--rename", rename), *names_of, span(window), told, convert, names(columns))
+    def __post_init__(self) -> None:
+        self._given()
+
+    def _given(self) -> dict[str, Any]:
+        """The arguments of `read`."""
+        return {
+            "time": self.time,
+            "units": pairs("--units", self.units),
+            "rename": pairs("--rename", self.rename),
+            "inputs": names(self.inputs),
+            "outputs": names(self.outputs),
+            "window": span(self.window),
+            "convert": self.convert,
+            "columns": names(self.columns),
+        }
 
     def read(self, files: Sequence[Path]) -> list[Experiment]:
         """One record a file, each with a name of its own: the file's, with its folder where that is not enough."""
@@ -66,18 +84,8 @@ class Reading:
 
     def _record(self, file: Path, name: str | None) -> Experiment:
         try:
-            return read(
-                file,
-                time=self.time,
-                inputs=self.inputs,
-                outputs=self.outputs,
-                rename=self.rename,
-                name=name,
-                window=self.window,
-                units=self.units,
-                convert=self.convert,
-                columns=self.columns,
-            )
+            record: Experiment = read(file, name=name, **self._given())
+            return record
         except DataError as error:
             text = str(error)
             for option, called in _CALLED.items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,34 +13,16 @@ import typer
 
 from ..discrepancy.diagnose import diagnose as find_missing
 from ..discrepancy.diagnosis import Diagnosis
-from ..errors import OptionError, PhugoidError
+from ..errors import OptionError
 from ..result import Fit
 from ..saving.fit_file import load
 from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of
-from .guard import INTERRUPTED, NOT_CONVERGED, guard, told
+from .guard import INTERRUPTED, NOT_CONVERGED
 from .model_file import load_source
-from .options import (
-    ColumnsOption,
-    ConvertOption,
-    DebugOption,
-    FixOption,
-    InputsOption,
-    IterationsOption,
-    JsonOption,
-    ModelArgument,
-    OrderOption,
-    OutputsOption,
-    RenameOption,
-    ReportOption,
-    SolverOption,
-    StartOption,
-    TimeOption,
-    UnitsOption,
-    WindowOption,
-)
-from .results import check_saved, check_targets, emit_json, fit_facts
+from .options import JsonOption, ModelArgument, ReportOption
+from .results import check_saved, check_targets, emit_json, finish, fit_facts, saved
 
 __all__ = ["diagnose"]
 
@@ -53,64 +36,34 @@ def diagnose(
     validation: Annotated[
         list[Path] | None, typer.Option("--validation", help="Another record, to measure the gain on.")
     ] = None,
-    order: OrderOption = None,
-    start: StartOption = None,
-    fix: FixOption = None,
-    solver: SolverOption = "newton",
-    iterations: IterationsOption = None,
-    time: TimeOption = "t",
-    rename: RenameOption = None,
-    inputs: InputsOption = None,
-    outputs: OutputsOption = None,
-    window: WindowOption = None,
-    units: UnitsOption = None,
-    convert: ConvertOption = False,
-    columns: ColumnsOption = None,
+    *,
+    how: Estimation,
+    reading: Reading,
     save: Annotated[
         Path | None, typer.Option("--save", help="Writes the diagnosis, for phugoid.load: .json, or .h5 (HDF5).")
     ] = None,
     report: ReportOption = None,
     json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+) -> int:
     """Name what a model misses: shows the misfit, its cause among some 250 candidates, and the gain.
 
     Exit code 1: the fit has not converged, or the misfit stays without a cause.
     """
-    with guard(debug):
-        check_saved(save, "diagnosis")
-        check_targets((), [save, report])
-        how = Estimation.of(order, start, fix, solver, iterations)
-        reading = Reading.of(time, rename, inputs, outputs, window, units, convert, columns)
-        base = _base(model, reading, data or [], fit, how)
-        others = reading.read(validation) if validation else None
-        if base.status not in ("converged", "acceptable"):
-            if json:
-                emit_json("diagnose", {"fit": fit_facts(base), "findings": None})
-            else:
-                print(f"{base.summary()}\n\nThere is nothing to diagnose: what is missing shows at an optimum only.")
-            raise typer.Exit(code_of(base) or NOT_CONVERGED)
-        with _steps() as watch:
-            found = find_missing(base, validation=others, progress=watch)
-        written: list[Path] = []
-        try:
-            for path, write in ((save, found.save), (report, found.report)):
-                if path is not None:
-                    write(path)
-                    written.append(path)
-        except (PhugoidError, OSError, KeyboardInterrupt):
-            if json:
-                emit_json("diagnose", _facts(found), written)
-            else:
-                print(told(found))
-            raise
+    check_saved(save, "diagnosis")
+    check_targets((), [save, report])
+    base = _base(model, reading, data or [], fit, how)
+    others = reading.read(validation) if validation else None
+    if base.status not in ("converged", "acceptable"):
         if json:
-            emit_json("diagnose", _facts(found), written)
+            emit_json("diagnose", {"fit": fit_facts(base), "findings": None})
         else:
-            print(told(found))
-            if written:
-                print(f"\nWritten: {', '.join(map(str, written))}")
-    raise typer.Exit(_code(found))
+            print(f"{base.summary()}\n\nThere is nothing to diagnose: what is missing shows at an optimum only.")
+        return code_of(base) or NOT_CONVERGED
+    with _steps() as watch:
+        found = find_missing(base, validation=others, progress=watch)
+    writers = [saved(found.save, save), saved(found.report, report)]
+    finish("diagnose", found, partial(_facts, found) if json else None, writers)
+    return _code(found)
 
 
 def _base(model: str, reading: Reading, data: list[Path], saved: Path | None, how: Estimation) -> Fit:
@@ -119,8 +72,7 @@ def _base(model: str, reading: Reading, data: list[Path], saved: Path | None, ho
     before = load(saved) if saved is not None else source if isinstance(source, Fit) else None
     if not data:
         if isinstance(source, Fit) and saved is None:
-            if how.start or how.fixed:
-                raise OptionError(f"--start and --fix are for a model that is fitted first: {model} holds a fit")
+            how.check_unused(model)
             return source
         raise OptionError(f"{model} is a model: give data files to fit it to")
     described = source.model if isinstance(source, Fit) else source

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from typer import Option
 
 from .. import _core
 from ..data.experiment import Experiment
@@ -12,66 +16,116 @@ from ..errors import ModelError, OptionError, listing
 from ..estimation.estimate import estimate
 from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
+from ..progress import Progress
 from ..result import Fit
 from ..solvers import Ipopt, Newton
+from ..solvers.solution import Iteration
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription
-from .bar import bar
 from .options import fixes, numbers
 
-__all__ = ["Estimation", "with_fixed"]
+__all__ = ["Estimation"]
+
+
+@contextmanager
+def progress_bar(title: str, limit: int) -> Iterator[Callable[[Iteration], None]]:
+    """What to call with each iteration: a bar of at most ``limit`` iterations on a terminal, else a line every tenth.
+
+    Iterations end where the optimum is, mostly long before the limit.
+    """
+    if not sys.stderr.isatty():
+        with Progress.of(True, title) as watch:
+            assert watch is not None
+            yield watch
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(20),
+        TextColumn("iteration {task.completed}/{task.total}"),
+        TextColumn("{task.fields[now]}"),
+        TimeElapsedColumn(),
+    )
+    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task(title, total=limit, now="")
+
+        def show(line: Iteration) -> None:
+            bars.update(task, completed=line.number, now=f"logL {line.log_likelihood:.4f}")
+
+        yield show
+
 
 _SOLVERS: Mapping[str, type[Newton] | type[Ipopt]] = {"newton": Newton, "ipopt": Ipopt}
 
 
 @dataclass(frozen=True)
 class Estimation:
-    """What the options say of how to estimate. ``fixed``: name -> value, None for the start as declared. ``order`` of
-    collocation, None for 4, or the transcription of the fit to go on from."""
+    """How to estimate: the options, as texts. Raises OptionError for what they cannot be."""
 
-    order: int | None = None
-    start: Mapping[str, float] = field(default_factory=dict)
-    fixed: Mapping[str, float | None] = field(default_factory=dict)
-    solver: Newton | Ipopt = field(default_factory=Newton)
+    order: Annotated[
+        int | None,
+        Option("--order", help="Points of a collocation segment, 2 is the trapezoid; default: 4, or the saved fit's."),
+    ] = None
+    start: Annotated[
+        list[str] | None, Option("--start", help="Start value of a parameter or state.", metavar="NAME=VALUE")
+    ] = None
+    fix: Annotated[
+        list[str] | None,
+        Option("--fix", help="Holds a parameter at its start, or at a value.", metavar="NAME[=VALUE]"),
+    ] = None
+    solver: Annotated[str, Option("--solver", help="newton or ipopt.", metavar="NAME")] = "newton"
+    iterations: Annotated[
+        int | None, Option("--iterations", help="The most iterations; default: the solver's.", metavar="N")
+    ] = None
 
-    @classmethod
-    def of(
-        cls,
-        order: int | None = None,
-        start: Sequence[str] | None = None,
-        fix: Sequence[str] | None = None,
-        solver: str = "newton",
-        iterations: int | None = None,
-    ) -> Estimation:
-        """From the texts of the options; raises OptionError for what they cannot be."""
-        if solver not in _SOLVERS:
-            raise OptionError(f"--solver: there is no '{solver}'.{listing(solver, _SOLVERS)}")
-        kind = _SOLVERS[solver]
-        values = numbers("--start", start)
-        return cls(order, values, fixes(fix, values), kind() if iterations is None else kind(max_iterations=iterations))
+    def __post_init__(self) -> None:
+        self._solver()
+        self._values()
+
+    def _solver(self) -> Newton | Ipopt:
+        if self.solver not in _SOLVERS:
+            raise OptionError(f"--solver: there is no '{self.solver}'.{listing(self.solver, _SOLVERS)}")
+        kind = _SOLVERS[self.solver]
+        return kind() if self.iterations is None else kind(max_iterations=self.iterations)
+
+    def _values(self) -> tuple[dict[str, float], dict[str, float | None]]:
+        """Values to start from, and what is fixed: at a value, or (None) at the start as declared."""
+        start = numbers("--start", self.start)
+        return start, fixes(self.fix, start)
+
+    def check_unused(self, source: str) -> None:
+        """Raises OptionError for options that a saved fit has no use for."""
+        if self.start or self.fix:
+            raise OptionError(f"--start and --fix are for a model that is fitted first: {source} holds a fit")
 
     def run(self, model: Model, data: Sequence[Experiment], before: Fit | None = None) -> Fit:
         """Estimates with progress on stderr; goes on from a fit ``before`` where there is one, with its noise."""
-        model = with_fixed(model, self.fixed)
+        start, fixed = self._values()
+        solver = self._solver()
+        model = _with_fixed(model, fixed)
         begin: dict[str, Any] = {} if before is None else dict(before.as_start(before.noise))
-        begin = {n: v for n, v in {**begin, **self.start}.items() if n.partition("[")[0] not in self.fixed}
+        begin = {n: v for n, v in {**begin, **start}.items() if n.partition("[")[0] not in fixed}
         mesh: Transcription | FilterError = Collocation(order=4 if self.order is None else self.order)
         if before is not None and self.order is None:
             mesh = before.transcription
-        with bar(model.name, self.solver.max_iterations) as watch:
+        with progress_bar(model.name, solver.max_iterations) as watch:
             return estimate(
                 model,
                 data,
                 transcription=mesh,
                 noise=None if before is None else before.noise,
                 start=begin,
-                solver=None if isinstance(mesh, FilterError) else self.solver,  # which has its own
+                solver=None if isinstance(mesh, FilterError) else solver,  # which has its own
                 progress=watch,
             )
 
 
-def with_fixed(model: Model, fixed: Mapping[str, float | None]) -> Model:
+def _with_fixed(model: Model, fixed: Mapping[str, float | None]) -> Model:
     """The model with parameters held at values, or (None) where they start."""
     for name in fixed:
         if name not in model.parameter_names:

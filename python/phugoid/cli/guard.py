@@ -1,23 +1,58 @@
-"""How a command ends: exit codes, and one clear line where something is wrong."""
+"""How a command is called and ends: its options, exit codes, and one clear line where something is wrong."""
 
 from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import fields, is_dataclass
+from functools import wraps
+from inspect import Parameter, Signature
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from ..errors import PhugoidError
 from ..interrupts import interrupts
 
-__all__ = ["BAD_INPUT", "INTERRUPTED", "NOT_CONVERGED", "guard", "told"]
+__all__ = ["INTERRUPTED", "NOT_CONVERGED", "command", "told"]
 
 NOT_CONVERGED = 1
 BAD_INPUT = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+
+
+_DEBUG = Annotated[bool, typer.Option("--debug", help="Shows the traceback of an error.")]
+
+
+def command(function: Callable[..., int | None]) -> Callable[..., None]:
+    """Return what typer runs of a function that gives the exit code (None: 0).
+
+    A parameter of a dataclass stands for the options that the fields of the class are; ``--debug`` is added.
+    """
+    hints = get_type_hints(function, include_extras=True)
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    parameters: list[Parameter] = []
+    for p in Signature.from_callable(function).parameters.values():
+        if p.name in groups:
+            of = get_type_hints(groups[p.name], include_extras=True)
+            options = [(field.name, field.default, of[field.name]) for field in fields(groups[p.name])]
+        else:
+            options = [(p.name, p.default, hints[p.name])]
+        parameters += [Parameter(n, Parameter.KEYWORD_ONLY, default=d, annotation=kind) for n, d, kind in options]
+    parameters.append(Parameter("debug", Parameter.KEYWORD_ONLY, default=False, annotation=_DEBUG))
+
+    @wraps(function)
+    def called(debug: bool, **given: Any) -> None:
+        with guard(debug):
+            made = {n: kind(**{f.name: given.pop(f.name) for f in fields(kind)}) for n, kind in groups.items()}
+            code = function(**made, **given)
+        raise typer.Exit(code or 0)
+
+    called.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    called.__annotations__ = {p.name: p.annotation for p in parameters}
+    return called
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Options that several commands have, and how their texts are read."""
+"""Options that several commands have, each declared once, and how their texts are read."""
 
 from __future__ import annotations
 
@@ -13,25 +13,11 @@ from ..errors import OptionError
 from ..tolerance import Tolerance
 
 __all__ = [
-    "ColumnsOption",
-    "ConvertOption",
     "DataArgument",
-    "DebugOption",
-    "FixOption",
-    "InputsOption",
-    "IterationsOption",
     "JsonOption",
     "ModelArgument",
-    "OrderOption",
-    "OutputsOption",
     "PlotOption",
-    "RenameOption",
     "ReportOption",
-    "SolverOption",
-    "StartOption",
-    "TimeOption",
-    "UnitsOption",
-    "WindowOption",
     "fixes",
     "names",
     "numbers",
@@ -44,54 +30,12 @@ ModelArgument: TypeAlias = Annotated[
     str, typer.Argument(help="model.py, model.py:name, or a saved model or fit (.json, .h5).", metavar="MODEL")
 ]
 DataArgument: TypeAlias = Annotated[list[Path], typer.Argument(help="Data files, one record each.", metavar="DATA...")]
-TimeOption: TypeAlias = Annotated[str, typer.Option("--time", help="Column of time, in s.", metavar="NAME")]
-RenameOption: TypeAlias = Annotated[
-    list[str] | None, typer.Option("--rename", help="OLD=NEW: a column as the model calls it.", metavar="OLD=NEW")
-]
-InputsOption: TypeAlias = Annotated[
-    str | None, typer.Option("--inputs", help="Columns that are inputs; default: the model's.", metavar="A,B")
-]
-OutputsOption: TypeAlias = Annotated[
-    str | None, typer.Option("--outputs", help="Columns that are outputs; default: the model's.", metavar="A,B")
-]
-WindowOption: TypeAlias = Annotated[
-    str | None, typer.Option("--window", help="Keeps this part of each record, in s.", metavar="T0,T1")
-]
-UnitsOption: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option("--units", help="Unit of a column, in place of what the file says.", metavar="NAME=UNIT"),
-]
-ColumnsOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--columns", help="Names of all columns in order, of a file without a header.", metavar="T,A,B"),
-]
-ConvertOption: TypeAlias = Annotated[
-    bool, typer.Option("--convert", help="Brings columns to SI: degrees to radians, knots to m/s, ...")
-]
-OrderOption: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        "--order", help="Points of a collocation segment, 2 is the trapezoid; default: 4, or the saved fit's."
-    ),
-]
-StartOption: TypeAlias = Annotated[
-    list[str] | None, typer.Option("--start", help="Start value of a parameter or state.", metavar="NAME=VALUE")
-]
-FixOption: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option("--fix", help="Holds a parameter at its start, or at a value.", metavar="NAME[=VALUE]"),
-]
-SolverOption: TypeAlias = Annotated[str, typer.Option("--solver", help="newton or ipopt.", metavar="NAME")]
-IterationsOption: TypeAlias = Annotated[
-    int | None, typer.Option("--iterations", help="The most iterations; default: the solver's.", metavar="N")
-]
 PlotOption: TypeAlias = Annotated[
     Path | None,
     typer.Option("--plot", help="Writes the proof of match (.png, .pdf, .svg); several records, several files."),
 ]
 ReportOption: TypeAlias = Annotated[Path | None, typer.Option("--report", help="Writes one HTML page with it all.")]
 JsonOption: TypeAlias = Annotated[bool, typer.Option("--json", help="Results on stdout as JSON.")]
-DebugOption: TypeAlias = Annotated[bool, typer.Option("--debug", help="Shows the traceback of an error.")]
 
 
 def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from .. import _core
-from ..errors import OptionError
+from ..errors import OptionError, PhugoidError
 from ..match import Match, match
 from ..parameters import Estimates
 from ..result import Fit
 from ..saving.json_file import SUFFIXES
 from ..summary import corrected
 from ..writing import drawn, write
+from .guard import told
 
-__all__ = ["check_saved", "check_targets", "emit_json", "fit_facts", "match_facts", "save_figures"]
+__all__ = ["check_saved", "check_targets", "emit_json", "finish", "fit_facts", "match_facts", "save_figures", "saved"]
 
 
 def check_saved(path: Path | None, what: str) -> None:
@@ -46,8 +47,10 @@ def check_targets(figures: Sequence[Path | None] = (), others: Sequence[Path | N
                 raise OptionError(f"{path}: a figure's file ends in one of {', '.join('.' + k for k in sorted(known))}")
 
 
-def save_figures(result: Any, path: Path) -> list[Path]:
+def save_figures(result: Any, path: Path | None) -> list[Path]:
     """The proof of match of each experiment of a fit or a validation: ``path``, or ``path`` with the name of each."""
+    if path is None:
+        return []
     import matplotlib.pyplot as plt
 
     written = []
@@ -65,6 +68,48 @@ def emit_json(command: str, facts: Mapping[str, Any], written: Sequence[Path] = 
     """One JSON document on stdout; NaN and infinities, which JSON has not, are null."""
     document = {"command": command, "phugoid": _core.__version__, **facts, "written": [str(p) for p in written]}
     print(json.dumps(_plain(document), ensure_ascii=False, indent=1, allow_nan=False))
+
+
+def finish(
+    command: str,
+    result: Any,
+    facts: Callable[[], Mapping[str, Any]] | None,
+    writers: Sequence[Callable[[], list[Path]]],
+) -> None:
+    """Write the files asked for, then tell the result: as JSON where there are ``facts``, else as its summary.
+
+    Files come first, since whoever reads stdout may stop before its end. Where one cannot be written, or Ctrl-C is
+    pressed, the result is told all the same: the work is done.
+    """
+    written: list[Path] = []
+
+    def tell() -> None:
+        if facts is not None:
+            emit_json(command, facts(), written)
+            return
+        print(told(result))
+        if written:
+            print(f"\nWritten: {', '.join(map(str, written))}")
+
+    try:
+        for write_files in writers:
+            written += write_files()
+    except (PhugoidError, OSError, KeyboardInterrupt):
+        tell()
+        raise
+    tell()
+
+
+def saved(save: Callable[[Path], object], path: Path | None) -> Callable[[], list[Path]]:
+    """What writes one file with ``save``; nothing without a path."""
+
+    def write_file() -> list[Path]:
+        if path is None:
+            return []
+        save(path)
+        return [path]
+
+    return write_file
 
 
 def fit_facts(fit: Fit) -> dict[str, Any]:

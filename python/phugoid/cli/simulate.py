@@ -21,22 +21,8 @@ from ..saving.json_file import SUFFIXES
 from ..simulate import simulate as integrate
 from ..writing import write
 from .data_files import Reading
-from .guard import guard
 from .model_file import load_source
-from .options import (
-    ColumnsOption,
-    ConvertOption,
-    DebugOption,
-    InputsOption,
-    JsonOption,
-    ModelArgument,
-    OutputsOption,
-    RenameOption,
-    TimeOption,
-    UnitsOption,
-    WindowOption,
-    numbers,
-)
+from .options import JsonOption, ModelArgument, numbers
 from .results import check_targets, emit_json, match_facts
 
 __all__ = ["simulate"]
@@ -53,45 +39,37 @@ def simulate(
         list[str] | None,
         typer.Option("--initial", help="State at the first sample; default: the fit's, as measured, or 0."),
     ] = None,
-    time: TimeOption = "t",
-    rename: RenameOption = None,
-    inputs: InputsOption = None,
-    outputs: OutputsOption = None,
-    window: WindowOption = None,
-    units: UnitsOption = None,
-    convert: ConvertOption = False,
-    columns: ColumnsOption = None,
+    *,
+    reading: Reading,
     out: Annotated[Path | None, typer.Option("--out", help="Writes the CSV here instead of on stdout.")] = None,
     json: JsonOption = False,
-    debug: DebugOption = False,
 ) -> None:
     """Simulate a model over the inputs of a data file: a CSV of time, inputs, outputs and states."""
-    with guard(debug):
-        check_targets((), [out])
-        source = load_source(model)
-        described = source.model if isinstance(source, Fit) else source
-        (experiment,) = Reading.of(time, rename, inputs, outputs, window, units, convert, columns).read([data])
-        fit, values = _parameters(described, source if isinstance(source, Fit) else None, parameters)
-        first = _first(described, fit, experiment.name, numbers("--initial", initial))
-        record = integrate(described, values, experiment, initial=first)
-        written = []
-        if out is not None:
-            table = StringIO(newline="")
-            _write(record, table)
-            write(out, table.getvalue(), "the table")
-            written.append(out)
-        measured = {name: match(record, name) for name in record.measured}
-        if json:
-            facts = {"model": described.name, "record": record.name, "samples": record.n}
-            series = {} if out is not None else {"columns": _columns(record)}
-            emit_json("simulate", {**facts, "matches": match_facts(measured), **series}, written)
-        elif out is None:
-            _write(record, sys.stdout)
-        else:
-            print(f"{described.name}: {record.n} samples of '{record.name}'")
-            for m in measured.values():
-                print(f"  {m.output}: RMS of measured minus simulated {m.rms:.4g} {m.unit}".rstrip())
-            print(f"\nWritten: {out}")
+    check_targets((), [out])
+    source = load_source(model)
+    described = source.model if isinstance(source, Fit) else source
+    (experiment,) = reading.read([data])
+    fit, values = _parameters(described, source if isinstance(source, Fit) else None, parameters)
+    first = _first(described, fit, experiment.name, numbers("--initial", initial))
+    record = integrate(described, values, experiment, initial=first)
+    written = []
+    if out is not None:
+        table = StringIO(newline="")
+        _write(record, table)
+        write(out, table.getvalue(), "the table")
+        written.append(out)
+    measured = {name: match(record, name) for name in record.measured}
+    if json:
+        facts = {"model": described.name, "record": record.name, "samples": record.n}
+        series = {} if out is not None else {"columns": _columns(record)}
+        emit_json("simulate", {**facts, "matches": match_facts(measured), **series}, written)
+    elif out is None:
+        _write(record, sys.stdout)
+    else:
+        print(f"{described.name}: {record.n} samples of '{record.name}'")
+        for m in measured.values():
+            print(f"  {m.output}: RMS of measured minus simulated {m.rms:.4g} {m.unit}".rstrip())
+        print(f"\nWritten: {out}")
 
 
 def _parameters(

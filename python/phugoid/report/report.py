@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from collections.abc import Sequence
-from html import escape
 from typing import Any
 
 from ..discrepancy.misfit.residuals_figure import plot_residuals
@@ -14,15 +14,14 @@ from ..figures import fit as plot
 from ..figures.convergence import plot_convergence
 from ..figures.correlation import plot_correlation
 from ..figures.parameters import plot_parameters
-from ..match import match
-from ..pages.markup import bullets, details, document, image, section, table
+from ..match import Match, match
 from ..pages.mathml import equation
-from ..pages.provenance import facts, files_table, records_table, steps_of
-from ..parameters import Estimate, Estimates
+from ..pages.page import Picture, Table, picture, render, sources
+from ..parameters import Estimate, Estimates, plus_minus
 from ..summary import corrected
+from ..validation.result import Validation
 from ..writing import check_folder, write
 from .remarks import remarks
-from .validation import validation_section
 
 __all__ = ["report"]
 
@@ -62,64 +61,69 @@ def report(
         )
     if isinstance(files, (str, os.PathLike)):
         files = [files]
-    found = remarks(fit)
-    sections = [
-        *([section("What to beware of", bullets(found))] if found else []),
-        _parameters(fit),
-        _match(fit),
-        _residuals(fit),
-        *([validation_section(validation)] if validation is not None else []),
-        _equations(fit),
-        *([_solver(fit)] if fit.history else []),
-        _provenance(fit, files, command),
-    ]
     # Colours as of a diagnosis: green where all is well.
-    kind = "nothing" if fit.converged and not fit.warnings else "unexplained"
-    headline = f"{fit.status[:1].upper()}{fit.status[1:]}" + (f": {fit.message}." if fit.message else ".")
-    page = document(f"Fit: {fit.model.name}", "Parameters from data", fit.model.name, headline, kind, sections)
+    outcome = "nothing" if fit.converged and not fit.warnings else "unexplained"
+    known = {
+        "fit": f"{fit.status}; log-likelihood {fit.log_likelihood:.3f}; {fit.iterations} iterations, {fit.time:.2f} s",
+        "transcription": str(fit.transcription),
+        "noise": getattr(fit.noise, "description", "") or "Gaussian, independent",
+        **({"command": command} if command else {}),
+    }
+    equations, late = _equations(fit)
+    filtered = any(record.innovations for record in fit.records)
+    page = render(
+        "fit.html",
+        title=f"Fit: {fit.model.name}",
+        kind="Parameters from data",
+        name=fit.model.name,
+        headline=f"{fit.status[:1].upper()}{fit.status[1:]}" + (f": {fit.message}." if fit.message else "."),
+        outcome=outcome,
+        remarks=remarks(fit),
+        parameters=_parameters(fit),
+        filtered=filtered,
+        match=_match(fit, filtered),
+        matches=[(record.name, picture(plot.plot_fit(fit, i)[0])) for i, record in enumerate(fit.records[:_FIGURES])],
+        records=len(fit.records),
+        residuals=_residuals(fit),
+        validation=None if validation is None else _validation(validation),
+        equations=equations,
+        late=late,
+        solver=_solver(fit) if fit.history else None,
+        sources=sources(fit.records, known, fit.experiments, files),
+    )
     write(path, page, "the page")
 
 
-def _parameters(fit: Any) -> str:
+def _parameters(fit: Any) -> dict[str, Any]:
+    """Tables of the estimates, and figures of intervals and correlations, where there are any."""
     noise = fit.noise_parameters
     own = [e for e in fit.parameters.values() if e.name not in noise]
-    text = (
-        "<p>Standard errors (±) are Cramér-Rao bounds: the inverse of the information matrix. They take residuals for "
-        "white; those under <i>coloured</i> allow for residuals as coloured as they are.</p>"
-    )
-    coloured = corrected(fit, again=True)
-    body = text + _estimates("parameter", own, coloured) if own else ""
     of_noise = [e for e in fit.parameters.values() if e.name in noise]
-    if of_noise:
-        body += "<h3>Noise</h3>" + _estimates("noise", of_noise, coloured)
+    coloured = corrected(fit, again=True)
     first = [[n, e.name, *_cells(e)] for n, group in fit.initial_states.items() for e in group.values()]
     heads = ["experiment", "state", "estimate ± std error", "unit", "in %", ""]
-    body += details("Initial states", table(heads, first, "llrlrl"))
-    return section("Parameters", body + _intervals(fit))
-
-
-def _intervals(fit: Any) -> str:
-    """Figures of intervals and correlations, where there are any."""
-    shown = ""
+    intervals = correlation = None
     try:
-        caption = "Estimates with 95 % intervals, ±1.96 standard errors; one that reaches 100 % holds zero."
-        shown = details("95 % intervals", image(plot_parameters([fit])[0], "95 % intervals of the parameters", caption))
+        intervals = picture(plot_parameters([fit])[0])
+        estimated = [e for e in own if e.std_error > 0.0]
+        correlation = picture(plot_correlation(fit)[0]) if 2 <= len(estimated) <= _LARGE else None
     except DataError:  # no standard errors
-        return ""
-    estimated = [e for e in fit.parameters.values() if e.name not in fit.noise_parameters and e.std_error > 0.0]
-    if 2 <= len(estimated) <= _LARGE:
-        caption = "Correlation of the estimates; those near ±1 the data hardly tell apart."
-        matrix = image(plot_correlation(fit)[0], "Correlation matrix of the estimates", caption)
-        shown += details("Correlation of the estimates", matrix)
-    return shown
+        pass
+    return {
+        "own": _estimates("parameter", own, coloured),
+        "noise": _estimates("noise", of_noise, coloured),
+        "initial": Table(heads, first, "llrlrl"),
+        "intervals": intervals,
+        "correlation": correlation,
+    }
 
 
-def _estimates(head: str, estimates: list[Estimate], coloured: Estimates | None) -> str:
+def _estimates(head: str, estimates: list[Estimate], coloured: Estimates | None) -> Table:
     rows = []
     for e in estimates:
         error = coloured[e.name].std_error if coloured else math.nan
         rows.append([e.name, *_cells(e)[:3], f"{error:.2g}" if math.isfinite(error) else "", *_cells(e)[3:]])
-    return table([head, "estimate ± std error", "unit", "in %", "coloured", ""], rows, "lrlrrl")
+    return Table([head, "estimate ± std error", "unit", "in %", "coloured", ""], rows, "lrlrrl")
 
 
 def _cells(e: Estimate) -> list[str]:
@@ -135,94 +139,91 @@ def _percent(relative: float) -> str:
     return f"{relative:.3g}" if relative < 999.5 else "> 1000"
 
 
-def _match(fit: Any) -> str:
+def _match(fit: Any, filtered: bool) -> Table:
     rows = []
     for name in fit.model.output_names:
         m = match(fit.records, name)
-        numbers = [f"{m.rms:.4g}", f"{m.r_squared:.4f}", f"{m.theil:.4f}", f"{m.lag_one:.2f}"]
-        rows.append([name, m.unit, *("" if n == "nan" else n for n in numbers), str(m.samples)])
-    filtered = any(record.innovations for record in fit.records)
-    against = "what is predicted from the samples before (innovations)" if filtered else "model"
-    text = (
-        f"<p>Residuals are measured minus {against}. R² and Theil's U are 1 and 0 for a perfect match; lag-1 is the "
-        "correlation of a residual with the next, 0 where they are white.</p>"
-    )
+        numbers = [
+            _number(m.rms, ".4g"),
+            *(_number(x, ".4f") for x in (m.r_squared, m.theil)),
+            _number(m.lag_one, ".2f"),
+        ]
+        rows.append([name, m.unit, *numbers, str(m.samples)])
     heads = ["output", "unit", "RMS innovation" if filtered else "RMS residual", "R²", "Theil's U", "lag-1", "samples"]
-    shown = ""
+    return Table(heads, rows, "llrrrrr")
+
+
+def _residuals(fit: Any) -> list[tuple[str, Picture]]:
+    found = []
     for i, record in enumerate(fit.records[:_FIGURES]):
-        figure, _ = plot.plot_fit(fit, i)
-        caption = f"{record.name}: measured points, the model's line, residuals beneath with ±2σ, inputs."
-        shown += image(figure, f"Proof of match of {record.name}", caption)
-    if len(fit.records) > _FIGURES:
-        shown += f"<p>The first {_FIGURES} of {len(fit.records)} records are shown.</p>"
-    return section("Match", text + table(heads, rows, "llrrrrr") + shown)
+        with contextlib.suppress(DataError):  # nothing was measured
+            found.append((record.name, picture(plot_residuals(fit, i)[0])))
+    return found
 
 
-def _residuals(fit: Any) -> str:
+def _validation(v: Validation) -> dict[str, Any]:
+    """What was held and found anew, the match of each output in numbers, words and figures with tolerance bands."""
+    names = ", ".join(f"'{r.name}'" for r in v.records)
+    freed = [f"{e.name} = {plus_minus(e.value, e.std_error)} {e.unit}".rstrip() for e in v.freed.values()]
+    new = f", which {'was' if len(v.records) == 1 else 'were'} not fitted to,"
     text = (
-        "<p>If the model is right and the noise white, residuals stay within ±2σ 95 % of the time, follow neither from "
-        "their own past nor from anything else, and have the same power at all frequencies.</p>"
+        f"The fitted model on {names}{'' if set(v.fitted_to) & {r.name for r in v.records} else new} with parameters "
+        f"and noise held; found anew: initial states{''.join(f', {each}' for each in freed)}. "
+        f"Log-likelihood {v.log_likelihood:.3f} at the noise of the fit."
     )
-    shown = ""
-    for i, record in enumerate(fit.records[:_FIGURES]):
-        try:
-            figure, _ = plot_residuals(fit, i)
-        except DataError:  # nothing was measured
-            continue
-        caption = (
-            f"{record.name}: residuals, their autocorrelation and their power spectrum; grey, 95 % of white noise."
-        )
-        drawn = image(figure, f"Residuals of {record.name} over time, their autocorrelation and spectrum", caption)
-        shown += details(record.name, drawn) if shown else drawn
-    return section("Residuals", text + shown) if shown else ""
+    if not v.converged:
+        text += f" {v.status[:1].upper()}{v.status[1:]}: {v.message}."
+    rows = [_validated(m) for m in v.matches.values()]
+    heads = ["output", "unit", "RMS", "σ of fit", "Theil's U", "bias/var/cov, %", "lag-1", "tolerance", "inside, %"]
+    return {
+        "text": text,
+        "table": Table([*heads, "samples"], rows, "llrrrrrrrr"),
+        "said": [*v.warnings, *v.in_words()],
+        "pictures": [(r.name, picture(plot.plot_validation(v, i)[0])) for i, r in enumerate(v.records[:_FIGURES])],
+        "tolerances": v.tolerances,
+        "records": len(v.records),
+    }
 
 
-_GROUPS = {"quantities": "Quantities", "dynamics": "Dynamics", "outputs": "Measured outputs y"}
+def _validated(m: Match) -> list[str]:
+    parts = "/".join(_number(100.0 * part, ".0f") for part in (m.bias, m.variance, m.covariance))
+    return [
+        m.output,
+        m.unit,
+        _number(m.rms, ".4g"),
+        _number(m.sigma, ".4g"),
+        _number(m.theil, ".4f"),
+        parts if m.bias == m.bias else "",
+        _number(m.lag_one, ".2f"),
+        "" if m.tolerance is None else m.tolerance.text(),
+        _number(100.0 * m.inside, ".1f"),
+        str(m.samples),
+    ]
 
 
-def _equations(fit: Any) -> str:
-    groups: dict[str, list[str]] = {title: [] for title in _GROUPS.values()}
+def _number(value: float, spec: str) -> str:
+    return format(value, spec) if value == value else ""
+
+
+def _equations(fit: Any) -> tuple[dict[str, list[str]], list[str]]:
+    """Equations in groups, as HTML; and, as text, what is late and what holds at an end."""
+    groups: dict[str, list[str]] = {"Quantities": [], "Dynamics": [], "Measured outputs y": []}
     for name, e in fit.model.equations.items():
         rate, measured = name.endswith("'"), name.startswith("y:")
         left = name.removeprefix("y:").removesuffix("'")
-        title = _GROUPS["dynamics" if rate else "outputs" if measured else "quantities"]
-        shown = equation(f"y_{left}" if measured else left, e, rate=rate)
-        groups[title].append(f"<div class='equation'>{shown}</div>\n")
+        title = "Dynamics" if rate else "Measured outputs y" if measured else "Quantities"
+        groups[title].append(equation(f"y_{left}" if measured else left, e, rate=rate))
     delays = fit.model.delays
     late = [f"{name}(t) = {of}(t − {tau})" for name, (of, tau) in delays.inputs.items()]
     late += [f"{output} is measured late, by {tau}" for output, tau in delays.outputs.items()]
     late += [f"{state} at the {end} sample = {e}" for end, state, e, _ in fit.model._core.conditions]
-    groups["Delays and conditions"] = [f"<div class='equation'><code>{escape(text)}</code></div>\n" for text in late]
-    return section("Equations", "".join(f"<h3>{title}</h3>{''.join(each)}" for title, each in groups.items() if each))
+    return groups, late
 
 
-def _solver(fit: Any) -> str:
-    caption = (
-        "How the solver came to its end. Hollow points have a greater log-likelihood, but do not meet the equations "
-        "yet."
-    )
-    drawn = image(plot_convergence(fit)[0], "Log-likelihood, defects, distance from the optimum and steps", caption)
+def _solver(fit: Any) -> dict[str, Any]:
     rows = [
-        [
-            str(line.number),
-            f"{line.log_likelihood:.6f}",
-            f"{line.defect:.2e}",
-            f"{line.dual:.2e}",
-            f"{line.step:.3g}",
-            str(line.trials),
-        ]
-        for line in fit.history
+        [str(x.number), f"{x.log_likelihood:.6f}", f"{x.defect:.2e}", f"{x.dual:.2e}", f"{x.step:.3g}", str(x.trials)]
+        for x in fit.history
     ]
     heads = ["iteration", "log-likelihood", "largest defect", "distance", "step", "trials"]
-    return section("The solver", drawn + details("All iterations", table(heads, rows, "rrrrrr")))
-
-
-def _provenance(fit: Any, files: Sequence[str | os.PathLike[str]], command: str) -> str:
-    more = {
-        "fit": f"{fit.status}; log-likelihood {fit.log_likelihood:.3f}; {fit.iterations} iterations, {fit.time:.2f} s",
-        "transcription": str(fit.transcription),
-        "noise": getattr(fit.noise, "description", "") or "Gaussian, independent",
-        **({"command": command} if command else {}),
-    }
-    body = records_table(fit.records) + steps_of(fit.experiments) + facts(more) + files_table(files)
-    return section("Data and versions", body)
+    return {"picture": picture(plot_convergence(fit)[0]), "table": Table(heads, rows, "rrrrrr")}

@@ -13,9 +13,8 @@ from scipy.signal import butter, sosfiltfilt
 
 import phugoid as ph
 from phugoid import _core
-from phugoid.discrepancy.candidates.along import lagged, late_smooth
 from phugoid.discrepancy.candidates.library import FAMILIES
-from phugoid.discrepancy.candidates.scales import trim_of
+from phugoid.discrepancy.candidates.scales import lagged, late_smooth, trim_of
 from phugoid.modelling.delayed import at_delays
 from phugoid.modelling.rebuilt import rebuilt
 

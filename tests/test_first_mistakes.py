@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.report.remarks import remarks
+from phugoid.report import remarks
 
 DOSE = 320.0  # mg
 
@@ -127,7 +127,7 @@ def test_slips_of_the_pen_are_named() -> None:
 
 def test_a_report_asks_for_its_folder_before_it_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = ph.estimate(lag(), lag_record(20))
-    monkeypatch.setattr("phugoid.report.report.write", lambda *_: pytest.fail("the page was made first"))
+    monkeypatch.setattr("phugoid.report.write", lambda *_: pytest.fail("the page was made first"))
     with pytest.raises(ph.DataError, match="there is no folder"):
         fit.report(tmp_path / "none" / "fit.html")
 

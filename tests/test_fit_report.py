@@ -15,7 +15,7 @@ import pytest
 import phugoid as ph
 from phugoid.errors import DataError, OptionError
 from phugoid.parameters import Estimate, Estimates
-from phugoid.report.remarks import remarks
+from phugoid.report import remarks
 
 VOID = {"meta", "img", "br"}
 

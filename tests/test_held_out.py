@@ -7,8 +7,7 @@ import pytest
 from oscillator import measured, model
 
 import phugoid as ph
-from phugoid.discrepancy.search.held_out import on_other_data
-from phugoid.discrepancy.search.refit import Refit
+from phugoid.discrepancy.search.refit import Refit, on_other_data
 
 
 @pytest.mark.parametrize(

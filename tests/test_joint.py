@@ -10,8 +10,7 @@ from scipy.stats import multivariate_normal
 
 import phugoid as ph
 from phugoid import _core
-from phugoid.discrepancy.colour.joint import JointWhitening
-from phugoid.discrepancy.colour.whitening import Rows, Strand
+from phugoid.discrepancy.colour.whitening import JointWhitening, Rows, Strand
 
 A = np.array([[0.8, 0.1, 0.0], [0.5, 0.3, 0.0], [-0.2, 0.4, 0.6]])
 ROOT = np.array([[1.0, 0.0, 0.0], [0.5, 0.2, 0.0], [0.0, 0.1, 2.0]])

@@ -10,7 +10,7 @@ from linear_case import run
 
 import phugoid as ph
 from phugoid.linear import linear_fit
-from phugoid.linear.modal_blocks import Blocks
+from phugoid.linear.modal_blocks import ModalBlocks
 from phugoid.linear.modal_regression import regression
 from phugoid.linear.sampled import Sampled
 from phugoid.linear.state_space import modal_parts
@@ -79,7 +79,7 @@ def test_derivatives_are_those_of_the_simulated_outputs(poles: tuple[complex, ..
     data = run(truth, 120)
     records = Sampled.of(data, truth.inputs, truth.outputs)
     parts = modal_parts(truth.A, truth.B, truth.C)
-    blocks = Blocks.of(parts.values, parts.outputs, records.y_size)
+    blocks = ModalBlocks.of(parts.values, parts.outputs, records.y_size)
     assert blocks.sizes.size == 3 * truth.order  # eigenvalues and C of two outputs
 
     found, C, _ = blocks.modal()
@@ -87,7 +87,7 @@ def test_derivatives_are_those_of_the_simulated_outputs(poles: tuple[complex, ..
     weights = np.repeat(1.0 / solved.rms, data.n)
     z = weights * np.concatenate([data.output(y) for y in truth.outputs])
 
-    def basis(at: Blocks) -> np.ndarray:
+    def basis(at: ModalBlocks) -> np.ndarray:
         """What first states, B and offsets can do: orthonormal columns (2 N, k)."""
         found, C, _ = at.modal()
         driven = records.driven[0]
@@ -99,7 +99,7 @@ def test_derivatives_are_those_of_the_simulated_outputs(poles: tuple[complex, ..
         columns = np.array([column / np.linalg.norm(column) for column in seen]).T
         return np.linalg.qr(weights[:, None] * columns)[0]
 
-    def residual(at: Blocks) -> np.ndarray:
+    def residual(at: ModalBlocks) -> np.ndarray:
         q = basis(at)
         return z - q @ (q.T @ z)
 
@@ -127,7 +127,7 @@ def test_where_a_search_leads_is_told_by_the_linearised_outputs() -> None:
     records = Sampled.of(data, truth.inputs, truth.outputs)
     task = linear_fit._Task(records, (False, False), True, False, 50)
     parts = modal_parts(truth.A, truth.B, truth.C)
-    start = task.point(Blocks.of(parts.values, parts.outputs, records.y_size))
+    start = task.point(ModalBlocks.of(parts.values, parts.outputs, records.y_size))
     optimum = task.search(start, 1e-9)
     known = linear_fit._Known.of(optimum)
     np.testing.assert_allclose(known.log_likelihood, optimum.log_likelihood)
@@ -161,7 +161,7 @@ def test_where_a_search_leads_is_told_by_the_linearised_outputs() -> None:
     assert task._linearised(here, known).apart == pytest.approx(expected, rel=1e-3)
     assert task._linearised(optimum, known).apart < 1e-6
     assert task._linearised(here, None).apart == np.inf
-    far = task.point(Blocks.of(np.array([-0.3 + 3.0j, -0.5 + 25.0j]), parts.outputs, records.y_size))
+    far = task.point(ModalBlocks.of(np.array([-0.3 + 3.0j, -0.5 + 25.0j]), parts.outputs, records.y_size))
     assert task._linearised(far, known).apart > 100.0
 
 

@@ -20,23 +20,19 @@ RUST = [
 
 PYTHON = [
     "_core", "errors", "writing", "tabular", "symbols", "parameters", "noise", "modelling", "data", "transcription",
-    "guess", "solvers", "interrupts", "progress", "records", "tolerance", "match", "goodness_of_fit", "correlations",
-    "repeated_outputs", "figures", "regression", "integration", "refinement", "summary", "result", "process_noise",
-    "estimation", "simulate", "linear", "inputs", "models", "export", "saving", "validation", "pages", "discrepancy",
-    "loading", "planning", "reconstruction", "report", "starts", "uncertainty", "results", "cli", "__init__",
-    "__main__",
+    "guess", "solvers", "interrupts", "progress", "records", "tolerance", "match", "repeated_outputs", "figures",
+    "regression", "integration", "refinement", "summary", "result", "process_noise", "estimation", "simulate", "linear",
+    "inputs", "models", "export", "saving", "validation", "pages", "discrepancy", "planning", "reconstruction",
+    "report", "starts", "uncertainty", "results", "cli", "__init__", "__main__",
 ]
-DISCREPANCY = [
-    "colour", "misfit", "candidates", "search", "telling", "page", "diagnosis", "saved", "diagnose",
-]
+DISCREPANCY = ["colour", "misfit", "candidates", "search", "telling", "page", "diagnosis", "diagnose"]
 # fmt: on
 # Arrows back: methods of `Fit` that stand where people look for them, such as `validate`, which estimates anew, and
 # `plot_residuals`, which asks what a diagnosis asks; and a summary shows how far a fit may be trusted. They are
-# imported when called; of `starts` a type only. A diagnosis has `save` in the same way.
+# imported when called; of `starts` a type only.
 BACK = {
     *(("result", m) for m in ("discrepancy", "export", "report", "saving", "starts", "uncertainty", "validation")),
     ("summary", "uncertainty"),
-    ("diagnosis", "saved"),
 }
 
 Import = tuple[int, str]  # line, top-level module

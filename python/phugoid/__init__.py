@@ -18,6 +18,7 @@ from .data.multirate import multirate
 from .data.read import read
 from .discrepancy.candidates.library import candidates
 from .discrepancy.diagnose import diagnose
+from .discrepancy.diagnosis import load
 from .discrepancy.misfit.misfit import misfit
 from .errors import (
     DataError,
@@ -35,7 +36,6 @@ from .linear.linearise import linearise, modes
 from .linear.state_space import StateSpace
 from .linear.subspace import subspace
 from .linear.trim import trim
-from .loading import load
 from .match import match
 from .modelling.model import Model
 from .modelling.state import State

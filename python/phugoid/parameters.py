@@ -16,7 +16,7 @@ from .tabular import estimates_frame
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Estimate", "Estimates", "Parameter", "estimates_table", "plus_minus", "text_table"]
+__all__ = ["Estimate", "Estimates", "Parameter", "correlation_matrix", "estimates_table", "plus_minus", "text_table"]
 
 _INF = math.inf
 
@@ -279,3 +279,17 @@ def _pair(value: Any, what: str, meaning: str) -> tuple[float, float]:
     if any(map(math.isnan, pair)):
         raise ModelError(f"a parameter's {what} {pair} holds NaN: give a pair {meaning}")
     return pair
+
+
+def correlation_matrix(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, n) correlations of a covariance (n, n); NaN beside what has no variance: NaN, infinite or not above 0.
+
+    >>> correlation_matrix(np.array([[4.0, 0, 1], [0, np.nan, 0], [1, 0, 1]]))
+    array([[1. , nan, 0.5],
+           [nan, nan, nan],
+           [0.5, nan, 1. ]])
+    """
+    variance = np.diag(covariance)
+    with np.errstate(invalid="ignore"):
+        deviation = np.sqrt(np.where((variance > 0.0) & np.isfinite(variance), variance, np.nan))
+    return np.asarray(np.clip(covariance / np.outer(deviation, deviation), -1.0, 1.0))

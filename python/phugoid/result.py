@@ -399,7 +399,7 @@ class Fit:
         ``validation``: of this fit, as a section. ``files``, such as data and model, are listed with their SHA-256;
         ``command`` is quoted.
         """
-        from .report.report import report
+        from .report import report
 
         report(self, path, validation=validation, files=files, command=command)
 

@@ -16,12 +16,11 @@ from ..discrepancy.diagnosis import Diagnosis
 from ..errors import OptionError
 from ..result import Fit
 from ..saving.fit_file import load
-from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of
 from .guard import INTERRUPTED, NOT_CONVERGED
 from .model_file import load_source
-from .options import JsonOption, ModelArgument, ReportOption
+from .options import JsonOption, ModelArgument, Reading, ReportOption
 from .results import check_saved, check_targets, emit_json, finish, fit_facts, saved
 
 __all__ = ["diagnose"]

@@ -13,11 +13,10 @@ import typer
 
 from ..result import Fit
 from ..validation.result import Validation
-from .data_files import Reading
 from .estimation import Estimation
 from .guard import INTERRUPTED, NOT_CONVERGED
 from .model_file import load_source
-from .options import DataArgument, JsonOption, ModelArgument, PlotOption, ReportOption
+from .options import DataArgument, JsonOption, ModelArgument, PlotOption, Reading, ReportOption
 from .results import check_saved, check_targets, finish, fit_facts, save_figures, saved
 
 __all__ = ["code_of", "fit", "write_report"]

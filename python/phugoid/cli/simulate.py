@@ -20,9 +20,8 @@ from ..saving.fit_file import load
 from ..saving.json_file import SUFFIXES
 from ..simulate import simulate as integrate
 from ..writing import write
-from .data_files import Reading
 from .model_file import load_source
-from .options import JsonOption, ModelArgument, numbers
+from .options import JsonOption, ModelArgument, Reading, numbers
 from .results import check_targets, emit_json, match_facts
 
 __all__ = ["simulate"]

@@ -13,12 +13,11 @@ import typer
 from ..errors import OptionError
 from ..result import Fit
 from ..validation.result import Validation
-from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of, write_report
 from .guard import NOT_CONVERGED
 from .model_file import load_source
-from .options import DataArgument, JsonOption, PlotOption, ReportOption, tolerances
+from .options import DataArgument, JsonOption, PlotOption, Reading, ReportOption, tolerances
 from .results import check_targets, emit_json, finish, fit_facts, match_facts, save_figures, saved
 
 __all__ = ["validate"]

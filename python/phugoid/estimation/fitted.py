@@ -9,18 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..correlations import correlation_matrix
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..errors import EvaluationError
-from ..goodness_of_fit import chi_square_warning
-from ..match import no_match, r_squared
+from ..match import chi_square_warning, no_match, r_squared
 from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
 from ..modelling.scaling import Scaling
 from ..noise.kinds import PerExperiment
 from ..noise.noise import Gaussian, Noise
-from ..parameters import Estimate, Estimates, Parameter
+from ..parameters import Estimate, Estimates, Parameter, correlation_matrix
 from ..records import Record
 from ..repeated_outputs import repeated_outputs
 from ..result import Fit

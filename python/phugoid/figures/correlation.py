@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..correlations import correlation_matrix
 from ..errors import DataError, UnknownName, listing
+from ..parameters import correlation_matrix
 from .style import STYLE, WIDTH, headline, plain
 
 if TYPE_CHECKING:

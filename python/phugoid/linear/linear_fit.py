@@ -15,8 +15,8 @@ from ..errors import DataError, OptionError
 from ..progress import Progress
 from ..solvers.solution import Iteration
 from .hankel import triangle
-from .modal_blocks import Blocks, best_places
-from .modal_regression import Layout, Regression, identified, path, regression, rows, samples_of
+from .modal_blocks import ModalBlocks, best_places
+from .modal_regression import Layout, ModalRegression, identified, path, regression, rows, samples_of
 from .modal_response import Answers
 from .sampled import Sampled, chosen_outputs
 from .state_space import StateSpace, as_state_space, modal_parts
@@ -94,7 +94,7 @@ def fit_linear(
     task = _Task(records, _direct(feedthrough, start), offset, bool(np.any(parts.values.real > 0.0)), max_iterations)
     if min(samples_of(records.runs, records.outputs)) <= 2 * start.order + len(records.inputs) + 1:
         raise DataError(f"fit_linear: the records are too short for {start.order} states")
-    found = task.point(Blocks.of(parts.values, parts.outputs, records.y_size))
+    found = task.point(ModalBlocks.of(parts.values, parts.outputs, records.y_size))
     warnings: tuple[str, ...] = ()
     with Progress.of(progress, "linear system") as watch:
         task.watch = watch
@@ -119,9 +119,9 @@ def fit_linear(
 class _Point:
     """A and C, what modes do there, what least squares finds for them, and the log-likelihood."""
 
-    blocks: Blocks
+    blocks: ModalBlocks
     answers: Sequence[Answers]
-    regression: Regression
+    regression: ModalRegression
     log_likelihood: float
 
 
@@ -130,7 +130,7 @@ class _Known:
     """An optimum that is known: outputs (p, N) of each experiment, what least squares found, and log-likelihood."""
 
     paths: Sequence[_Array]
-    regression: Regression
+    regression: ModalRegression
     log_likelihood: float
 
     @classmethod
@@ -171,7 +171,7 @@ class _Task:
         self.number = 0
         self.best: _Point | None = None
 
-    def point(self, blocks: Blocks) -> _Point:
+    def point(self, blocks: ModalBlocks) -> _Point:
         values, C, _ = blocks.modal()
         answers = [driven.answers(values) for driven in self.records.driven]
         found = regression(answers, C, self.records.outputs, self.direct, self.offset)
@@ -231,7 +231,7 @@ class _Task:
                     break
         return point
 
-    def _tried(self, blocks: Blocks) -> _Point | None:
+    def _tried(self, blocks: ModalBlocks) -> _Point | None:
         """None where there is no answer, modes are too fast to matter, or grow that must not.
 
         Those that grow a little are reflected: a mode without damping would be stuck at the edge.

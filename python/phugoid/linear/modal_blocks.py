@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .hankel import triangle
-from .modal_regression import Regression, rows
+from .modal_regression import ModalRegression, rows
 from .modal_response import Answers
 from .sampled import Sampled
 
-__all__ = ["Blocks", "best_places"]
+__all__ = ["ModalBlocks", "best_places"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
@@ -24,7 +24,7 @@ _APART = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
+class ModalBlocks:
     """A = diag of companion blocks [[0, 1], [-b, -a]] with eigenvalues of s^2 + a s + b, and of single real ones.
 
     pairs (k, 2): a in 1/s and b in 1/s^2; singles (l,), 1/s; C (p, 2 k + l) in ``units`` (p,) of the outputs. With one
@@ -37,7 +37,7 @@ class Blocks:
     units: _Array
 
     @classmethod
-    def of(cls, values: _Complex, C: _Complex, units: _Array) -> Blocks:
+    def of(cls, values: _Complex, C: _Complex, units: _Array) -> ModalBlocks:
         """From eigenvalues (r,), of a complex pair one, and the columns of C (p, r); real ones go in pairs too."""
         C = C / units[:, None]
         # B is free, so that the size (and of a pair the phase) of a column of C does not matter.
@@ -90,7 +90,7 @@ class Blocks:
     def __len__(self) -> int:
         return len(self.pairs) + self.singles.size
 
-    def without(self, k: int) -> Blocks:
+    def without(self, k: int) -> ModalBlocks:
         """All blocks but one."""
         n = len(self.pairs)
         if k < n:
@@ -98,7 +98,7 @@ class Blocks:
             return replace(self, pairs=np.delete(self.pairs, k, 0), C=C)
         return replace(self, singles=np.delete(self.singles, k - n), C=np.delete(self.C, n + k, 1))
 
-    def joined(self, other: Blocks) -> Blocks:
+    def joined(self, other: ModalBlocks) -> ModalBlocks:
         """These blocks and others."""
         n, m = 2 * len(self.pairs), 2 * len(other.pairs)
         C = np.hstack([self.C[:, :n], other.C[:, :m], self.C[:, n:], other.C[:, m:]])
@@ -115,17 +115,17 @@ class Blocks:
         found = np.concatenate(own)
         return np.where(found > 0.0, found, 1.0)
 
-    def moved(self, step: _Array) -> Blocks:
+    def moved(self, step: _Array) -> ModalBlocks:
         """With a step of pairs, singles and (of several outputs) C added."""
         n, m = self.pairs.size, self.singles.size
         C = self.C + step[n + m :].reshape(self.C.shape) if self.C.shape[0] > 1 else self.C
         return replace(self, pairs=self.pairs + step[:n].reshape(-1, 2), singles=self.singles + step[n : n + m], C=C)
 
-    def reflected(self) -> Blocks:
+    def reflected(self) -> ModalBlocks:
         """With modes that decay in place of those that grow."""
         return replace(self, pairs=np.abs(self.pairs), singles=-np.abs(self.singles))
 
-    def slopes(self, answers: Answers, found: Regression) -> Iterator[tuple[list[int], _Array]]:
+    def slopes(self, answers: Answers, found: ModalRegression) -> Iterator[tuple[list[int], _Array]]:
         """Of each output the derivatives (k, N) of its path in an experiment, B and first states held, and by which
         numbers of `moved` they are."""
         values, C, own = self.modal()
@@ -168,9 +168,9 @@ _AT_ONCE, _RANK = 8, 1e-10
 
 
 def best_places(
-    records: Sampled, blocks: Blocks, found: Regression, direct: tuple[bool, ...], offset: bool
-) -> list[Blocks]:
-    """Pairs, one a `Blocks`, that differ, in the order of how much they would lower the weighted sum of squares.
+    records: Sampled, blocks: ModalBlocks, found: ModalRegression, direct: tuple[bool, ...], offset: bool
+) -> list[ModalBlocks]:
+    """Pairs, one a `ModalBlocks`, that differ, in the order of how much they would lower the weighted sum of squares.
 
     What the modes that are there can do with another B, in each experiment and output by itself, is projected out of
     the outputs and of the response of each new mode; first states of the new mode are left out. Of several outputs C
@@ -232,7 +232,7 @@ def _basis(columns: _Array) -> _Array:
     return np.asarray(np.linalg.solve(triangle([q.copy()]).T, q.T).T)
 
 
-def _grid(records: Sampled, blocks: Blocks) -> _Complex:
+def _grid(records: Sampled, blocks: ModalBlocks) -> _Complex:
     """Eigenvalues to try, 1/s."""
     nyquist = np.pi * records.rate
     size = np.abs(blocks.modal()[0])
@@ -248,7 +248,7 @@ def _grid(records: Sampled, blocks: Blocks) -> _Complex:
     return np.array(found)
 
 
-def _block(value: complex, residue: _Complex, units: _Array) -> Blocks:
+def _block(value: complex, residue: _Complex, units: _Array) -> ModalBlocks:
     """A pair with the C (p, 1) of the residue (p, m) nearest to one of rank one."""
     left, _, _ = np.linalg.svd(residue / units[:, None])
-    return Blocks.of(np.array([value]), np.asarray(left[:, :1] * units[:, None], dtype=np.complex128), units)
+    return ModalBlocks.of(np.array([value]), np.asarray(left[:, :1] * units[:, None], dtype=np.complex128), units)

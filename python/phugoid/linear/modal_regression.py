@@ -15,7 +15,7 @@ from .modal_response import Answers
 from .sampled import Sampled
 from .state_space import StateSpace
 
-__all__ = ["Layout", "Regression", "identified", "path", "regression", "rows", "samples_of"]
+__all__ = ["Layout", "ModalRegression", "identified", "path", "regression", "rows", "samples_of"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
@@ -27,7 +27,7 @@ _RANK = 1e-12
 
 
 @dataclass(frozen=True)
-class Regression:
+class ModalRegression:
     """What the least squares found.
 
     B (r, m), complex, of the modal coordinates; D (p, m); x0: experiment -> (r,), complex; offsets: experiment -> (p,);
@@ -51,7 +51,7 @@ def regression(
     feedthrough: Sequence[bool],
     offset: bool,
     gains: bool = False,
-) -> Regression:
+) -> ModalRegression:
     """B, D, x0 and offsets such that y_j = Re(C_j xi) + D_j u + offset_j, xi' = lambda xi + B u, fits best.
 
     ``data``: of each experiment what modes of the same eigenvalues (r,), of a pair one, do there. C (p, r), complex.
@@ -76,10 +76,10 @@ def regression(
     for j in range(len(outputs)):
         if feedthrough[j]:
             D[j] = solution[layout.direct(j)]
-    return Regression(B=B, D=D, x0=x0, offsets=offsets, rms=rms, gains=gained, motion=motion)
+    return ModalRegression(B=B, D=D, x0=x0, offsets=offsets, rms=rms, gains=gained, motion=motion)
 
 
-def path(answers: Answers, C: _Complex, found: Regression) -> _Array:
+def path(answers: Answers, C: _Complex, found: ModalRegression) -> _Array:
     """Outputs (p, N) of an experiment."""
     run = answers.driven.run
     xi = answers.states(found.B, found.motion[run.name])
@@ -257,7 +257,7 @@ def rows(
         yield (block if there.all() else block[:, there]).T
 
 
-def identified(records: Sampled, values: _Complex, C: _Complex, found: Regression, **more: Any) -> StateSpace:
+def identified(records: Sampled, values: _Complex, C: _Complex, found: ModalRegression, **more: Any) -> StateSpace:
     """The system with these eigenvalues (r,), of pairs one, and C (p, r) of them; ``more`` as `StateSpace` takes it."""
     A, B, C_real, states = _real(values, C, found.B)
     return StateSpace(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
 from .hankel import Observability, observability
-from .modal_regression import Regression, identified, regression
+from .modal_regression import ModalRegression, identified, regression
 from .sampled import Sampled, chosen_outputs
 from .state_space import StateSpace, modal_parts
 
@@ -122,7 +122,7 @@ class _Tried:
     values: _Complex
     C: _Complex
     warnings: tuple[str, ...]
-    regression: Regression
+    regression: ModalRegression
 
     @property
     def misfit(self) -> float:

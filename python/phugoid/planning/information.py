@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..correlations import correlation_matrix
+from ..parameters import correlation_matrix
 
 __all__ = ["Information", "WeakDirection"]
 

@@ -18,7 +18,7 @@ from ..modelling.model import Model
 from ..parameters import Estimate, Estimates, estimates_table, text_table
 from ..records import Record
 from .differentiate import Differentiator, FourierSmoothing, SavitzkyGolay, SmoothingSpline
-from .equations import Channel, Equation, Evaluation, channels, equations, groups, parameters_in
+from .equations import Equation, Evaluation, MeasuredChannel, channels, equations, groups, parameters_in
 from .least_squares import Regression, regress
 
 if TYPE_CHECKING:
@@ -234,7 +234,7 @@ class _Sides:
         self,
         model: Model,
         run: Experiment,
-        measured: Sequence[Channel],
+        measured: Sequence[MeasuredChannel],
         listed: Sequence[Equation],
         way: Differentiator,
     ) -> None:
@@ -282,7 +282,7 @@ class _Sides:
         )
 
 
-def _smooth(run: Experiment, channel: Channel, way: Differentiator) -> tuple[_Array, _Array]:
+def _smooth(run: Experiment, channel: MeasuredChannel, way: Differentiator) -> tuple[_Array, _Array]:
     try:
         return way.smooth(run.t, run.output(channel.output))
     except DataError as error:

@@ -16,7 +16,7 @@ from ..errors import EvaluationError, ModelError
 from ..guess import measured_states
 from ..modelling.model import Model
 
-__all__ = ["Channel", "Equation", "Evaluation", "channels", "equations", "groups", "parameters_in"]
+__all__ = ["Equation", "Evaluation", "MeasuredChannel", "channels", "equations", "groups", "parameters_in"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ _DRAWS, _SAME = 3, 1e-9
 
 
 @dataclass(frozen=True)
-class Channel:
+class MeasuredChannel:
     """The output that measures a state: z = offset + slope * x, both in terms of parameters alone."""
 
     state: str
@@ -43,10 +43,10 @@ class Equation:
 
     name: str
     right: Expr
-    channel: Channel | None  # whose slope stands on the left; None: the output itself
+    channel: MeasuredChannel | None  # whose slope stands on the left; None: the output itself
 
 
-def channels(model: Model, values: Mapping[str, float]) -> list[Channel]:
+def channels(model: Model, values: Mapping[str, float]) -> list[MeasuredChannel]:
     """For each state the output that measures it. Raises ModelError, with the names of those not measured."""
     found = measured_states(model, values)
     lost = [name for name in model.state_names if name not in found]
@@ -61,12 +61,12 @@ def channels(model: Model, values: Mapping[str, float]) -> list[Channel]:
     for state in model.state_names:
         output = found[state][0]
         e = Expr(outputs[output])
-        listed.append(Channel(state, output, e.substitute({state: 0.0}), e.diff(state)))
+        listed.append(MeasuredChannel(state, output, e.substitute({state: 0.0}), e.diff(state)))
     return listed
 
 
 def equations(
-    model: Model, measured: Sequence[Channel], values: Mapping[str, float], data: Sequence[Experiment]
+    model: Model, measured: Sequence[MeasuredChannel], values: Mapping[str, float], data: Sequence[Experiment]
 ) -> list[Equation]:
     """The state equations and those outputs that serve as no state's measurement.
 
@@ -90,13 +90,13 @@ def equations(
     return found
 
 
-def _in_order(model: Model, measured: Sequence[Channel]) -> list[Channel]:
+def _in_order(model: Model, measured: Sequence[MeasuredChannel]) -> list[MeasuredChannel]:
     by_state = {c.state: c for c in measured}
     return [by_state[state] for state, *_ in model._core.dynamics]
 
 
 def _measured_slopes(
-    model: Model, measured: Sequence[Channel], values: Mapping[str, float], run: Experiment
+    model: Model, measured: Sequence[MeasuredChannel], values: Mapping[str, float], run: Experiment
 ) -> set[str]:
     """States whose x' is an output: told by numbers, whatever the form of the two expressions."""
     evaluator = _core.Evaluator(model._core)

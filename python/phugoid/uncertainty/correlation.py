@@ -10,8 +10,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..correlations import correlation_matrix
 from ..errors import UnknownName, did_you_mean
+from ..parameters import correlation_matrix
 
 __all__ = ["Correlation", "WeakDirection", "correlation_of"]
 

@@ -13,9 +13,8 @@ from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
 from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..estimation.estimate import estimate
-from ..goodness_of_fit import chi_square, chi_square_warning
 from ..guess import measured_states
-from ..match import Match, match
+from ..match import Match, chi_square, chi_square_warning, match
 from ..modelling.model import Model
 from ..records import Record
 from ..result import Fit

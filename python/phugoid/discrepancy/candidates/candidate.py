@@ -16,13 +16,12 @@ from ...errors import ModelError, did_you_mean
 from ...modelling.model import Model
 from ...modelling.rebuilt import Key, equations_of, rebuilt
 from ...parameters import Parameter
-from .along import of
-from .scales import Points, Scales
+from .scales import Points, Scales, of
 
 __all__ = [
     "Candidate",
     "Effect",
-    "Extension",
+    "ExtensionBuilder",
     "Place",
     "largest_coefficient",
     "place_range",
@@ -139,7 +138,7 @@ class Effect(Candidate):
         return f"<{self.name}: {self.explanation}>"
 
 
-class Extension:
+class ExtensionBuilder:
     """A model under extension: what is declared and changed is put together by `model`."""
 
     def __init__(self, model: Model, effect: Candidate, start: Mapping[str, float] | None) -> None:

@@ -12,9 +12,21 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...modelling.model import Model
 from ...symbols import smooth_abs
-from .along import evaluated, lagged, late, late_smooth, of
-from .candidate import Effect, Extension, place_range
-from .scales import Points, delay_bounds, delay_grid, lag_bounds, lag_grid, longest_delay, longest_lag
+from .candidate import Effect, ExtensionBuilder, place_range
+from .scales import (
+    Points,
+    delay_bounds,
+    delay_grid,
+    evaluated,
+    lag_bounds,
+    lag_grid,
+    lagged,
+    late,
+    late_smooth,
+    longest_delay,
+    longest_lag,
+    of,
+)
 
 __all__ = [
     "DeadBand",
@@ -62,7 +74,7 @@ class Lag(Effect):
         it = channel(self, points)
         return (lagged(points.t, it, shape[self.shape_names[0]]) - it)[np.newaxis]
 
-    def follower(self, extension: Extension, name: str, it: Expr) -> Expr:
+    def follower(self, extension: ExtensionBuilder, name: str, it: Expr) -> Expr:
         """Declares tau and the state that follows."""
         (tau_name,) = self.shape_names
         tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 3][tau_name], **lag_bounds(self.scales))
@@ -80,7 +92,7 @@ class Delay(Effect):
     def grid(self) -> Iterable[float]:
         return delay_grid(self.scales)
 
-    def delay(self, extension: Extension) -> str:
+    def delay(self, extension: ExtensionBuilder) -> str:
         """Declares the delay, and gives its name."""
         (name,) = self.shape_names
         declared: dict[str, Any] = delay_bounds(self.scales)
@@ -98,7 +110,7 @@ class SensorScale(Scale):
     stage: int = 6  # of all that the sensor sees, lever arms included
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         k = extension.parameter(self.coefficients[0])
         extension.put(self.place, (1 + k) * extension.at(self.place))
         return extension.model()
@@ -111,7 +123,7 @@ class SensorLag(Lag):
     stage: int = 7
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         y = self.follower(extension, f"{self.place.name}_sensor", extension.at(self.place))
         extension.put(self.place, y)
         return extension.model()
@@ -130,7 +142,7 @@ class SensorDelay(Delay):
         return np.where(np.isfinite(late), late - y, 0.0)[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         extension.at(self.place)
         extension.late_output(self.place.name, self.delay(extension))
         return extension.model()
@@ -147,7 +159,7 @@ class InputScale(Scale):
     stage: int = 1
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         k = extension.parameter(self.coefficients[0])
         extension.replace_input(self.place.name, (1 + k) * Expr.symbol(self.place.name))
         return extension.model()
@@ -163,7 +175,7 @@ class InputBias(Effect):
         return np.ones((1, points.n))
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         b = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
         extension.replace_input(self.place.name, Expr.symbol(self.place.name) + b)
         return extension.model()
@@ -202,7 +214,7 @@ class _Limited(Effect):
         return evaluated(Expr(self.change(shape[self.shape_names[0]])), points)[np.newaxis]
 
     def _extended(self, model: Model, start: Mapping[str, float] | None, first: float) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         peak, unit = self.scales.peak(self.place.name), model.units.get(self.place.name, "")
         limit = extension.parameter(self.shape_names[0], first * peak, bounds=(0.0, 2.0 * peak), unit=unit)
         extension.replace_input(self.place.name, Expr.symbol(self.place.name) + self.change(limit))
@@ -256,7 +268,7 @@ class InputLag(Lag):
     stage: int = 3
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         name = self.place.name
         extension.replace_input(name, self.follower(extension, f"{name}_lag", Expr.symbol(name)))
         return extension.model()
@@ -273,7 +285,7 @@ class InputDelay(Delay):
         return (late(points.t, u, shape[self.shape_names[0]]) - u)[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         name = self.place.name
         extension.replace_input(name, extension.late_input(name, self.delay(extension)))
         return extension.model()

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...modelling.model import Model
 from ...symbols import cos, sin, smooth_abs, smooth_sign
-from .along import evaluated, lagged, of
-from .candidate import Effect, Extension, Place, largest_coefficient, place_range
-from .scales import Points, Scales, frequency_grid, lag_bounds, lag_grid, longest_lag
+from .candidate import Effect, ExtensionBuilder, Place, largest_coefficient, place_range
+from .scales import Points, Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
 
 __all__ = ["FORMS", "LaggedVariable", "Periodic", "Rate", "Term", "where"]
 
@@ -134,7 +133,7 @@ class Term(Effect):
         return evaluated(self.expression, points)[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         c = extension.parameter(self.coefficients[0], unit=self.unit)
         e = self.expression
         term = c if e.constant == 1.0 else c * e
@@ -169,7 +168,7 @@ class Rate(Effect):
         return of(points.rates, self.variables[0], points, "rate of")[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         rate = extension.at(Place("equation", self.variables[0]))
         c = extension.parameter(self.coefficients[0])
         extension.put(self.place, extension.at(self.place) + c * rate)
@@ -195,7 +194,7 @@ class LaggedVariable(Effect):
         return lagged(points.t, u, shape[self.shape_names[0]])[np.newaxis]
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         (tau_name,) = self.shape_names
         (variable,) = self.variables
         c = extension.parameter(self.coefficients[0])
@@ -233,7 +232,7 @@ class Periodic(Effect):
         return np.stack([np.sin(angle), np.cos(angle)])
 
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        extension = Extension(model, self, start)
+        extension = ExtensionBuilder(model, self, start)
         a, b = (extension.parameter(name) for name in self.coefficients)
         (name,) = self.shape_names
         # Half a cycle a record is still a trend; near half the sampling rate slow disturbances look fast.

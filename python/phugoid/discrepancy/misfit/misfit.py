@@ -15,7 +15,7 @@ from ..colour.colour import Colour, Memory, colour_of
 from ..colour.series import Series, autocorrelation_of, channel_series, same_rate
 from ..colour.spectrum import Spectrum, Tone, spectrum_of, tones_of
 from .phrases import channel_phrases
-from .regimes import Correlation, Regime, Running, Span, correlations_of, regimes_of, spans_of
+from .regimes import Dependence, Regime, Running, Span, correlations_of, regimes_of, spans_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,7 +75,7 @@ class ChannelMisfit:
     usual: float = math.nan
     spans: tuple[Span, ...] = ()
     regimes: tuple[Regime, ...] = ()
-    correlations: tuple[Correlation, ...] = ()
+    correlations: tuple[Dependence, ...] = ()
     spectrum: Spectrum | None = None
     tones: tuple[Tone, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
@@ -116,7 +116,7 @@ class ChannelMisfit:
         return first if first is not None and first.p_value < _ALPHA else None
 
     @property
-    def follows(self) -> Correlation | None:
+    def follows(self) -> Dependence | None:
         """The clearest correlation, where there is one that is worth a word."""
         # A quick part of residuals may follow a variable beyond chance, and yet be next to nothing of the whole.
         clear = (c for c in self.correlations if c.p_value < _ALPHA and abs(c.r) >= _WORTH)
@@ -237,7 +237,7 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
     lags, correlation, scatter = autocorrelation_of(series)
     running, usual, spans = spans_of(every, _ALPHA)
     regimes: list[Regime] = []
-    correlations: list[Correlation] = []
+    correlations: list[Dependence] = []
     if own.size >= _ENOUGH_FOR_REGIMES:
         regimes = regimes_of(series, colour, memory, own_rms, _ALPHA)
         correlations = correlations_of(series, colour, memory)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .regimes import Bin, Correlation, Regime
+from .regimes import Bin, Dependence, Regime
 
 __all__ = [
     "channel_phrases",
@@ -53,7 +53,7 @@ def what_stands_out(c: Any) -> str:
     return "; ".join(parts) or "coloured, but no time, regime or frequency stands out"
 
 
-def _follows(found: Correlation) -> str:
+def _follows(found: Dependence) -> str:
     if found.variable == "time":
         return f"drifts {'up' if found.r > 0.0 else 'down'} in the course of the record (r = {found.r:.2f})"
     return f"{'follows' if found.r > 0.0 else 'goes against'} {found.variable} (r = {found.r:.2f})"

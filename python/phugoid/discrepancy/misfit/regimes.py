@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..colour.colour import Colour, Memory
 from ..colour.series import Series
 
-__all__ = ["Bin", "Correlation", "Regime", "Running", "Span", "correlations_of", "regimes_of", "spans_of"]
+__all__ = ["Bin", "Dependence", "Regime", "Running", "Span", "correlations_of", "regimes_of", "spans_of"]
 
 _Array = NDArray[np.float64]
 
@@ -179,7 +179,7 @@ class Regime:
 
 
 @dataclass(frozen=True)
-class Correlation:
+class Dependence:
     """Of the residuals with a state, an input or a rate (``q'``).
 
     r            Pearson's coefficient, plain.
@@ -230,7 +230,7 @@ def regimes_of(series: Sequence[Series], colour: Colour, memory: Memory, rms: fl
     return sorted(found, key=lambda regime: (regime.p_value, -regime.share))
 
 
-def correlations_of(series: Sequence[Series], colour: Colour, memory: Memory) -> list[Correlation]:
+def correlations_of(series: Sequence[Series], colour: Colour, memory: Memory) -> list[Dependence]:
     """One for each variable, the least likely chance first."""
     names = _shared(series)
     r = np.concatenate([s.r for s in series])
@@ -245,7 +245,7 @@ def correlations_of(series: Sequence[Series], colour: Colour, memory: Memory) ->
         total = memory.spread([np.nan_to_num(s.on_grid((s.regressors[name] - mean) / size)) for s in series]) ** 2
         effective = float(np.clip(n * n / total, 1.0, n)) if total > 0.0 else float(n)
         p_value = _chance(series, colour, [s.regressors[name][:, None] for s in series])
-        found.append(Correlation(name, both, effective, min(1.0, p_value * len(names))))
+        found.append(Dependence(name, both, effective, min(1.0, p_value * len(names))))
     return sorted(found, key=lambda c: (c.p_value, -abs(c.r)))
 
 

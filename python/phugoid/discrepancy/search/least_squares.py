@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..colour.joint import Filter, JointWhitening
-from ..colour.whitening import Whitening
+from ..colour.whitening import Filter, JointWhitening, Whitening
 from .linearised import Linearised
 
 __all__ = ["Whitened", "joint_whitening", "own_whitening"]

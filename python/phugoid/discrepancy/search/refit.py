@@ -5,20 +5,25 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...errors import PhugoidError
+from ...data.experiment import Experiment
+from ...errors import DataError, ModelError, PhugoidError
 from ...estimation.estimate import estimate
 from ...parameters import Estimates
 from ...result import Fit
 from ...solvers import Newton
+from ...validation.biases import freed_by_default
+from ...validation.held import estimates_of, held_model, held_noise, mesh_for
 from ..candidates.candidate import Candidate
-from ..colour.joint import Filter
+from ..colour.whitening import Filter
 from .least_squares import Whitened, joint_whitening, own_whitening
 from .linearised import Linearised, dataset
 
-__all__ = ["Refit", "refit", "started_from"]
+__all__ = ["HeldOut", "Refit", "across_blocks", "gain_on_other_data", "on_other_data", "refit"]
 
 # A refit goes on from a fit nearby: one that needs more goes nowhere.
 _ITERATIONS = 40
@@ -116,3 +121,104 @@ def started_from(near: Fit, names: Collection[str]) -> Fit:
     """A fit as a start: its path, and of its parameters those of the noise and those in ``names``."""
     kept = {*names} | near.noise_parameters
     return replace(near, parameters=Estimates(e for n, e in near.parameters.items() if n.partition("[")[0] in kept))
+
+
+_Array = NDArray[np.float64]
+
+# Blocks of each record that are left out in turn.
+_BLOCKS = 4
+# Of what a block says of a parameter: the precision that all data together have is 1.
+_LOOSE, _TINY = 0.01, 1e-9
+
+
+class HeldOut(NamedTuple):
+    """A gain on held-out data.
+
+    gain       in whitened log-likelihood.
+    deviation  its standard deviation.
+    elsewhere  the gain without the block of the records that gains most: one block alone is no confirmation, for
+               whatever is wrong there would look like a gain. On other records the gain itself.
+    """
+
+    gain: float
+    deviation: float
+    elsewhere: float
+
+
+def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut:
+    """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say of the new
+    candidates.
+
+    About the fit without them, to first order: their coefficients are those that the other blocks ask for, none
+    where these say nothing of them. Parameters may follow by ten standard errors.
+    """
+    linear = base.linear
+    whitened = base.through(more.own.filter)
+    columns, _, _ = linear.columns([(c, {n: more.fit.parameters[n].value for n in c.shape_names}) for c in new])
+    c = whitened.filter(columns).T
+    c /= np.maximum(np.linalg.norm(c, axis=0), 1e-300)
+    e = whitened.errors
+    block, gain = _blocks(linear), np.zeros(linear.n_rows)
+    for b in range(_BLOCKS):
+        inside = block == b
+        for sign, parts in ((-1.0, whitened.basis), (1.0, np.hstack([whitened.basis, c]))):
+            seen = parts[~inside]
+            damping = np.r_[np.full(whitened.basis.shape[1], _LOOSE), np.full(parts.shape[1], _TINY)][: parts.shape[1]]
+            step = np.linalg.solve(seen.T @ seen + np.diag(damping), seen.T @ e[~inside])
+            gain[inside] -= sign * 0.5 * (e[inside] - parts[inside] @ step) ** 2
+    total = float(gain.sum())
+    best = max(float(gain[block == b].sum()) for b in range(_BLOCKS))
+    return HeldOut(total, float(np.sqrt(gain.size) * gain.std()), total - best)
+
+
+def _blocks(linear: Linearised) -> NDArray[np.intp]:
+    """The block of each row."""
+    block = np.empty(linear.n_rows, dtype=np.intp)
+    for line in linear.rows:
+        for e, rows in enumerate(line):
+            t = linear.experiments[e].t
+            share = (linear.times[rows] - t[0]) / (t[-1] - t[0])
+            block[rows] = np.minimum((share * _BLOCKS).astype(np.intp), _BLOCKS - 1)
+    return block
+
+
+def on_other_data(
+    refit: Refit, data: Sequence[Experiment], near: Linearised | None = None, free: Sequence[str] | None = None
+) -> Linearised:
+    """A refit's model on other data, linearised: first states and ``free`` parameters (biases unless given) are
+    estimated, all else is as fitted.
+
+    ``near`` is another model's, whose path is a start.
+
+    Raises ModelError where parameters have a value for each experiment and are not free, DataError where there is no
+    such fit.
+    """
+    fit = refit.fit
+    free = freed_by_default(fit.model) if free is None else free
+    values = {n: e.value for n, e in fit.parameters.items()}
+    declared = fit.model.declared_parameters.items()
+    own = [n for n, p in declared if p.per_experiment and not p.fixed and n not in free]
+    if own:
+        names = [repr(n) for n in own]
+        listed = ", ".join(names)
+        raise ModelError(
+            f"diagnose: each experiment of the fit has its own {listed}, and which value the validation record has is "
+            f"not known: name what is to be estimated there, biases=[{listed}], or leave validation out"
+        )
+    model, noise = held_model(fit.model, values, free), held_noise(fit)[0]
+    known = {n: [e.value for e in estimates_of(fit.parameters, [n]).values()] for n in free}
+    start = started_from(near.fit, ()) if near else {n: float(np.mean(v)) for n, v in known.items() if v}
+    mesh = mesh_for(fit, data)
+    found = estimate(model, list(data), transcription=mesh, noise=noise, start=start)
+    if found.status not in ("converged", "acceptable", "unidentifiable"):
+        raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")
+    return Linearised(found)
+
+
+def gain_on_other_data(base: Linearised, more: Linearised) -> HeldOut:
+    """Gain on other data, through the likeliest filter of ``more``."""
+    own = own_whitening(more)
+    other = Whitened(base, own.filter.on(base.structure))
+    d = own.log_densities - other.log_densities
+    d = d[np.isfinite(d)]
+    return HeldOut(float(d.sum()), float(np.sqrt(d.size) * d.std()), float(d.sum()))

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from ..candidates.candidate import Candidate
 from ..colour.colour import Channel
-from ..colour.joint import Filter
-from ..colour.whitening import Whitening
+from ..colour.whitening import Filter, Whitening
 from .least_squares import Whitened
 from .linearised import Linearised
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..candidates.candidate import Candidate
-from .held_out import HeldOut
-from .refit import Refit
+from .refit import HeldOut, Refit
 from .scan import Scan, Statistics
 from .trials import Trials
 

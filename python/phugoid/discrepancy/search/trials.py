@@ -15,9 +15,8 @@ from ...result import Fit
 from ...validation.biases import freed_by_default
 from ..candidates.candidate import Candidate, with_other_centres
 from ..colour.whitening import Whitening
-from .held_out import HeldOut, across_blocks, gain_on_other_data, on_other_data
 from .linearised import Linearised
-from .refit import Refit, refit
+from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, on_other_data, refit
 from .ringing import Ringing, is_near, light_modes, ringing_of
 from .scan import Scan
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
-from ..colour.joint import Filter
-from ..colour.whitening import Rows, strands_of
+from ..colour.whitening import Filter, Rows, strands_of
 from ..search.linearised import dataset
 from ..search.refit import Refit
 from .flown import Flown

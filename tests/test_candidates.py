@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +86,6 @@ def library(path: ph.results.Points) -> ph.results.Candidates:
 
 
 def test_the_library_of_the_hfb320_model() -> None:
-    sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
     import hfb320
 
     library = ph.candidates(hfb320.model())

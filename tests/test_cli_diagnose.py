@@ -9,18 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_case import MODEL, run, write
+from cli_case import MODEL, run
 
 import phugoid as ph
 from phugoid.cli.diagnose import _code
 from phugoid.cli.model_file import load_model
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    write(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def hidden(seed: int) -> None:

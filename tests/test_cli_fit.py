@@ -10,17 +10,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from cli_case import TRUTH, run, write
+from cli_case import TRUTH, run
 
 import phugoid as ph
 from phugoid.cli import estimation
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    write(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_fit_prints_what_the_library_says(here: Path) -> None:

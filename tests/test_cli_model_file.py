@@ -5,19 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from cli_case import MODEL, run, write
+from cli_case import MODEL, run
 
 import phugoid as ph
 from phugoid.cli.model_file import load_model, load_source
 
 TWO = MODEL + "\n\nfirst, second = lag(), lag()\n"
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    write(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_a_model_comes_before_what_makes_it(here: Path) -> None:

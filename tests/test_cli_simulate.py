@@ -7,19 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_case import TRUTH, run, write
+from cli_case import TRUTH, run
 
 import phugoid as ph
 from phugoid.cli.model_file import load_model
 
 VALUES = [f"--parameters={name}={value}" for name, value in TRUTH.items()]
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    write(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_simulation_is_that_of_the_library_to_the_bit(here: Path) -> None:

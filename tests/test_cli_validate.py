@@ -6,17 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
-from cli_case import run, write
+from cli_case import run
 
 import phugoid as ph
 from phugoid.cli.model_file import load_model
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    write(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_fit_first_or_saved_gives_the_same(here: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -252,7 +251,6 @@ def test_process_noise_has_none() -> None:
 
 def test_two_flights_agree_within_coloured_errors_only() -> None:
     """ATTAS: each record by itself. Plain errors have them differ by up to seven standard errors."""
-    sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
     import attas
     from records import find
 

@@ -3,27 +3,15 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
-import matplotlib
 import numpy as np
 import pytest
-
-matplotlib.use("Agg")
-
-from matplotlib import pyplot as plt
 
 from phugoid.errors import DataError, UnknownName
 from phugoid.figures.correlation import plot_correlation
 from phugoid.parameters import Estimate, Estimates
-
-
-@pytest.fixture(autouse=True)
-def _close() -> Iterator[None]:
-    yield
-    plt.close("all")
 
 
 def fit(n: int, *, fixed: int | None = None, seed: int = 0) -> Any:

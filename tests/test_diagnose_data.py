@@ -4,18 +4,12 @@ with a delay in the model; the real records."""
 from __future__ import annotations
 
 import functools
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib
+import attas
 import numpy as np
 import pytest
-
-matplotlib.use("Agg")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-
-import attas
 import unstable_aircraft
 from hidden import Case, make
 from matplotlib import pyplot as plt

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import pickle
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
-
-matplotlib.use("Agg")
-
 from hidden import Case, make
-from matplotlib import pyplot as plt
 
 import phugoid as ph
 
@@ -33,12 +28,6 @@ def fit(case: Case) -> ph.Fit:
 @pytest.fixture(scope="module")
 def diagnosis(case: Case, fit: ph.Fit) -> ph.results.Diagnosis:
     return ph.diagnose(fit, validation=case.validation)
-
-
-@pytest.fixture(autouse=True)
-def _close() -> Iterator[None]:
-    yield
-    plt.close("all")
 
 
 def test_the_extended_model_is_a_model_like_any_other(

@@ -5,19 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
-import matplotlib
 import numpy as np
 import pytest
-
-matplotlib.use("Agg")
-
 from matplotlib import pyplot as plt
 
 import phugoid as ph
@@ -125,12 +120,6 @@ def diagnosis(whole: Any) -> Any:
 def written(whole: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Page]:
     plt.close("all")  # those of other tests
     return page(whole, tmp_path_factory.mktemp("page"))
-
-
-@pytest.fixture(autouse=True)
-def _close() -> Iterator[None]:
-    yield
-    plt.close("all")
 
 
 class Page(HTMLParser):

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
-
-matplotlib.use("Agg")
-
 from cli_case import run, write
 from hidden import make
-from matplotlib import pyplot as plt
 
 import phugoid as ph
 from phugoid.writing import sealed
@@ -31,12 +25,6 @@ def fit() -> ph.Fit:
 @pytest.fixture(scope="module")
 def diagnosis(fit: ph.Fit) -> ph.results.Diagnosis:
     return ph.diagnose(fit)
-
-
-@pytest.fixture(autouse=True)
-def _close() -> Iterator[None]:
-    yield
-    plt.close("all")
 
 
 @pytest.mark.parametrize("name", ["d.json", "d.h5"])

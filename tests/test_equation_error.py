@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from typing import Any
 
-import matplotlib
+import hfb320
 import numpy as np
 import pytest
-
-matplotlib.use("Agg")
-
+import unstable_aircraft
 from matplotlib import pyplot as plt
+from records import find
 
 import phugoid as ph
 from phugoid import Experiment, FourierSmoothing, Model, Parameter, SavitzkyGolay, SmoothingSpline, equation_error
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-
-import hfb320
-import unstable_aircraft
-from records import find
 
 T = np.linspace(0.0, 20.0, 401)
 U = np.sin(1.3 * T) + 0.5 * np.sin(2.9 * T)

@@ -6,18 +6,15 @@ import ctypes
 import itertools
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
+import hfb320
 import numpy as np
 import pytest
 
 import phugoid as ph
 from phugoid import Expr, ModelError, OptionError, Table, _core, cos, sin, where
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-import hfb320
 
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O2"]

@@ -11,14 +11,12 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import hfb320
 import numpy as np
 import pytest
 
 import phugoid as ph
 from phugoid import DataError, MissingDependency, ModelError, OptionError, Table
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-import hfb320
 
 fmpy = pytest.importorskip("fmpy", reason="functional mock-up units need FMPy")
 pytestmark = pytest.mark.skipif(

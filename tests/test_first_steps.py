@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_case import TRUTH, run, write
+from cli_case import TRUTH, run
 
 import phugoid as ph
 
@@ -117,13 +117,6 @@ def test_a_file_that_is_no_table(tmp_path: Path) -> None:
     refuses(ph.DataError, r"fit\.csv: is no table of text", lambda: ph.read(path))
     path.write_text("t;x\n0,1;2\n")
     refuses(ph.DataError, r"decimal comma.*pandas\.read_csv\(\.\.\., decimal=','\)", lambda: ph.read(path))
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    write(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_the_command_line_converts_units(here: Path) -> None:

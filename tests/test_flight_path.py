@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
+import flight_path as example
+import flight_path_twin as twin
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from records import find
 
 import phugoid as ph
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-import flight_path as example
-import flight_path_twin as twin
-from records import find
 
 OUTPUTS = ("V", "alpha", "beta", "phi", "theta", "psi")
 LATE = ("V", "alpha", "beta")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib
@@ -14,9 +14,6 @@ import phugoid as ph
 from phugoid.linear.frequency import find_period
 from phugoid.linear.response import plot_frequency_response
 
-matplotlib.use("Agg")
-
-SHARED = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 F16 = "f16_gvt_full_multisine_level1.csv.gz"
 
 RATE, N = 100.0, 20000
@@ -237,10 +234,8 @@ def test_figures_of_what_does_not_belong_together_are_refused() -> None:
 # The ground vibration test of an F-16 (Noël and Schoukens, Nonlinear System Identification Benchmarks, 2017)
 
 
-def test_the_f16_has_its_resonances() -> None:
-    if not (SHARED / F16).is_file():
-        pytest.skip(f"the record {F16} is neither in $PHUGOID_DATA nor in ../shared/data")
-    data = ph.read(SHARED / F16, rate=400.0, inputs=["Force"], outputs=["Acceleration1", "Acceleration2"])
+def test_the_f16_has_its_resonances(published: Callable[[str], Path]) -> None:
+    data = ph.read(published(F16), rate=400.0, inputs=["Force"], outputs=["Acceleration1", "Acceleration2"])
     assert (data.n, data.t[-1]) == (73728, pytest.approx(73727 / 400))
     got = ph.frequency_response(data, "Force", "Acceleration2", period="auto", band=(1, 20))
     assert got.label == "ETFE, 9 periods of 8192 samples"

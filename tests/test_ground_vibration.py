@@ -1,15 +1,10 @@
 """The twin of the paper's ground vibration test, short: what the data determine is found from the subspace start."""
 
 import functools
-import sys
-from pathlib import Path
-
-import numpy as np
-import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
 import ground_vibration
+import numpy as np
+import pytest
 from ground_vibration_twin import NOISE, Twin, paper_model, structure, twin
 from scipy.signal import cont2discrete, dlsim
 

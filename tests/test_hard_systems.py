@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import functools
-import sys
 from pathlib import Path
-
-import numpy as np
-import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
 import hard_systems
 import hard_systems_figure
+import numpy as np
+import pytest
 from hard_systems import Result
 
 NAMES = [system.name for system in hard_systems.SYSTEMS]

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_case import write
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as POSIX has them")
 
@@ -48,13 +47,6 @@ def tell(fit):
     known = [math.isfinite(e.std_error) for e in fit.parameters.values()]
     print(json.dumps({"status": fit.status, "values": values, "known": known, "warnings": list(fit.warnings)}))
 """
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    write(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def run(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:

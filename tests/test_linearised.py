@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
+import hidden
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-import hidden
 
 import phugoid as ph
 from phugoid import _core

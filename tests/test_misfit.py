@@ -4,26 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import matplotlib
-import numpy as np
-import pytest
-from scipy.signal import lfilter
-
-matplotlib.use("Agg")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-
 import attas
 import hfb320
+import numpy as np
+import pytest
 from matplotlib import pyplot as plt
 from records import find
+from scipy.signal import lfilter
 
 import phugoid as ph
 from phugoid.discrepancy.colour.colour import colour_of

@@ -5,14 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import matplotlib
-import pytest
-
-matplotlib.use("Agg")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-
 import hfb320
 import missing_physics
+import pytest
 from missing_physics import HIDDEN, Walk
 
 import phugoid as ph

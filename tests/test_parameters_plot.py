@@ -4,28 +4,16 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterator
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
-import matplotlib
 import numpy as np
 import pytest
-
-matplotlib.use("Agg")
-
-from matplotlib import pyplot as plt
 
 from phugoid.errors import DataError, OptionError, UnknownName
 from phugoid.figures.parameters import plot_parameters
 from phugoid.parameters import Estimate, Estimates
-
-
-@pytest.fixture(autouse=True)
-def _close() -> Iterator[None]:
-    yield
-    plt.close("all")
 
 
 def fit(name: str = "m", **estimates: tuple[float, float]) -> Any:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
+import input_design as example
 import numpy as np
 import pytest
 
 import phugoid as ph
 from phugoid import inputs
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-import input_design as example
 
 T = 0.05 * np.arange(161)
 TRUTH = {"Zw": -1.42, "Zde": -6.26, "Mw": -0.216, "Mq": -3.7, "Mde": -12.8}

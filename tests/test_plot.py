@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import matplotlib
 import numpy as np
 import pytest
-
-matplotlib.use("Agg")
-
 from matplotlib import pyplot as plt
 
 import phugoid as ph
@@ -23,12 +19,6 @@ from phugoid.records import Record
 
 N = 60
 SEVEN = ["V", "alpha", "theta", "q", "qdot", "ax", "az"]
-
-
-@pytest.fixture(autouse=True)
-def _close() -> Iterator[None]:
-    yield
-    plt.close("all")
 
 
 def record(outputs: list[str], inputs: tuple[str, ...] = ("de", "thrust"), measured: bool = True) -> Record:

@@ -6,6 +6,7 @@ import gzip
 import json
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,6 @@ from phugoid.errors import DataError
 from phugoid.saving import json_file as io
 
 NAN = float("nan")
-SHARED = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
 @pytest.fixture
@@ -232,10 +232,8 @@ def test_gzip_cut_short(tmp_path: Path) -> None:
     assert has(refusal(path), "gzip", "cut short")
 
 
-def test_real_flight_record() -> None:
-    path = SHARED / "hfb320_1_10.asc"
-    if not path.exists():
-        pytest.skip(f"no {path.name}: put the published data into ../shared/data or name a folder in PHUGOID_DATA")
+def test_real_flight_record(published: Callable[[str], Path]) -> None:
+    path = published("hfb320_1_10.asc")
     motion = ["V", "alpha", "theta", "q", "qdot", "ax", "az"]
     rest = ["ay", "p", "r", "pdot", "rdot", "beta", "phi", "da", "dr"]
     e = read(path, columns=["t", "de", "qbar", "T", *motion, *rest])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from scipy.io import savemat
 from phugoid.data.read import read
 from phugoid.errors import DataError
 
-SHARED = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 T = np.arange(5) * 0.1
 
 
@@ -103,10 +102,8 @@ def test_tags_that_end_scipys_loader_are_found_before(tmp_path: Path) -> None:
             read(path)
 
 
-def test_attas() -> None:
-    path = SHARED / "fAttasElv1.mat"
-    if not path.exists():
-        pytest.skip(f"no {path.name}: put the published data into ../shared/data or name a folder in PHUGOID_DATA")
+def test_attas(published: Callable[[str], Path]) -> None:
+    path = published("fAttasElv1.mat")
     names = ["t", *(f"c{k}" for k in range(1, 45))]
     names[8], names[23] = "q", "de"
     e = read(path, columns=names, inputs=["de"], outputs=["q"], units={"q": ("deg/s", "rad/s"), "de": ("deg", "rad")})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gzip
-import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,6 @@ import pytest
 
 from phugoid.data.read import read
 from phugoid.errors import DataError
-
-SHARED = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
 @pytest.fixture
@@ -74,10 +72,8 @@ def test_folder_without_tables(tmp_path: Path) -> None:
         read(tmp_path / "log_8")
 
 
-def test_solar_aircraft() -> None:
-    path = SHARED / "solar_uav_px4"
-    if not path.is_dir():
-        pytest.skip(f"no {path.name}: put the published data into ../shared/data or name a folder in PHUGOID_DATA")
+def test_solar_aircraft(published: Callable[[str], Path]) -> None:
+    path = published("solar_uav_px4")
     e = read(
         path,
         inputs=["de"],

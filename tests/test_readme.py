@@ -21,13 +21,8 @@ def blocks() -> list[str]:
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with the run1.csv that the README reads: a simulated record with noise and empty cells."""
     monkeypatch.chdir(tmp_path)
-    import sys
+    import unstable_aircraft
 
-    sys.path.insert(0, str(README.parent / "examples"))
-    try:
-        import unstable_aircraft
-    finally:
-        sys.path.pop(0)
     e = unstable_aircraft.twin()
     rows = np.column_stack([e.t, e.input("de"), *(e.output(n) for n in ("w", "q", "az"))])
     lines = ["t,de,w,q,az", *(",".join(f"{v:.9g}" for v in row) for row in rows)]

@@ -8,15 +8,11 @@ skipped where they are absent.
 from __future__ import annotations
 
 import functools
-import sys
 from pathlib import Path
 
+import hfb320
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-
-import hfb320
 import unstable_aircraft
 from records import find
 

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import hfb320
+import mesh_refinement
 import numpy as np
 import pytest
+from records import find
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 import phugoid as ph
 from phugoid import Collocation, Experiment, Fit, Model
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-
-import hfb320
-import mesh_refinement
-from records import find
 
 T = np.linspace(0.0, 10.0, 101)
 TRUTH = {"mu": 0.8, "k": 1.5}

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
-import matplotlib
 import numpy as np
 import pytest
-
-matplotlib.use("Agg")
-
-from matplotlib import pyplot as plt
 from scipy.signal import lfilter, welch
 
 import phugoid as ph
@@ -22,12 +16,6 @@ from phugoid.parameters import Estimate, Estimates
 from phugoid.records import Record
 
 N, DT = 400, 0.05
-
-
-@pytest.fixture(autouse=True)
-def _close() -> Iterator[None]:
-    yield
-    plt.close("all")
 
 
 def record(**residuals: np.ndarray) -> Record:

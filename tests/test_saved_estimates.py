@@ -7,18 +7,13 @@ estimates in both languages.
 from __future__ import annotations
 
 import json
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import saved_estimates
 
 import phugoid as ph
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
-
-import saved_estimates
 
 SAVED = json.loads(saved_estimates.FIXTURE.read_text(encoding="utf-8"))
 

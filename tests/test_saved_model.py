@@ -6,11 +6,6 @@ Python evaluates identically in Rust.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
-
 import saved_model
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
+import hfb320
 import numpy as np
 import pytest
 
 import phugoid as ph
 from phugoid import EvaluationError, MissingDependency, ModelError, OptionError, sin
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-import hfb320
 
 LEVEL = {"V": 106.0, "T": 11500.0}
 

@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-import matplotlib
+import hfb320
 import numpy as np
 import pytest
-
-matplotlib.use("Agg")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-
-import hfb320
 import turbulence
 from records import find
 from turbulence import INTENSITY, TRUTH, Pair

@@ -4,27 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-import numpy as np
-import pytest
-from scipy.signal import lsim
-from scipy.stats import binom, chi2, kstest
-
-matplotlib.use("Agg")
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-
 import attas
 import hfb320
+import numpy as np
+import pytest
 import turbulence
-from matplotlib import pyplot as plt
 from records import find
+from scipy.signal import lsim
+from scipy.stats import binom, chi2, kstest
 
 import phugoid as ph
 from phugoid import DataError, Gaussian, ModelError, OptionError, Parameter
@@ -71,12 +63,6 @@ def trials(true_fit: ph.Fit) -> list[ph.results.Validation]:
     found = [true_fit.validate(record(seed)) for seed in range(30)]
     assert all(v.converged and not v.warnings for v in found)
     return found
-
-
-@pytest.fixture(autouse=True)
-def _close() -> Iterator[None]:
-    yield
-    plt.close("all")
 
 
 # What is held, and what is found anew

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-import pytest
-
-import phugoid as ph
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 import flight_path as example
 import flight_path_twin as twin
+import pytest
 from records import find
+
+import phugoid as ph
 
 OUTPUTS = ("V", "alpha", "beta", "phi", "theta", "psi")
 BOOM = example.attas.BOOM

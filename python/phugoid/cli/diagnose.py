@@ -10,11 +10,11 @@ from typing import Annotated, Any
 
 import typer
 
-from ..discrepancy.diagnose import diagnose as find_missing
-from ..discrepancy.diagnosis import Diagnosis
+from ..api import diagnose as find_missing
+from ..api import load_fit
+from ..diagnosis import Diagnosis
 from ..errors import OptionError, PhugoidError
 from ..result import Fit
-from ..saving.fit_file import load
 from .data_files import Reading
 from .estimation import Estimation
 from .fit import code_of
@@ -116,7 +116,7 @@ def diagnose(
 def _base(model: str, reading: Reading, data: list[Path], saved: Path | None, how: Estimation) -> Fit:
     """The fit to diagnose: as saved where no data are given, else estimated, from a saved one where there is one."""
     source = load_source(model)
-    before = load(saved) if saved is not None else source if isinstance(source, Fit) else None
+    before = load_fit(saved) if saved is not None else source if isinstance(source, Fit) else None
     if not data:
         if isinstance(source, Fit) and saved is None:
             if how.start or how.fixed:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .. import _core
+from ..api import estimate
 from ..data.experiment import Experiment
 from ..errors import ModelError, OptionError, listing
-from ..estimation.estimate import estimate
 from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
 from ..result import Fit

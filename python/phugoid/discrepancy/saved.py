@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 from ..errors import DataError
 from ..saving import json_file as io
 from ..saving.fit_file import damage, fit_from, fit_payload, fit_unit
-from .diagnosis import Diagnosis
+from .diagnosis_result import DiagnosisResult
 from .misfit.misfit import misfit
-from .search.extension import Extension, Gain
+from .search.extension import ExtensionResult, Gain
 from .search.finding import Finding, Scored
 
 __all__ = ["load_diagnosis", "save_diagnosis"]
@@ -23,7 +23,7 @@ _T = TypeVar("_T", Finding, Scored, Gain)
 _FITS = {1: 2}
 
 
-def save_diagnosis(d: Diagnosis, path: str | os.PathLike[str]) -> None:
+def save_diagnosis(d: DiagnosisResult, path: str | os.PathLike[str]) -> None:
     """What `Diagnosis.save` does; see there."""
     extension = d.extend() if any(f.cause for f in d.findings) else None
     payload = {
@@ -49,7 +49,7 @@ def save_diagnosis(d: Diagnosis, path: str | os.PathLike[str]) -> None:
     io.save_fit_dict(path, payload, unit, io.DIAGNOSIS)
 
 
-def load_diagnosis(path: str | os.PathLike[str]) -> Diagnosis:
+def load_diagnosis(path: str | os.PathLike[str]) -> DiagnosisResult:
     """Reads what `Diagnosis.save` wrote, in this version or an older one. Raises as `load` does."""
     saved, version = io.load_fit_dict(path, io.DIAGNOSIS)
     with damage(path):
@@ -57,11 +57,11 @@ def load_diagnosis(path: str | os.PathLike[str]) -> Diagnosis:
         extension = None
         if more is not None:
             extended = fit_from(more["fit"], _FITS[version])
-            extension = Extension(extended.model, extended, _texts(more["added"]), _made(Gain, more["gain"]))
+            extension = ExtensionResult(extended.model, extended, _texts(more["added"]), _made(Gain, more["gain"]))
         findings = tuple(_made(Finding, f) for f in saved["findings"])
         if extension is None and any(f.cause for f in findings):
             raise DataError("extension: is missing, although a cause is named")
-        return Diagnosis(
+        return DiagnosisResult(
             fit=fit,
             misfit=misfit(fit),
             findings=findings,

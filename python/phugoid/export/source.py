@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import DataError
+from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..result import Fit
 from ..writing import write
 from .contents import checked_name, contents_of, identifier
 from .writer import source
@@ -18,7 +18,7 @@ __all__ = ["export_c"]
 
 
 def export_c(
-    fit: Fit | Model,
+    fit: FitResult | Model,
     folder: str | os.PathLike[str],
     parameters: Mapping[str, Any] | None = None,
     *,

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from ..data.experiment import Experiment
 from ..errors import DataError
+from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..result import Fit
 from .empirical import Method, empirical_response
 from .linearise import model_response
 from .response import FrequencyResponse
@@ -37,7 +37,7 @@ def frequency_response(
 
 @overload
 def frequency_response(
-    source: Fit | Model | StateSpace,
+    source: FitResult | Model | StateSpace,
     frequencies_hz: ArrayLike,
     input: str | None = None,
     output: str | None = None,
@@ -48,7 +48,9 @@ def frequency_response(
 ) -> FrequencyResponse: ...
 
 
-def frequency_response(source: Experiment | Fit | Model | StateSpace, *args: Any, **options: Any) -> FrequencyResponse:
+def frequency_response(
+    source: Experiment | FitResult | Model | StateSpace, *args: Any, **options: Any
+) -> FrequencyResponse:
     """The frequency response that a record shows, or that of a fit, a model or a `StateSpace`.
 
     **Of a record**, ``frequency_response(data, input, output, method="etfe", *, period, smoothing, segment, band,
@@ -104,7 +106,7 @@ def frequency_response(source: Experiment | Fit | Model | StateSpace, *args: Any
     """
     if isinstance(source, Experiment):
         return empirical_response(source, *args, **options)
-    if isinstance(source, (Fit, Model, StateSpace)):
+    if isinstance(source, (FitResult, Model, StateSpace)):
         return model_response(source, *args, **options)
     raise DataError(
         f"frequency_response: the first argument is one Experiment, a Fit, a Model or a StateSpace, not a "

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..errors import EvaluationError
+from ..fit_result import FitResult
 from ..guess import spread
 from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
-from ..result import Fit
 from ..transcription.filter_error import FilterError
 
 __all__ = ["Uncertainty"]
@@ -35,7 +35,7 @@ class Uncertainty:
     trade shows when the priors are made wider: its variance grows too, and is reported as NaN.
     """
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: FitResult) -> None:
         self.fit = fit
         noise = fit.noise_parameters
         self.names = [name for name in fit.parameters if name not in noise]

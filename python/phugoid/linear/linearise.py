@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ModelError, listing
+from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..result import Fit
 from .gauge import Uncertainty
 from .jacobians import Jacobians
 from .response import FrequencyResponse
@@ -22,7 +22,7 @@ _Array: TypeAlias = NDArray[np.float64]
 
 
 def linearise(
-    fit: Fit | Model,
+    fit: FitResult | Model,
     parameters: Mapping[str, Any] | None = None,
     *,
     at: Mapping[str, float] | None = None,
@@ -50,7 +50,7 @@ def linearise(
 
 
 def model_response(
-    fit: Fit | Model | StateSpace,
+    fit: FitResult | Model | StateSpace,
     frequencies_hz: ArrayLike,
     input: str | None = None,
     output: str | None = None,
@@ -81,7 +81,7 @@ def model_response(
     numbers = jacobians.point(values, at)
     transfer = _Transfer(jacobians, numbers, frequencies, u, y)
     error = None
-    if isinstance(fit, Fit) and parameters is None:
+    if isinstance(fit, FitResult) and parameters is None:
         uncertainty = Uncertainty(fit)
         labels = labels_of("frequency_response", fit, experiment)
         gradients = np.zeros((frequencies.size, len(uncertainty.names)))
@@ -155,7 +155,7 @@ def numbers_of(
     caller: str, fit: Any, parameters: Mapping[str, Any] | None, experiment: str | None
 ) -> tuple[Model, dict[str, float]]:
     """The model, and values of its parameters. ModelError where one is missing or unknown."""
-    if isinstance(fit, Fit):
+    if isinstance(fit, FitResult):
         model = fit.model
         estimates = fit.parameters.to_dict()
         values = {name: estimates[label] for name, label in labels_of(caller, fit, experiment).items()}
@@ -184,7 +184,7 @@ def numbers_of(
     return model, values
 
 
-def labels_of(caller: str, fit: Fit, experiment: str | None) -> dict[str, str]:
+def labels_of(caller: str, fit: FitResult, experiment: str | None) -> dict[str, str]:
     """Of each parameter of the model its name among the estimates."""
     there = [record.name for record in fit.records]
     if experiment is not None and experiment not in there:
@@ -198,6 +198,6 @@ def labels_of(caller: str, fit: Fit, experiment: str | None) -> dict[str, str]:
     return found
 
 
-def _matters(fit: Fit, parameter: str) -> bool:
+def _matters(fit: FitResult, parameter: str) -> bool:
     """Whether derivatives by states or inputs depend on a parameter: a bias does not matter."""
     return parameter in {*Jacobians(fit.model, "").parameters, *fit.model.delays.parameters}

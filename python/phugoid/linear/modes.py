@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..result import Fit
 from .gauge import Uncertainty
 from .jacobians import Jacobians
 from .linearise import labels_of, numbers_of
@@ -23,7 +23,7 @@ _Complex: TypeAlias = NDArray[np.complex128]
 
 
 def modes(
-    fit: Fit | Model | StateSpace,
+    fit: FitResult | Model | StateSpace,
     parameters: Mapping[str, Any] | None = None,
     *,
     at: Mapping[str, float] | None = None,
@@ -61,7 +61,7 @@ def modes(
     jacobians = Jacobians(model, "modes", blocks="A")
     numbers = jacobians.point(values, at)
     A = jacobians.matrix("A", numbers)
-    if not isinstance(fit, Fit) or parameters is not None:
+    if not isinstance(fit, FitResult) or parameters is not None:
         return table_of(np.linalg.eigvals(A).astype(np.complex128))
     lam, right = np.linalg.eig(A)
     try:

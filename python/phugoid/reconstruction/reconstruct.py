@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..api import estimate
 from ..data.experiment import Experiment, as_experiments
 from ..errors import ModelError, OptionError, PhugoidError
-from ..estimation.estimate import estimate
 from ..modelling.model import Model
 from ..models.flight_path import flight_path
 from ..parameters import Estimate, plus_minus, text_table

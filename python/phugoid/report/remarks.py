@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
+from ..fit_result import FitResult
 from ..match import match
 from ..summary import coarse_mesh
+from ..uncertainty.correlation import correlation
 
 __all__ = ["remarks"]
 
@@ -18,7 +19,7 @@ _MOST = 6  # names or pairs listed
 _OFFSET = 0.5  # part of the mean square that is an offset
 
 
-def remarks(fit: Any) -> list[str]:
+def remarks(fit: FitResult) -> list[str]:
     """The warnings of a `Fit`, and what its numbers give reason to doubt: a sentence each, none where all is well.
 
     A coarse mesh, outputs that a constant would match better or that are all matched poorly, coloured residuals
@@ -26,7 +27,7 @@ def remarks(fit: Any) -> list[str]:
     95 % interval holds zero, pairs of estimates with a correlation beyond 0.95, combinations that are hardly
     determined, estimates at a bound.
     """
-    weak = [f"Weakly identified: {direction}." for direction in fit.correlation.weak]
+    weak = [f"Weakly identified: {direction}." for direction in correlation(fit).weak]
     coarse = filter(None, [coarse_mesh(fit)])
     return [*map(_sentence, fit.warnings), *coarse, *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
 
@@ -36,7 +37,7 @@ def _sentence(text: str) -> str:
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
-def _of_residuals(fit: Any) -> list[str]:
+def _of_residuals(fit: FitResult) -> list[str]:
     filtered = any(record.innovations for record in fit.records)
     found = []
     coloured, off = [], []
@@ -64,7 +65,7 @@ def _of_residuals(fit: Any) -> list[str]:
     return found
 
 
-def _of_estimates(fit: Any) -> list[str]:
+def _of_estimates(fit: FitResult) -> list[str]:
     found = []
     noise = fit.noise_parameters
     own = [e for e in fit.parameters.values() if e.name not in noise]
@@ -80,8 +81,8 @@ def _of_estimates(fit: Any) -> list[str]:
     return found
 
 
-def _of_pairs(fit: Any) -> list[str]:
-    pairs = [f"{a} with {b} ({_signed(rho)})" for a, b, rho in fit.correlation.pairs(_TOGETHER)]
+def _of_pairs(fit: FitResult) -> list[str]:
+    pairs = [f"{a} with {b} ({_signed(rho)})" for a, b, rho in correlation(fit).pairs(_TOGETHER)]
     if not pairs:
         return []
     return [

@@ -14,6 +14,7 @@ from ..figures import fit as plot
 from ..figures.convergence import plot_convergence
 from ..figures.correlation import plot_correlation
 from ..figures.parameters import plot_parameters
+from ..fit_result import FitResult
 from ..match import match
 from ..pages.markup import bullets, details, document, image, section, table
 from ..pages.mathml import equation
@@ -31,7 +32,7 @@ _LARGE = 60  # parameters: a matrix of more is no figure
 
 
 def report(
-    fit: Any,
+    fit: FitResult,
     path: str | os.PathLike[str],
     *,
     validation: Any = None,
@@ -80,7 +81,7 @@ def report(
     write(path, page, "the page")
 
 
-def _parameters(fit: Any) -> str:
+def _parameters(fit: FitResult) -> str:
     noise = fit.noise_parameters
     own = [e for e in fit.parameters.values() if e.name not in noise]
     text = (
@@ -98,7 +99,7 @@ def _parameters(fit: Any) -> str:
     return section("Parameters", body + _intervals(fit))
 
 
-def _intervals(fit: Any) -> str:
+def _intervals(fit: FitResult) -> str:
     """Figures of intervals and correlations, where there are any."""
     shown = ""
     try:
@@ -135,7 +136,7 @@ def _percent(relative: float) -> str:
     return f"{relative:.3g}" if relative < 999.5 else "> 1000"
 
 
-def _match(fit: Any) -> str:
+def _match(fit: FitResult) -> str:
     rows = []
     for name in fit.model.output_names:
         m = match(fit.records, name)
@@ -158,7 +159,7 @@ def _match(fit: Any) -> str:
     return section("Match", text + table(heads, rows, "llrrrrr") + shown)
 
 
-def _residuals(fit: Any) -> str:
+def _residuals(fit: FitResult) -> str:
     text = (
         "<p>If the model is right and the noise white, residuals stay within ±2σ 95 % of the time, follow neither from "
         "their own past nor from anything else, and have the same power at all frequencies.</p>"
@@ -180,7 +181,7 @@ def _residuals(fit: Any) -> str:
 _GROUPS = {"quantities": "Quantities", "dynamics": "Dynamics", "outputs": "Measured outputs y"}
 
 
-def _equations(fit: Any) -> str:
+def _equations(fit: FitResult) -> str:
     groups: dict[str, list[str]] = {title: [] for title in _GROUPS.values()}
     for name, e in fit.model.equations.items():
         rate, measured = name.endswith("'"), name.startswith("y:")
@@ -196,7 +197,7 @@ def _equations(fit: Any) -> str:
     return section("Equations", "".join(f"<h3>{title}</h3>{''.join(each)}" for title, each in groups.items() if each))
 
 
-def _solver(fit: Any) -> str:
+def _solver(fit: FitResult) -> str:
     caption = (
         "How the solver came to its end. Hollow points have a greater log-likelihood, but do not meet the equations "
         "yet."
@@ -217,7 +218,7 @@ def _solver(fit: Any) -> str:
     return section("The solver", drawn + details("All iterations", table(heads, rows, "rrrrrr")))
 
 
-def _provenance(fit: Any, files: Sequence[str | os.PathLike[str]], command: str) -> str:
+def _provenance(fit: FitResult, files: Sequence[str | os.PathLike[str]], command: str) -> str:
     more = {
         "fit": f"{fit.status}; log-likelihood {fit.log_likelihood:.3f}; {fit.iterations} iterations, {fit.time:.2f} s",
         "transcription": str(fit.transcription),

@@ -13,9 +13,10 @@ from ...pages.mathml import equation
 from ...pages.provenance import facts, records_table
 from ...parameters import Estimate
 from ...writing import check_folder, write
+from ..diagnosis_result import DiagnosisResult
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
-from ..search.extension import Extension
+from ..search.extension import ExtensionResult
 from ..search.finding import Finding
 from .figures import findings_figure, gain_figure, misfit_figure, ranking_figure
 from .words import alias_set, finding_lines, headline, outcome, with_sign
@@ -27,12 +28,11 @@ _RANKED = 20  # candidates in the table
 _GROWN = 0.05  # of the RMS, by which residuals on held-out data may grow without being told of
 
 
-def report(diagnosis: Any, path: str | os.PathLike[str]) -> None:
+def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
     """Writes a diagnosis as one HTML page: images inside, no script, no link; for screen, phone and print.
 
     What was wrong, the cause and its rivals, the evidence, the new equation, the gain, what is left open, and which
-    data and versions it comes from. ``diagnosis`` is a `Diagnosis`: .fit, .misfit, .findings, .ranking, .threshold,
-    .notes, .seconds and .extend(), which is called where a cause is named.
+    data and versions it comes from.
     """
     check_folder(path)
     extension = diagnosis.extend() if outcome(diagnosis.findings) == "named" else None
@@ -56,7 +56,7 @@ def report(diagnosis: Any, path: str | os.PathLike[str]) -> None:
     write(path, page, "the page")
 
 
-def _wrong(diagnosis: Any) -> str:
+def _wrong(diagnosis: DiagnosisResult) -> str:
     found: Misfit = diagnosis.misfit
     rows = []
     for name in found.worst:
@@ -89,7 +89,7 @@ def _wrong(diagnosis: Any) -> str:
     return section("What was wrong", f"<p>{escape(explained)}</p>{table(heads, rows, 'ltrrrr')}{notes}{shown}")
 
 
-def _causes(diagnosis: Any) -> str:
+def _causes(diagnosis: DiagnosisResult) -> str:
     findings: Sequence[Finding] = diagnosis.findings
     if not findings:
         return section("The cause", f"<p>{escape(headline(diagnosis))}</p>")
@@ -109,7 +109,7 @@ def _causes(diagnosis: Any) -> str:
     return section("The cause and its rivals" if len(findings) == 1 else "The causes and their rivals", "".join(cards))
 
 
-def _candidates(diagnosis: Any) -> str:
+def _candidates(diagnosis: DiagnosisResult) -> str:
     ranking = sorted(diagnosis.ranking, key=lambda s: s.ranking, reverse=True)
     if not ranking:
         return section("The evidence", "<p>No candidates were tried.</p>")
@@ -142,7 +142,7 @@ def _candidates(diagnosis: Any) -> str:
     return section("The evidence", text + shown + more)
 
 
-def _equations(diagnosis: Any, extension: Extension) -> str:
+def _equations(diagnosis: DiagnosisResult, extension: ExtensionResult) -> str:
     base, model = diagnosis.fit.model, extension.model
     new = [name for name in (*model.parameter_names, *model.state_names) if not _has(base, name)]
     new += [late for late in model.delays.inputs if late not in base.delays.inputs]
@@ -177,7 +177,7 @@ def _equations(diagnosis: Any, extension: Extension) -> str:
     return section("The new equations", intro + "".join(shown) + (news if added else "") + every)
 
 
-def _gain(diagnosis: Any, extension: Extension) -> str:
+def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> str:
     gain = extension.gain
     held_out = bool(gain.held_out_rms_before)
     totals = [
@@ -219,7 +219,7 @@ def _gain(diagnosis: Any, extension: Extension) -> str:
     return section("The gain", told + table(["total", "gain"], totals, "lr") + table(heads, rows, "llrrrrrr") + images)
 
 
-def _open(diagnosis: Any, extension: Extension | None) -> str:
+def _open(diagnosis: DiagnosisResult, extension: ExtensionResult | None) -> str:
     parts = []
     unexplained = [f for f in diagnosis.findings if not f.cause]
     if unexplained:
@@ -242,7 +242,7 @@ def _open(diagnosis: Any, extension: Extension | None) -> str:
     return section("What it leaves open", body or "<p>Nothing that these data tell of.</p>")
 
 
-def _provenance(diagnosis: Any, extension: Extension | None) -> str:
+def _provenance(diagnosis: DiagnosisResult, extension: ExtensionResult | None) -> str:
     fit = diagnosis.fit
     known = {
         "model": f"{fit.model.name}; {len(fit.model.parameter_names)} parameters",
@@ -256,7 +256,7 @@ def _provenance(diagnosis: Any, extension: Extension | None) -> str:
     return section("Data and versions", records_table(fit.records) + facts(known))
 
 
-def _tried(diagnosis: Any) -> str:
+def _tried(diagnosis: DiagnosisResult) -> str:
     n = len(diagnosis.ranking)
     return f"{n} candidates, threshold {diagnosis.threshold:.1f} in twice the log-likelihood" if n else "no candidates"
 

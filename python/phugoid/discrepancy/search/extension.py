@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ...fit_result import FitResult
 from ...modelling.model import Model
 from ...parameters import text_table
-from ...result import Fit
 
-__all__ = ["Extension", "Gain"]
+__all__ = ["ExtensionResult", "Gain"]
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,12 @@ class Gain:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Extension:
-    """What `Diagnosis.extend` gives: the extended ``model``, its ``fit`` to the same data, names of what was ``added``
+class ExtensionResult:
+    """The data of an extension: the extended ``model``, its ``fit`` to the same data, names of what was ``added``
     (canonical, ``where:what``), and the ``gain``."""
 
     model: Model
-    fit: Fit
+    fit: FitResult
     added: tuple[str, ...]
     gain: Gain
 

@@ -20,9 +20,10 @@ from phugoid.discrepancy.misfit.misfit import misfit
 from phugoid.discrepancy.page.figures import findings_figure, gain_figure, ranking_figure
 from phugoid.discrepancy.page.page import report
 from phugoid.discrepancy.page.words import diagnosis_summary, headline, outcome
-from phugoid.discrepancy.search.finding import Extension, Finding, Gain, Scored
+from phugoid.discrepancy.search.finding import Finding, Scored
 from phugoid.errors import DataError, UnknownName
 from phugoid.pages.mathml import equation
+from phugoid.results import Extension, Gain
 
 NAN = math.nan
 VOID = {"meta", "img", "mspace", "br"}

@@ -51,7 +51,7 @@ def record(name: str = "run", n: int = N, **residuals: Any) -> Record:
 
 def fit(*records: Record) -> Any:
     names = tuple(records[0].residuals)
-    return SimpleNamespace(records=records, model=SimpleNamespace(output_names=names, units={}))
+    return SimpleNamespace(records=records, converged=True, model=SimpleNamespace(output_names=names, units={}))
 
 
 def channel(az: Any, **more: Any) -> ChannelMisfit:

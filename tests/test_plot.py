@@ -12,6 +12,7 @@ import pytest
 from matplotlib import pyplot as plt
 
 import phugoid as ph
+from phugoid import Gaussian
 from phugoid.errors import DataError, OptionError, UnknownName
 from phugoid.figures.fit import plot_fit, plot_record
 from phugoid.parameters import Estimate, Estimates
@@ -44,6 +45,7 @@ def fit(*records: Record) -> SimpleNamespace:
     return SimpleNamespace(
         records=list(records),
         parameters=Estimates([Estimate("sigma_alpha", 0.1)]),
+        noise=Gaussian(),
         model=SimpleNamespace(name="a model worth $5"),
     )
 

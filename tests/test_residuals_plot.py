@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import lfilter, welch
 
 import phugoid as ph
+from phugoid import Gaussian
 from phugoid.discrepancy.misfit.residuals_figure import plot_residuals
 from phugoid.errors import DataError, UnknownName
 from phugoid.parameters import Estimate, Estimates
@@ -31,6 +32,7 @@ def fit(*records: Record) -> Any:
     return SimpleNamespace(
         records=list(records),
         parameters=Estimates([Estimate("sigma_q", 0.5)]),
+        noise=Gaussian(),
         model=SimpleNamespace(name="a model worth $5"),
     )
 

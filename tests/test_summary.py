@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from phugoid import Gaussian
 from phugoid.errors import ModelError, UnknownName
 from phugoid.match import match
 from phugoid.parameters import Estimate, Estimates, Parameter, text_table
@@ -156,6 +157,13 @@ def fit(records: list[Record]) -> SimpleNamespace:
         records=records,
         time=0.25,
         transcription="collocation, LGL order 2",
+        covariance=np.full((4, 4), NAN),
+        noise=Gaussian(),
+        noise_parameters={"sigma_q", "sigma_az"},
+        _intensities=set(),
+        experiments=(),
+        refinement=None,
+        warnings=(),
     )
 
 

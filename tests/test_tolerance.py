@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import phugoid as ph
 from phugoid.cli.options import tolerances
 from phugoid.figures.fit import plot_fit
+from phugoid.parameters import Estimates
 from phugoid.records import Record
 
 
@@ -131,3 +133,4 @@ def test_the_command_line_says_what_is_wrong(text: str, words: str) -> None:
 class _Fitted:
     def __init__(self, records: list[Record]) -> None:
         self.records = records
+        self.parameters, self.noise, self.model = Estimates([]), ph.Gaussian(), SimpleNamespace(name="m")

@@ -13,12 +13,11 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 
 from . import inputs, models, results
 from ._core import Expr, __version__
+from .api import diagnose, estimate, load
 from .data.experiment import Experiment
 from .data.multirate import multirate
 from .data.read import read
 from .discrepancy.candidates.library import candidates
-from .discrepancy.diagnose import diagnose
-from .discrepancy.diagnosis import load
 from .discrepancy.misfit.misfit import misfit
 from .errors import (
     DataError,
@@ -28,7 +27,6 @@ from .errors import (
     OptionError,
     PhugoidError,
 )
-from .estimation.estimate import estimate
 from .export import export_c, export_fmu
 from .linear.frequency import frequency_response
 from .linear.linear_fit import fit_linear
@@ -39,6 +37,7 @@ from .linear.trim import trim
 from .match import match
 from .modelling.model import Model
 from .modelling.state import State
+from .multistart.multistart import multistart
 from .noise.densities import Density, Huber, Laplace, StudentT
 from .noise.kinds import PerExperiment, PerOutput
 from .noise.noise import Gaussian, Sigma
@@ -51,7 +50,6 @@ from .regression.equation_error import equation_error
 from .result import Fit
 from .simulate import simulate
 from .solvers import Ipopt, Newton
-from .starts.multistart import multistart
 from .symbols import (
     Table,
     acos,

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from . import _core
 from ._core import Expr
 from .data.interpolation import interpolated, kind_of
-from .errors import EvaluationError
+from .errors import EvaluationError, OptionError
 from .figures.style import LIMIT, SERIES, plain
+from .fit_result import FitResult
 from .guess import measured_states
 from .modelling.model import Model
 from .records import Record
 from .regression.equations import Equation, Evaluation
+from .transcription.collocation import Collocation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,7 +87,21 @@ class IntegrationError:
         return f"<IntegrationError of '{self.name}': {size}>"
 
 
-def integration_error(
+def integration_error(fit: FitResult) -> tuple[IntegrationError, ...]:
+    """Return the error that each segment of the mesh adds to the path, one for each experiment of a fit.
+
+    Raises OptionError for a fit that was not transcribed by collocation, and EvaluationError where the state equations
+    are not finite between the points of the mesh.
+    """
+    if not isinstance(fit.transcription, Collocation):
+        raise OptionError("integration_error: only collocation has a mesh whose error can be estimated")
+    named = {n: f"sigma_{n}" for n in fit.model.output_names}
+    sigmas = {n: fit.parameters[s].value for n, s in named.items() if s in fit.parameters} | fit.noise.known
+    order = fit.transcription.order
+    return tuple(_of_record(fit.model, fit._own(r.name), sigmas, r, order) for r in fit.records)
+
+
+def _of_record(
     model: Model, values: Mapping[str, float], sigmas: Mapping[str, float], record: Record, order: int
 ) -> IntegrationError:
     """The errors of a path that collocation of an order left in ``record.mesh_t`` and ``mesh_states``.

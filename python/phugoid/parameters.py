@@ -10,13 +10,23 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ._core import Expr
 from .errors import ModelError, UnknownName, did_you_mean
 from .tabular import estimates_frame
 
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Estimate", "Estimates", "Parameter", "correlation_matrix", "estimates_table", "plus_minus", "text_table"]
+__all__ = [
+    "Estimate",
+    "Estimates",
+    "Parameter",
+    "correlation_matrix",
+    "derived",
+    "estimates_table",
+    "plus_minus",
+    "text_table",
+]
 
 _INF = math.inf
 
@@ -198,6 +208,33 @@ class Estimates(Mapping[str, Estimate]):
 
     def __repr__(self) -> str:
         return f"Estimates({', '.join(map(repr, self._by_name.values()))})"
+
+
+def derived(estimates: Estimates, covariance: NDArray[np.float64], expressions: Mapping[str, Expr]) -> Estimates:
+    """Return estimates of expressions in parameters, with standard errors to first order; see `Fit.derived`."""
+    names, values = list(estimates), estimates.to_dict()
+    # What is held has no error of its own.
+    held = [i for i, p in enumerate(estimates.values()) if p.fixed or p.bounds_active]
+    found = []
+    for name, expression in expressions.items():
+        e = Expr(expression)
+        for symbol in e.symbols:
+            if symbol not in values:
+                if own := [n for n in names if n.startswith(f"{symbol}[")]:
+                    raise ModelError(
+                        f"derived '{name}': '{symbol}' has a value for each experiment ({', '.join(own)}): "
+                        "ask for one of them, or of fits to single experiments"
+                    )
+                raise ModelError(f"derived '{name}': '{symbol}' is no parameter.{did_you_mean(symbol, names)}")
+        slope = np.zeros(len(names))
+        for symbol in e.symbols:
+            d = e.diff(symbol)
+            slope[names.index(symbol)] = d.evaluate({s: values[s] for s in d.symbols})
+        free = (slope != 0) & ~np.isin(np.arange(len(names)), held)
+        variance = slope[free] @ covariance[np.ix_(free, free)] @ slope[free]
+        value = e.evaluate({symbol: values[symbol] for symbol in e.symbols})
+        found.append(Estimate(name, value, float(np.sqrt(variance))))
+    return Estimates(found)
 
 
 def estimates_table(

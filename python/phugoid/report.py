@@ -14,11 +14,13 @@ from .figures import fit as plot
 from .figures.convergence import plot_convergence
 from .figures.correlation import plot_correlation
 from .figures.parameters import plot_parameters
+from .fit_result import FitResult
 from .match import Match, match
 from .pages.mathml import equation
 from .pages.page import Picture, Table, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .summary import coarse_mesh, corrected
+from .uncertainty.correlation import correlation
 from .validation.result import Validation
 from .writing import check_folder, write
 
@@ -32,7 +34,7 @@ _MOST = 6  # names or pairs listed
 _OFFSET = 0.5  # part of the mean square that is an offset
 
 
-def remarks(fit: Any) -> list[str]:
+def remarks(fit: FitResult) -> list[str]:
     """The warnings of a `Fit`, and what its numbers give reason to doubt: a sentence each, none where all is well.
 
     A coarse mesh, outputs that a constant would match better or that are all matched poorly, coloured residuals
@@ -40,7 +42,7 @@ def remarks(fit: Any) -> list[str]:
     95 % interval holds zero, pairs of estimates with a correlation beyond 0.95, combinations that are hardly
     determined, estimates at a bound.
     """
-    weak = [f"Weakly identified: {direction}." for direction in fit.correlation.weak]
+    weak = [f"Weakly identified: {direction}." for direction in correlation(fit).weak]
     coarse = filter(None, [coarse_mesh(fit)])
     return [*map(_sentence, fit.warnings), *coarse, *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
 
@@ -50,7 +52,7 @@ def _sentence(text: str) -> str:
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
-def _of_residuals(fit: Any) -> list[str]:
+def _of_residuals(fit: FitResult) -> list[str]:
     filtered = any(record.innovations for record in fit.records)
     found = []
     coloured, off = [], []
@@ -78,7 +80,7 @@ def _of_residuals(fit: Any) -> list[str]:
     return found
 
 
-def _of_estimates(fit: Any) -> list[str]:
+def _of_estimates(fit: FitResult) -> list[str]:
     found = []
     noise = fit.noise_parameters
     own = [e for e in fit.parameters.values() if e.name not in noise]
@@ -94,8 +96,8 @@ def _of_estimates(fit: Any) -> list[str]:
     return found
 
 
-def _of_pairs(fit: Any) -> list[str]:
-    pairs = [f"{a} with {b} ({_signed(rho)})" for a, b, rho in fit.correlation.pairs(_TOGETHER)]
+def _of_pairs(fit: FitResult) -> list[str]:
+    pairs = [f"{a} with {b} ({_signed(rho)})" for a, b, rho in correlation(fit).pairs(_TOGETHER)]
     if not pairs:
         return []
     return [
@@ -120,7 +122,7 @@ _LARGE = 60  # parameters: a matrix of more is no figure
 
 
 def report(
-    fit: Any,
+    fit: FitResult,
     path: str | os.PathLike[str],
     *,
     validation: Any = None,
@@ -184,7 +186,7 @@ def report(
     write(path, page, "the page")
 
 
-def _parameters(fit: Any) -> dict[str, Any]:
+def _parameters(fit: FitResult) -> dict[str, Any]:
     """Tables of the estimates, and figures of intervals and correlations, where there are any."""
     noise = fit.noise_parameters
     own = [e for e in fit.parameters.values() if e.name not in noise]
@@ -229,7 +231,7 @@ def _percent(relative: float) -> str:
     return f"{relative:.3g}" if relative < 999.5 else "> 1000"
 
 
-def _match(fit: Any, filtered: bool) -> Table:
+def _match(fit: FitResult, filtered: bool) -> Table:
     rows = []
     for name in fit.model.output_names:
         m = match(fit.records, name)
@@ -243,7 +245,7 @@ def _match(fit: Any, filtered: bool) -> Table:
     return Table(heads, rows, "llrrrrr")
 
 
-def _residuals(fit: Any) -> list[tuple[str, Picture]]:
+def _residuals(fit: FitResult) -> list[tuple[str, Picture]]:
     found = []
     for i, record in enumerate(fit.records[:_FIGURES]):
         with contextlib.suppress(DataError):  # nothing was measured
@@ -295,7 +297,7 @@ def _number(value: float, spec: str) -> str:
     return format(value, spec) if value == value else ""
 
 
-def _equations(fit: Any) -> tuple[dict[str, list[str]], list[str]]:
+def _equations(fit: FitResult) -> tuple[dict[str, list[str]], list[str]]:
     """Equations in groups, as HTML; and, as text, what is late and what holds at an end."""
     groups: dict[str, list[str]] = {"Quantities": [], "Dynamics": [], "Measured outputs y": []}
     for name, e in fit.model.equations.items():
@@ -310,7 +312,7 @@ def _equations(fit: Any) -> tuple[dict[str, list[str]], list[str]]:
     return groups, late
 
 
-def _solver(fit: Any) -> dict[str, Any]:
+def _solver(fit: FitResult) -> dict[str, Any]:
     rows = [
         [str(x.number), f"{x.log_likelihood:.6f}", f"{x.defect:.2e}", f"{x.dual:.2e}", f"{x.step:.3g}", str(x.trials)]
         for x in fit.history

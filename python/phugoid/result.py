@@ -1,159 +1,57 @@
-"""What an estimation gives back."""
+"""A fit with all that can be asked of it: what `estimate` returns."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from concurrent.futures import Executor
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from . import _core, summary, tabular
+from . import tabular
 from ._core import Expr
 from .data.experiment import Experiment
-from .errors import DataError, ModelError, OptionError, did_you_mean
-from .figures import fit as plot
+from .discrepancy.misfit.residuals_figure import plot_residuals
+from .export import export_c, export_fmu
 from .figures.convergence import plot_convergence
 from .figures.correlation import plot_correlation
+from .figures.fit import plot_fit
 from .figures.parameters import plot_parameters
+from .fit_result import FitResult
 from .integration import IntegrationError, integration_error
-from .modelling.model import Model
-from .noise.kinds import PerExperiment
-from .noise.noise import Noise
-from .parameters import Estimate, Estimates
-from .records import Record
-from .refinement import Refinement
-from .solvers import Iteration, Solution
+from .parameters import Estimates, derived
+from .report.report import report
+from .saving.fit_file import save
+from .starts.outcome import Outcome
+from .summary import fit_summary
 from .tolerance import Tolerance
-from .transcription.collocation import Collocation
-from .transcription.filter_error import FilterError
-from .transcription.shooting import Transcription
+from .uncertainty.bands import Bands, prediction_bands
+from .uncertainty.bootstrap import Bootstrap, bootstrap
+from .uncertainty.coloured import Coloured, coloured
+from .uncertainty.correlation import Correlation, correlation
+from .uncertainty.profile import Profiles, profile
+from .validation.result import Validation
+from .validation.validate import validate
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     import pandas
     import xarray
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from .starts.outcome import Outcome
-    from .uncertainty.bands import Bands
-    from .uncertainty.bootstrap import Bootstrap
-    from .uncertainty.coloured import Coloured
-    from .uncertainty.correlation import Correlation
-    from .uncertainty.profile import Profiles
-    from .validation.result import Validation
-
 __all__ = ["Fit"]
 
-_Array = NDArray[np.float64]
 
+class Fit(FitResult):
+    """The result of `estimate`: the data, which `FitResult` explains, and all that can be asked of them."""
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Fit:
-    """The result of `estimate`.
-
-    parameters      by name, what was estimated of the noise (``sigma_<output>``, and more) among them.
-    initial_states  experiment -> state -> estimate of the state at the first sample.
-    log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi, whatever the noise.
-    records         one an experiment: measured, outputs, residuals, states.
-    status          "converged", or what else happened; ``message`` says what to do.
-    warnings        what to beware of in the result, in words.
-    covariance      (n, n) of the parameters in their order; NaN where there is none.
-    refinement      what ``Collocation(refine=True)`` did.
-    experiments     the data it was fitted to; empty for a fit of a file of version 1, which had none.
-    """
-
-    model: Model
-    noise: Noise
-    transcription: Transcription | FilterError
-    parameters: Estimates
-    initial_states: Mapping[str, Estimates]
-    covariance: _Array
-    log_likelihood: float
-    records: Sequence[Record]
-    status: str
-    message: str
-    iterations: int
-    time: float
-    warnings: tuple[str, ...] = ()
-    history: Sequence[Iteration] = ()
-    solution: Solution | None = field(default=None)
-    refinement: Refinement | None = None
-    experiments: Sequence[Experiment] = ()
-    # Where something is late: the fit of the model without delays to data moved by them.
-    _moved: Fit | None = field(default=None, repr=False)
-
-    @property
-    def converged(self) -> bool:
-        """Whether the solver met its tolerances."""
-        return self.status == "converged"
-
-    @property
-    def feasible(self) -> bool:
-        """Tell whether the states satisfy the equations of the model. Where a run ended elsewhere, log-likelihood,
-        standard errors and how well outputs match are NaN."""
-        return all(record.feasible for record in self.records)
-
-    def _only(self, what: str) -> Record:
-        if len(self.records) > 1:
-            names = ", ".join(f"'{r.name}'" for r in self.records)
-            raise DataError(f"the fit has {len(self.records)} experiments ({names}): use fit.records[i].{what}")
-        return self.records[0]
-
-    @property
-    def states(self) -> Mapping[str, _Array]:
-        """State -> (N,) at the samples, of the only experiment."""
-        return self._only("states").states
-
-    @property
-    def outputs(self) -> Mapping[str, _Array]:
-        """Output -> (N,) of the model, of the only experiment."""
-        return self._only("outputs").outputs
-
-    @property
-    def residuals(self) -> Mapping[str, _Array]:
-        """Output -> (N,) measured minus model, NaN where missing, of the only experiment."""
-        return self._only("residuals").residuals
-
-    @property
-    def _intensities(self) -> set[str]:
-        t = self.transcription
-        return {f"q_{name}" for name in t.states} if isinstance(t, FilterError) else set()
-
-    @property
-    def noise_parameters(self) -> set[str]:
-        """Names of the parameters that are those of the noise, not of the model."""
-        names = {*self.noise.names(self.model.output_names), *(f"sigma_{n}" for n in self.model.output_names)}
-        # Also of a single experiment, as in sigma_q[run 1].
-        return {n for n in self.parameters if n.partition("[")[0] in names} | self._intensities
-
-    def _solution_of(self, problem: _core.Problem) -> Solution:
-        """The solution, of which a problem made of model and data anew is that of the fit.
-
-        Raises DataError where it is not, as in a file whose parts belong to different fits.
-        """
-        s = self.solution
-        if s is None or (s.xi.size, s.multipliers.size) != (problem.n, problem.m):
-            raise DataError(
-                f"fit of '{self.model.name}': its solution is not one of its model and data ({problem.n} unknowns and "
-                f"{problem.m} equations); estimate it again with start=fit"
-            )
-        return s
-
-    def as_start(self, noise: Noise | None = None) -> dict[str, float]:
-        """Parameters as start values of another estimation; of the noise those that ``noise`` has, or all."""
-        outputs = self.model.output_names
-        gone = set() if noise is None else {*self.noise.names(outputs)}.difference(noise.names(outputs))
-        gone |= {f"sigma_{name}" for name in self.noise.known_sigmas(outputs)} | self._intensities
-        if isinstance(self.noise, PerExperiment):  # starts are for all experiments
-            gone |= {name for name in self.parameters if name.partition("[")[0] in self.noise.names(outputs)}
-        return {name: e.value for name, e in self.parameters.items() if name not in gone}
+    @classmethod
+    def _of(cls, result: FitResult) -> Fit:
+        """Return a fit with the data of a result; a fit as it is."""
+        if isinstance(result, Fit):
+            return result
+        return cls(**{f.name: getattr(result, f.name) for f in fields(result)})
 
     def derived(self, **expressions: Expr) -> Estimates:
         """Estimates of expressions in the parameters, with standard errors to first order (the delta method).
@@ -161,32 +59,9 @@ class Fit:
         ``fit.derived(natural_frequency=sqrt(k / mass))``; a quantity of the model is given by its expression,
         ``fit.derived(static_margin=fit.model.equations["static_margin"])``. Raises ModelError for other symbols.
         """
-        names = list(self.parameters)
-        values = self.parameters.to_dict()
-        found = []
-        for name, expression in expressions.items():
-            e = Expr(expression)
-            for symbol in e.symbols:
-                if symbol not in values:
-                    if own := [n for n in names if n.startswith(f"{symbol}[")]:
-                        raise ModelError(
-                            f"derived '{name}': '{symbol}' has a value for each experiment ({', '.join(own)}): "
-                            "ask for one of them, or of fits to single experiments"
-                        )
-                    raise ModelError(f"derived '{name}': '{symbol}' is no parameter.{did_you_mean(symbol, names)}")
-            numbers = {symbol: values[symbol] for symbol in e.symbols}
-            slope = np.zeros(len(names))
-            for symbol in e.symbols:
-                d = e.diff(symbol)
-                slope[names.index(symbol)] = d.evaluate({s: values[s] for s in d.symbols})
-            # What is held has no error of its own.
-            held = [i for i, p in enumerate(self.parameters.values()) if p.fixed or p.bounds_active]
-            free = (slope != 0) & ~np.isin(np.arange(len(names)), held)
-            variance = slope[free] @ self.covariance[np.ix_(free, free)] @ slope[free]
-            found.append(Estimate(name, e.evaluate(numbers), float(np.sqrt(variance))))
-        return Estimates(found)
+        return derived(self.parameters, self.covariance, expressions)
 
-    @cached_property
+    @property
     def coloured(self) -> Coloured:
         """Standard errors corrected for coloured residuals: of parameters and initial states, by name; the covariance;
         by how much they are larger than the plain ones.
@@ -198,19 +73,13 @@ class Fit:
 
         Raises OptionError for a fit by the filter-error method.
         """
-        from .uncertainty.coloured import coloured
-
         return coloured(self)
 
-    @cached_property
+    @property
     def correlation(self) -> Correlation:
         """Correlations of the estimates: ``fit.correlation["Cm0", "Cma"]``, ``.matrix`` (n, n), ``.pairs(0.9)``, and
         ``.weak``: combinations that the data hardly determine."""
-        from .uncertainty.correlation import correlation_of
-
-        noise = self.noise_parameters
-        physical = [n for n in self.parameters if n not in noise]
-        return correlation_of(list(self.parameters), self.parameters.values_array, self.covariance, physical)
+        return correlation(self)
 
     def profile(
         self,
@@ -237,8 +106,6 @@ class Fit:
 
         Raises OptionError for names without a profile, and a fit that has not converged.
         """
-        from .uncertainty.profile import profile
-
         return profile(self, names, level=level, coloured=coloured, executor=executor, progress=progress)
 
     def bootstrap(
@@ -266,8 +133,6 @@ class Fit:
         Raises OptionError for options that cannot be right, a fit that has not converged, and a vehicle that other
         process noise would carry far away with the inputs as recorded, such as an unstable one with its controller.
         """
-        from .uncertainty.bootstrap import bootstrap
-
         return bootstrap(self, n, kind, block=block, seed=seed, executor=executor, progress=progress)
 
     def prediction_bands(
@@ -293,32 +158,19 @@ class Fit:
 
         Raises OptionError, DataError or UnknownName for what is not there.
         """
-        from .uncertainty.bands import prediction_bands
-
         return prediction_bands(self, experiment, level=level, coloured=coloured, biases=biases, values=values)
 
     def summary(self) -> str:
         """The fit as a plain-text table: of each parameter the Cramér-Rao standard error and, where the fit has its
         data at hand, the one corrected for coloured residuals."""
-        text = summary.fit_summary(self) + (f"\n\n{self.refinement.summary()}" if self.refinement else "")
-        return text + "".join(f"\n\nWarning: {w}" for w in self.warnings)
+        return fit_summary(self)
 
     def integration_error(self) -> tuple[IntegrationError, ...]:
         """The error that each segment of the mesh adds to the path, one for each experiment.
 
         Raises OptionError for a fit that was not transcribed by collocation.
         """
-        if not isinstance(self.transcription, Collocation):
-            raise OptionError("integration_error: only collocation has a mesh whose error can be estimated")
-        named = {n: f"sigma_{n}" for n in self.model.output_names}
-        sigmas = {n: self.parameters[s].value for n, s in named.items() if s in self.parameters} | self.noise.known
-        order = self.transcription.order
-        return tuple(integration_error(self.model, self._own(r.name), sigmas, r, order) for r in self.records)
-
-    def _own(self, experiment: str) -> dict[str, float]:
-        """The model's parameters as they are in one experiment."""
-        labels = {name: f"{name}[{experiment}]" for name in self.model.parameter_names}
-        return {n: self.parameters[label if label in self.parameters else n].value for n, label in labels.items()}
+        return integration_error(self)
 
     def plot(
         self,
@@ -330,14 +182,12 @@ class Fit:
 
         ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance`, drawn as bands (14 CFR Part 60).
         """
-        return plot.plot_fit(self, record, channels, tolerances=tolerances)
+        return plot_fit(self, record, channels, tolerances=tolerances)
 
     def plot_residuals(
         self, record: int | str = 0, channels: Sequence[str] | None = None
     ) -> tuple[Figure, dict[str, Axes]]:
         """The residuals of an experiment over time, their autocorrelation and their spectrum; see `plot_residuals`."""
-        from .discrepancy.misfit.residuals_figure import plot_residuals
-
         return plot_residuals(self, record, channels)
 
     def plot_parameters(
@@ -381,8 +231,6 @@ class Fit:
         model's channels or with fewer samples than unknowns. An experiment that the fit was
         made on, and a fit that has not converged, are among the ``warnings`` of the result.
         """
-        from .validation.validate import validate
-
         return validate(self, other, biases=biases, values=values, tolerances=tolerances)
 
     def report(
@@ -399,22 +247,16 @@ class Fit:
         ``validation``: of this fit, as a section. ``files``, such as data and model, are listed with their SHA-256;
         ``command`` is quoted.
         """
-        from .report import report
-
         report(self, path, validation=validation, files=files, command=command)
 
     def export_c(self, folder: str | os.PathLike[str], **options: Any) -> tuple[Path, Path]:
         """Writes the model with the estimates as C source, a header and a source file; returns their paths. Options are
         those of `phugoid.export_c`, which also says what there is in the files."""
-        from .export import export_c
-
         return export_c(self, folder, **options)
 
     def export_fmu(self, path: str | os.PathLike[str], **options: Any) -> Path:
         """Writes the model with the estimates as a functional mock-up unit (FMI 2.0); returns its path. Options are
         those of `phugoid.export_fmu`."""
-        from .export import export_fmu
-
         return export_fmu(self, path, **options)
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -427,20 +269,13 @@ class Fit:
         Variables are those of `Record.to_xarray`. Several experiments are along ``experiment``, over the times of all
         of them: NaN where one has no sample. Raises MissingDependency without xarray.
         """
-        return tabular.fit_dataset(self)
+        facts = {"log_likelihood": self.log_likelihood, "status": self.status, "model": self.model.name}
+        return tabular.fit_dataset(self.records, self.parameters, self.covariance, facts)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the fit with its data to a versioned file, which `load` reads: HDF5 for ``.h5`` and ``.hdf5``, where
         arrays are datasets with units (extra ``hdf5``); JSON else. Raises DataError where that cannot be done."""
-        from .saving.fit_file import save
-
         save(self, path)
-
-    def __repr__(self) -> str:
-        return (
-            f"<Fit of '{self.model.name}': {self.status}, log-likelihood {self.log_likelihood:.6g}, "
-            f"{len(self.parameters)} parameters>"
-        )
 
     def __str__(self) -> str:
         return self.summary()

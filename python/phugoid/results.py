@@ -1,16 +1,19 @@
 """What functions give back: for annotations and `isinstance`. Nobody makes these by hand."""
 
+from .diagnosis import Diagnosis, Extension
 from .discrepancy.candidates.candidate import Candidate, Place
 from .discrepancy.candidates.collection import Candidates
 from .discrepancy.candidates.scales import Points
-from .discrepancy.diagnosis import Diagnosis
 from .discrepancy.misfit.misfit import Misfit
-from .discrepancy.search.finding import Extension, Finding, Gain, Scored
+from .discrepancy.search.finding import Finding, Gain, Scored
+from .fit_result import FitResult
 from .integration import IntegrationError
 from .linear.mode_table import Mode, Modes
 from .linear.response import FrequencyResponse
 from .linear.trim import Trim
 from .match import Match
+from .multistart.optima import Optimum
+from .multistart.result import Multistart
 from .parameters import Estimate
 from .planning.plan import Excursion, Plan, Plans
 from .reconstruction.reconstruct import Reconstruction
@@ -19,8 +22,6 @@ from .records import Record
 from .refinement import Refinement
 from .regression.equation_error import EquationError
 from .solvers import Iteration
-from .starts.multistart import Multistart
-from .starts.optima import Optimum
 from .starts.outcome import Outcome
 from .uncertainty.bands import Bands
 from .uncertainty.bootstrap import Bootstrap
@@ -42,6 +43,7 @@ __all__ = [
     "Excursion",
     "Extension",
     "Finding",
+    "FitResult",
     "FrequencyResponse",
     "Gain",
     "IntegrationError",

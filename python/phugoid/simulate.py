@@ -15,10 +15,10 @@ from .data.interpolation import kinds_for
 from .data.units import check_units
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .estimation.late import simulated_late
+from .fit_result import FitResult
 from .guess import measured_states
 from .modelling.model import Model
 from .records import Record
-from .result import Fit
 
 __all__ = ["first_values", "simulate"]
 
@@ -29,7 +29,7 @@ _METHODS = ("auto", "DOP853", "Radau")
 
 def simulate(
     model: Model,
-    parameters: Mapping[str, Any] | Fit,
+    parameters: Mapping[str, Any] | FitResult,
     data: Experiment,
     *,
     initial: Mapping[str, float] | None = None,
@@ -113,14 +113,14 @@ def _record(model: Model, data: Experiment) -> tuple[Any, ...]:
 _NOISE = ("sigma_", "corr_", "dof_")
 
 
-def _values(model: Model, parameters: Mapping[str, Any] | Fit, experiment: str) -> dict[str, float]:
+def _values(model: Model, parameters: Mapping[str, Any] | FitResult, experiment: str) -> dict[str, float]:
     given: Any = parameters
-    if isinstance(parameters, Fit):
+    if isinstance(parameters, FitResult):
         others = parameters.noise_parameters
         given = {n: e for n, e in parameters.parameters.items() if n not in others}
     if not isinstance(given, Mapping):
         raise ModelError(f"simulate: parameters are values by name, or a fit, not {given!r}")
-    noise = parameters.noise.names(parameters.model.output_names) if isinstance(parameters, Fit) else ()
+    noise = parameters.noise.names(parameters.model.output_names) if isinstance(parameters, FitResult) else ()
     local = [name for name, p in model.declared_parameters.items() if p.per_experiment]
     for name in given:
         of_one = str(name).endswith("]") and str(name).partition("[")[0] in {*local, *noise}
@@ -142,7 +142,7 @@ def first_values(
     for name in initial:
         if name not in model.state_names:
             raise ModelError(f"simulate: initial '{name}' is no state.{did_you_mean(name, model.state_names)}")
-    of_fit: Mapping[str, Any] = source.initial_states.get(data.name, {}) if isinstance(source, Fit) else {}
+    of_fit: Mapping[str, Any] = source.initial_states.get(data.name, {}) if isinstance(source, FitResult) else {}
     measured = measured_states(model, values)
     there = {*data.outputs, *data.channels}
     x0 = []

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from .errors import PhugoidError
+from .fit_result import FitResult
+from .integration import integration_error
 from .match import match
 from .parameters import Estimates, estimates_table, text_table
+from .uncertainty.coloured import coloured
+from .uncertainty.correlation import correlation
+from .uncertainty.tangents import cheap
 
 __all__ = ["coarse_mesh", "corrected", "fit_summary"]
 
@@ -17,61 +21,50 @@ __all__ = ["coarse_mesh", "corrected", "fit_summary"]
 _COARSE = 0.1
 
 
-def fit_summary(fit: Any) -> str:
-    """An aligned table for the terminal.
-
-    ``fit`` needs the attributes model (with .name), parameters (`Estimates`; noise as ``sigma_<output>``),
-    status, message, iterations, log_likelihood, records (of `Record`), time (s) and transcription (a text).
-    """
+def fit_summary(fit: FitResult) -> str:
+    """Return aligned tables for the terminal, and the warnings; see `Fit.summary`."""
     outputs = list(dict.fromkeys(name for record in fit.records for name in record.outputs))
-    noise_names = {f"sigma_{name}" for name in outputs}
-    if getattr(fit, "noise", None) is not None:
-        noise_names.update(fit.noise.names(tuple(outputs)))
-
-    def of_noise(name: str) -> bool:  # also of a single experiment, as in sigma_q[run 1]
-        return name in noise_names or (name.endswith("]") and name.partition("[")[0] in noise_names)
-
-    noise = [e for e in fit.parameters.values() if of_noise(e.name)]
-    physical = [e for e in fit.parameters.values() if not of_noise(e.name)]
+    of_noise = fit.noise_parameters - fit._intensities
+    noise = [e for e in fit.parameters.values() if e.name in of_noise]
+    physical = [e for e in fit.parameters.values() if e.name not in of_noise]
     parts = [_header(fit)]
-    coloured = corrected(fit) if getattr(fit, "experiments", ()) else None
+    errors = corrected(fit) if fit.experiments else None
     if physical:
-        parts.append(estimates_table(physical, coloured=coloured))
+        parts.append(estimates_table(physical, coloured=errors))
     if noise:
-        parts.append(estimates_table(noise, title="noise", coloured=coloured))
-    if coloured:
+        parts.append(estimates_table(noise, title="noise", coloured=errors))
+    if errors:
         parts.append("std error: Cramér-Rao, for white residuals; coloured: for residuals as coloured as they are")
-    parts += getattr(getattr(fit, "correlation", None), "notes", ())
+    parts += correlation(fit).notes
     if any(record.residuals for record in fit.records):
         parts.append(_match_table(fit, outputs))
     if coarse := coarse_mesh(fit):
         parts.append(coarse)
+    if fit.refinement:
+        parts.append(fit.refinement.summary())
+    parts += (f"Warning: {w}" for w in fit.warnings)
     return "\n\n".join(parts)
 
 
-def corrected(fit: Any, again: bool = False) -> Estimates | None:
+def corrected(fit: FitResult, again: bool = False) -> Estimates | None:
     """The estimates with standard errors for coloured residuals; None where a fit has none, or where they take much
     more time than the fit. ``again``: also where they need another estimation."""
-    from .uncertainty.tangents import cheap
-
     if not cheap(fit, again):
         return None
     try:
-        found: Estimates = fit.coloured.parameters
+        found = coloured(fit).parameters
     except PhugoidError:  # what the page is of has its reasons
         return None
     return found if np.isfinite(found.std_errors_array).any() else None
 
 
-def coarse_mesh(fit: Any) -> str:
+def coarse_mesh(fit: FitResult) -> str:
     """A sentence on the segment whose integration error is largest, where that is not small beside the noise; "" where
     it is, where the mesh was refined, and where to find out takes more time than the fit."""
-    from .uncertainty.tangents import cheap
-
-    if getattr(fit, "refinement", None) or not getattr(fit, "experiments", ()) or not cheap(fit):
+    if fit.refinement or not fit.experiments or not cheap(fit):
         return ""
     try:
-        errors = fit.integration_error()
+        errors = integration_error(fit)
     except PhugoidError:  # no mesh, or equations that are not finite between its points
         return ""
     found = max(errors, key=lambda e: float(e.worst.max()))
@@ -85,7 +78,7 @@ def coarse_mesh(fit: Any) -> str:
     )
 
 
-def _header(fit: Any) -> str:
+def _header(fit: FitResult) -> str:
     samples = sum(record.n for record in fit.records)
     mesh = sum(record.mesh_t.size for record in fit.records)
     runs = f"{len(fit.records)} experiments, " if len(fit.records) > 1 else ""
@@ -96,15 +89,14 @@ def _header(fit: Any) -> str:
         "data": f"{runs}{samples} samples" + (f", {mesh} mesh points" if mesh else ""),
         "transcription": str(fit.transcription),
     }
-    noise = getattr(getattr(fit, "noise", None), "description", "")
-    if noise:
-        entries["noise"] = noise
+    if fit.noise.description:
+        entries["noise"] = fit.noise.description
     width = max(map(len, entries))
     lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
     return "\n".join([str(fit.model.name), *lines])
 
 
-def _match_table(fit: Any, outputs: list[str]) -> str:
+def _match_table(fit: FitResult, outputs: list[str]) -> str:
     """Per output, over all experiments: σ, RMS of residuals or innovations, R² about the mean of each, samples."""
     rows = []
     for name in outputs:

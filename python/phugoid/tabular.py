@@ -7,7 +7,7 @@ sample; in a dataset such a channel has a time axis of its own, ``time_<channel>
 from __future__ import annotations
 
 import importlib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -118,30 +118,31 @@ def experiment_dataset(e: Any) -> xarray.Dataset:
     return data
 
 
-def fit_dataset(fit: Any) -> xarray.Dataset:
-    """A `Fit`. See `Fit.to_xarray`."""
+def fit_dataset(
+    records: Sequence[Any], estimates: Any, covariance: _Array, attributes: Mapping[str, Any]
+) -> xarray.Dataset:
+    """Return the records and `Estimates` of a fit as one dataset with attributes. See `Fit.to_xarray`."""
     xr = _package("xarray", "to_xarray")
     # An input is over the same axis in all experiments.
-    each = [record_dataset(r, {name for r in fit.records for name in r.input_samples}) for r in fit.records]
+    each = [record_dataset(r, {name for r in records for name in r.input_samples}) for r in records]
     if len(each) == 1:
         data = each[0]
     else:
-        names = xr.Variable("experiment", np.array([r.name for r in fit.records], dtype=object))
+        names = xr.Variable("experiment", np.array([r.name for r in records], dtype=object))
         data = xr.concat(each, dim="experiment", join="outer", combine_attrs="drop_conflicts").assign_coords(
             experiment=names
         )
-    names = list(fit.parameters)
-    units = np.array([e.unit for e in fit.parameters.values()], dtype=object)
+    names = list(estimates)
+    units = np.array([e.unit for e in estimates.values()], dtype=object)
     data = data.assign_coords(
         parameter=("parameter", np.array(names, dtype=object)),
         parameter_other=("parameter_other", np.array(names, dtype=object)),
         parameter_unit=("parameter", units),
     )
-    data["estimate"] = ("parameter", fit.parameters.values_array)
-    data["std_error"] = ("parameter", fit.parameters.std_errors_array)
-    data["covariance"] = (("parameter", "parameter_other"), np.array(fit.covariance))
-    numbers = {"log_likelihood": fit.log_likelihood, "status": fit.status, "model": fit.model.name}
-    data.attrs = {**data.attrs, **numbers}
+    data["estimate"] = ("parameter", estimates.values_array)
+    data["std_error"] = ("parameter", estimates.std_errors_array)
+    data["covariance"] = (("parameter", "parameter_other"), np.array(covariance))
+    data.attrs = {**data.attrs, **attributes}
     return data
 
 

@@ -17,8 +17,8 @@ from many import (
 
 import phugoid as ph
 from phugoid import EvaluationError, Experiment, Model
+from phugoid.multistart.optima import group
 from phugoid.results import Multistart, Outcome
-from phugoid.starts.optima import group
 
 
 @pytest.mark.parametrize(

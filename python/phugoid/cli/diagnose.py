@@ -11,11 +11,11 @@ from typing import Annotated, Any
 
 import typer
 
-from ..discrepancy.diagnose import diagnose as find_missing
-from ..discrepancy.diagnosis import Diagnosis
+from ..api import diagnose as find_missing
+from ..api import load_fit
+from ..diagnosis import Diagnosis
 from ..errors import OptionError
 from ..result import Fit
-from ..saving.fit_file import load
 from .estimation import Estimation
 from .fit import code_of
 from .guard import INTERRUPTED, NOT_CONVERGED
@@ -68,7 +68,7 @@ def diagnose(
 def _base(model: str, reading: Reading, data: list[Path], saved: Path | None, how: Estimation) -> Fit:
     """The fit to diagnose: as saved where no data are given, else estimated, from a saved one where there is one."""
     source = load_source(model)
-    before = load(saved) if saved is not None else source if isinstance(source, Fit) else None
+    before = load_fit(saved) if saved is not None else source if isinstance(source, Fit) else None
     if not data:
         if isinstance(source, Fit) and saved is None:
             how.check_unused(model)

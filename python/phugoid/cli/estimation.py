@@ -11,9 +11,9 @@ from typing import Annotated, Any
 from typer import Option
 
 from .. import _core
+from ..api import estimate
 from ..data.experiment import Experiment
 from ..errors import ModelError, OptionError, listing
-from ..estimation.estimate import estimate
 from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
 from ..progress import Progress

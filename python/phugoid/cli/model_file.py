@@ -11,10 +11,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from ..api import load_fit
 from ..errors import DataError, ModelError, did_you_mean, listing
 from ..modelling.model import Model
 from ..result import Fit
-from ..saving.fit_file import load
 from ..saving.json_file import DIAGNOSIS, FORMAT, SUFFIXES
 
 __all__ = ["load_model", "load_source"]
@@ -38,7 +38,7 @@ def load_source(source: str) -> Model | Fit:
     file, name = _split(source)
     path = Path(file)
     if path.suffix.lower() in SUFFIXES:
-        return load(path)
+        return load_fit(path)
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -67,7 +67,7 @@ def _saved(path: Path, text: str) -> Model | Fit:
     except json.JSONDecodeError as error:
         raise DataError(f"{path}: is no complete JSON (line {error.lineno}: {error.msg})") from None
     if isinstance(document, dict) and document.get("format") == FORMAT:
-        return load(path)
+        return load_fit(path)
     if isinstance(document, dict) and document.get("format") == DIAGNOSIS:
         raise DataError(f"{path}: holds a diagnosis, not a model or a fit; phugoid.load reads it")
     try:

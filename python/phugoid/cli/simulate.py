@@ -11,12 +11,12 @@ from typing import Annotated, Any, TextIO
 
 import typer
 
+from ..api import load_fit
 from ..errors import ModelError, OptionError, listing
 from ..match import match
 from ..modelling.model import Model
 from ..records import Record
 from ..result import Fit
-from ..saving.fit_file import load
 from ..saving.json_file import SUFFIXES
 from ..simulate import simulate as integrate
 from ..writing import write
@@ -80,7 +80,7 @@ def _parameters(
         raise OptionError(f"--parameters: one saved fit, not {len(files)}")
     if files and not files[0].lower().endswith((".json", *SUFFIXES)):
         raise OptionError(f"--parameters: '{files[0]}' is neither a saved fit (.json, .h5) nor of the form NAME=VALUE")
-    fit = load(files[0]) if files else fit
+    fit = load_fit(files[0]) if files else fit
     values = numbers("--parameters", [text for text in given or () if "=" in text])
     for name in values:
         known = [*dict.fromkeys([*model.parameter_names, *(fit.parameters if fit is not None else ())])]

@@ -12,14 +12,14 @@ import numpy as np
 
 from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, PhugoidError, did_you_mean
+from ..fit_result import FitResult
 from ..interrupts import interrupts
-from ..result import Fit
 from ..transcription.filter_error import FilterError
 from ..validation.validate import shared
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
 from .candidates.library import candidates as library
-from .diagnosis import Diagnosis
+from .diagnosis_result import DiagnosisResult
 from .misfit.misfit import misfit
 from .search.finding import Finding, Scored
 from .search.linearised import collocated
@@ -146,13 +146,13 @@ _LOST_NAMED = 12
 
 
 def diagnose(
-    fit: Fit,
+    fit: FitResult,
     candidates: Candidates | Sequence[Candidate] | Mapping[str, Any] | None = None,
     validation: Experiment | Sequence[Experiment] | None = None,
     *,
     biases: Sequence[str] | None = None,
     progress: bool | Callable[[str], None] = False,
-) -> Diagnosis:
+) -> DiagnosisResult:
     """What a fitted model is missing: shows the misfit, names its causes, measures what each gains.
 
     Every candidate is scored from one linearisation of the fit, the best are fitted, and one is accepted where the gain
@@ -201,7 +201,7 @@ def diagnose(
     with interrupts():
         scan = search.scan(base) if ranking else None
         notes = (*_notes(scan, final, listed, others, free, interrupted), *search.remarks)
-        return Diagnosis(
+        return DiagnosisResult(
             fit=fit,
             misfit=misfit(fit),
             findings=tuple(findings),
@@ -224,7 +224,7 @@ def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:
 
 
 def _check(fit: Any) -> None:
-    if not isinstance(fit, Fit):
+    if not isinstance(fit, FitResult):
         raise OptionError(f"diagnose: the first argument is a fit, as estimate gives it, not {type(fit).__name__}")
     if isinstance(fit.transcription, FilterError):
         raise OptionError(
@@ -263,7 +263,7 @@ def _check_size(base: Refit) -> None:
         )
 
 
-def _validation(fit: Fit, given: Any) -> Sequence[Experiment]:
+def _validation(fit: FitResult, given: Any) -> Sequence[Experiment]:
     if given is None:
         return ()
     others = as_experiments(given, "diagnose: validation")
@@ -276,7 +276,7 @@ def _validation(fit: Fit, given: Any) -> Sequence[Experiment]:
     return others
 
 
-def _biases(fit: Fit, others: Sequence[Experiment], given: Any) -> tuple[str, ...] | None:
+def _biases(fit: FitResult, others: Sequence[Experiment], given: Any) -> tuple[str, ...] | None:
     if given is None:
         return None
     if not others:
@@ -292,7 +292,7 @@ def _biases(fit: Fit, others: Sequence[Experiment], given: Any) -> tuple[str, ..
     return found
 
 
-def _candidates(fit: Fit, given: Any, base: Refit) -> list[Candidate]:
+def _candidates(fit: FitResult, given: Any, base: Refit) -> list[Candidate]:
     points = base.linear.points
     if given is None or isinstance(given, Mapping):
         return list(library(fit.model, points=points, terms=given))

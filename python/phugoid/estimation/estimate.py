@@ -14,6 +14,7 @@ from ..data.checked import moves
 from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
 from ..errors import EvaluationError, ModelError, OptionError
+from ..fit_result import FitResult
 from ..guess import check_names, further_starts, measured_states, parameter_start, spread, state_start
 from ..interrupts import interrupts
 from ..modelling.model import Model
@@ -23,7 +24,6 @@ from ..process_noise.fit import better, doubtful, filter_error
 from ..process_noise.variables import split
 from ..progress import Progress
 from ..regression.equation_error import EquationError
-from ..result import Fit
 from ..solvers import HINTS, Ipopt, Iteration, Newton, Solution
 from ..solvers.limits import Deadline
 from ..transcription.collocation import Collocation
@@ -47,10 +47,10 @@ def estimate(
     *,
     transcription: Transcription | FilterError | None = None,
     noise: Noise | None = None,
-    start: Mapping[str, Any] | Fit | EquationError | None = None,
+    start: Mapping[str, Any] | FitResult | EquationError | None = None,
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
-) -> Fit:
+) -> FitResult:
     """The maximum-likelihood estimate of a model's parameters from measured data (Eq. ml_loglike of the paper).
 
     ``data``: one experiment or several with shared parameters. Initial states are free.
@@ -96,13 +96,13 @@ def estimate(
         raise OptionError("estimate: a regression on states as measured makes sense with Collocation only")
     if not isinstance(progress, bool) and not callable(progress):
         raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
-    if not isinstance(start, (Mapping, Fit, EquationError, type(None))):
+    if not isinstance(start, (Mapping, FitResult, EquationError, type(None))):
         raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
     if isinstance(transcription, Collocation) and transcription.refine:
         # A mesh that is only finer needs no regression: the path is there.
         again = replace(solver, regression=False) if isinstance(solver, Newton) else solver
 
-        def fit_on(mesh: Collocation, fit: Fit | None) -> Fit:
+        def fit_on(mesh: Collocation, fit: FitResult | None) -> FitResult:
             begin, by = (fit, again) if fit else (start, solver)
             by = replace(by, time_limit=deadline.left())
             return estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
@@ -127,11 +127,11 @@ def estimate(
             start = start.as_start()
         # Of parameters that each experiment has its own, states are measured with biases: their path is a fit's.
         local = len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values())
-        if isinstance(start, Fit):
+        if isinstance(start, FitResult):
             fit = filter_error(model, experiments, transcription, noise, start, progress)
             return replace(fit, experiments=tuple(experiments))
 
-        def begun() -> Fit:
+        def begun() -> FitResult:
             _, others = split(transcription, start or {})
             return estimate(model, experiments, noise=noise, start=others, progress=progress)
 
@@ -141,7 +141,7 @@ def estimate(
             fit = better(fit, lambda: filter_error(model, experiments, transcription, noise, start, progress, begun()))
         return replace(fit, experiments=tuple(experiments))
 
-    warm = start if isinstance(start, (Fit, EquationError)) else None
+    warm = start if isinstance(start, (FitResult, EquationError)) else None
     given: Mapping[str, Any] = _given(start, noise)
     check_names(model, given, experiments, noise.names(model.output_names))
     parameters = parameter_start(model, given)
@@ -174,7 +174,7 @@ def estimate(
     with interrupts() as pressed:
         with Progress.of(progress, model.name) as watch:
             before = _warm(warm, transcription, problem, xi)
-            near = isinstance(start, Fit)
+            near = isinstance(start, FitResult)
 
             def solve(xi: _Array, known: bool = known) -> Solution:
                 return replace(solver, time_limit=deadline.left()).solve(
@@ -196,7 +196,7 @@ def estimate(
         )
         if pressed() and not stopped:  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
-    if isinstance(start, Fit) and (worse := _worse_than_start(fit, start)):
+    if isinstance(start, FitResult) and (worse := _worse_than_start(fit, start)):
         fit = replace(fit, warnings=(worse, *fit.warnings))
     return fit
 
@@ -205,7 +205,7 @@ def estimate(
 _LESS = 1e-2
 
 
-def _worse_than_start(fit: Fit, start: Fit) -> str:
+def _worse_than_start(fit: FitResult, start: FitResult) -> str:
     """Return a sentence where a fit is less likely than the one that it started from, on the same data, else ""."""
     pairs = list(zip(fit.records, start.records, strict=False))
     same = len(fit.records) == len(start.records) and all(
@@ -260,7 +260,7 @@ def _until(pressed: Callable[[], int], watch: Callable[[Iteration], None] | None
 
 def _given(start: Any, noise: Noise) -> Mapping[str, Any]:
     """Start values by name."""
-    if isinstance(start, Fit):
+    if isinstance(start, FitResult):
         return start.as_start(noise)
     return start.as_start() if isinstance(start, EquationError) else dict(start or {})
 
@@ -271,7 +271,7 @@ def starting_point(
     experiments: Sequence[Experiment],
     parameters: Mapping[str, float],
     given: Mapping[str, Any],
-    warm: Fit | EquationError | None = None,
+    warm: FitResult | EquationError | None = None,
 ) -> _Array:
     """The decision variables to start from: parameters, those of the noise, states at all points."""
     each = [list(parameter_start(model, given, e.name).values()) for e in experiments]
@@ -293,7 +293,7 @@ def starting_point(
 
 
 def _warm(
-    fit: Fit | EquationError | None, transcription: Transcription, problem: _core.Problem, xi: _Array
+    fit: FitResult | EquationError | None, transcription: Transcription, problem: _core.Problem, xi: _Array
 ) -> Solution | None:
     """The solution of an earlier fit, where the problem has the same size: its multipliers serve again."""
     if fit is None or fit.solution is None or fit.solution.xi.size != xi.size:

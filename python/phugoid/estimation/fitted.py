@@ -12,6 +12,7 @@ from .. import _core
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..errors import EvaluationError
+from ..fit_result import FitResult
 from ..match import chi_square_warning, no_match, r_squared
 from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
@@ -21,7 +22,6 @@ from ..noise.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates, Parameter, correlation_matrix
 from ..records import Record
 from ..repeated_outputs import repeated_outputs
-from ..result import Fit
 from ..solvers import HINTS, Solution
 from ..solvers.limits import Deadline
 from ..transcription.collocation import records_of
@@ -62,7 +62,7 @@ def make_fit(
     free: Sequence[Scaling] = (),
     stop: Callable[[], bool] | None = None,
     deadline: Deadline | None = None,
-) -> Fit:
+) -> FitResult:
     """The fit at a solution; without standard errors, which take long in large problems, where ``stop`` says so or
     there is no time left.
 
@@ -167,7 +167,7 @@ def make_fit(
     explained = {name: r_squared(records, name) for name in model.output_names}
     beware = [chi_square_warning(noise, model.output_names, records, unknowns), no_match(explained)]
     warnings = [*filter(None, beware), *warnings]
-    return Fit(
+    return FitResult(
         model=model,
         noise=noise,
         transcription=transcription,

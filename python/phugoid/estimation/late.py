@@ -16,12 +16,12 @@ from ..data.experiment import Experiment, FloatArray, Signal
 from ..data.interpolation import Interpolation, interpolated, kinds_for
 from ..data.multirate import distinct, together
 from ..errors import DataError
+from ..fit_result import FitResult
 from ..guess import parameter_start
 from ..modelling.delayed import at_delays
 from ..modelling.model import Model
 from ..parameters import Estimate, Parameter
 from ..records import Record
-from ..result import Fit
 from ..solvers import HINTS, Ipopt, Newton
 from ..solvers.limits import Deadline
 
@@ -64,22 +64,22 @@ def _moved(model: Model, slim: Model, experiment: Experiment, base: Mapping[str,
 
 
 def estimate_late(
-    estimate: Callable[..., Fit],
+    estimate: Callable[..., FitResult],
     model: Model,
     experiments: Sequence[Experiment],
     start: Any,
     by: tuple[Newton | Ipopt, Deadline],
     options: Mapping[str, Any],
-) -> Fit:
+) -> FitResult:
     """`estimate` for a model with delays, by passes of it over models without, which share the time that is left."""
     solver, deadline = by
-    given = start.as_start() if isinstance(start, Fit) else dict(start or {})
+    given = start.as_start() if isinstance(start, FitResult) else dict(start or {})
     names = model.delays.parameters
     values = parameter_start(model, given)
     base = {name: values[name] for name in names}
     interval = min(float(np.median(np.diff(e.t))) for e in experiments)
     # A warm start has the delays at which it was found.
-    begin: Any = start if isinstance(start, Fit) else {n: v for n, v in given.items() if n not in names} or None
+    begin: Any = start if isinstance(start, FitResult) else {n: v for n, v in given.items() if n not in names} or None
     iterations, time, warnings = 0, 0.0, []
     for number in range(model.delays.passes):
         slim = at_delays(model, base, _REACH * interval)

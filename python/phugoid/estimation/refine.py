@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.interpolation import kind_of
-from ..integration import IntegrationError
+from ..fit_result import FitResult
+from ..integration import IntegrationError, integration_error
 from ..refinement import Refinement, Step
-from ..result import Fit
 from ..transcription.collocation import Collocation
 
 __all__ = ["refined"]
@@ -28,7 +28,7 @@ _AIM, _PIECES = 0.5, 8
 _POINTS = 2_000_000
 
 
-def refined(solve: Callable[[Collocation, Fit | None], Fit], transcription: Collocation) -> Fit:
+def refined(solve: Callable[[Collocation, FitResult | None], FitResult], transcription: Collocation) -> FitResult:
     """The fit on a mesh that is fine enough: ``solve`` estimates with a transcription, from a fit or the user's start.
 
     Ends where the tolerance is met, after 10 passes, or with a pass that does not converge. Without a pass that was
@@ -41,7 +41,7 @@ def refined(solve: Callable[[Collocation, Fit | None], Fit], transcription: Coll
     while True:
         if fit.status in ("interrupted", "time limit"):  # no time to see how exact it is
             break
-        found = fit.integration_error()
+        found = integration_error(fit)
         assert isinstance(fit.transcription, Collocation)  # or there was no error to estimate
         worst = np.concatenate([each.worst for each in found])
         step = Step(
@@ -68,7 +68,7 @@ def refined(solve: Callable[[Collocation, Fit | None], Fit], transcription: Coll
     return replace(fit, refinement=Refinement.of(first.parameters, fit.parameters, steps, transcription.tolerance))
 
 
-def _split(fit: Fit, found: Sequence[IntegrationError], order: int, tolerance: float) -> list[_Array]:
+def _split(fit: FitResult, found: Sequence[IntegrationError], order: int, tolerance: float) -> list[_Array]:
     """Segment ends, with every segment that is too coarse divided as the order of the method asks for."""
     divided = []
     for record, each in zip(fit.records, found, strict=True):
@@ -82,7 +82,7 @@ def _split(fit: Fit, found: Sequence[IntegrationError], order: int, tolerance: f
     return divided
 
 
-def _bent(fit: Fit, found: Sequence[IntegrationError]) -> bool:
+def _bent(fit: FitResult, found: Sequence[IntegrationError]) -> bool:
     """Whether inputs bend inside a segment, so that a higher order would be lost there."""
     for record, each in zip(fit.records, found, strict=True):
         linear = [name for name in record.inputs if kind_of(record.interpolation, name) == "linear"]

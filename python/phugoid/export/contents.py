@@ -9,9 +9,9 @@ from typing import Any
 
 from ..data.interpolation import kind_of
 from ..errors import ModelError, OptionError
+from ..fit_result import FitResult
 from ..linear.linearise import labels_of, numbers_of
 from ..modelling.model import Model
-from ..result import Fit
 
 __all__ = ["Contents", "checked_name", "contents_of", "identifier"]
 
@@ -39,7 +39,7 @@ class Contents:
 
 def contents_of(
     caller: str,
-    fit: Fit | Model,
+    fit: FitResult | Model,
     parameters: Mapping[str, Any] | None,
     experiment: str | None,
     late_inputs: bool = False,
@@ -56,7 +56,7 @@ def contents_of(
     inputs = {name: 0.0 for name, _ in model._core.inputs}
     held: list[str] = []
     facts = [f"model: {model.name}"]
-    if isinstance(fit, Fit):
+    if isinstance(fit, FitResult):
         labels = labels_of(caller, fit, experiment)
         record = next(r for r in fit.records if experiment in (None, r.name))
         own = [n for n, label in labels.items() if label != n and n not in (parameters or {})]

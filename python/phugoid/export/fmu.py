@@ -17,8 +17,8 @@ import numpy as np
 
 from .._core import Expr, __version__
 from ..errors import DataError, MissingDependency, OptionError
+from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..result import Fit
 from ..writing import write
 from .contents import Contents, contents_of, identifier
 from .graph import number
@@ -34,7 +34,7 @@ _LONG_AGO = (1980, 1, 1, 0, 0, 0)
 
 
 def export_fmu(
-    fit: Fit | Model,
+    fit: FitResult | Model,
     path: str | os.PathLike[str],
     parameters: Mapping[str, Any] | None = None,
     *,
@@ -70,7 +70,7 @@ def export_fmu(
 
     contents = contents_of("export_fmu", fit, parameters, experiment, late_inputs)
     if step is None:
-        gaps = [float(np.diff(r.t).min()) for r in fit.records] if isinstance(fit, Fit) else []
+        gaps = [float(np.diff(r.t).min()) for r in fit.records] if isinstance(fit, FitResult) else []
         step = min(gaps) / _PARTS if gaps else _STEP
     if not (isinstance(step, (int, float)) and 0.0 < step < np.inf):
         raise OptionError(f"export_fmu: step is a positive number of seconds, not {step!r}")

@@ -11,9 +11,9 @@ from typing import Any
 
 from .._core import Expr, __version__
 from ..errors import DataError
+from ..fit_result import FitResult
 from ..linear.jacobians import Jacobians
 from ..modelling.model import Model
-from ..result import Fit
 from ..writing import write
 from .contents import Contents, checked_name, contents_of, identifier
 from .graph import HELPERS, LOOKUP, Graph, definition, number
@@ -237,7 +237,7 @@ def _comment(text: str) -> str:
 
 
 def export_c(
-    fit: Fit | Model,
+    fit: FitResult | Model,
     folder: str | os.PathLike[str],
     parameters: Mapping[str, Any] | None = None,
     *,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
+from ..fit_result import FitResult
 from .style import MEASURED, MODEL, RESIDUAL, RULE, STATE, STYLE, WIDTH, plain
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ _PANEL, _HEAD = 1.15, 0.5  # inches
 _SMALLEST = 1e-16  # of what is drawn; a zero has no logarithm
 
 
-def plot_convergence(fit: Any) -> tuple[Figure, dict[str, Axes]]:
+def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
     """One panel for each number of the iteration table over the iterations, logarithmic where it changes much.
 
     Log-likelihood: the distance from that of the last iteration; hollow where it was above, which a point can be that

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, UnknownName, listing
+from ..fit_result import FitResult
 from ..parameters import correlation_matrix
 from .style import STYLE, WIDTH, headline, plain
 
@@ -29,7 +30,7 @@ _SMALLEST = 4.5  # points; a value smaller than this is left out
 _STRONG = 0.9  # written bold
 
 
-def plot_correlation(fit: Any, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+def plot_correlation(fit: FitResult, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
     """The lower triangle of the correlation matrix of the estimates, from ``fit.covariance``.
 
     names  the parameters to show, in this order; None: all of the model that were estimated, without those of the
@@ -72,7 +73,7 @@ def plot_correlation(fit: Any, names: Sequence[str] | None = None) -> tuple[Figu
     return figure, {"correlation": axis, "scale": scale}
 
 
-def _chosen(fit: Any, known: Sequence[str], names: Sequence[str] | None) -> list[str]:
+def _chosen(fit: FitResult, known: Sequence[str], names: Sequence[str] | None) -> list[str]:
     if isinstance(names, str):
         raise DataError(f"plot_correlation: names='{names}' is text: give a list, such as names=['{names}']")
     if names is None:

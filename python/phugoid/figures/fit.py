@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..data.interpolation import kind_of
 from ..errors import DataError, UnknownName, did_you_mean
+from ..fit_result import FitResult
 from ..match import match
 from ..records import Record
 from ..tolerance import Tolerance, tolerances_by_output
@@ -174,7 +175,7 @@ _TWO_COLUMNS_FROM = 7
 
 
 def plot_fit(
-    fit: Any,
+    fit: FitResult,
     record: int | str = 0,
     channels: Sequence[str] | None = None,
     axes: Mapping[str, Axes] | None = None,
@@ -182,8 +183,7 @@ def plot_fit(
 ) -> tuple[Figure, dict[str, Axes]]:
     """Proof of match of one experiment: per output measured points, the model's line, the residual beneath.
 
-    fit         has .records (of `Record`), and if it can .parameters (``sigma_<output>`` gives the band of ±2σ)
-                and .model.name.
+    fit         whose ``sigma_<output>`` gives the band of ±2σ.
     record      index or name of the experiment.
     channels    the outputs, inputs and states to show; None: all outputs, then all inputs.
     axes        name -> axes of your own to draw into; ``"<output> residual"`` takes the strip.
@@ -195,10 +195,7 @@ def plot_fit(
     """
     chosen = choose_record(fit.records, record)
     limits = tolerances_by_output("plot", list(chosen.outputs), tolerances)
-    sigma = sigmas_of(fit, chosen)
-    model = getattr(getattr(fit, "model", None), "name", "")
-    title = f"{model}: {chosen.name}" if model else chosen.name
-    return _draw(chosen, channels, axes, sigma, title, limits)
+    return _draw(chosen, channels, axes, sigmas_of(fit, chosen), f"{fit.model.name}: {chosen.name}", limits)
 
 
 def plot_validation(
@@ -212,23 +209,25 @@ def plot_validation(
 
 
 def plot_record(
-    record: Record, channels: Sequence[str] | None = None, axes: Mapping[str, Axes] | None = None
+    record: Record,
+    channels: Sequence[str] | None = None,
+    axes: Mapping[str, Axes] | None = None,
+    title: str | None = None,
 ) -> tuple[Figure, dict[str, Axes]]:
     """The time histories of one record, such as a simulation; measured points are drawn where there are any.
 
     Parameters, return value and errors as for `plot_fit`.
     """
-    return _draw(record, channels, axes, {}, record.name)
+    return _draw(record, channels, axes, {}, record.name if title is None else title)
 
 
-def sigmas_of(fit: Any, record: Record) -> dict[str, float]:
+def sigmas_of(fit: FitResult, record: Record) -> dict[str, float]:
     """Output -> standard deviation (scale) of its noise in a record: estimated, for all or for this one, or known."""
-    parameters, noise = getattr(fit, "parameters", {}), getattr(fit, "noise", None)
-    found: dict[str, float] = {} if noise is None else dict(noise.known_sigmas(tuple(record.outputs)))
+    found = dict(fit.noise.known_sigmas(tuple(record.outputs)))
     for name in record.outputs:
         for label in (f"sigma_{name}", f"sigma_{name}[{record.name}]"):
-            if label in parameters:
-                found[name] = float(parameters[label])
+            if label in fit.parameters:
+                found[name] = fit.parameters[label].value
     return found
 
 

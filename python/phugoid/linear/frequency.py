@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..data.experiment import Experiment
 from ..data.filtering import even_rate, number, whole_from
 from ..errors import DataError, OptionError
+from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..result import Fit
 from .linearise import model_response
 from .response import FrequencyResponse
 from .state_space import StateSpace
@@ -216,7 +216,7 @@ def frequency_response(
 
 @overload
 def frequency_response(
-    source: Fit | Model | StateSpace,
+    source: FitResult | Model | StateSpace,
     frequencies_hz: ArrayLike,
     input: str | None = None,
     output: str | None = None,
@@ -227,7 +227,9 @@ def frequency_response(
 ) -> FrequencyResponse: ...
 
 
-def frequency_response(source: Experiment | Fit | Model | StateSpace, *args: Any, **options: Any) -> FrequencyResponse:
+def frequency_response(
+    source: Experiment | FitResult | Model | StateSpace, *args: Any, **options: Any
+) -> FrequencyResponse:
     """The frequency response that a record shows, or that of a fit, a model or a `StateSpace`.
 
     **Of a record**, ``frequency_response(data, input, output, method="etfe", *, period, smoothing, segment, band,
@@ -283,7 +285,7 @@ def frequency_response(source: Experiment | Fit | Model | StateSpace, *args: Any
     """
     if isinstance(source, Experiment):
         return empirical_response(source, *args, **options)
-    if isinstance(source, (Fit, Model, StateSpace)):
+    if isinstance(source, (FitResult, Model, StateSpace)):
         return model_response(source, *args, **options)
     raise DataError(
         f"frequency_response: the first argument is one Experiment, a Fit, a Model or a StateSpace, not a "

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..errors import EvaluationError, ModelError, listing
+from ..fit_result import FitResult
 from ..guess import spread
 from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
-from ..result import Fit
 from ..transcription.filter_error import FilterError
 from .jacobians import Jacobians
 from .mode_table import Modes, table_of
@@ -40,7 +40,7 @@ class Uncertainty:
     trade shows when the priors are made wider: its variance grows too, and is reported as NaN.
     """
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: FitResult) -> None:
         self.fit = fit
         noise = fit.noise_parameters
         self.names = [name for name in fit.parameters if name not in noise]
@@ -110,7 +110,7 @@ class Uncertainty:
 
 
 def linearise(
-    fit: Fit | Model,
+    fit: FitResult | Model,
     parameters: Mapping[str, Any] | None = None,
     *,
     at: Mapping[str, float] | None = None,
@@ -138,7 +138,7 @@ def linearise(
 
 
 def model_response(
-    fit: Fit | Model | StateSpace,
+    fit: FitResult | Model | StateSpace,
     frequencies_hz: ArrayLike,
     input: str | None = None,
     output: str | None = None,
@@ -169,7 +169,7 @@ def model_response(
     numbers = jacobians.point(values, at)
     transfer = _Transfer(jacobians, numbers, frequencies, u, y)
     error = None
-    if isinstance(fit, Fit) and parameters is None:
+    if isinstance(fit, FitResult) and parameters is None:
         uncertainty = Uncertainty(fit)
         labels = labels_of("frequency_response", fit, experiment)
         gradients = np.zeros((frequencies.size, len(uncertainty.names)))
@@ -240,10 +240,10 @@ class _Transfer:
 
 
 def numbers_of(
-    caller: str, fit: Any, parameters: Mapping[str, Any] | None, experiment: str | None
+    caller: str, fit: FitResult | Model, parameters: Mapping[str, Any] | None, experiment: str | None
 ) -> tuple[Model, dict[str, float]]:
     """The model, and values of its parameters. ModelError where one is missing or unknown."""
-    if isinstance(fit, Fit):
+    if isinstance(fit, FitResult):
         model = fit.model
         estimates = fit.parameters.to_dict()
         values = {name: estimates[label] for name, label in labels_of(caller, fit, experiment).items()}
@@ -272,7 +272,7 @@ def numbers_of(
     return model, values
 
 
-def labels_of(caller: str, fit: Fit, experiment: str | None) -> dict[str, str]:
+def labels_of(caller: str, fit: FitResult, experiment: str | None) -> dict[str, str]:
     """Of each parameter of the model its name among the estimates."""
     there = [record.name for record in fit.records]
     if experiment is not None and experiment not in there:
@@ -286,7 +286,7 @@ def labels_of(caller: str, fit: Fit, experiment: str | None) -> dict[str, str]:
     return found
 
 
-def _matters(fit: Fit, parameter: str) -> bool:
+def _matters(fit: FitResult, parameter: str) -> bool:
     """Whether derivatives by states or inputs depend on a parameter: a bias does not matter."""
     return parameter in {*Jacobians(fit.model, "").parameters, *fit.model.delays.parameters}
 
@@ -295,7 +295,7 @@ _Complex: TypeAlias = NDArray[np.complex128]
 
 
 def modes(
-    fit: Fit | Model | StateSpace,
+    fit: FitResult | Model | StateSpace,
     parameters: Mapping[str, Any] | None = None,
     *,
     at: Mapping[str, float] | None = None,
@@ -333,7 +333,7 @@ def modes(
     jacobians = Jacobians(model, "modes", blocks="A")
     numbers = jacobians.point(values, at)
     A = jacobians.matrix("A", numbers)
-    if not isinstance(fit, Fit) or parameters is not None:
+    if not isinstance(fit, FitResult) or parameters is not None:
         return table_of(np.linalg.eigvals(A).astype(np.complex128))
     lam, right = np.linalg.eig(A)
     try:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from .._core import Expr
 from ..errors import EvaluationError, ModelError, OptionError, listing
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..parameters import text_table
-from ..result import Fit
 from .linearise import numbers_of
 
 __all__ = ["Trim", "trim"]
@@ -71,7 +71,7 @@ class Trim(Mapping[str, float]):
 
 
 def trim(
-    fit: Fit | Model,
+    fit: FitResult | Model,
     parameters: Mapping[str, Any] | None = None,
     *,
     at: Mapping[str, float] | None = None,
@@ -107,9 +107,9 @@ def trim(
     <Trim: phi = 0.5, w = 0, T = 4.70316>
     """
     model, values = numbers_of("trim", fit, parameters, experiment)
-    begin = _start(model, fit if isinstance(fit, Fit) else None, experiment, dict(start or {}))
+    begin = _start(model, fit if isinstance(fit, FitResult) else None, experiment, dict(start or {}))
     problem = _Problem(model, values, dict(at or {}), dict(rates or {}), dict(outputs or {}))
-    if isinstance(fit, Fit) and experiment is None and parameters is None and len(fit.records) > 1:
+    if isinstance(fit, FitResult) and experiment is None and parameters is None and len(fit.records) > 1:
         own = [n for n in sorted(problem.used) if f"{n}[{fit.records[0].name}]" in fit.parameters]
         if own:
             raise ModelError(
@@ -252,7 +252,7 @@ def _at(e: Expr, numbers: Mapping[str, float]) -> float:
     return e.evaluate({n: numbers[n] for n in e.symbols})
 
 
-def _start(model: Model, fit: Fit | None, experiment: str | None, given: dict[str, float]) -> dict[str, float]:
+def _start(model: Model, fit: FitResult | None, experiment: str | None, given: dict[str, float]) -> dict[str, float]:
     names = (*model.state_names, *model.input_names)
     _known("start", given, names)
     found = dict.fromkeys(names, 0.0)

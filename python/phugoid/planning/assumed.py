@@ -9,15 +9,15 @@ import numpy as np
 
 from ..data.experiment import Experiment
 from ..errors import ModelError, OptionError, listing
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.noise import Gaussian
-from ..result import Fit
 
 __all__ = ["first_states", "own_values", "sigmas_of", "source_of", "value_of", "values_of"]
 
 
-def source_of(source: Any) -> tuple[Model, Fit | None]:
-    if isinstance(source, Fit):
+def source_of(source: Any) -> tuple[Model, FitResult | None]:
+    if isinstance(source, FitResult):
         return source.model, source
     if isinstance(source, Model):
         source.check()
@@ -26,7 +26,7 @@ def source_of(source: Any) -> tuple[Model, Fit | None]:
 
 
 def values_of(
-    model: Model, fit: Fit | None, runs: Sequence[Experiment], values: Mapping[str, Any] | None
+    model: Model, fit: FitResult | None, runs: Sequence[Experiment], values: Mapping[str, Any] | None
 ) -> dict[str, float]:
     """Values for all parameters; those that each experiment has its own of also as name[experiment]."""
     found = {n: p.start for n, p in model.declared_parameters.items()}
@@ -54,7 +54,7 @@ def own_values(model: Model, values: Mapping[str, float], run: Experiment) -> di
     return {n: values.get(f"{n}[{run.name}]", values[n]) for n in model.parameter_names}
 
 
-def sigmas_of(model: Model, fit: Fit | None, noise: Mapping[str, float] | None) -> dict[str, float]:
+def sigmas_of(model: Model, fit: FitResult | None, noise: Mapping[str, float] | None) -> dict[str, float]:
     names = model.output_names
     found: dict[str, float] = {}
     if isinstance(noise, Gaussian):
@@ -80,7 +80,7 @@ def sigmas_of(model: Model, fit: Fit | None, noise: Mapping[str, float] | None) 
     return {n: found[n] for n in names}
 
 
-def first_states(model: Model, fit: Fit | None, initial: Mapping[str, float] | None) -> dict[str, float]:
+def first_states(model: Model, fit: FitResult | None, initial: Mapping[str, float] | None) -> dict[str, float]:
     found = {} if fit is None else {n: e.value for n, e in fit.initial_states[fit.records[0].name].items()}
     # What the model's conditions say follows from the values.
     held = {state for end, state, *_ in model._core.conditions if end == "initial"}

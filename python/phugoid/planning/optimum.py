@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
 from ..errors import EvaluationError, OptionError
+from ..fit_result import FitResult
 from ..inputs.grid import number
 from ..modelling.model import Model
-from ..result import Fit
 from .plan import Criterion, Plan, criterion_of
 from .planned import plan
 
@@ -27,7 +27,7 @@ _BEYOND, _NEVER = 10.0, 1e3
 
 
 def optimal_plan(
-    source: Model | Fit,
+    source: Model | FitResult,
     make: Callable[..., Experiment | Sequence[Experiment]],
     bounds: Mapping[str, tuple[float, float]],
     *,

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, listing
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..parameters import Estimate, Estimates
 from ..records import Record
-from ..result import Fit
 from ..transcription.collocation import Collocation
 from .assumed import first_states, own_values, sigmas_of, source_of, value_of, values_of
 from .information import Information
@@ -27,14 +27,14 @@ Limits = Mapping[str, float | tuple[float, float]]
 
 
 def plan(
-    source: Model | Fit,
+    source: Model | FitResult,
     manoeuvre: Experiment | Sequence[Experiment],
     *,
     values: Mapping[str, Any] | None = None,
     noise: Mapping[str, float] | None = None,
     initial: Mapping[str, float] | None = None,
     limits: Limits | None = None,
-    after: Fit | None = None,
+    after: FitResult | None = None,
     of: Collection[str] | None = None,
     sizes: Mapping[str, float] | None = None,
     transcription: Collocation | None = None,
@@ -124,14 +124,16 @@ def plan(
     )
 
 
-def plans(source: Model | Fit, manoeuvres: Mapping[str, Experiment | Sequence[Experiment]], **options: Any) -> Plans:
+def plans(
+    source: Model | FitResult, manoeuvres: Mapping[str, Experiment | Sequence[Experiment]], **options: Any
+) -> Plans:
     """`plan` for several manoeuvres, by name, side by side; with the same options."""
     if not isinstance(manoeuvres, Mapping) or not manoeuvres:
         raise DataError(f"plans: give the manoeuvres by name, as in {{'doublet': run1}}, not {manoeuvres!r}")
     return Plans({str(n): plan(source, m, name=str(n), **options) for n, m in manoeuvres.items()})
 
 
-def _together(model: Model, fits: Sequence[Fit]) -> tuple[list[str], _Array]:
+def _together(model: Model, fits: Sequence[FitResult]) -> tuple[list[str], _Array]:
     """Names and information of all records: each has its own of some parameters."""
     local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
     parts = []
@@ -150,7 +152,7 @@ def _together(model: Model, fits: Sequence[Fit]) -> tuple[list[str], _Array]:
 
 def _flown(model: Model, names: Sequence[str], after: Any) -> _Array:
     """Information of a fit about parameters, whatever else it estimated."""
-    if not isinstance(after, Fit):
+    if not isinstance(after, FitResult):
         raise OptionError(f"plan: after is a fit of records that are there, not a {type(after).__name__}")
     theirs = list(after.parameters)
     cov = after.covariance

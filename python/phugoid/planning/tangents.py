@@ -22,10 +22,10 @@ from ..data.interpolation import kinds_for
 from ..discrepancy.search.linearised import Linearised
 from ..errors import EvaluationError
 from ..estimation.estimate import estimate
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.noise import Gaussian
 from ..records import Record
-from ..result import Fit
 from ..simulate import first_values, simulate
 from ..solvers import Newton
 from ..transcription.collocation import Collocation
@@ -50,7 +50,7 @@ def predicted(
     initial: Mapping[str, float],
     sigmas: Mapping[str, float],
     mesh: Collocation,
-) -> tuple[Record, Fit]:
+) -> tuple[Record, FitResult]:
     """What the model predicts for the inputs of ``run``, and the fit to it, at the parameters that predict it.
 
     Raises EvaluationError where there is no solution, or where the fit does not lie on it.
@@ -95,7 +95,7 @@ def _stepped(model: Model, values: Mapping[str, float], run: Experiment, *, init
 
 def _fitted(
     model: Model, record: Record, run: Experiment, values: Mapping[str, float], noise: Gaussian, mesh: Collocation
-) -> Fit:
+) -> FitResult:
     outputs = {}
     for name in model.output_names:
         outputs[name] = record.outputs[name].copy()
@@ -116,7 +116,7 @@ def _fitted(
     return fit
 
 
-def sensitivities(fit: Fit, linear: Linearised | None = None) -> tuple[list[str], _Array]:
+def sensitivities(fit: FitResult, linear: Linearised | None = None) -> tuple[list[str], _Array]:
     """Names of the free parameters (n) and J (rows, n): changes of the outputs by them, in units of the noise, less
     what first states could make up for."""
     linear = linear or Linearised(fit)

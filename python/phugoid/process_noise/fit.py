@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from .. import _core
 from ..data.experiment import Experiment
 from ..errors import EvaluationError, OptionError, PhugoidError
+from ..fit_result import FitResult
 from ..guess import check_names, parameter_start, spread, state_start
 from ..modelling.model import Model
 from ..noise.noise import Gaussian, Noise
 from ..progress import Progress
-from ..result import Fit
 from ..solvers import Iteration
 from ..solvers.quasi_newton import Minimum, bounded_step, minimise
 from ..transcription.filter_error import FilterError
@@ -45,22 +45,22 @@ def filter_error(
     experiments: Sequence[Experiment],
     options: FilterError,
     noise: Noise,
-    start: Mapping[str, Any] | Fit | None,
+    start: Mapping[str, Any] | FitResult | None,
     progress: bool | Callable[[Iteration], None],
-    ordinary: Fit | None = None,
-) -> Fit:
+    ordinary: FitResult | None = None,
+) -> FitResult:
     """The fit by the filter-error method; arguments as those of `estimate`, which has checked them, and an output-error
     fit to start from."""
     begin = time.perf_counter()
     _check(model, noise)
     if len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values()):
         apart = Separated(model, experiments)
-        begun = apart.fit(start) if isinstance(start, Fit) else apart.start(start or {})
+        begun = apart.fit(start) if isinstance(start, FitResult) else apart.start(start or {})
         ordinary = None if ordinary is None else apart.fit(ordinary)
         return apart.restored(filter_error(apart.model, apart.experiments, options, noise, begun, progress, ordinary))
-    warm = start if isinstance(start, Fit) else ordinary
+    warm = start if isinstance(start, FitResult) else ordinary
     known_q = options.intensities or {}
-    of_q, rest = split(options, {} if start is None or isinstance(start, Fit) else start)
+    of_q, rest = split(options, {} if start is None or isinstance(start, FitResult) else start)
     if warm is not None:
         rest = warm.as_start(noise)
         of_q = of_q or {
@@ -133,7 +133,7 @@ def filter_error(
     return fit
 
 
-def doubtful(fit: Fit, options: FilterError) -> bool:
+def doubtful(fit: FitResult, options: FilterError) -> bool:
     """Whether an end found from values far away may be none: it was not reached, or only once the noise between samples
     was refined. Coarse steps have optima of their own, of motions too fast for them."""
     if fit.status == "interrupted":
@@ -141,7 +141,7 @@ def doubtful(fit: Fit, options: FilterError) -> bool:
     return not fit.converged or fit.transcription != options.meshes()[0]
 
 
-def better(fit: Fit, other: Callable[[], Fit]) -> Fit:
+def better(fit: FitResult, other: Callable[[], FitResult]) -> FitResult:
     """Of a doubtful fit and one that starts elsewhere the one that converged, or is likelier."""
     try:
         second = other()
@@ -193,7 +193,7 @@ def _states(
     e: Experiment,
     parameters: Mapping[str, float],
     given: Mapping[str, Any],
-    warm: Fit | None,
+    warm: FitResult | None,
     i: int,
 ) -> _Array:
     """States to start from, (n_x, N)."""

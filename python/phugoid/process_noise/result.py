@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from .. import _core
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.noise import Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record
 from ..repeated_outputs import repeated_outputs
-from ..result import Fit
 from ..solvers import HINTS
 from ..solvers.quasi_newton import Minimum
 from ..transcription.collocation import records_of
@@ -40,7 +40,7 @@ def make_filter_fit(
     end: Minimum,
     hessian: _Array | None,
     seconds: float,
-) -> Fit:
+) -> FitResult:
     """The fit at a maximum of the marginal likelihood.
 
     Standard errors are from the curvature there (``hessian``, of minus the likelihood in the variables of
@@ -103,7 +103,7 @@ def make_filter_fit(
     records, initial = _records(model, experiments, objective, z, covariance)
     warnings += repeated_outputs(records, model.output_names)
     message = HINTS.get(status, "")
-    return Fit(
+    return FitResult(
         model=model,
         noise=noise,
         transcription=options,

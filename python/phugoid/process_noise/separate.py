@@ -17,10 +17,10 @@ from .. import _core
 from .._core import Expr
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
 from ..parameters import Estimates
-from ..result import Fit
 
 __all__ = ["Separated"]
 
@@ -72,13 +72,13 @@ class Separated:
         taken = {*self.names.values(), *(old.partition("[")[0] for old in self.names.values())}
         return {**{name: value for name, value in given.items() if name not in taken}, **found}
 
-    def fit(self, fit: Fit) -> Fit:
+    def fit(self, fit: FitResult) -> FitResult:
         """A fit of the original model as one of this, to start from."""
         new = {old: name for name, old in self.names.items()}
         estimates = Estimates(replace(e, name=new.get(e.name, e.name)) for e in fit.parameters.values())
         return replace(fit, parameters=estimates, model=self.model)
 
-    def restored(self, fit: Fit) -> Fit:
+    def restored(self, fit: FitResult) -> FitResult:
         """A fit of this model as one of the original."""
         estimates = Estimates(replace(e, name=self.names.get(e.name, e.name)) for e in fit.parameters.values())
         records = [

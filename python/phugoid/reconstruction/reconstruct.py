@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _core
+from ..api import estimate
 from ..data.experiment import Experiment, as_experiments
 from ..data.interpolation import kinds_for
 from ..errors import ModelError, OptionError, PhugoidError
-from ..estimation.estimate import estimate
 from ..modelling.model import Model
 from ..models.flight_path import flight_path
 from ..parameters import Estimate, plus_minus, text_table

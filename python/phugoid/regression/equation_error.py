@@ -101,7 +101,8 @@ class EquationError:
 
     def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
         """Both sides of the equations over time, residuals and inputs, of one experiment."""
-        return plot.plot_fit(self, record, channels)
+        chosen = plot.choose_record(self.records, record)
+        return plot.plot_record(chosen, channels, title=f"{self.model.name}: {chosen.name}")
 
     def __repr__(self) -> str:
         return (

@@ -14,10 +14,10 @@ import numpy as np
 
 from ..data.experiment import Experiment
 from ..errors import DataError
+from ..fit_result import FitResult
 from ..parameters import Estimates
 from ..records import Record
 from ..refinement import Refinement
-from ..result import Fit
 from ..solvers import HINTS, Iteration, Solution
 from ..transcription.filter_error import FilterError
 
@@ -26,7 +26,7 @@ __all__ = ["check_fit", "check_kinds"]
 _WHOLE = 2**53  # beyond, JSON's numbers are not exact
 
 
-def check_fit(fit: Fit, moved: bool = True) -> None:
+def check_fit(fit: FitResult, moved: bool = True) -> None:
     """Raise DataError, with the place, unless the fit is complete and consistent."""
     fit.model.check()
     fit.noise.resolve(fit.model.output_names, dict.fromkeys(fit.model.output_names, 1.0), {})
@@ -73,7 +73,7 @@ def check_kinds(
             _require(fits(values[name]), f"{where} is no {kind}, but {_brief(values[name])}")
 
 
-def _parameters(fit: Fit) -> None:
+def _parameters(fit: FitResult) -> None:
     names = [r.name for r in fit.records]
     _estimates("parameters", fit.parameters, fit.status)
     known = set(fit.noise_parameters)
@@ -106,7 +106,7 @@ def _estimates(place: str, group: Estimates, status: str) -> None:
         _require(e.bounds_active in (None, "lower", "upper"), f"{where}.bounds_active is {_brief(e.bounds_active)}")
 
 
-def _records(fit: Fit) -> None:
+def _records(fit: FitResult) -> None:
     _require(len(fit.records) > 0, "records: there is none")
     model, finite = fit.model, fit.status == "converged"
     names = [r.name for r in fit.records]
@@ -142,7 +142,7 @@ def _groups(place: str, r: Record, finite: bool) -> None:
         _array(f"{place}.input_samples.{name}", values, (times.size,))
 
 
-def _experiments(fit: Fit) -> None:
+def _experiments(fit: FitResult) -> None:
     _require([e.name for e in fit.experiments] == [r.name for r in fit.records], "experiments: are not the records'")
     for i, e in enumerate(fit.experiments):
         place = f"experiments[{i}]"
@@ -164,7 +164,7 @@ def _mesh(place: str, e: Experiment) -> None:
         _times(f"{place}.mesh_times", e.mesh_times)
 
 
-def _solution(s: Solution, fit: Fit) -> None:
+def _solution(s: Solution, fit: FitResult) -> None:
     place = "solution"
     check_kinds(place, vars(s), ("status", "message"), ("iterations", "flops"), ("time",))
     check_kinds(f"{place}.evaluations", s.evaluations, (), s.evaluations)

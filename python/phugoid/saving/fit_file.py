@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment, Signal
 from ..errors import DataError, PhugoidError
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.kinds import noise_from_dict
 from ..parameters import Estimate, Estimates
 from ..records import Record
 from ..refinement import Refinement
-from ..result import Fit
 from ..solvers import Iteration, Solution
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription, from_dict, to_dict
@@ -37,12 +37,12 @@ _Array: TypeAlias = NDArray[np.float64]
 _OF_FILTER = ("state_std", "innovations", "innovation_std", "predicted_states")
 
 
-def save(fit: Fit, path: str | os.PathLike[str]) -> None:
+def save(fit: FitResult, path: str | os.PathLike[str]) -> None:
     """Writes a fit: HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON. See `Fit.save`."""
     io.save_fit_dict(path, fit_payload(fit), lambda place: fit_unit(fit, place))
 
 
-def load(path: str | os.PathLike[str]) -> Fit:
+def load(path: str | os.PathLike[str]) -> FitResult:
     """Reads a fit that `Fit.save` wrote, of this version or an older one; what the file is shows from its content.
 
     Raises DataError for a missing, damaged or newer file, MissingDependency for HDF5 without h5py.
@@ -62,7 +62,7 @@ def damage(path: str | os.PathLike[str]) -> Iterator[None]:
         raise DataError(f"{path}: is damaged ({what[:500]})") from error
 
 
-def fit_payload(fit: Fit) -> dict[str, Any]:
+def fit_payload(fit: FitResult) -> dict[str, Any]:
     """A fit as numbers, texts, lists, mappings and arrays."""
     return {
         "model": fit.model.to_json(),
@@ -123,7 +123,7 @@ def _sparse(values: _Array) -> dict[str, Any]:
     return {"size": values.size, "at": at, "values": values[at]}
 
 
-def fit_unit(fit: Fit, place: tuple[str | int, ...]) -> str:
+def fit_unit(fit: FitResult, place: tuple[str | int, ...]) -> str:
     """Of an array: ``("records", 0, "outputs", "q")`` has the unit of q."""
     if place[0] == "moved":
         return fit_unit(fit._moved, place[1:]) if fit._moved else ""
@@ -142,9 +142,9 @@ def fit_unit(fit: Fit, place: tuple[str | int, ...]) -> str:
     return units.get(name, "")
 
 
-def fit_from(saved: Mapping[str, Any], version: int) -> Fit:
+def fit_from(saved: Mapping[str, Any], version: int) -> FitResult:
     """The fit of a payload. Raises DataError, or another exception, where it is none."""
-    fit = Fit(
+    fit = FitResult(
         model=Model.from_json(saved["model"]),
         noise=noise_from_dict(saved["noise"]),
         transcription=_transcription(saved["transcription"]),

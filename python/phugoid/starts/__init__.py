@@ -1,1 +1,1 @@
-"""Many starts, and tasks on any executor."""
+"""Tasks on any executor: starts of an estimation, their outcomes, and what becomes of lost workers."""

@@ -10,9 +10,9 @@ from typing import Any
 from ..data.experiment import Experiment
 from ..errors import DataError, MissingDependency, ModelError, OptionError
 from ..estimation.estimate import estimate
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.noise import Noise
-from ..result import Fit
 from ..solvers import Newton
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription
@@ -66,7 +66,7 @@ class Problem:
     solver: Any = None
     start: Mapping[str, Any] = field(default_factory=dict)
 
-    def fit(self, start: Mapping[str, Any]) -> Fit:
+    def fit(self, start: Mapping[str, Any]) -> FitResult:
         """The fit from a start."""
         return estimate(
             self.model,

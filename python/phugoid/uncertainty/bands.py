@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from ..data.experiment import Experiment
 from ..discrepancy.search.linearised import Linearised, collocated
 from ..errors import DataError, OptionError, UnknownName, did_you_mean
+from ..fit_result import FitResult
 from ..guess import spread
 from ..parameters import Estimates
 from ..records import Record
-from ..result import Fit
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..validation.validate import found_anew
 from .coloured import Colouring
+from .coloured import coloured as corrected
 from .filter_bands import elsewhere, within
 from .resample import Parametric
 from .tangents import Tangents, linearised
@@ -67,7 +68,7 @@ class Bands:
 
 
 def prediction_bands(
-    fit: Fit,
+    fit: FitResult,
     experiment: str | int | Experiment | None = None,
     *,
     level: float = 0.95,
@@ -106,7 +107,7 @@ def prediction_bands(
     return Bands(record, float(level), errors, model, measurement, coloured, f"{fit.model.name}: {record.name}")
 
 
-def _which(fit: Fit, experiment: str | int | None) -> int:
+def _which(fit: FitResult, experiment: str | int | None) -> int:
     names = [r.name for r in fit.records]
     if experiment is None:
         if len(names) > 1:
@@ -124,7 +125,7 @@ def _which(fit: Fit, experiment: str | int | None) -> int:
     return int(experiment) % len(names)
 
 
-def _errors(fit: Fit, tangents: Tangents, covariance: _Array, e: int, record: Record) -> dict[str, _Array]:
+def _errors(fit: FitResult, tangents: Tangents, covariance: _Array, e: int, record: Record) -> dict[str, _Array]:
     """Output -> (N,) standard errors along a record."""
     changes = tangents.outputs()[e]
     variance = np.einsum("ytk,kl,ytl->yt", changes, covariance, changes)
@@ -137,7 +138,7 @@ def _errors(fit: Fit, tangents: Tangents, covariance: _Array, e: int, record: Re
 
 
 def _elsewhere(
-    fit: Fit, other: Experiment, coloured: bool, biases: Sequence[str] | None, values: Mapping[str, float]
+    fit: FitResult, other: Experiment, coloured: bool, biases: Sequence[str] | None, values: Mapping[str, float]
 ) -> tuple[Record, dict[str, _Array], Parametric]:
     """Of an experiment that the fit was not made on: its initial states and biases are found anew, for parameters as
     fitted, so the errors of the former follow those of the latter."""
@@ -158,7 +159,7 @@ def _elsewhere(
     moves, labels = moves[used], [labels[i] for i in used]
     names = list(fit.parameters)
     at = [names.index(name) for name in labels]
-    given = (fit.coloured.covariance if coloured else fit.covariance)[np.ix_(at, at)]
+    given = (corrected(fit).covariance if coloured else fit.covariance)[np.ix_(at, at)]
     # Coordinates are orthonormal in the outputs: the least change that has the parameters there is the refit of the
     # rest, and what moves no parameter is what the noise of the new record moves.
     back = np.linalg.pinv(moves, rcond=1e-9)
@@ -170,7 +171,7 @@ def _elsewhere(
     return record, _errors(fit, t, covariance, 0, record), Parametric.of(found)
 
 
-def _opened(fit: Fit, found: Fit, held: Mapping[str, float]) -> Fit:
+def _opened(fit: FitResult, found: FitResult, held: Mapping[str, float]) -> FitResult:
     """A fit of initial states and biases alone as one of the whole model, where it is, so that parameters may move."""
     inner, before = found._moved or found, fit._moved or fit
     assert inner.solution is not None

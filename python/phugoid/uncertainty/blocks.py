@@ -10,7 +10,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..result import Fit
+from ..fit_result import FitResult
+from .coloured import coloured
 from .resample import Resampler
 
 __all__ = ["Blocks", "block_length"]
@@ -34,7 +35,7 @@ class Blocks(Resampler):
     starts: Sequence[NDArray[np.intp]] = ()
 
     @classmethod
-    def of(cls, fit: Fit, block: int) -> Blocks:
+    def of(cls, fit: FitResult, block: int) -> Blocks:
         """With blocks of so many samples, or fewer where gaps leave no room for them."""
         names = list(fit.model.output_names)
         parts = cls.parts(fit)
@@ -94,10 +95,10 @@ def _beginnings(t: _Array, near: NDArray[np.bool_], block: int) -> tuple[int, ND
     return length, begin if begin.size else np.arange(t.size)
 
 
-def block_length(fit: Fit) -> int:
+def block_length(fit: FitResult) -> int:
     """Samples of a block, from how long the noise remembers (Carlstein 1986): as for a process of order one with the
     same memory, the longest of all outputs; no more than a sixth of a record."""
-    colour = fit.coloured
+    colour = coloured(fit)
     n = min(r.n for r in fit.records)
     length = 1.0
     for name, memory in colour.times.items():

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from ..errors import DataError, OptionError
 from ..estimation.estimate import estimate
+from ..fit_result import FitResult
 from ..parameters import Estimates, text_table
-from ..result import Fit
 from ..starts.outcome import Outcome, Problem
 from ..starts.starts import stream
 from ..transcription.filter_error import FilterError
@@ -129,7 +129,7 @@ class Bootstrap:
 class _Resampled(Problem):
     """A problem whose data are drawn anew for each start, which holds only the seed."""
 
-    base: Fit | None = None
+    base: FitResult | None = None
     resampler: Resampler | None = None
     seed: int = 0
 
@@ -143,7 +143,7 @@ class _Resampled(Problem):
         except DataError as error:  # a draw may leave an output at rest; others do not
             return Outcome(index, start, "error", str(error))
 
-    def fit(self, start: Mapping[str, Any]) -> Fit:
+    def fit(self, start: Mapping[str, Any]) -> FitResult:
         """The fit to data."""
         return estimate(
             self.model,
@@ -156,7 +156,7 @@ class _Resampled(Problem):
 
 
 def bootstrap(
-    fit: Fit,
+    fit: FitResult,
     n: int = 200,
     kind: Kind = "parametric",
     *,

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import EvaluationError
+from ..fit_result import FitResult
 from ..parameters import Estimates, plus_minus, text_table
-from ..result import Fit
 from .colour import Laid, Links, Process, common, fitted, links
 from .grids import grids_of
 from .tangents import Tangents, linearised
@@ -171,8 +171,12 @@ def _proper(matrix: _Array) -> _Array:
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def coloured(fit: Fit) -> Coloured:
-    """What `Fit.coloured` does; see there."""
+def coloured(fit: FitResult) -> Coloured:
+    """Return what `Fit.coloured` gives, computed once for each fit; see there."""
+    return fit._once("_coloured", lambda: _corrected(fit))
+
+
+def _corrected(fit: FitResult) -> Coloured:
     try:
         c = Colouring(Tangents(linearised(fit, "coloured")))
     except np.linalg.LinAlgError as error:
@@ -210,7 +214,7 @@ def _memory(process: Process, most: int) -> _Array:
     return np.asarray(c[: int(np.flatnonzero(np.abs(c) >= 0.01)[-1]) + 2])
 
 
-def _initial(fit: Fit, c: Colouring) -> dict[str, Estimates]:
+def _initial(fit: FitResult, c: Colouring) -> dict[str, Estimates]:
     linear = c.tangents.linear
     n_x, first, found = linear._problem.n_states, 0, {}
     for record, at in zip(linear.inner.records, linear.sample_points, strict=True):
@@ -224,7 +228,7 @@ def _initial(fit: Fit, c: Colouring) -> dict[str, Estimates]:
     return found
 
 
-def _noise_inflations(fit: Fit, c: Colouring) -> _Array:
+def _noise_inflations(fit: FitResult, c: Colouring) -> _Array:
     """(n,) by which standard errors of the noise's parameters grow; 1 for the model's."""
     outputs, records = list(fit.model.output_names), [r.name for r in fit.records]
     names = fit.noise_parameters

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UnknownName, did_you_mean
-from ..parameters import correlation_matrix
+from ..fit_result import FitResult
+from ..parameters import correlation_matrix, text_table
 
-__all__ = ["Correlation", "WeakDirection", "correlation_of"]
+__all__ = ["Correlation", "WeakDirection", "correlation"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -90,8 +91,6 @@ class Correlation:
 
     def summary(self) -> str:
         """The matrix as a table, then what is to be said of it."""
-        from ..parameters import text_table
-
         rows = [
             [name, *("" if not np.isfinite(v) else f"{v:+.2f}" for v in line[: i + 1])]
             + [""] * (len(self.names) - i - 1)
@@ -113,12 +112,12 @@ class Correlation:
 _SHOWN = 5
 
 
-def correlation_of(names: Sequence[str], values: _Array, covariance: _Array, physical: Sequence[str]) -> Correlation:
-    """From the covariance (n, n) of estimates; ``physical`` are those among which weak directions are looked for."""
-    matrix = correlation_matrix(covariance)
-    known = [i for i, name in enumerate(names) if name in physical and np.isfinite(matrix[i, i])]
-    deviation = np.sqrt(np.diag(covariance)[known])
-    weak = _weak([names[i] for i in known], values[known], deviation, matrix[np.ix_(known, known)])
+def correlation(fit: FitResult) -> Correlation:
+    """Return the correlations of a fit's estimates; weak directions are looked for among parameters of the model."""
+    names, noise, matrix = list(fit.parameters), fit.noise_parameters, correlation_matrix(fit.covariance)
+    known = [i for i, name in enumerate(names) if name not in noise and np.isfinite(matrix[i, i])]
+    values, deviation = fit.parameters.values_array[known], np.sqrt(np.diag(fit.covariance)[known])
+    weak = _weak([names[i] for i in known], values, deviation, matrix[np.ix_(known, known)])
     return Correlation(tuple(names), matrix, tuple(weak))
 
 

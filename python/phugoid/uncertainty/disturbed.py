@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
-from ..result import Fit
+from ..fit_result import FitResult
 from ..starts.starts import stream
 from ..transcription.filter_error import FilterError
 from .filtered import of_fit
@@ -30,10 +30,10 @@ class Disturbed(Resampler):
     First states are those of the fit, and drawn where they have a prior.
     """
 
-    fit: Fit | None = None
+    fit: FitResult | None = None
 
     @classmethod
-    def of(cls, fit: Fit) -> Disturbed:
+    def of(cls, fit: FitResult) -> Disturbed:
         """With the noise of a fit. Raises OptionError where other noise would carry the vehicle far away."""
         found = cls(**cls.parts(fit), fit=fit)
         far = float(np.median([found._reach(stream(0, i)) for i in range(_TRIED)]))

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
+from ..fit_result import FitResult
 from ..process_noise.variables import Objective
 from ..records import Record
-from ..result import Fit
 from ..transcription.filter_error import FilterError
 from ..validation.validate import found_anew
 from .filtered import Filtered, of_fit
@@ -27,7 +27,7 @@ __all__ = ["elsewhere", "within"]
 _Array: TypeAlias = NDArray[np.float64]
 
 
-def within(fit: Fit, e: int) -> dict[str, _Array]:
+def within(fit: FitResult, e: int) -> dict[str, _Array]:
     """Output -> (N,) standard errors of the outputs in an experiment of the fit."""
     _ended(fit)
     likelihood, covariance = of_fit(fit)
@@ -35,8 +35,8 @@ def within(fit: Fit, e: int) -> dict[str, _Array]:
 
 
 def elsewhere(
-    fit: Fit, other: Experiment, biases: Sequence[str] | None, values: Mapping[str, float]
-) -> tuple[Record, dict[str, _Array], Fit]:
+    fit: FitResult, other: Experiment, biases: Sequence[str] | None, values: Mapping[str, float]
+) -> tuple[Record, dict[str, _Array], FitResult]:
     """Of an experiment that the fit was not made on: its record, the standard errors, and the fit of what was found
     anew there. Biases follow the parameters, and have the errors that the new record leaves them."""
     _ended(fit)
@@ -64,7 +64,7 @@ def elsewhere(
     return record, dict(zip(model.output_names, likelihood.errors(covariance, 0), strict=True)), found
 
 
-def _ended(fit: Fit) -> None:
+def _ended(fit: FitResult) -> None:
     if fit.status not in ("converged", "acceptable"):
         raise OptionError(
             f"prediction_bands: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}"

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from .. import _core
 from ..data.experiment import Experiment
 from ..discrepancy.search.linearised import dataset
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..process_noise.separate import Separated
-from ..result import Fit
 from ..transcription.filter_error import FilterError
 
 __all__ = ["Filtered", "of_fit"]
@@ -93,7 +93,7 @@ class Filtered:
         return (ends[0][e][0] - ends[1][e][0]) / (2.0 * size)
 
 
-def of_fit(fit: Fit) -> tuple[Filtered, _Array]:
+def of_fit(fit: FitResult) -> tuple[Filtered, _Array]:
     """That of a fit itself, and the covariance of its numbers: 0 for those that are known or at a bound."""
     model, experiments, covariance = fit.model, list(dataset(fit)), np.nan_to_num(fit.covariance)
     states = [np.array([r.states[name] for name in model.state_names]) for r in fit.records]

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError, UnknownName, did_you_mean, listing
+from ..fit_result import FitResult
 from ..parameters import text_table
-from ..result import Fit
 from ..starts.outcome import Outcome
+from .coloured import coloured as corrected
 from .runs import common_to, run_all
 from .walk import End, Side, Sides
 
@@ -145,7 +146,7 @@ class Profiles(Mapping[str, Profile]):
 
 
 def profile(
-    fit: Fit,
+    fit: FitResult,
     names: str | Iterable[str] | None = None,
     *,
     level: float = 0.95,
@@ -160,7 +161,7 @@ def profile(
     chosen = _chosen(fit, names)
     inflation = {name: 1.0 for name in chosen}
     if coloured:
-        ratios = fit.coloured.inflation
+        ratios = corrected(fit).inflation
         inflation = {name: ratios[name] if math.isfinite(ratios[name]) else 1.0 for name in chosen}
     problem = Sides(**common_to(fit, "profile"))
     root = NormalDist().inv_cdf(0.5 + 0.5 * level)
@@ -201,7 +202,7 @@ def profile(
     )
 
 
-def _chosen(fit: Fit, names: Any) -> list[str]:
+def _chosen(fit: FitResult, names: Any) -> list[str]:
     """Of which parameters. Raises OptionError for what has no profile."""
     noise = fit.noise_parameters
     free = [n for n, e in fit.parameters.items() if n not in noise and not e.fixed]

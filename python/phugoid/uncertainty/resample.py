@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from .._core import Expr
 from ..discrepancy.search.linearised import dataset
 from ..errors import OptionError
+from ..fit_result import FitResult
 from ..noise.densities import Density, Huber, Laplace, StudentT
 from ..noise.kinds import PerExperiment, PerOutput
 from ..noise.noise import Gaussian, Noise
-from ..result import Fit
 from .coloured import Colouring
 from .tangents import Tangents, linearised
 
@@ -55,7 +55,7 @@ class Resampler:
         return found
 
     @staticmethod
-    def parts(fit: Fit) -> dict[str, Any]:
+    def parts(fit: FitResult) -> dict[str, Any]:
         """The fields that all have."""
         names = fit.model.output_names
         model = [{n: np.asarray(r.outputs[n]) for n in names} for r in fit.records]
@@ -75,7 +75,7 @@ class Parametric(Resampler):
     tables: Sequence[Mapping[str, tuple[_Array, _Array]]] = ()
 
     @classmethod
-    def of(cls, fit: Fit) -> Parametric:
+    def of(cls, fit: FitResult) -> Parametric:
         """With the noise of a fit."""
         noise = fit.noise.noise if isinstance(fit.noise, PerExperiment) else fit.noise
         names, covariances, tables = fit.model.output_names, [], []
@@ -129,7 +129,7 @@ class Parametric(Resampler):
         return reach, reach
 
 
-def _values(fit: Fit, experiment: str) -> dict[str, float]:
+def _values(fit: FitResult, experiment: str) -> dict[str, float]:
     """Numbers of the noise, as they are in an experiment."""
     found = {}
     for name in fit.noise_parameters:
@@ -194,7 +194,7 @@ class Coloured(Resampler):
     scale: Sequence[Mapping[str, float]] = ()
 
     @classmethod
-    def of(cls, fit: Fit) -> Coloured:
+    def of(cls, fit: FitResult) -> Coloured:
         """With the colour of a fit's residuals. Raises OptionError for noise that is not independent and Gaussian."""
         c = Colouring(Tangents(linearised(fit, "bootstrap")))
         scores = c.tangents.scores

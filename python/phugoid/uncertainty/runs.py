@@ -8,7 +8,7 @@ from typing import Any
 
 from ..discrepancy.search.linearised import dataset
 from ..errors import OptionError
-from ..result import Fit
+from ..fit_result import FitResult
 from ..solvers import Newton
 from ..starts.gathered import Watch, check_progress, gathered
 from ..starts.outcome import Outcome, Problem
@@ -30,7 +30,7 @@ class Runs:
     warnings: tuple[str, ...]
 
 
-def common_to(fit: Fit, caller: str) -> dict[str, Any]:
+def common_to(fit: FitResult, caller: str) -> dict[str, Any]:
     """What all runs share, as `Problem` takes it. Raises OptionError where that cannot be."""
     if fit.status not in ("converged", "acceptable"):
         raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")

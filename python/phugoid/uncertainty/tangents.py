@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .. import _core
 from ..discrepancy.search.linearised import Linearised, collocated
 from ..errors import EvaluationError, OptionError
-from ..result import Fit
+from ..fit_result import FitResult
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from .scores import Scores
@@ -31,7 +31,7 @@ _TOLD = 1e-5
 _AT_BOUND = 1e-6
 
 
-def cheap(fit: Fit, again: bool = False) -> bool:
+def cheap(fit: FitResult, again: bool = False) -> bool:
     """Whether a fit can be linearised in about the time of an estimation, and without an estimation unless ``again``:
     the tangents of large systems are large."""
     inner = fit._moved or fit
@@ -42,7 +42,7 @@ def cheap(fit: Fit, again: bool = False) -> bool:
     return small and (at_hand or again)
 
 
-def linearised(fit: Fit, caller: str) -> Linearised:
+def linearised(fit: FitResult, caller: str) -> Linearised:
     """About a fit; one by shooting, or from a file, is estimated again by collocation, from where it is. Raises
     OptionError for one with process noise, or that has not come to an end."""
     if isinstance(fit.transcription, FilterError):

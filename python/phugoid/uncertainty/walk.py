@@ -12,11 +12,11 @@ from .. import _core
 from ..data.experiment import Experiment
 from ..errors import PhugoidError
 from ..estimation.estimate import estimate
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
 from ..parameters import Estimates
 from ..process_noise.separate import Separated
-from ..result import Fit
 from ..starts.outcome import Outcome, Problem
 
 __all__ = ["End", "Side", "Sides"]
@@ -46,7 +46,7 @@ class Side(Outcome):
 class Sides(Problem):
     """A side of a profile for each start: its parameter, direction and threshold."""
 
-    base: Fit | None = None
+    base: FitResult | None = None
 
     def single_threaded(self) -> Sides:
         one = super().single_threaded()
@@ -78,7 +78,7 @@ class Sides(Problem):
 class _Walk:
     """Estimations with one parameter held at value after value, each from the nearest before."""
 
-    def __init__(self, problem: Sides, base: Fit, name: str) -> None:
+    def __init__(self, problem: Sides, base: FitResult, name: str) -> None:
         self.problem, self.name = problem, name
         self.model: Model = problem.model
         self.experiments: Sequence[Experiment] = problem.experiments
@@ -94,7 +94,7 @@ class _Walk:
         self.low, self.high = declared.bounds
         self.log = declared.transform == "log"
         self.top = _merit(self.base, self.model, self.key)
-        self.fits: list[tuple[float, Fit]] = [(self.value, self.base)]
+        self.fits: list[tuple[float, FitResult]] = [(self.value, self.base)]
         self.points: list[tuple[float, float]] = []
         self.runs, self.better = 0, 0.0
 
@@ -186,7 +186,7 @@ class _Walk:
         return math.exp(place) if place < math.inf else place
 
 
-def _merit(fit: Fit, model: Model, without: str) -> float:
+def _merit(fit: FitResult, model: Model, without: str) -> float:
     """Log-likelihood with what priors add, but for that of one parameter."""
     total = fit.log_likelihood
     for name, e in fit.parameters.items():

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from .. import _core
 from ..data.experiment import Experiment
 from ..errors import OptionError
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
 from ..noise.densities import Density, Huber, Laplace, StudentT
 from ..noise.kinds import PerExperiment, PerOutput
 from ..noise.noise import Gaussian, Noise
 from ..parameters import Estimates, Parameter
-from ..result import Fit
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import SingleShooting, Transcription
@@ -43,7 +43,7 @@ def held_model(model: Model, values: Mapping[str, float], free: Collection[str])
     return model._around(rebuilt(model._core, model._core.inputs, declare), model.delays)
 
 
-def held_noise(fit: Fit) -> tuple[Noise, tuple[str, ...]]:
+def held_noise(fit: FitResult) -> tuple[Noise, tuple[str, ...]]:
     """The fit's noise with every number known, and what to say of that.
 
     Where each experiment of the fit has noise of its own, another experiment gets its mean: of variances and
@@ -108,7 +108,7 @@ def _known(noise: Noise, outputs: Sequence[str], values: Mapping[str, float]) ->
     return PerOutput(each)
 
 
-def mesh_for(fit: Fit, experiments: Sequence[Experiment]) -> Transcription | FilterError:
+def mesh_for(fit: FitResult, experiments: Sequence[Experiment]) -> Transcription | FilterError:
     """The fit's transcription for other experiments: where it counts or names segments, others as long.
 
     A mesh that was refined for the fit is refined anew; process noise has the intensities of the fit.

@@ -13,11 +13,11 @@ from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
 from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..estimation.estimate import estimate
+from ..fit_result import FitResult
 from ..guess import measured_states
 from ..match import Match, chi_square, chi_square_warning, match
 from ..modelling.model import Model
 from ..records import Record
-from ..result import Fit
 from ..solvers import Newton
 from ..tolerance import Tolerance, tolerances_by_output
 from ..transcription.filter_error import FilterError
@@ -32,7 +32,7 @@ _SHARED = 3
 
 
 def validate(
-    fit: Fit,
+    fit: FitResult,
     other: Experiment | Sequence[Experiment],
     *,
     biases: Sequence[str] | None = None,
@@ -83,8 +83,8 @@ def validate(
 
 
 def found_anew(
-    fit: Fit, experiments: Sequence[Experiment], biases: Any, values: Any
-) -> tuple[Fit, tuple[str, ...], dict[str, float], tuple[str, ...]]:
+    fit: FitResult, experiments: Sequence[Experiment], biases: Any, values: Any
+) -> tuple[FitResult, tuple[str, ...], dict[str, float], tuple[str, ...]]:
     """The fit of initial states and biases alone to other experiments; which parameters are biases, the values of the
     others, and what to beware of. Raises as `Fit.validate` does."""
     free = _free(fit, biases, values)
@@ -117,7 +117,7 @@ def _predicted_std(records: Sequence[Record], output: str) -> float:
     return float(np.sqrt(np.mean(expected**2))) if expected.size else math.nan
 
 
-def _free(fit: Fit, named: Any, values: Any) -> tuple[str, ...]:
+def _free(fit: FitResult, named: Any, values: Any) -> tuple[str, ...]:
     """The parameters to estimate anew."""
     model = fit.model
     if not isinstance(values, Mapping):
@@ -136,7 +136,7 @@ def _free(fit: Fit, named: Any, values: Any) -> tuple[str, ...]:
     return tuple(name for name in model.parameter_names if name in names)
 
 
-def _known_parameter(fit: Fit, name: str, where: str) -> None:
+def _known_parameter(fit: FitResult, name: str, where: str) -> None:
     names = fit.model.parameter_names
     if name in fit.noise_parameters:
         raise ModelError(f"validate: {where}: '{name}' belongs to the noise, which is held as in the fit")
@@ -146,7 +146,7 @@ def _known_parameter(fit: Fit, name: str, where: str) -> None:
         raise ModelError(f"validate: {where}: '{name}' is no parameter of the model.{hint}")
 
 
-def _held(fit: Fit, free: Sequence[str], values: Mapping[str, Any]) -> dict[str, float]:
+def _held(fit: FitResult, free: Sequence[str], values: Mapping[str, Any]) -> dict[str, float]:
     """Values of the parameters that are not free."""
     held: dict[str, float] = {}
     own = []
@@ -170,7 +170,7 @@ def _held(fit: Fit, free: Sequence[str], values: Mapping[str, Any]) -> dict[str,
     return held
 
 
-def _check(fit: Fit, e: Experiment, free: Sequence[str]) -> tuple[str, ...]:
+def _check(fit: FitResult, e: Experiment, free: Sequence[str]) -> tuple[str, ...]:
     """Warnings on an experiment. Raises DataError for one that cannot serve."""
     model = fit.model
     check_units(model, [e], "validate")
@@ -211,7 +211,7 @@ def shared(model: Model, record: Record, e: Experiment) -> int:
     return int(i.size) if all(np.array_equal(a, b, equal_nan=True) for a, b in pairs) else 0
 
 
-def _start(fit: Fit, slim: Model, held: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
+def _start(fit: FitResult, slim: Model, held: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
     """Freed parameters start at the fit's mean; states that no output measures at their mean along the fit."""
     start = {}
     for name in free:
@@ -225,7 +225,7 @@ def _start(fit: Fit, slim: Model, held: Mapping[str, float], free: Sequence[str]
     return start
 
 
-def _degrees(model: Model, free: Sequence[str], found: Fit) -> int:
+def _degrees(model: Model, free: Sequence[str], found: FitResult) -> int:
     """Measured values minus what was estimated."""
     values = sum(int(np.isfinite(r.residuals[name]).sum()) for r in found.records for name in model.output_names)
     conditions = len({(end, state) for end, state, *_ in model._core.conditions})

@@ -23,6 +23,7 @@ from ...figures.style import (
     squared,
     with_gaps,
 )
+from ...fit_result import FitResult
 from ...records import Record
 from ..colour.series import residual_of
 from .misfit import ChannelMisfit, Misfit
@@ -39,7 +40,9 @@ _EXPERIMENTS = 4  # side by side
 _NAME = 90  # characters across the figure
 
 
-def misfit_figure(misfit: Misfit, fit: Any, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
+def misfit_figure(
+    misfit: Misfit, fit: FitResult, channels: Sequence[str] | None = None
+) -> tuple[Figure, dict[str, Axes]]:
     """Per channel: residuals over time, with spans that stand out; autocorrelation; spectrum; the clearest regime.
 
     channels  names; None: the three worst.

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import DataError
+from ...fit_result import FitResult
 from ..colour.colour import Colour, Memory, colour_of
 from ..colour.series import Series, autocorrelation_of, channel_series, same_rate
 from ..colour.spectrum import Spectrum, Tone, spectrum_of, tones_of
@@ -149,7 +150,7 @@ class Misfit:
     """
 
     channels: Mapping[str, ChannelMisfit]
-    fit: Any
+    fit: FitResult
 
     @property
     def worst(self) -> tuple[str, ...]:
@@ -170,7 +171,7 @@ class Misfit:
         """A line for each channel, the worst first, and what could not be told."""
         lines = [self.channels[name].summary() for name in self.worst]
         notes = list(dict.fromkeys(note for name in self.worst for note in self.channels[name].notes))
-        if not getattr(self.fit, "converged", True):
+        if not self.fit.converged:
             notes.append(f"the fit is no optimum ({self.fit.status}): another one may leave other residuals")
         return "\n".join([*lines, *(f"Note: {note}." for note in notes)])
 
@@ -187,18 +188,18 @@ class Misfit:
         return f"<Misfit of {len(self.channels)} channels, the worst first: {', '.join(self.worst)}>"
 
 
-def misfit(fit: Any) -> Misfit:
+def misfit(fit: FitResult) -> Misfit:
     """What a fitted model gets wrong, from its residuals; with process noise (`FilterError`), from its innovations.
 
-    ``fit`` has .records (of `Record`) and .model.output_names; .model.units if it can. Records with gaps, of several
-    rates and of any number are taken; what is too short gets fewer answers, and ``notes`` says so.
+    Records with gaps, of several rates and of any number are taken; what is too short gets fewer answers, and
+    ``notes`` says so.
 
     Raises DataError for what is no fit, or where there are no residuals at all.
     """
     if not hasattr(fit, "records") or not hasattr(fit, "model"):
         raise DataError(f"misfit: give a fit, as estimate returns it, not a {type(fit).__name__}")
     outputs = list(fit.model.output_names)
-    units = dict(getattr(fit.model, "units", {}))
+    units = dict(fit.model.units)
     for record in fit.records:
         units = {**units, **record.units}
     found = {}

@@ -25,6 +25,7 @@ from ...figures.style import (
     squared,
     with_gaps,
 )
+from ...fit_result import FitResult
 from ...records import Record
 from ..colour.series import Series, autocorrelation_of, channel_series
 from ..colour.spectrum import spectrum_of
@@ -46,7 +47,7 @@ _MANY = 0.05  # of the samples
 
 
 def plot_residuals(
-    fit: Any, record: int | str = 0, channels: Sequence[str] | None = None
+    fit: FitResult, record: int | str = 0, channels: Sequence[str] | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
     """For each output of an experiment: residuals over time, their autocorrelation and their power spectrum.
 
@@ -107,14 +108,14 @@ def plot_residuals(
         for name in names[:-1]:
             axes[name].tick_params(labelbottom=False)
         _finish(
-            figure, axes, names, f"{_model(fit)}{chosen.name}, {_called(chosen)}s", height, bool(chosen.innovations)
+            figure,
+            axes,
+            names,
+            f"{fit.model.name}: {chosen.name}, {_called(chosen)}s",
+            height,
+            bool(chosen.innovations),
         )
     return figure, axes
-
-
-def _model(fit: Any) -> str:
-    name = getattr(getattr(fit, "model", None), "name", "")
-    return f"{name}: " if name else ""
 
 
 def _called(record: Record) -> str:

@@ -9,22 +9,36 @@ import numpy as np
 
 from ...errors import DataError, UnknownName, listing
 from ...figures.style import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, STYLE, WIDTH, labelled, plain
+from ...fit_result import FitResult
 from ...records import Record
+from ..diagnosis_result import DiagnosisResult
 from ..misfit.figure import misfit_figure
 from ..misfit.phrases import number
-from ..search.finding import Extension, Gain, Scored
+from ..search.finding import ExtensionResult, Gain, Scored
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["findings_figure", "gain_figure", "misfit_figure", "ranking_figure"]
+__all__ = ["diagnosis_figures", "findings_figure", "gain_figure", "misfit_figure", "ranking_figure"]
 
 _BARS = 12
 
 
+def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
+    """Return the figures of `Diagnosis.plot`; see there."""
+    figures = [misfit_figure(diagnosis.misfit, diagnosis.fit)[0]]
+    if diagnosis.ranking:
+        figures.append(ranking_figure(diagnosis.ranking, diagnosis.threshold)[0])
+    if diagnosis._saved is not None or (diagnosis._final is not None and diagnosis._final.candidates):
+        extension = diagnosis.extend()
+        figures.append(findings_figure(diagnosis.fit, extension)[0])
+        figures.append(gain_figure(extension.gain, diagnosis.fit.model.units)[0])
+    return figures
+
+
 def findings_figure(
-    fit: Any, extension: Extension, channels: Sequence[str] | None = None, record: int | None = None
+    fit: FitResult, extension: ExtensionResult, channels: Sequence[str] | None = None, record: int | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
     """Per channel: residuals before and after, and beneath what the extension changes in the model's output.
 

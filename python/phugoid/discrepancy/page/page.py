@@ -10,9 +10,10 @@ from ...pages.mathml import equation
 from ...pages.page import Table, picture, render, sources
 from ...parameters import Estimate
 from ...writing import check_folder, write
+from ..diagnosis_result import DiagnosisResult
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
-from ..search.finding import Extension, Finding
+from ..search.finding import ExtensionResult, Finding
 from .figures import findings_figure, gain_figure, misfit_figure, ranking_figure
 from .words import alias_set, finding_lines, headline, outcome, with_sign
 
@@ -23,12 +24,11 @@ _RANKED = 20  # candidates in the table
 _GROWN = 0.05  # of the RMS, by which residuals on held-out data may grow without being told of
 
 
-def report(diagnosis: Any, path: str | os.PathLike[str]) -> None:
+def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
     """Writes a diagnosis as one HTML page: images inside, no script, no link; for screen, phone and print.
 
     What was wrong, the cause and its rivals, the evidence, the new equation, the gain, what is left open, and which
-    data and versions it comes from. ``diagnosis`` is a `Diagnosis`: .fit, .misfit, .findings, .ranking, .threshold,
-    .notes, .seconds and .extend(), which is called where a cause is named.
+    data and versions it comes from.
     """
     check_folder(path)
     fit = diagnosis.fit
@@ -66,7 +66,7 @@ def report(diagnosis: Any, path: str | os.PathLike[str]) -> None:
     write(path, page, "the page")
 
 
-def _wrong(diagnosis: Any) -> dict[str, Any]:
+def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     found: Misfit = diagnosis.misfit
     rows = []
     for name in found.worst:
@@ -96,7 +96,7 @@ def _cause(finding: Finding) -> dict[str, Any]:
     }
 
 
-def _evidence(diagnosis: Any) -> dict[str, Any]:
+def _evidence(diagnosis: DiagnosisResult) -> dict[str, Any]:
     ranking = sorted(diagnosis.ranking, key=lambda s: s.ranking, reverse=True)
     rows = []
     for s in ranking[:_RANKED]:
@@ -106,7 +106,7 @@ def _evidence(diagnosis: Any) -> dict[str, Any]:
     return {"picture": picture(ranking_figure(ranking, diagnosis.threshold)[0]), "table": Table(heads, rows, "lrrrrtt")}
 
 
-def _equations(diagnosis: Any, extension: Extension) -> dict[str, Any]:
+def _equations(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, Any]:
     """Equations that changed, as HTML, each with whether it is measured; what is late, and parameters."""
     base, model = diagnosis.fit.model, extension.model
     new = [name for name in (*model.parameter_names, *model.state_names) if not _has(base, name)]
@@ -133,7 +133,7 @@ def _equations(diagnosis: Any, extension: Extension) -> dict[str, Any]:
     }
 
 
-def _gain(diagnosis: Any, extension: Extension) -> dict[str, Any]:
+def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, Any]:
     gain = extension.gain
     held_out = bool(gain.held_out_rms_before)
     totals = [
@@ -176,7 +176,7 @@ def _open(diagnosis: Any) -> list[str]:
     return [*texts, *diagnosis.notes]
 
 
-def _tried(diagnosis: Any) -> str:
+def _tried(diagnosis: DiagnosisResult) -> str:
     n = len(diagnosis.ranking)
     return f"{n} candidates, threshold {diagnosis.threshold:.1f} in twice the log-likelihood" if n else "no candidates"
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 from ...parameters import Estimate
+from ..diagnosis_result import DiagnosisResult
 from ..misfit.phrases import number, percent
 from ..search.finding import Finding
 
@@ -27,7 +28,7 @@ def outcome(findings: Sequence[Finding]) -> Outcome:
     return "unexplained" if findings else "nothing"
 
 
-def headline(diagnosis: Any) -> str:
+def headline(diagnosis: DiagnosisResult) -> str:
     """The outcome in one sentence."""
     findings = diagnosis.findings
     named = [f for f in findings if f.cause]
@@ -155,11 +156,8 @@ def finding_lines(finding: Finding) -> list[str]:
     return lines
 
 
-def diagnosis_summary(diagnosis: Any) -> str:
-    """What was found, the evidence, and what is left open, for the terminal.
-
-    ``diagnosis`` has .fit, .misfit, .findings, .ranking, .threshold, .notes and .seconds, as a `Diagnosis` does.
-    """
+def diagnosis_summary(diagnosis: DiagnosisResult) -> str:
+    """What was found, the evidence, and what is left open, for the terminal."""
     parts = [f"{diagnosis.fit.model.name}: diagnosis ({diagnosis.seconds:.1f} s)", _filled(headline(diagnosis), "")]
     for i, finding in enumerate(diagnosis.findings, start=1):
         head = f"{i}. {alias_set(finding)}"
@@ -175,7 +173,7 @@ def diagnosis_summary(diagnosis: Any) -> str:
     return "\n\n".join(parts)
 
 
-def _nearest(diagnosis: Any) -> str:
+def _nearest(diagnosis: DiagnosisResult) -> str:
     """How near the best candidate came."""
     best = max(diagnosis.ranking, key=lambda s: s.statistic)
     text = (

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from ...fit_result import FitResult
 from ...modelling.model import Model
 from ...parameters import text_table
-from ...result import Fit
 
-__all__ = ["Extension", "Finding", "Gain", "Scored"]
+__all__ = ["ExtensionResult", "Finding", "Gain", "Scored"]
 
 
 @dataclass(frozen=True)
@@ -146,12 +146,12 @@ class Gain:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Extension:
-    """What `Diagnosis.extend` gives: the extended ``model``, its ``fit`` to the same data, names of what was ``added``
+class ExtensionResult:
+    """The data of an extension: the extended ``model``, its ``fit`` to the same data, names of what was ``added``
     (canonical, ``where:what``), and the ``gain``."""
 
     model: Model
-    fit: Fit
+    fit: FitResult
     added: tuple[str, ...]
     gain: Gain
 

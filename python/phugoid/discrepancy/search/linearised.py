@@ -15,8 +15,8 @@ from ...data.experiment import Experiment
 from ...data.interpolation import interpolated, kinds_for
 from ...errors import EvaluationError
 from ...estimation.estimate import estimate
+from ...fit_result import FitResult
 from ...guess import spread
-from ...result import Fit
 from ...transcription.collocation import Collocation
 from ..candidates.candidate import Candidate, Place
 from ..candidates.scales import Points
@@ -35,7 +35,7 @@ _NOTHING = 1e-9
 _DEPENDENT = "diagnose: the fit cannot be linearised: its equations depend on each other"
 
 
-def dataset(fit: Fit) -> Sequence[Experiment]:
+def dataset(fit: FitResult) -> Sequence[Experiment]:
     """The data of a fit; of one from a file what its records hold."""
     if fit.experiments:
         return fit.experiments
@@ -47,7 +47,7 @@ def dataset(fit: Fit) -> Sequence[Experiment]:
     ]
 
 
-def collocated(fit: Fit) -> Fit:
+def collocated(fit: FitResult) -> FitResult:
     """The fit by collocation, with its solution at hand: estimated again from it where it is another."""
     inner = fit._moved or fit
     if isinstance(inner.transcription, Collocation) and inner.solution is not None:
@@ -68,7 +68,7 @@ class Linearised:
               of the noise, k their number (less where data or conditions leave less).
     """
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: FitResult) -> None:
         inner = fit._moved or fit
         assert inner.solution is not None and isinstance(inner.transcription, Collocation)
         self.fit, self.inner = fit, inner

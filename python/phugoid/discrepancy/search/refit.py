@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...errors import DataError, ModelError, PhugoidError
 from ...estimation.estimate import estimate
+from ...fit_result import FitResult
 from ...parameters import Estimates
-from ...result import Fit
 from ...solvers import Newton
 from ...validation.biases import freed_by_default
 from ...validation.held import estimates_of, held_model, held_noise, mesh_for
@@ -38,7 +38,7 @@ class Refit:
     """Candidates, in the order in which they were found, and the fit of the model with all of them."""
 
     candidates: tuple[Candidate, ...]
-    fit: Fit
+    fit: FitResult
 
     @cached_property
     def linear(self) -> Linearised:
@@ -89,7 +89,7 @@ class Refit:
 
 
 def refit(
-    base: Fit, candidates: Sequence[Candidate], starts: Mapping[str, float], near: Fit | None = None
+    base: FitResult, candidates: Sequence[Candidate], starts: Mapping[str, float], near: FitResult | None = None
 ) -> Refit | None:
     """The base model with candidates, fitted from the values in ``starts`` and a fit nearby.
 
@@ -117,7 +117,7 @@ def refit(
     return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None
 
 
-def started_from(near: Fit, names: Collection[str]) -> Fit:
+def started_from(near: FitResult, names: Collection[str]) -> FitResult:
     """A fit as a start: its path, and of its parameters those of the noise and those in ``names``."""
     kept = {*names} | near.noise_parameters
     return replace(near, parameters=Estimates(e for n, e in near.parameters.items() if n.partition("[")[0] in kept))

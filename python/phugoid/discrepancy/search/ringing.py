@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PhugoidError
+from ...fit_result import FitResult
 from ...linear.jacobians import Jacobians
 from ...linear.linearise import numbers_of
-from ...result import Fit
 from ..colour.colour import Channel
 from ..colour.whitening import Whitening
 from .linearised import Linearised
@@ -59,7 +59,7 @@ def is_near(frequency: float, mode: float) -> bool:
     return abs(frequency - mode) < _NEAR * mode
 
 
-def light_modes(fit: Fit) -> _Complex:
+def light_modes(fit: FitResult) -> _Complex:
     """Eigenvalues (1/s, of positive imaginary part) of the lightly damped modes of a fitted model, about the mean of
     the first record's path. None where the model has no derivatives there."""
     record = fit.records[0]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
-from ...result import Fit
+from ...fit_result import FitResult
 from ...validation.biases import freed_by_default
 from ..candidates.candidate import Candidate, with_other_centres
 from ..colour.whitening import Whitening
@@ -61,11 +61,11 @@ class Trials:
         self.candidates = with_other_centres(self.candidates, self.base.linear.points)
         self._tries_in_all = sum(len(c.shapes) for c in self.candidates)
 
-    def refit(self, candidates: Sequence[Candidate], near: Fit | None = None) -> Refit | None:
+    def refit(self, candidates: Sequence[Candidate], near: FitResult | None = None) -> Refit | None:
         """The refit of a set."""
         return self.refits([candidates], near)[0]
 
-    def refits(self, sets: Sequence[Sequence[Candidate]], near: Fit | None = None) -> list[Refit | None]:
+    def refits(self, sets: Sequence[Sequence[Candidate]], near: FitResult | None = None) -> list[Refit | None]:
         """The refits of several sets, side by side."""
         keys = [frozenset(c.name for c in candidates) for candidates in sets]
         new = {key: candidates for key, candidates in zip(keys, sets, strict=True) if key not in self._refits}

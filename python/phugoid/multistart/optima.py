@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .outcome import Outcome
+from ..starts.outcome import Outcome
 
 __all__ = ["LOG_LIKELIHOOD", "PARAMETERS", "Optimum", "group", "same"]
 

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import EvaluationError, MissingDependency, PhugoidError
+from ..fit_result import FitResult
 from ..parameters import text_table
 from ..result import Fit
+from ..starts.outcome import Outcome, Problem
 from ..summary import _duration
 from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, same
-from .outcome import Outcome, Problem
 from .waterfall import plot_waterfall
 
 if TYPE_CHECKING:
@@ -73,6 +74,9 @@ class Multistart:
 
         Raises EvaluationError where no start led anywhere.
         """
+        return Fit._of(self._solved_again())
+
+    def _solved_again(self) -> FitResult:
         if not self.optima:
             ended = [o for o in self.outcomes if o.parameters]
             if not ended:

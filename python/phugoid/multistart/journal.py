@@ -20,10 +20,10 @@ import numpy as np
 from .. import _core
 from ..errors import DataError
 from ..saving import json_file as io
+from ..starts.outcome import Outcome, Problem
+from ..starts.starts import Given, Uniform
 from ..transcription.filter_error import FilterError
 from ..writing import sealed, unsealed
-from .outcome import Outcome, Problem
-from .starts import Given, Uniform
 
 __all__ = ["FORMAT", "VERSION", "Journal", "fingerprint"]
 

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from ..data.experiment import Experiment, as_experiments
 from ..errors import ModelError, OptionError
+from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.noise import KINDS, Noise
-from ..result import Fit
+from ..starts.gathered import Watch, check_progress, gathered
+from ..starts.outcome import Problem
+from ..starts.starts import Draw, Range, given, plain, uniform
 from ..transcription.collocation import Collocation
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
-from .gathered import Watch, check_progress, gathered
-from .outcome import Problem
 from .result import Multistart
-from .starts import Draw, Range, given, plain, uniform
 
 if TYPE_CHECKING:
     import os
@@ -41,7 +41,7 @@ def multistart(
     progress: bool | Watch = False,
     transcription: Transcription | None = None,
     noise: Noise | None = None,
-    start: Mapping[str, Any] | Fit | None = None,
+    start: Mapping[str, Any] | FitResult | None = None,
     solver: Any = None,
 ) -> Multistart:
     """Estimates from many starts, to see which optima there are and how many starts reach the best one.
@@ -86,8 +86,8 @@ def multistart(
     >>> sorted(round(o.parameters["a"]) for o in result.optima)
     [-2, 2]
     """
+    from ..starts.workers import Crew
     from .journal import Journal
-    from .workers import Crew
 
     begin = time.perf_counter()
     problem = _problem(model, data, transcription, noise, start, solver)
@@ -136,9 +136,9 @@ def _problem(model: Any, data: Any, transcription: Any, noise: Any, start: Any, 
     noise = noise or model.noise_model
     if not isinstance(noise, Noise):
         raise OptionError(f"multistart: noise is {KINDS}, not {noise!r}")
-    if not isinstance(start, (Mapping, Fit, type(None))):
+    if not isinstance(start, (Mapping, FitResult, type(None))):
         raise OptionError(f"multistart: start holds values by name, or is a fit, not {start!r}")
-    common = start.as_start() if isinstance(start, Fit) else start or {}
+    common = start.as_start() if isinstance(start, FitResult) else start or {}
     return Problem(model, experiments, transcription, noise, solver, {n: plain(v) for n, v in common.items()})
 
 

@@ -1,0 +1,55 @@
+"""Public functions that return a `Fit` or a `Diagnosis`: those of the engine, whose results get their methods here."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import wraps
+from inspect import signature
+from typing import Any, ParamSpec, TypeVar
+
+from .diagnosis import Diagnosis
+from .discrepancy.diagnose import diagnose as _diagnose
+from .discrepancy.saved import load_diagnosis
+from .estimation.estimate import estimate as _estimate
+from .result import Fit
+from .saving import fit_file
+from .saving import json_file as io
+
+__all__ = ["diagnose", "estimate", "load", "load_fit"]
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+_F = TypeVar("_F")
+
+
+def _giving(facade: Callable[[_R], _F], name: str, function: Callable[_P, _R]) -> Callable[_P, _F]:
+    """Return a function with the signature and the docstring of another, whose results ``facade`` gives methods."""
+
+    @wraps(function, assigned=("__name__", "__qualname__", "__doc__"))
+    def public(*args: _P.args, **options: _P.kwargs) -> _F:
+        return facade(function(*args, **options))
+
+    public.__signature__ = signature(function).replace(return_annotation=name)  # type: ignore[attr-defined]
+    return public
+
+
+estimate = _giving(Fit._of, "Fit", _estimate)
+diagnose = _giving(Diagnosis._of, "Diagnosis", _diagnose)
+
+
+def load(path: str | os.PathLike[str]) -> Any:
+    """Reads what `Fit.save` or `Diagnosis.save` wrote, of this version or an older one: a `Fit` or a `Diagnosis`.
+
+    What the file is shows from its content, not from its name.
+
+    Raises DataError for a missing, damaged or newer file, MissingDependency for HDF5 without h5py.
+    """
+    if io.format_of(path) == io.DIAGNOSIS:
+        return Diagnosis._of(load_diagnosis(path))
+    return load_fit(path)
+
+
+def load_fit(path: str | os.PathLike[str]) -> Fit:
+    """Return what `Fit.save` wrote; raises as `load` does, and for the file of a diagnosis."""
+    return Fit._of(fit_file.load(path))

@@ -1,0 +1,83 @@
+"""A diagnosis with all that can be asked of it: what `diagnose` returns."""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from .discrepancy.diagnosis_result import DiagnosisResult
+from .discrepancy.page.figures import diagnosis_figures
+from .discrepancy.page.page import report
+from .discrepancy.page.words import diagnosis_summary
+from .discrepancy.saved import save_diagnosis
+from .discrepancy.search.finding import ExtensionResult
+from .result import Fit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Diagnosis", "Extension"]
+
+
+class Extension(ExtensionResult):
+    """What `Diagnosis.extend` gives: the extended ``model``, its ``fit`` to the same data, names of what was ``added``
+    (canonical, ``where:what``), and the ``gain``."""
+
+    fit: Fit
+
+
+class Diagnosis(DiagnosisResult):
+    """What `diagnose` finds.
+
+    fit         that was diagnosed.
+    misfit      what it gets wrong: per channel, when, in which regime, at which frequencies.
+    findings    what is missing, in the order in which it was found.
+    ranking     all candidates of the first scan with their statistics, in the order of `Scored.ranking`.
+    threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass; findings have
+                theirs, in log-likelihood itself.
+    notes       what was done, in words.
+    interrupted whether the search was ended by Ctrl-C: what is here was found until then.
+    seconds     that it took.
+    """
+
+    fit: Fit
+
+    @classmethod
+    def _of(cls, result: DiagnosisResult) -> Diagnosis:
+        """Return a diagnosis with the data of a result."""
+        return cls(**{**vars(result), "fit": Fit._of(result.fit)})
+
+    def extend(self) -> Extension:
+        """The model with all terms that were found, its fit, and the gain over the base model."""
+        return self._extended
+
+    @cached_property
+    def _extended(self) -> Extension:
+        found = super().extend()
+        return Extension(found.model, Fit._of(found.fit), found.added, found.gain)
+
+    def summary(self) -> str:
+        """What was found, in plain words."""
+        return diagnosis_summary(self)
+
+    def plot(self) -> list[Figure]:
+        """Figures: the misfit, the ranking of candidates; where something was found, what it explains and gains."""
+        return diagnosis_figures(self)
+
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Writes one HTML page that a colleague understands: what was wrong, the evidence, the cause and its rivals,
+        the new equation, the gain."""
+        report(self, path)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the diagnosis, for `load`: fit, findings, ranking, misfit in words, extended model with fit and gain.
+
+        HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON; raises as `Fit.save` does.
+        What `load` gives has all of this, ``summary``, ``plot`` and ``report`` too; the misfit is told anew from the
+        fit's residuals.
+        """
+        save_diagnosis(self, path)
+
+    def __str__(self) -> str:
+        return self.summary()

@@ -21,7 +21,7 @@ from .figures.parameters import plot_parameters
 from .fit_result import FitResult
 from .integration import IntegrationError, integration_error
 from .parameters import Estimates, derived
-from .report.report import report
+from .report import report
 from .saving.fit_file import save
 from .starts.outcome import Outcome
 from .summary import fit_summary

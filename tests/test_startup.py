@@ -7,7 +7,7 @@ import sys
 
 HEAVY = (
     "scipy", "matplotlib", "pandas", "rich", "sympy", "h5py", "pyarrow", "polars", "xarray", "pyulog", "pymavlink",
-    "control", "fmpy",
+    "control", "fmpy", "jinja2",
 )  # fmt: skip
 
 

@@ -65,3 +65,8 @@ def test_what_cannot_be_right_is_refused() -> None:
         with pytest.raises(kind) as error:
             call()
         assert message in str(error.value)
+
+
+def test_equations_are_cited_at_the_line_that_asked_for_the_model() -> None:
+    text = ph.models.state_space(2).to_json()
+    assert "test_models_state_space.py:" in text and "general.py:" not in text

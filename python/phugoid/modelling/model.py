@@ -23,7 +23,7 @@ from .state import State
 
 __all__ = ["Model"]
 
-_PACKAGE = os.path.dirname(os.path.abspath(__file__))
+_PACKAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "")
 
 
 def _source() -> str | None:

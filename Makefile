@@ -32,9 +32,10 @@ test: test-rust test-python
 test-rust:
 	$(CARGO) test --workspace --exclude phugoid-python
 
-# Also runs the examples in the docstrings of the package as installed.
+# Also runs the examples in the docstrings of the package as installed. A file's tests stay in one process: they share
+# records that take long to make.
 test-python: $(VENV)/.package $(VENV)/.ipopt
-	$(py) -m pytest --doctest-modules --pyargs phugoid tests $(PYTEST)
+	$(py) -m pytest -n auto --dist loadfile --doctest-modules --pyargs phugoid tests $(PYTEST)
 
 demo: $(VENV)/.package $(VENV)/.ipopt
 	mkdir -p out

@@ -250,6 +250,17 @@ def test_commands_and_files_that_pages_name_exist() -> None:
             assert target in targets, f"{page}: make {target}"
 
 
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/develop/architecture.md"])
+def test_files_of_the_map_exist(page: str) -> None:
+    """A path may begin anywhere in the tree: `solver/start.rs` is a file whose path ends so."""
+    folders = ("rust", "python", "tests", "tools", "docs", "examples", "benchmarks")
+    paths = [p for folder in folders for p in (ROOT / folder).rglob("*") if "__pycache__" not in p.parts]
+    there = [f"/{p.relative_to(ROOT).as_posix()}" + "/" * p.is_dir() for p in [*paths, *ROOT.iterdir()]]
+    named = re.findall(r"`([\w./-]+(?:\.(?:py|rs|toml|md)|/))`", (ROOT / page).read_text(encoding="utf-8"))
+    missing = [n for n in named if not n.startswith("..") and not any(p.endswith(f"/{n}") for p in there)]
+    assert len(named) > 10 and not missing
+
+
 @pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("sphinx", "furo", "myst_parser", "sphinx_gallery")),
     reason="building the documentation needs the extra 'docs'",

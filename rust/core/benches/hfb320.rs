@@ -12,10 +12,10 @@ use std::hint::black_box;
 use criterion::{
     BenchmarkGroup, BenchmarkId, Criterion, criterion_group, criterion_main, measurement::WallTime,
 };
+use phugoid::collocation::Collocation;
 use phugoid::linalg::kkt_for;
 use phugoid::nlp::Nlp;
 use phugoid::solver::{Status, state_units};
-use phugoid::transcription::Collocation;
 use phugoid::{Estimation, Experiment, Model};
 
 type Group<'a> = BenchmarkGroup<'a, WallTime>;

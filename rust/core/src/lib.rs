@@ -78,7 +78,9 @@
 //! | [`parameter`], [`noise`] | unknowns; the density of the noise |
 //! | [`model`], [`evaluator`] | states, inputs, parameters, equations, delays; f and g at points |
 //! | [`experiment`], [`gaps`], [`mesh`] | records, gaps in their sampling, segments and their points |
-//! | [`transcription`] | from all these to the program of collocation, or of single or multiple shooting |
+//! | [`integrate`] | Runge-Kutta steps with their exact derivatives |
+//! | [`problem`] | what transcriptions share: variables, functions, likelihood |
+//! | [`collocation`], [`shooting`] | from all these to the nonlinear program of collocation, or of single or multiple shooting |
 //! | [`filter`] | process noise: the marginal likelihood of the filter-error method |
 //! | [`linalg`] | the seam to linear algebra: Newton systems; the factorisation of an arrow, and a sparse one |
 //! | [`solver`] | Gauss-Newton, then Newton |
@@ -89,6 +91,7 @@
 // Documentation names private items too, for those who read on in the source.
 #![allow(rustdoc::private_intra_doc_links)]
 
+pub mod collocation;
 pub mod condition;
 pub mod diagnosis;
 pub mod error;
@@ -98,6 +101,7 @@ pub mod experiment;
 pub mod expr;
 pub mod filter;
 pub mod gaps;
+pub mod integrate;
 pub mod interpolate;
 pub mod interrupt;
 pub mod lgl;
@@ -109,13 +113,14 @@ pub mod nlp;
 pub mod noise;
 mod pairs;
 pub mod parameter;
+pub mod problem;
+pub mod shooting;
 mod simd;
 pub mod simulate;
 pub mod solver;
 pub mod table;
 pub mod tape;
 mod threads;
-pub mod transcription;
 pub mod transform;
 
 pub use error::Error;

@@ -7,8 +7,8 @@ use std::cell::Cell;
 
 use common::flights::problem;
 use common::models;
+use phugoid::collocation::Settings;
 use phugoid::solver::{Control, Settings as Options, solve};
-use phugoid::transcription::Settings;
 
 /// Counts allocations, and passes them on.
 struct Counting;

@@ -3,9 +3,10 @@
 
 use std::time::Duration;
 
+use phugoid::integrate::{Integrator, Steps};
 use phugoid::noise::{Joint, NoiseModel, Scale};
+use phugoid::shooting::Shots;
 use phugoid::solver::Settings;
-use phugoid::transcription::{Integrator, Shots, Steps};
 use phugoid::{
     Density, Dof, Estimation, Experiment, Grid, Interpolation, Model, Parameter, Sigma, Simulation,
 };

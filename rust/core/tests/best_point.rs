@@ -2,13 +2,13 @@
 
 mod common;
 
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::experiment::Experiment;
 use phugoid::expr::Expr;
 use phugoid::interpolate::Interpolation;
 use phugoid::model::{Model, Parameter};
 use phugoid::noise::{Noise, Sigma};
 use phugoid::solver::{Control, Settings as Options, Solution, Status, solve};
-use phugoid::transcription::{Collocation, Settings};
 
 /// A decay that is measured as it is, and beside it two outputs of the parameters a, b that are measured as 0.
 fn problem(start: [f64; 2], outputs: impl Fn(&Expr, &Expr) -> [Expr; 2]) -> (Collocation, Vec<f64>) {

@@ -6,13 +6,13 @@ use std::collections::HashSet;
 
 use common::Random;
 use common::models::{self, guess, known_noise, mixed_noise, record};
+use phugoid::collocation::segments_in_chunk;
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::Nlp;
 use phugoid::nlp::check::check_derivatives;
 use phugoid::noise::Noise;
-use phugoid::transcription::segments_in_chunk;
-use phugoid::transcription::{Collocation, Settings};
 
 const ORDERS: [usize; 5] = [2, 3, 4, 5, 8];
 
@@ -113,7 +113,7 @@ fn known_standard_deviations() {
     let model = models::nonlinear();
     for order in [2, 4] {
         let problem = problem(&model, &[12], known_noise(&model), order, vec![Grid::Samples(1)]);
-        assert_eq!(problem.parameters.len(), model.parameters.len());
+        assert_eq!(problem.posed.parameters.len(), model.parameters.len());
         check(&problem, &format!("order {order}"));
     }
 }
@@ -169,7 +169,7 @@ fn the_objective_is_the_likelihood_written_out() {
         let settings = Settings { order: 3, grid: vec![grid], threads: 1, ..Settings::default() };
         let problem = Collocation::new(&model, &records, mixed_noise(&model), &settings).unwrap();
         let xi = guess(&problem, 5);
-        let sigma = problem.noise.sigmas(&xi[problem.n_model_parameters..]);
+        let sigma = problem.posed.noise.sigmas(&xi[problem.posed.n_model_parameters..]);
         let mut expected = 0.0;
         for (e, record) in records.iter().enumerate() {
             let y = problem.outputs_at_samples(&xi, e);
@@ -179,8 +179,9 @@ fn the_objective_is_the_likelihood_written_out() {
                 }
             }
             // The outputs, from the states at the samples.
-            let p =
-                |name: &str| problem.parameters.iter().position(|p| p.name == name).map(|i| xi[i]).unwrap();
+            let p = |name: &str| {
+                problem.posed.parameters.iter().position(|p| p.name == name).map(|i| xi[i]).unwrap()
+            };
             for (i, &point) in problem.meshes[e].sample_points.iter().enumerate() {
                 let at = problem.layout.state(problem.layout.first_point[e] + point);
                 let (w, q) = (xi[at], xi[at + 1]);
@@ -214,7 +215,7 @@ fn bounds_hold_fixed_parameters_and_positive_precisions() {
     let model = models::nonlinear();
     let problem = problem(&model, &[12], mixed_noise(&model), 4, vec![Grid::Samples(1)]);
     let (lower, upper) = problem.bounds();
-    let place = |name: &str| problem.parameters.iter().position(|p| p.name == name).unwrap();
+    let place = |name: &str| problem.posed.parameters.iter().position(|p| p.name == name).unwrap();
     assert_eq!((lower[place("k")], upper[place("k")]), (0.4, 0.4));
     assert_eq!((lower[place("CLa")], upper[place("CLa")]), (0.0, 9.0));
     assert_eq!((lower[place("Cmq")], upper[place("Cmq")]), (f64::NEG_INFINITY, f64::INFINITY));

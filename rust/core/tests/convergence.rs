@@ -4,13 +4,13 @@
 mod common;
 
 use common::newton::solve_defects;
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::experiment::Experiment;
 use phugoid::expr::Expr;
 use phugoid::interpolate::Interpolation;
 use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::noise::{Noise, Sigma};
-use phugoid::transcription::{Collocation, Settings};
 
 /// A model without inputs, every state an output, and its solution.
 struct Known {

@@ -5,11 +5,11 @@ mod common;
 
 use common::models::{self, guess, known_noise, record};
 use common::values;
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::interpolate::{Interpolation, interpolate};
 use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::Nlp;
-use phugoid::transcription::{Collocation, Settings};
 
 fn check(model: &Model, order: usize, grid: Grid, interpolation: Interpolation) {
     // The first record is longer than a chunk.
@@ -30,7 +30,7 @@ fn check(model: &Model, order: usize, grid: Grid, interpolation: Interpolation) 
         let x = |point: usize| &xi[problem.layout.state(problem.layout.first_point[e] + point)..][..n_x];
         let f_at = |point: usize| -> Vec<f64> {
             let mut at = values(&[("time", mesh.times[point])]);
-            at.extend(problem.parameters.iter().zip(&xi).map(|(p, v)| (p.name.as_str().into(), *v)));
+            at.extend(problem.posed.parameters.iter().zip(&xi).map(|(p, v)| (p.name.as_str().into(), *v)));
             at.extend(model.states.iter().zip(x(point)).map(|(s, v)| (s.name.as_str().into(), *v)));
             at.extend(model.inputs.iter().zip(&inputs).map(|(u, v)| (u.name.as_str().into(), v[point])));
             f.iter().map(|f| f.evaluate(&at).unwrap()).collect()

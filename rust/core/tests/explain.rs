@@ -2,13 +2,13 @@
 
 mod common;
 
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::experiment::Experiment;
 use phugoid::expr::{Expr, gt, select};
 use phugoid::interpolate::Interpolation;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::{Nlp, NotFinite};
 use phugoid::noise::{Noise, Sigma};
-use phugoid::transcription::{Collocation, Settings};
 
 const STEP: f64 = 0.5;
 

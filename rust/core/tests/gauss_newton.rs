@@ -7,11 +7,11 @@ use std::collections::HashMap;
 
 use common::models::{self, guess, known_noise, mixed_noise, record};
 use nalgebra::DMatrix;
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::Nlp;
 use phugoid::noise::Noise;
-use phugoid::transcription::{Collocation, Settings};
 
 fn problem(model: &Model, noise: Noise, grid: Grid) -> Collocation {
     let records = [record(model, "one", 13, true, 1), record(model, "two", 6, false, 2)];
@@ -46,7 +46,7 @@ fn gauss_newton(problem: &Collocation, xi: &[f64], factor: f64) -> DMatrix<f64> 
 
 /// Residuals over σ of all samples, from the outputs at ξ.
 fn residuals(problem: &Collocation, xi: &[f64], measured: &[Vec<Vec<f64>>]) -> Vec<f64> {
-    let sigma = problem.noise.sigmas(&xi[problem.n_model_parameters..]);
+    let sigma = problem.posed.noise.sigmas(&xi[problem.posed.n_model_parameters..]);
     let mut all = Vec::new();
     for (e, z) in measured.iter().enumerate() {
         for ((y, z), sigma) in problem.outputs_at_samples(xi, e).iter().zip(z).zip(&sigma) {
@@ -86,17 +86,21 @@ fn it_is_the_square_of_the_jacobian_of_residuals() {
             let mut counts: HashMap<usize, f64> = HashMap::new();
             let unknown: Vec<usize> = (0..model.outputs.len())
                 .filter(|&c| {
-                    problem.parameters.iter().any(|p| p.name == format!("sigma_{}", model.outputs[c].name))
+                    problem
+                        .posed
+                        .parameters
+                        .iter()
+                        .any(|p| p.name == format!("sigma_{}", model.outputs[c].name))
                 })
                 .collect();
             for (i, &c) in unknown.iter().enumerate() {
                 let present = measured.iter().flat_map(|z| &z[c]).filter(|z| !z.is_nan()).count();
-                counts.insert(problem.n_model_parameters + i, present as f64);
+                counts.insert(problem.posed.n_model_parameters + i, present as f64);
             }
             for (&i, count) in &counts {
                 expected[(i, i)] += count / (xi[i] * xi[i]);
             }
-            for (i, p) in problem.parameters.iter().enumerate() {
+            for (i, p) in problem.posed.parameters.iter().enumerate() {
                 expected[(i, i)] += p.prior.map_or(0.0, |(_, std)| 1.0 / (std * std));
             }
             for factor in [1.0, 0.3] {

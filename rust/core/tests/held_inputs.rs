@@ -4,11 +4,13 @@ mod common;
 
 use common::newton::solve_defects;
 use nalgebra::{DMatrix, DVector};
+use phugoid::collocation::{Collocation, Settings};
+use phugoid::integrate::Steps;
 use phugoid::interpolate::{derivative, interpolate};
 use phugoid::nlp::Nlp;
 use phugoid::nlp::check::check_derivatives;
 use phugoid::noise::Noise;
-use phugoid::transcription::{Collocation, Settings, Shots, Steps};
+use phugoid::shooting::Shots;
 use phugoid::{Estimation, Experiment, Grid, Interpolation, Model, Parameter, Sigma, Simulation};
 
 /// A lightly damped oscillator, x″ = −a x − b x′ + c u, whose acceleration is measured too: it jumps with u.

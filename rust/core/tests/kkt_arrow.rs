@@ -7,6 +7,7 @@ use common::Random;
 use common::flights::{TRUTH, problem};
 use common::models::{self, guess, mixed_noise, record};
 use nalgebra::{DMatrix, DVector};
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::linalg::KktSolver;
 use phugoid::linalg::arrow::ArrowKkt;
 use phugoid::linalg::sparse::SparseKkt;
@@ -14,7 +15,6 @@ use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::Nlp;
 use phugoid::solver::state_units;
-use phugoid::transcription::{Collocation, Settings};
 
 struct Case {
     problem: Collocation,

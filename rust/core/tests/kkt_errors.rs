@@ -1,10 +1,10 @@
 //! Why a Newton system is not factorised is told apart, by every implementation.
 
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::condition::End;
 use phugoid::linalg::{KktError, KktSolver, kkt_for};
 use phugoid::nlp::Nlp;
 use phugoid::noise::Noise;
-use phugoid::transcription::{Collocation, Settings};
 use phugoid::{Experiment, Expr, Grid, Model, Parameter, Sigma};
 
 /// x' = a x over 400 segments, with or without a condition on the first state.

@@ -6,6 +6,7 @@ mod common;
 use common::Random;
 use common::models::{self, guess, known_noise, mixed_noise, record};
 use nalgebra::{DMatrix, DVector};
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::experiment::Experiment;
 use phugoid::interpolate::Interpolation;
 use phugoid::linalg::sparse::SparseKkt;
@@ -14,7 +15,6 @@ use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::{Nlp, Structure};
 use phugoid::noise::{Noise, Sigma};
-use phugoid::transcription::{Collocation, Settings};
 use proptest::prelude::*;
 
 /// A Newton system by triplets.

@@ -2,11 +2,11 @@
 
 mod common;
 
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::expr::Expr;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::Nlp;
 use phugoid::noise::{Noise, Sigma};
-use phugoid::transcription::{Collocation, Settings};
 use phugoid::{Error, Experiment};
 
 /// ẋ = −x or −x + sin Σ p_i cos(i t), y = x + exp(Σ p_i sin(i t)).

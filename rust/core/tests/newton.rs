@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use common::flights::{SIGMA, TRUTH, problem};
 use common::models;
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::diagnosis::information;
 use phugoid::expr::Expr;
 use phugoid::interrupt::{Interrupt, current};
@@ -13,7 +14,6 @@ use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::{Nlp, NotFinite, Structure};
 use phugoid::solver::{Control, Settings as Options, Solution, Status, solve};
-use phugoid::transcription::{Collocation, Settings};
 
 fn settings(order: usize) -> Settings {
     Settings { order, ..Settings::default() }
@@ -198,7 +198,7 @@ fn not_finite_at_the_start_is_an_error_and_on_the_way_it_is_not() {
     }
     let noise = common::flights::unknown_noise(&e);
     let p = Collocation::new(&m, std::slice::from_ref(&e), noise, &settings(3)).unwrap();
-    let mut xi: Vec<f64> = p.parameters.iter().map(|p| p.start).collect();
+    let mut xi: Vec<f64> = p.posed.parameters.iter().map(|p| p.start).collect();
     xi.resize(p.n(), 0.7);
     let s = run(&p, &xi, &Options::default());
     assert_eq!(s.status, Status::Converged, "{}", s.message);
@@ -218,7 +218,7 @@ fn a_hopeless_model_ends_within_its_limits() {
     let e = models::record(&m, "one", 40, false, 1);
     let noise = common::flights::unknown_noise(&e);
     let p = Collocation::new(&m, std::slice::from_ref(&e), noise, &settings(3)).unwrap();
-    let mut xi: Vec<f64> = p.parameters.iter().map(|p| p.start).collect();
+    let mut xi: Vec<f64> = p.posed.parameters.iter().map(|p| p.start).collect();
     xi.resize(p.n(), 0.7);
     for gauss_newton in [true, false] {
         let s = run(&p, &xi, &Options { gauss_newton, max_iterations: 60, ..Options::default() });
@@ -303,7 +303,8 @@ impl Nlp for Shapeless {
 fn a_program_without_chains_is_solved_by_the_sparse_factorisation() {
     let (p, xi) = problem(&models::linear(), 61, &settings(3));
     let known = run(&p, &xi, &Options::default());
-    let s = solve(&Shapeless::new(p, usize::MAX), &xi, None, &Options::default(), &mut |_| Control::Continue).unwrap();
+    let s = solve(&Shapeless::new(p, usize::MAX), &xi, None, &Options::default(), &mut |_| Control::Continue)
+        .unwrap();
     assert_eq!((known.status, s.status), (Status::Converged, Status::Converged), "{}", s.message);
     assert!((s.objective - known.objective).abs() < 1e-8);
     for i in 0..TRUTH.len() {
@@ -316,7 +317,8 @@ fn an_evaluation_that_was_stopped_is_not_searched_for_what_is_not_finite() {
     let (p, xi) = problem(&models::linear(), 61, &settings(3));
     let p = Shapeless::new(p, 2);
     let options = Options { regression: false, ..Options::default() };
-    let s = Interrupt::within(None).run(|| solve(&p, &xi, None, &options, &mut |_| Control::Continue).unwrap());
+    let s =
+        Interrupt::within(None).run(|| solve(&p, &xi, None, &options, &mut |_| Control::Continue).unwrap());
     assert_eq!((s.status, s.iterations), (Status::Interrupted, 2));
     assert_eq!(p.explained.load(Ordering::Relaxed), 0);
 }

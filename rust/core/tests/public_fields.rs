@@ -158,7 +158,8 @@ fn grids_and_threads() {
     fails(estimation().grid(Grid::Uniform(1_000_000)).order(60), "order 60");
     fails(estimation().threads(100_000), "threads = 100000");
     fails(estimation().threads(usize::MAX), "threads = ");
-    use phugoid::transcription::{Shots, Steps};
+    use phugoid::integrate::Steps;
+    use phugoid::shooting::Shots;
     for steps in [Steps::Samples(usize::MAX), Steps::Number(usize::MAX), Steps::Length(1e-300)] {
         fails(estimation().shooting(Shots { steps, ..Shots::default() }), "at most 10000000");
     }

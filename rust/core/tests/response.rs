@@ -5,13 +5,13 @@ mod common;
 use common::models::{known_noise, linear, record};
 use common::newton::solve_defects;
 use nalgebra::{DMatrix, DVector};
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::condition::End;
 use phugoid::diagnosis::{Forward, Outputs, Place, Response, answers};
 use phugoid::experiment::Experiment;
 use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::Nlp;
-use phugoid::transcription::{Collocation, Settings};
 
 /// Variables of `pendulum`.
 const K: usize = 0;
@@ -354,7 +354,7 @@ fn what_is_too_unstable_is_left_to_the_kkt_system() {
     for (mw, stable) in [(0.2, true), (6.0, false)] {
         let record = record(&model, "flight", 60, false, 3);
         let problem = posed(&model, std::slice::from_ref(&record), 4, Grid::Samples(1));
-        let mut xi: Vec<f64> = problem.parameters.iter().map(|p| p.start).collect();
+        let mut xi: Vec<f64> = problem.posed.parameters.iter().map(|p| p.start).collect();
         xi[3] = mw;
         // States of a flight under control: what a simulation would give plays no part for a linear system.
         xi.extend((0..(problem.n() - xi.len())).map(|i| 0.5 * (0.37 * i as f64).sin()));

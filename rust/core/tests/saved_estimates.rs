@@ -1,8 +1,8 @@
 //! Models saved by Python, with their noise and delays, are estimated here to what Python estimates, in as many
 //! iterations. The file is made by tools/saved_estimates.py; tests/test_saved_estimates.py repeats it in Python.
 
+use phugoid::shooting::Shots;
 use phugoid::solver::Status;
-use phugoid::transcription::Shots;
 use phugoid::{Estimation, Experiment, Grid, Interpolation, Model};
 use serde_json::Value;
 

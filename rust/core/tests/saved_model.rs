@@ -1,10 +1,10 @@
 //! A model saved by Python evaluates to the same bits here. The file is made by tools/saved_model.py, and
 //! tests/test_saved_model.py sees to it that it is what Python makes today.
 
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::evaluator::Evaluator;
 use phugoid::nlp::Nlp;
 use phugoid::noise::Noise;
-use phugoid::transcription::{Collocation, Settings};
 use phugoid::{Experiment, Grid, Interpolation, Model, Sigma};
 use serde_json::Value;
 

@@ -86,8 +86,8 @@ fn models_come_back_equal() {
 
 #[test]
 fn a_loaded_model_gives_the_same_numbers() {
+    use phugoid::collocation::{Collocation, Settings};
     use phugoid::nlp::Nlp;
-    use phugoid::transcription::{Collocation, Settings};
     let model = models::nonlinear();
     let loaded = Model::from_json(&model.to_json()).unwrap();
     let record = models::record(&model, "run", 30, true, 1);

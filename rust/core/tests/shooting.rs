@@ -4,11 +4,13 @@ mod common;
 
 use common::flights;
 use common::models::linear;
+use phugoid::integrate::{Integrator, Steps};
 use phugoid::mesh::Grid;
 use phugoid::nlp::Nlp;
 use phugoid::noise::{Noise, Sigma};
+use phugoid::problem::Transcribed;
+use phugoid::shooting::{Shooting, Shots};
 use phugoid::solver::Status;
-use phugoid::transcription::{Integrator, Shooting, Shots, Steps, Transcribed};
 use phugoid::{Estimation, Experiment, Model, Parameter};
 
 /// ẋ = −2 t x² from x(0) = 1 has the solution 1/(1 + t²): nonlinear, and depends on time.

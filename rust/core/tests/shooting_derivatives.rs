@@ -6,11 +6,12 @@ use std::collections::HashSet;
 
 use common::Random;
 use common::models::{linear, mixed_noise, nonlinear, record, scalar};
+use phugoid::integrate::{Integrator, Steps};
 use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::Nlp;
 use phugoid::nlp::check::check_derivatives;
-use phugoid::transcription::{Integrator, Shooting, Shots, Steps};
+use phugoid::shooting::{Shooting, Shots};
 
 /// Differences of step 6e-6 are good to 1e-8 or so of the terms that they are taken of.
 const TOLERANCE: f64 = 1e-6;
@@ -27,9 +28,9 @@ fn problem(model: &Model, lengths: &[usize], settings: &Shots) -> Shooting {
 /// Parameters at their starts, states random about 0.8 or so.
 fn guess(problem: &Shooting, seed: u64) -> Vec<f64> {
     let mut random = Random(seed);
-    let start = |i: usize| problem.estimands.transforms[i].inverse(problem.parameters[i].start);
-    let mut xi: Vec<f64> = (0..problem.n_model_parameters).map(start).collect();
-    xi.extend(problem.parameters[problem.n_model_parameters..].iter().map(|p| p.start));
+    let start = |i: usize| problem.posed.estimands.transforms[i].inverse(problem.posed.parameters[i].start);
+    let mut xi: Vec<f64> = (0..problem.posed.n_model_parameters).map(start).collect();
+    xi.extend(problem.posed.parameters[problem.posed.n_model_parameters..].iter().map(|p| p.start));
     xi.resize_with(problem.n(), || random.between(0.5, 1.1));
     xi
 }
@@ -96,7 +97,7 @@ fn parameters_of_each_experiment_and_transformed_ones() {
     for segments in [1, 2, 6] {
         let settings = settings(Integrator::Rk4, segments, Steps::Number(3));
         let problem = problem(&model, &[9, 7, 8], &settings);
-        assert!(problem.estimands.any_local());
+        assert!(problem.posed.estimands.any_local());
         check(&problem, &format!("{segments} segments"));
     }
 }
@@ -114,7 +115,7 @@ fn gauss_newton_is_exact_without_residuals() {
         let mut records = [record(&model, "run", 9, false, 10)];
         let problem = build(&records);
         let xi = guess(&problem, 4);
-        records[0].outputs = phugoid::transcription::Transcribed::outputs_at_samples(&problem, &xi, 0);
+        records[0].outputs = phugoid::problem::Transcribed::outputs_at_samples(&problem, &xi, 0);
         let problem = build(&records);
         let size = problem.hessian_structure().len();
         let (mut exact, mut approximate) = (vec![0.0; size], vec![f64::NAN; size]);

@@ -3,9 +3,9 @@
 mod common;
 
 use common::models::{guess, mixed_noise, nonlinear, record};
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::mesh::Grid;
 use phugoid::nlp::Nlp;
-use phugoid::transcription::{Collocation, Settings};
 
 /// Everything that the problem computes at a point, as bits.
 fn evaluate(order: usize, grid: Grid, threads: usize) -> Vec<Vec<u64>> {

@@ -3,11 +3,11 @@
 mod common;
 
 use common::models::{known_noise, linear, record};
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::error::Error;
 use phugoid::experiment::Experiment;
 use phugoid::mesh::Grid;
 use phugoid::noise::{Noise, Sigma};
-use phugoid::transcription::{Collocation, Settings};
 
 fn build(records: &[Experiment], noise: Noise, settings: &Settings) -> Result<Collocation, Error> {
     Collocation::new(&linear(), records, noise, settings)

@@ -4,8 +4,8 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1};
 use phugoid::diagnosis::{NoInformation, information as information_of};
 use phugoid::interrupt::Interrupt;
 use phugoid::linalg::KktError;
+use phugoid::problem::Transcribed;
 use phugoid::solver::{Control, Iteration, Settings, Solution, solve};
-use phugoid::transcription::Transcribed;
 use pyo3::exceptions::{PyTimeoutError, PyValueError};
 use pyo3::prelude::*;
 

@@ -1,11 +1,13 @@
 //! Transcribed problems: what all have in common.
 
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
+use phugoid::collocation::Collocation;
 use phugoid::experiment::{Experiment, Signal};
 use phugoid::interpolate::Interpolation;
 use phugoid::mesh::Grid;
 use phugoid::nlp::{NotFinite, Structure, check::check_derivatives};
-use phugoid::transcription::{Posed, Transcribed};
+use phugoid::problem::{Posed, Transcribed};
+use phugoid::shooting::Shooting;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -33,7 +35,13 @@ type Reported = (String, Option<usize>, f64, Vec<f64>, Option<usize>, f64, f64);
 
 /// A problem on its own threads, without the interpreter lock. Each transcription is a class of its own below.
 #[pyclass(name = "Problem", module = "phugoid._core", frozen, subclass)]
-pub struct PyProblem(pub Box<dyn Transcribed>);
+pub struct PyProblem(pub Transcription);
+
+/// The transcriptions that there are.
+pub enum Transcription {
+    Collocation(Box<Collocation>),
+    Shooting(Box<Shooting>),
+}
 
 type Array<'py> = Bound<'py, PyArray1<f64>>;
 type Indices<'py> = (Bound<'py, PyArray1<u32>>, Bound<'py, PyArray1<u32>>);
@@ -111,11 +119,22 @@ pub fn gap_warnings(inputs: Vec<String>, experiments: Vec<Record<'_>>) -> PyResu
 impl PyProblem {
     /// The problem itself.
     pub fn inner(&self) -> &dyn Transcribed {
-        &*self.0
+        match &self.0 {
+            Transcription::Collocation(problem) => &**problem,
+            Transcription::Shooting(problem) => &**problem,
+        }
+    }
+
+    /// The problem, if it is one by collocation.
+    pub fn collocation(&self) -> Option<&Collocation> {
+        match &self.0 {
+            Transcription::Collocation(problem) => Some(problem),
+            Transcription::Shooting(_) => None,
+        }
     }
 
     fn posed(&self) -> &Posed {
-        self.0.posed()
+        self.inner().posed()
     }
 
     fn slice<'a>(&self, x: &'a PyReadonlyArray1<'_, f64>, n: usize, what: &str) -> PyResult<&'a [f64]> {
@@ -137,7 +156,7 @@ impl PyProblem {
         let array = unsafe { PyArray1::<f64>::new(py, len, false) };
         // SAFETY: the array was made here and is seen by nobody else yet.
         let out = unsafe { array.as_slice_mut().expect("a new array is contiguous") };
-        py.detach(|| f(&*self.0, out)).ok().map(|()| array)
+        py.detach(|| f(self.inner(), out)).ok().map(|()| array)
     }
 }
 
@@ -146,37 +165,37 @@ impl PyProblem {
     /// Number of variables.
     #[getter]
     fn n(&self) -> usize {
-        self.0.n()
+        self.inner().n()
     }
 
     /// Number of constraints.
     #[getter]
     fn m(&self) -> usize {
-        self.0.m()
+        self.inner().m()
     }
 
     /// Number of parameters, those of the noise among them.
     #[getter]
     fn n_theta(&self) -> usize {
-        self.0.layout().n_theta
+        self.inner().layout().n_theta
     }
 
     /// Number of states.
     #[getter]
     fn n_states(&self) -> usize {
-        self.0.layout().n_x
+        self.inner().layout().n_x
     }
 
     /// For each boundary condition, which follow all other constraints, the state in whose unit it is.
     #[getter]
     fn boundary_states(&self) -> Vec<usize> {
-        self.0.boundary_states()
+        self.inner().boundary_states()
     }
 
     /// First point of each experiment, and the total.
     #[getter]
     fn first_point(&self) -> Vec<usize> {
-        self.0.layout().first_point.clone()
+        self.inner().layout().first_point.clone()
     }
 
     /// For each variable that is a parameter of the model: its name, the parameter's place in the model, and the
@@ -205,7 +224,7 @@ impl PyProblem {
 
     /// What priors add to the objective.
     fn prior_terms(&self, xi: PyReadonlyArray1<'_, f64>) -> PyResult<f64> {
-        Ok(self.posed().prior_terms(self.slice(&xi, self.0.n(), "xi")?))
+        Ok(self.posed().prior_terms(self.slice(&xi, self.inner().n(), "xi")?))
     }
 
     /// Names of the noise parameters.
@@ -228,14 +247,14 @@ impl PyProblem {
 
     /// Scales of all outputs.
     fn sigmas(&self, xi: PyReadonlyArray1<'_, f64>) -> PyResult<Vec<f64>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
         Ok(self.posed().sigmas(xi))
     }
 
     /// The noise in the user's terms: name, number of the output whose unit it has, value, gradient with respect
     /// to the noise parameters, number of the one whose bounds are its own, lower and upper bound.
     fn noise_report(&self, xi: PyReadonlyArray1<'_, f64>) -> PyResult<Vec<Reported>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
         let one = |r: phugoid::noise::Reported| {
             (r.name, r.output, r.value, r.gradient, r.bounded_by, r.bounds.0, r.bounds.1)
         };
@@ -244,18 +263,18 @@ impl PyProblem {
 
     /// Inputs at the points of an experiment, `[input][point]`; none unless by collocation.
     fn point_inputs<'py>(&self, py: Python<'py>, experiment: usize) -> Vec<Array<'py>> {
-        let inputs = self.0.collocation().map(|c| c.inputs[experiment].clone());
+        let inputs = self.collocation().map(|c| c.inputs[experiment].clone());
         arrays(py, inputs.unwrap_or_default())
     }
 
     /// Place among the points of an experiment of each of its samples; none unless by collocation.
     fn sample_points(&self, experiment: usize) -> Vec<usize> {
-        self.0.collocation().map(|c| c.meshes[experiment].sample_points.clone()).unwrap_or_default()
+        self.collocation().map(|c| c.meshes[experiment].sample_points.clone()).unwrap_or_default()
     }
 
     /// Times of the points of an experiment whose states are variables.
     fn point_times<'py>(&self, py: Python<'py>, experiment: usize) -> Array<'py> {
-        PyArray1::from_slice(py, self.0.point_times(experiment))
+        PyArray1::from_slice(py, self.inner().point_times(experiment))
     }
 
     /// Times of the mesh on which the equations of an experiment are solved, and the states there, one array a state.
@@ -265,8 +284,8 @@ impl PyProblem {
         xi: PyReadonlyArray1<'py, f64>,
         experiment: usize,
     ) -> PyResult<(Array<'py>, Vec<Array<'py>>)> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        let (times, states) = py.detach(|| self.0.path(xi, experiment));
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        let (times, states) = py.detach(|| self.inner().path(xi, experiment));
         Ok((PyArray1::from_vec(py, times), arrays(py, states)))
     }
 
@@ -277,24 +296,24 @@ impl PyProblem {
         xi: PyReadonlyArray1<'py, f64>,
         experiment: usize,
     ) -> PyResult<Vec<Array<'py>>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        Ok(arrays(py, py.detach(|| self.0.states_at_samples(xi, experiment))))
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        Ok(arrays(py, py.detach(|| self.inner().states_at_samples(xi, experiment))))
     }
 
     fn bounds<'py>(&self, py: Python<'py>) -> (Array<'py>, Array<'py>) {
-        let (lower, upper) = self.0.bounds();
+        let (lower, upper) = self.inner().bounds();
         (PyArray1::from_vec(py, lower), PyArray1::from_vec(py, upper))
     }
 
     /// φ = −ℓ; NaN where something is not finite.
     fn objective(&self, py: Python<'_>, xi: PyReadonlyArray1<'_, f64>) -> PyResult<f64> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        Ok(py.detach(|| self.0.objective(xi)).unwrap_or(f64::NAN))
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        Ok(py.detach(|| self.inner().objective(xi)).unwrap_or(f64::NAN))
     }
 
     fn gradient<'py>(&self, py: Python<'py>, xi: PyReadonlyArray1<'py, f64>) -> PyResult<Option<Array<'py>>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        Ok(self.fill(py, self.0.n(), |p, out| p.gradient(xi, out)))
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        Ok(self.fill(py, self.inner().n(), |p, out| p.gradient(xi, out)))
     }
 
     fn constraints<'py>(
@@ -302,21 +321,21 @@ impl PyProblem {
         py: Python<'py>,
         xi: PyReadonlyArray1<'py, f64>,
     ) -> PyResult<Option<Array<'py>>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        Ok(self.fill(py, self.0.m(), |p, out| p.constraints(xi, out)))
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        Ok(self.fill(py, self.inner().m(), |p, out| p.constraints(xi, out)))
     }
 
     fn jacobian_structure<'py>(&self, py: Python<'py>) -> Indices<'py> {
-        indices(py, self.0.jacobian_structure())
+        indices(py, self.inner().jacobian_structure())
     }
 
     fn jacobian<'py>(&self, py: Python<'py>, xi: PyReadonlyArray1<'py, f64>) -> PyResult<Option<Array<'py>>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        Ok(self.fill(py, self.0.jacobian_structure().len(), |p, out| p.jacobian(xi, out)))
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        Ok(self.fill(py, self.inner().jacobian_structure().len(), |p, out| p.jacobian(xi, out)))
     }
 
     fn hessian_structure<'py>(&self, py: Python<'py>) -> Indices<'py> {
-        indices(py, self.0.hessian_structure())
+        indices(py, self.inner().hessian_structure())
     }
 
     fn hessian<'py>(
@@ -326,9 +345,9 @@ impl PyProblem {
         factor: f64,
         multipliers: PyReadonlyArray1<'py, f64>,
     ) -> PyResult<Option<Array<'py>>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        let lambda = self.slice(&multipliers, self.0.m(), "the multipliers")?;
-        Ok(self.fill(py, self.0.hessian_structure().len(), |p, out| p.hessian(xi, factor, lambda, out)))
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        let lambda = self.slice(&multipliers, self.inner().m(), "the multipliers")?;
+        Ok(self.fill(py, self.inner().hessian_structure().len(), |p, out| p.hessian(xi, factor, lambda, out)))
     }
 
     /// Entries, at the places of the Hessian, of its Gauss-Newton approximation.
@@ -338,8 +357,8 @@ impl PyProblem {
         xi: PyReadonlyArray1<'py, f64>,
         factor: f64,
     ) -> PyResult<Option<Array<'py>>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        Ok(self.fill(py, self.0.hessian_structure().len(), |p, out| p.gauss_newton(xi, factor, out)))
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        Ok(self.fill(py, self.inner().hessian_structure().len(), |p, out| p.gauss_newton(xi, factor, out)))
     }
 
     /// Model outputs at the samples of an experiment, one array an output.
@@ -349,22 +368,22 @@ impl PyProblem {
         xi: PyReadonlyArray1<'py, f64>,
         experiment: usize,
     ) -> PyResult<Vec<Array<'py>>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        Ok(arrays(py, py.detach(|| self.0.outputs_at_samples(xi, experiment))))
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        Ok(arrays(py, py.detach(|| self.inner().outputs_at_samples(xi, experiment))))
     }
 
     fn variable_name(&self, i: usize) -> String {
-        self.0.variable_name(i)
+        self.inner().variable_name(i)
     }
 
     fn constraint_name(&self, i: usize) -> String {
-        self.0.constraint_name(i)
+        self.inner().constraint_name(i)
     }
 
     /// What is not finite at xi, where and from what.
     fn explain(&self, py: Python<'_>, xi: PyReadonlyArray1<'_, f64>) -> PyResult<Option<String>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        Ok(py.detach(|| self.0.explain(xi)))
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        Ok(py.detach(|| self.inner().explain(xi)))
     }
 
     /// Entries of derivatives that differ from difference quotients: (entry, computed, difference).
@@ -375,10 +394,10 @@ impl PyProblem {
         columns: Vec<usize>,
         tolerance: f64,
     ) -> PyResult<Vec<(String, f64, f64)>> {
-        let xi = self.slice(&xi, self.0.n(), "xi")?;
-        let lambda = self.slice(&multipliers, self.0.m(), "the multipliers")?;
-        let wrong = check_derivatives(&*self.0, xi, lambda, &columns, tolerance)
-            .map_err(|_| named("EvaluationError", self.0.explain(xi).unwrap_or_default()))?;
+        let xi = self.slice(&xi, self.inner().n(), "xi")?;
+        let lambda = self.slice(&multipliers, self.inner().m(), "the multipliers")?;
+        let wrong = check_derivatives(self.inner(), xi, lambda, &columns, tolerance)
+            .map_err(|_| named("EvaluationError", self.inner().explain(xi).unwrap_or_default()))?;
         Ok(wrong.into_iter().map(|w| (w.entry, w.computed, w.difference)).collect())
     }
 

@@ -1,8 +1,8 @@
 //! Answers of a fitted path to forces on its equations.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
+use phugoid::collocation::Collocation;
 use phugoid::diagnosis::{self, Forward, Outputs, Place, Response};
-use phugoid::transcription::Collocation;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -11,7 +11,7 @@ use crate::problem::PyProblem;
 type Matrix<'py> = Bound<'py, PyArray2<f64>>;
 
 fn collocation<'a>(problem: &'a PyProblem, xi: &[f64]) -> PyResult<&'a Collocation> {
-    let Some(problem) = problem.inner().collocation() else {
+    let Some(problem) = problem.collocation() else {
         return Err(PyValueError::new_err("responses are those of a collocation problem"));
     };
     if xi.len() != problem.layout.n() {

@@ -1,13 +1,14 @@
 //! The shooting problem.
 
-use phugoid::transcription::{Integrator, Shooting, Shots, Steps};
+use phugoid::integrate::{Integrator, Steps};
+use phugoid::shooting::{Shooting, Shots};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::errors::raise;
 use crate::model::PyModel;
 use crate::noise::PyNoise;
-use crate::problem::{GridSpec, PyProblem, Record, experiment, grids};
+use crate::problem::{GridSpec, PyProblem, Record, Transcription, experiment, grids};
 
 /// Steps: ("samples", n), ("number", n) or ("length", h).
 type StepSpec = (String, f64);
@@ -48,6 +49,7 @@ impl PyShooting {
         };
         let (model, noise) = (&model.0, noise.noise.clone());
         let problem = py.detach(|| Shooting::new(model, &records, noise, &settings)).map_err(raise)?;
-        Ok(PyClassInitializer::from(PyProblem(Box::new(problem))).add_subclass(PyShooting))
+        Ok(PyClassInitializer::from(PyProblem(Transcription::Shooting(Box::new(problem))))
+            .add_subclass(PyShooting))
     }
 }

@@ -4,9 +4,9 @@ use rayon::prelude::*;
 
 use super::forward::{AT_ONCE, Forward, Lanes};
 use super::response::Response;
+use crate::collocation::Collocation;
 use crate::nlp::{Nlp, NotFinite};
 use crate::threads::COMMON;
-use crate::transcription::Collocation;
 
 /// How the outputs follow states and parameters: derivatives at all samples, those of all experiments after each other.
 pub struct Outputs<'a> {

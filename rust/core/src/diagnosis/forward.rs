@@ -3,11 +3,11 @@
 use nalgebra::{DMatrix, Dyn, LU};
 use rayon::prelude::*;
 
+use crate::collocation::Collocation;
 use crate::nlp::{Nlp, NotFinite};
 use crate::simd::kernel;
 use crate::solver::state_units;
 use crate::threads::COMMON;
-use crate::transcription::Collocation;
 
 /// First states may grow by this factor, in units of what the states do: digits that a later projection loses.
 const GROWTH: f64 = 1e6;

@@ -1,10 +1,10 @@
 //! How the fitted path answers to a force on its equations: the sensitivities behind every candidate term.
 
 use super::SLIGHT;
+use crate::collocation::Collocation;
 use crate::linalg::{KktSolver, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::state_units;
-use crate::transcription::Collocation;
 
 /// The linearisation of a collocation problem about a point, factorised once, in the metric of its Gauss-Newton
 /// Hessian.

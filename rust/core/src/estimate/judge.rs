@@ -8,8 +8,8 @@ use crate::diagnosis::Information;
 use crate::model::Model;
 use crate::noise::{Noise, Sigma};
 use crate::parameter::Parameter;
+use crate::problem::Transcribed;
 use crate::solver::Status;
-use crate::transcription::Transcribed;
 
 /// A point is the optimum when the Newton step left is this small a part of every standard error.
 const CLOSE: f64 = 1e-3;

@@ -8,8 +8,8 @@ use crate::gaps::gap_warnings;
 use crate::interrupt::Interrupt;
 use crate::model::{Model, Variable};
 use crate::noise::{Reported, SIGMA};
+use crate::problem::Transcribed;
 use crate::solver::Solution;
-use crate::transcription::Transcribed;
 
 /// A bound is active where the variable is there, but for this fraction of it: the solver's active set
 /// stands exactly on bounds, and σ is given by its inverse.

@@ -12,14 +12,16 @@ pub use fit::{Bound, Estimate, Fit, Record};
 pub(crate) use measured::{Measured, measured_states};
 pub use start::Start;
 
+use crate::collocation::{self, Collocation};
 use crate::error::{Error, did_you_mean};
 use crate::experiment::Experiment;
 use crate::interrupt::{Interrupt, current};
 use crate::mesh::Grid;
 use crate::model::Model;
 use crate::noise::{Density, Noise, NoiseModel, SIGMA, Scale};
+use crate::problem::Transcribed;
+use crate::shooting::{Shooting, Shots};
 use crate::solver::{Control, Iteration, Settings, solve};
-use crate::transcription::{self, Collocation, Shooting, Shots, Transcribed};
 
 /// The maximum-likelihood estimate of a model's parameters from records (Eq. ml_loglike), as it is put
 /// together: what is not said has a default.
@@ -57,7 +59,7 @@ use crate::transcription::{self, Collocation, Shooting, Shots, Transcribed};
 pub struct Estimation<'a> {
     model: &'a Model,
     experiments: &'a [Experiment],
-    transcription: transcription::Settings,
+    transcription: collocation::Settings,
     shots: Option<Shots>,
     solver: Settings,
     regression: Option<bool>,
@@ -74,7 +76,7 @@ impl<'a> Estimation<'a> {
         Estimation {
             model,
             experiments,
-            transcription: transcription::Settings::default(),
+            transcription: collocation::Settings::default(),
             shots: None,
             solver: Settings::default(),
             regression: None,
@@ -242,7 +244,7 @@ impl<'a> Estimation<'a> {
     pub fn transcribe(&self) -> Result<(Collocation, Vec<f64>), Error> {
         let noise = self.checked_noise()?;
         let noise_per_experiment = self.noise.per_experiment;
-        let settings = transcription::Settings { noise_per_experiment, ..self.transcription.clone() };
+        let settings = collocation::Settings { noise_per_experiment, ..self.transcription.clone() };
         let problem = Collocation::new(self.model, self.experiments, noise, &settings)?;
         let xi = self.first_point(&problem)?;
         Ok((problem, xi))

@@ -6,7 +6,7 @@ use super::measured::measured_states;
 use crate::error::Error;
 use crate::interpolate::{Interpolation, interpolate};
 use crate::noise::{Channel, Covariance, Density, Dof, Joint, Noise, SIGMA, Scale, Sigma};
-use crate::transcription::Transcribed;
+use crate::problem::Transcribed;
 
 /// A starting value. It is made from a number, from the path of a state in the only experiment, or from
 /// its paths in all of them.

@@ -2,11 +2,11 @@
 
 use std::collections::HashMap;
 
-use super::field::Field;
-use super::interval::{Integrator, Lost, Method};
 use super::path::Path;
 use crate::error::Error;
 use crate::experiment::Experiment;
+use crate::integrate::field::Field;
+use crate::integrate::interval::{Adaptive, Lost, Method};
 use crate::model::Model;
 
 /// Times closer than this part of the shortest sampling interval are the same.
@@ -114,7 +114,7 @@ impl<'a> Flow<'a> {
     /// States at the knots.
     fn states(&mut self, first: &[f64], tolerance: f64, method: Method) -> Result<Vec<Vec<f64>>, Error> {
         let absolute: Vec<f64> = first.iter().map(|x| tolerance * x.abs().max(SMALL)).collect();
-        let mut integrator = Integrator::new(first, tolerance, absolute, method);
+        let mut integrator = Adaptive::new(first, tolerance, absolute, method);
         let mut states = vec![first.to_vec()];
         for k in 1..self.knots.len() {
             let (begin, end) = (self.knots[k - 1], self.knots[k]);
@@ -129,7 +129,7 @@ impl<'a> Flow<'a> {
     }
 
     /// Why there is no solution from a time on.
-    fn failure(&mut self, begin: f64, at: &Integrator, lost: Lost, largest: f64) -> Error {
+    fn failure(&mut self, begin: f64, at: &Adaptive, lost: Lost, largest: f64) -> Error {
         let x = &at.x;
         let text = format!(
             "experiment '{}': the simulation of '{}' ends at t = {} s of {} s: ",
@@ -176,7 +176,7 @@ impl<'a> Flow<'a> {
     }
 
     /// A state whose slope changes its sign across a change of the states, however small that is.
-    fn jump(&mut self, at: &Integrator) -> Option<&str> {
+    fn jump(&mut self, at: &Adaptive) -> Option<&str> {
         let n = at.x.len();
         for i in 0..n {
             let [far, near] = [1e-2, 1e-4].map(|part| self.sides(at, i, part * at.x[i].abs().max(SMALL)));
@@ -193,7 +193,7 @@ impl<'a> Flow<'a> {
     }
 
     /// Slopes with a state so much less, and more.
-    fn sides(&mut self, at: &Integrator, i: usize, by: f64) -> Option<(Vec<f64>, Vec<f64>)> {
+    fn sides(&mut self, at: &Adaptive, i: usize, by: f64) -> Option<(Vec<f64>, Vec<f64>)> {
         let mut side = |by: f64| {
             let (mut x, mut slope) = (at.x.clone(), vec![0.0; at.x.len()]);
             x[i] += by;

@@ -1,17 +1,13 @@
 //! What a model says for given parameters, by integration.
 
-mod dop853;
-mod field;
 mod flow;
-mod interval;
 mod path;
-mod radau;
 
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-pub use interval::Method;
+pub use crate::integrate::Method;
 pub use path::Path;
 
 use crate::condition::End;

@@ -1,10 +1,10 @@
 //! Records of the short period in `models::linear`, simulated, with noise.
 
+use phugoid::collocation::{Collocation, Settings};
 use phugoid::experiment::Experiment;
 use phugoid::interpolate::Interpolation;
 use phugoid::model::Model;
 use phugoid::noise::{Noise, Sigma};
-use phugoid::transcription::{Collocation, Settings};
 
 use super::Random;
 
@@ -76,7 +76,7 @@ pub fn problem(model: &Model, n: usize, settings: &Settings) -> (Collocation, Ve
     let e = record(n, 5);
     let noise = unknown_noise(&e);
     let problem = Collocation::new(model, std::slice::from_ref(&e), noise, settings).unwrap();
-    let mut xi: Vec<f64> = problem.parameters.iter().map(|p| p.start).collect();
+    let mut xi: Vec<f64> = problem.posed.parameters.iter().map(|p| p.start).collect();
     xi[..6].fill(0.0);
     for time in &problem.meshes[0].times {
         let at = (time / 0.05).clamp(0.0, (n - 1) as f64);

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
+use phugoid::collocation::Collocation;
 use phugoid::experiment::Experiment;
 use phugoid::expr::{Expr, Lookup, gt, select};
 use phugoid::interpolate::Interpolation;
 use phugoid::model::{Model, Parameter};
 use phugoid::noise::{Noise, Sigma};
 use phugoid::table::Table;
-use phugoid::transcription::Collocation;
 
 use super::Random;
 
@@ -124,7 +124,7 @@ pub fn known_noise(model: &Model) -> Noise {
 /// Parameters at their starts, states random about 0.8 or so.
 pub fn guess(problem: &Collocation, seed: u64) -> Vec<f64> {
     let mut random = Random(seed);
-    let mut xi: Vec<f64> = problem.parameters.iter().map(|p| p.start).collect();
+    let mut xi: Vec<f64> = problem.posed.parameters.iter().map(|p| p.start).collect();
     xi.resize_with(problem.layout.n(), || random.between(0.5, 1.1));
     xi
 }

@@ -1,8 +1,8 @@
 //! Solves the defects of one experiment for its states, parameters and first point held.
 
 use nalgebra::{DMatrix, DVector};
+use phugoid::collocation::Collocation;
 use phugoid::nlp::Nlp;
-use phugoid::transcription::Collocation;
 
 /// Newton's method. Constraint k ends at point k + 1, so the Jacobian with respect to all points but
 /// the first is square, and block lower triangular: a block a segment, then one a tied sample.

@@ -1,0 +1,450 @@
+//! The collocation problem (Eq. oem_coll) as a nonlinear program.
+
+mod chunk;
+mod defects;
+mod explain;
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use crate::condition::End;
+use crate::error::Error;
+use crate::experiment::Experiment;
+use crate::mesh::{Grid, Mesh};
+use crate::model::Model;
+use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
+use crate::noise::Noise;
+use crate::problem::boundary::{Boundary, Places};
+use crate::problem::disjoint::Disjoint;
+use crate::problem::layout::{Layout, Place};
+use crate::problem::objective::{Objective, add};
+use crate::problem::posed::{OfExperiment, Posed};
+use crate::problem::transcribed::Transcribed;
+use crate::tape::Pairs;
+use crate::threads::Threads;
+use chunk::Chunk;
+pub use chunk::segments_in_chunk;
+use defects::Dynamics;
+
+/// How a problem is transcribed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Points of a segment, m: 2 is the trapezoid.
+    pub order: usize,
+    /// Division into segments, one an experiment, or one for all.
+    pub grid: Vec<Grid>,
+    /// Threads; 0 for as many as there are cores.
+    pub threads: usize,
+    /// Whether each experiment has noise of its own.
+    pub noise_per_experiment: bool,
+}
+
+impl Default for Settings {
+    /// Order 4, one segment between samples.
+    fn default() -> Self {
+        Settings { order: 4, grid: vec![Grid::Samples(1)], threads: 0, noise_per_experiment: false }
+    }
+}
+
+/// The collocation problem: −ℓ(θ, x) to be minimised under the defects. It is an [`Nlp`]: any optimiser that
+/// takes sparse derivatives can solve it. [`Estimation`](crate::Estimation) makes one with a point to start
+/// from, [`Estimation::transcribe`](crate::Estimation::transcribe).
+///
+/// ```
+/// use phugoid::nlp::Nlp;
+/// use phugoid::noise::Noise;
+/// use phugoid::collocation::{Collocation, Settings};
+/// use phugoid::{Experiment, Grid, Model, Parameter, Sigma};
+///
+/// let mut m = Model::new("ramp");
+/// let (x, slope) = (m.state("x", "m")?, m.parameter(Parameter::new("slope", 0.0))?);
+/// m.equation("x", slope, None)?;
+/// m.output("x", x, "", None)?;
+/// let run = Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 3.1, 5.0])])?;
+///
+/// let noise = Noise::Gaussian(vec![Sigma::Known(0.1)]);
+/// let settings = Settings { order: 2, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
+/// let problem = Collocation::new(&m, &[run], noise, &settings)?;
+/// assert_eq!((problem.n(), problem.m()), (4, 2)); // the slope and x at three points; two defects
+/// assert_eq!(problem.variable_name(2), "x at t = 1 s of 'run'");
+/// assert_eq!(problem.constraint_name(0), "defect of x ending at t = 1 s of 'run'");
+///
+/// let xi = [2.0, 1.0, 3.0, 5.0]; // slope 2 from 1 on: the equation holds, one residual is 0.1
+/// let mut defects = [f64::NAN; 2];
+/// problem.constraints(&xi, &mut defects).unwrap();
+/// assert_eq!(defects, [0.0, 0.0]);
+/// let minus_log_likelihood = 0.5 + 3.0 * 0.1f64.ln(); // ½ Σ (r/σ)² + N ln σ
+/// assert!((problem.objective(&xi).unwrap() - minus_log_likelihood).abs() < 1e-12);
+/// # Ok::<(), phugoid::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct Collocation {
+    /// Parameters, functions, records.
+    pub posed: Posed,
+    /// Where variables and constraints stand.
+    pub layout: Layout,
+    /// One mesh an experiment.
+    pub meshes: Vec<Mesh>,
+    /// Inputs at all points of each experiment: `inputs[experiment][channel][point]`. Where an input jumps between
+    /// two segments, it is the mean of both sides.
+    pub inputs: Vec<Vec<Vec<f64>>>,
+    dynamics: Dynamics,
+    chunks: Vec<Chunk>,
+    objective: Objective,
+    jacobian_structure: Structure,
+    hessian_structure: Structure,
+    /// Where the Hessian entries between parameters stand for each pair of f: one list an experiment; a single
+    /// one where they do not differ. They are the last entries, from the first.
+    pairs: (usize, Vec<Vec<usize>>),
+    chains: Chains,
+    pub(super) boundary: Option<Boundary>,
+}
+
+impl OfExperiment for Chunk {
+    fn experiment(&self) -> usize {
+        self.experiment
+    }
+}
+
+impl Collocation {
+    /// Transcribes a problem.
+    ///
+    /// # Errors
+    /// When the model is incomplete, the data do not fit it, or an option is out of range.
+    pub fn new(
+        model: &Model,
+        experiments: &[Experiment],
+        noise: Noise,
+        settings: &Settings,
+    ) -> Result<Self, Error> {
+        let options = (settings.threads, settings.noise_per_experiment, Pairs::Summed);
+        let (posed, written) = Posed::new(model, experiments, noise, options)?;
+        let meshes = meshes(experiments, settings)?;
+        let layout = Layout::new(posed.parameters.len(), model.states.len(), &meshes);
+        let ends = |mesh: &Mesh| (mesh.n_mesh - 1, [mesh.times[0], mesh.times[mesh.n_mesh - 1]]);
+        let ends: Vec<_> = meshes.iter().map(ends).collect();
+        let boundary = Boundary::new(model, written, experiments, &ends, layout.m())?;
+        let mut problem = Collocation {
+            layout,
+            meshes,
+            inputs: Vec::new(),
+            dynamics: Dynamics::new(posed.f.clone()),
+            posed,
+            chunks: Vec::new(),
+            objective: Objective::default(),
+            jacobian_structure: Structure::default(),
+            hessian_structure: Structure::default(),
+            pairs: (0, Vec::new()),
+            chains: Chains::default(),
+            boundary,
+        };
+        problem.place_data();
+        problem.place_derivatives();
+        problem.chains = problem.layout.chains(&problem.meshes);
+        if let Some(boundary) = &problem.boundary {
+            for (e, chain) in problem.chains.chains.iter_mut().enumerate() {
+                chain.boundary = boundary.of_chain(e);
+            }
+        }
+        Ok(problem)
+    }
+
+    /// Fills chunks and blocks of samples with data in the order of their lanes.
+    fn place_data(&mut self) {
+        for (e, (experiment, mesh)) in self.posed.experiments.iter().zip(&self.meshes).enumerate() {
+            let channels = || 0..experiment.inputs.len();
+            let mut inputs: Vec<Vec<f64>> = channels().map(|c| experiment.input(c, &mesh.times)).collect();
+            let held: Vec<Option<Vec<f64>>> = channels().map(|c| held_values(experiment, c, mesh)).collect();
+            let first = self.layout.first_point[e];
+            let mut segment = 0;
+            for mut chunk in Chunk::cut(e, mesh, &self.layout) {
+                let at_points = |column: &[f64]| -> Vec<f64> {
+                    chunk.points.iter().map(|&p| column[p as usize - first]).collect()
+                };
+                let mut data = at_points(&mesh.times);
+                for (column, held) in inputs.iter().zip(&held) {
+                    match held {
+                        Some(of) => data.extend(chunk.segment_of_lanes().map(|s| of[segment + s])),
+                        None => data.extend(at_points(column)),
+                    }
+                }
+                chunk.data = data;
+                segment += chunk.segments();
+                self.chunks.push(chunk);
+            }
+            for (column, of) in inputs.iter_mut().zip(&held).filter_map(|(c, h)| Some((c, h.as_ref()?))) {
+                for (s, segment) in mesh.segments.iter().enumerate() {
+                    column[segment.point..segment.point + mesh.rule.order()].fill(of[s]);
+                    column[segment.point] = 0.5 * (of[s.saturating_sub(1)] + of[s]);
+                }
+            }
+            self.objective.add(&self.posed, &self.layout, e, &mesh.sample_points);
+            self.inputs.push(inputs);
+        }
+    }
+
+    /// Lays out the sparse entries of the Jacobian and the Hessian.
+    fn place_derivatives(&mut self) {
+        for chunk in &mut self.chunks {
+            chunk.jacobian = self.jacobian_structure.len();
+            let map = &self.posed.estimands.maps[chunk.experiment];
+            self.dynamics.jacobian_structure(chunk, &self.layout, map, &mut self.jacobian_structure);
+            chunk.jacobian_entries = self.jacobian_structure.len() - chunk.jacobian;
+            chunk.hessian = self.hessian_structure.len();
+            self.dynamics.hessian_structure(chunk, &self.layout, map, &mut self.hessian_structure);
+        }
+        self.objective.place(&self.posed, &self.layout, &mut self.hessian_structure);
+        let mut places: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+        self.pairs.0 = self.hessian_structure.len();
+        let structure = &mut self.hessian_structure;
+        let mut place = |pair: (usize, usize)| {
+            *places.entry(pair).or_insert_with(|| {
+                structure.push(pair.0, pair.1);
+                structure.len() - 1
+            })
+        };
+        for map in &self.posed.estimands.maps[..self.posed.differing()] {
+            // Variables of different experiments stand in another order than the parameters they are.
+            let mut place = |r: usize, c: usize| place((map[r].max(map[c]), map[r].min(map[c])));
+            self.pairs.1.push(self.dynamics.parameter_pairs().map(|(r, c)| place(r, c)).collect());
+        }
+        self.objective.place_pairs(&self.posed, place);
+        if let Some(boundary) = &mut self.boundary {
+            let structures = (&mut self.jacobian_structure, &mut self.hessian_structure);
+            boundary.place(&self.layout, &self.posed.estimands, structures);
+        }
+    }
+
+    fn dynamics_job<'a>(&'a self, chunk: &'a Chunk, xi: &'a [f64], uniforms: &'a [f64]) -> defects::Job<'a> {
+        defects::Job { dynamics: &self.dynamics, layout: &self.layout, chunk, xi, uniforms }
+    }
+
+    /// The chunks of an experiment.
+    fn chunks_of(&self, experiment: usize) -> impl Iterator<Item = &Chunk> {
+        self.chunks.iter().filter(move |c| c.experiment == experiment)
+    }
+
+    /// Whether anything is said of states at the last samples.
+    pub fn has_conditions_at_ends(&self) -> bool {
+        self.boundary.as_ref().is_some_and(|b| b.conditions.iter().any(|c| c.end != End::Initial))
+    }
+
+    /// Evaluates what there is of boundary conditions.
+    fn at_ends(&self, work: impl FnOnce(&Boundary, Places<'_>) -> bool) -> Result<(), NotFinite> {
+        Boundary::evaluate(self.boundary.as_ref(), (&self.layout, &self.posed.estimands), work)
+    }
+
+    /// The change of all constraints when slopes b are added to f: `−h Σ_j C[j,k] b_j` (Eq. oem_coll_cxdot).
+    /// `slopes` holds n_x values for each mesh point, those of all experiments after each other; conditions on the
+    /// ends of records do not change.
+    pub fn forced(&self, slopes: &[f64], out: &mut [f64]) {
+        let n_x = self.layout.n_x;
+        out.fill(0.0);
+        let mut first = 0; // mesh point of the experiment
+        for (e, mesh) in self.meshes.iter().enumerate() {
+            let (k, row) = (mesh.rule.order() - 1, self.layout.first_row(e));
+            let b = |point: usize, r: usize| slopes[(first + point) * n_x + r];
+            for segment in &mesh.segments {
+                for i in 0..k {
+                    for (r, c) in out[(row + segment.point + i) * n_x..][..n_x].iter_mut().enumerate() {
+                        let integral: f64 =
+                            (0..=k).map(|j| mesh.rule.c(j, i) * b(segment.point + j, r)).sum();
+                        *c = -segment.h * integral;
+                    }
+                }
+            }
+            for tie in &mesh.between {
+                let point = mesh.segments[tie.segment].point;
+                for (r, c) in out[(row + tie.point - 1) * n_x..][..n_x].iter_mut().enumerate() {
+                    *c = -tie.weights.iter().enumerate().map(|(j, w)| w * b(point + j, r)).sum::<f64>();
+                }
+            }
+            first += mesh.n_mesh;
+        }
+    }
+
+    /// Model outputs at the samples of an experiment: `[output][sample]`.
+    pub fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+        self.objective.outputs(&self.posed, &self.layout, xi, experiment)
+    }
+}
+
+/// The value of an input in each segment of a mesh; `None` for one that is not held between its samples.
+fn held_values(experiment: &Experiment, channel: usize, mesh: &Mesh) -> Option<Vec<f64>> {
+    if !experiment.is_held(channel) {
+        return None;
+    }
+    let begins: Vec<f64> = mesh.segments.iter().map(|s| s.t).collect();
+    let ends = begins[1..].iter().copied().chain([mesh.times[mesh.n_mesh - 1]]);
+    let spans: Vec<[f64; 2]> = begins.iter().copied().zip(ends).map(|(a, b)| [a, b]).collect();
+    Some(experiment.input_over(channel, &begins, &spans))
+}
+
+fn meshes(experiments: &[Experiment], settings: &Settings) -> Result<Vec<Mesh>, Error> {
+    let grids = Grid::for_each(&settings.grid, experiments.len())?;
+    experiments.iter().zip(grids).map(|(x, grid)| Mesh::of(settings.order, grid, x)).collect()
+}
+
+impl Nlp for Collocation {
+    fn n(&self) -> usize {
+        self.layout.n()
+    }
+
+    fn m(&self) -> usize {
+        self.layout.m() + self.boundary.as_ref().map_or(0, Boundary::rows)
+    }
+
+    fn bounds(&self) -> (Vec<f64>, Vec<f64>) {
+        self.posed.bounds_of(self.n())
+    }
+
+    fn objective(&self, xi: &[f64]) -> Result<f64, NotFinite> {
+        self.objective.value(&self.posed, &self.layout, xi)
+    }
+
+    fn gradient(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.objective.gradient(&self.posed, &self.layout, xi, out)
+    }
+
+    fn constraints(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.at_ends(|b, problem| b.values(problem, xi, out))?;
+        let out = Disjoint::new(out);
+        self.posed.each(
+            &self.chunks,
+            (&self.dynamics.f.value, xi),
+            0,
+            |chunk, uniforms, scratch, _| {
+                self.dynamics_job(chunk, xi, uniforms).defects(&mut scratch.workspace, &out)
+            },
+            |_, _| (),
+        )
+    }
+
+    fn jacobian_structure(&self) -> &Structure {
+        &self.jacobian_structure
+    }
+
+    fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        self.at_ends(|b, problem| b.jacobian(problem, xi, out))?;
+        let out = Disjoint::new(out);
+        self.posed.each(
+            &self.chunks,
+            (&self.dynamics.f.jacobian, xi),
+            0,
+            |chunk, uniforms, scratch, _| {
+                self.dynamics_job(chunk, xi, uniforms).jacobian(&mut scratch.workspace, &out)
+            },
+            |_, _| (),
+        )
+    }
+
+    fn hessian_structure(&self) -> &Structure {
+        &self.hessian_structure
+    }
+
+    fn hessian(&self, xi: &[f64], factor: f64, lambda: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {
+        // The others are written; those between parameters are added up.
+        let (first, ref pairs) = self.pairs;
+        let (stored, between) = out.split_at_mut(first);
+        between.fill(0.0);
+        let shared = Disjoint::new(stored);
+        let finite = self.posed.each(
+            &self.chunks,
+            (&self.dynamics.f.hessian, xi),
+            pairs[0].len(),
+            |chunk, uniforms, scratch, part| {
+                let job = self.dynamics_job(chunk, xi, uniforms);
+                job.hessian(&mut scratch.workspace, lambda, &shared, part, &mut scratch.weights)
+            },
+            |e, part| add(between, first, &pairs[e], part),
+        );
+        let finite = finite.and(self.objective.hessian(&self.posed, &self.layout, true, xi, factor, out));
+        finite.and(self.at_ends(|b, problem| b.hessian(problem, xi, lambda, out)))
+    }
+
+    fn gauss_newton(&self, xi: &[f64], factor: f64, out: &mut [f64]) -> Result<(), NotFinite> {
+        out.fill(0.0);
+        self.objective.hessian(&self.posed, &self.layout, false, xi, factor, out)
+    }
+
+    fn chains(&self) -> Option<&Chains> {
+        Some(&self.chains)
+    }
+
+    fn threads(&self) -> usize {
+        self.posed.pool.as_ref().map_or(0, Threads::number)
+    }
+
+    fn nonlinear(&self) -> Vec<usize> {
+        self.posed.nonlinear()
+    }
+
+    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
+        self.posed.move_elsewhere(xi, variables, draw);
+    }
+
+    fn profiled(&self) -> Range<usize> {
+        self.posed.profiled_noise()
+    }
+
+    fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
+        self.posed.profile_noise(xi, gradient, reach, out)
+    }
+
+    fn variable_name(&self, i: usize) -> String {
+        match self.layout.place(i) {
+            Place::Parameter(p) => self.posed.parameter_name(p),
+            Place::State { experiment, point, state } => {
+                self.posed.state_name(state, self.meshes[experiment].times[point], experiment)
+            }
+        }
+    }
+
+    fn constraint_name(&self, i: usize) -> String {
+        if let Some(boundary) = self.boundary.as_ref().filter(|_| i >= self.layout.m()) {
+            return boundary.name(i, &self.posed.experiments);
+        }
+        let (e, row, state) = self.layout.constraint(i);
+        let t = &self.meshes[e].times;
+        let name = &self.posed.state_names[state];
+        format!("defect of {name} ending at t = {} s of '{}'", t[row + 1], self.posed.experiments[e].name)
+    }
+
+    fn explain(&self, xi: &[f64]) -> Option<String> {
+        self.why_not_finite(xi)
+    }
+}
+
+impl Transcribed for Collocation {
+    fn posed(&self) -> &Posed {
+        &self.posed
+    }
+
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn boundary_states(&self) -> Vec<usize> {
+        self.boundary.as_ref().map_or_else(Vec::new, Boundary::all_states)
+    }
+
+    fn point_times(&self, experiment: usize) -> &[f64] {
+        &self.meshes[experiment].times
+    }
+
+    fn states_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+        let (first, points) = (self.layout.first_point[experiment], &self.meshes[experiment].sample_points);
+        let path = |r: usize| points.iter().map(|p| xi[self.layout.state(first + p) + r]).collect();
+        (0..self.layout.n_x).map(path).collect()
+    }
+
+    fn outputs_at_samples(&self, xi: &[f64], experiment: usize) -> Vec<Vec<f64>> {
+        Collocation::outputs_at_samples(self, xi, experiment)
+    }
+
+    fn path(&self, xi: &[f64], experiment: usize) -> (Vec<f64>, Vec<Vec<f64>>) {
+        let (first, mesh) = (self.layout.first_point[experiment], &self.meshes[experiment]);
+        let path = |r: usize| (0..mesh.n_mesh).map(|p| xi[self.layout.state(first + p) + r]).collect();
+        (mesh.times[..mesh.n_mesh].to_vec(), (0..self.layout.n_x).map(path).collect())
+    }
+}

@@ -1,0 +1,18 @@
+//! Runge-Kutta methods, explicit and implicit.
+//!
+//! A transcription takes steps of fixed length, over segments side by side in lanes, with the exact derivatives of the
+//! steps ([`flow`]). A simulation takes steps of the length that its tolerance allows ([`interval`]), explicit ones
+//! ([`dop853`]) until the system is stiff, and implicit ones ([`radau`]) from then on.
+
+mod dop853;
+pub(crate) mod field;
+pub(crate) mod flow;
+pub(crate) mod group;
+pub(crate) mod interval;
+mod radau;
+pub(crate) mod steps;
+pub(crate) mod tableau;
+
+pub use interval::Method;
+pub use steps::Steps;
+pub use tableau::Integrator;

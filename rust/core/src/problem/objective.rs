@@ -1,0 +1,165 @@
+//! φ = −ℓ with priors, as a function of the parameters and of the states at the samples.
+
+use super::disjoint::Disjoint;
+use super::layout::Layout;
+use super::likelihood::{self, Job};
+use super::posed::Posed;
+use super::samples::Samples;
+use crate::nlp::{NotFinite, Structure};
+use crate::tape::Workspace;
+
+/// The samples of all experiments. They find their states in a vector with a [`Layout`]: the variables of a
+/// collocation problem, or parameters and what an integration has given.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Objective {
+    pub(crate) samples: Vec<Samples>,
+    /// First of the Hessian entries between parameters; they are the last.
+    first: usize,
+    /// Where those of ℓ stand: one list an experiment, a single one where they do not differ.
+    pairs: Vec<Vec<usize>>,
+    /// Variable and place of each prior.
+    priors: Vec<(usize, usize)>,
+}
+
+impl Objective {
+    /// Adds the samples of an experiment, at these points of it.
+    pub(crate) fn add(&mut self, posed: &Posed, layout: &Layout, experiment: usize, points: &[usize]) {
+        let columns = posed.sample_columns(experiment);
+        self.samples.extend(Samples::cut(experiment, points, layout, &columns));
+    }
+
+    /// Lays out the Hessian entries of the samples.
+    pub(crate) fn place(&mut self, posed: &Posed, layout: &Layout, structure: &mut Structure) {
+        for samples in &mut self.samples {
+            samples.hessian = structure.len();
+            let map = &posed.estimands.maps[samples.experiment];
+            likelihood::hessian_structure(&posed.likelihood, samples, layout, map, structure);
+        }
+        self.first = structure.len();
+    }
+
+    /// Lays out those between parameters: `place` gives each pair of variables (row ≥ column) its place.
+    pub(crate) fn place_pairs(&mut self, posed: &Posed, mut place: impl FnMut((usize, usize)) -> usize) {
+        let n_x = posed.likelihood.n_states;
+        for map in &posed.estimands.maps[..posed.differing()] {
+            // Variables of different experiments stand in another order than the parameters they are.
+            let mut place = |r: usize, c: usize| place((map[r].max(map[c]), map[r].min(map[c])));
+            let entries = posed.likelihood.hessian_pattern.iter().filter(|(_, c)| *c >= n_x);
+            self.pairs.push(entries.map(|(r, c)| place(r - n_x, c - n_x)).collect());
+        }
+        let with_prior = (0..posed.parameters.len()).filter(|&i| posed.parameters[i].prior.is_some());
+        self.priors = with_prior.map(|i| (i, place((i, i)))).collect();
+    }
+
+    /// φ.
+    pub(crate) fn value(&self, posed: &Posed, layout: &Layout, xi: &[f64]) -> Result<f64, NotFinite> {
+        let mut sum = 0.0;
+        posed.each(
+            &self.samples,
+            (&posed.likelihood.value, xi),
+            1,
+            |samples, uniforms, scratch, part| {
+                let job = Job { likelihood: &posed.likelihood, layout, samples, xi, uniforms };
+                part[0] = job.objective(&mut scratch.workspace);
+                true
+            },
+            |_, part| sum += part[0],
+        )?;
+        sum += posed.prior_terms(xi);
+        if sum.is_finite() { Ok(sum) } else { Err(NotFinite) }
+    }
+
+    /// ∇φ.
+    pub(crate) fn gradient(
+        &self,
+        posed: &Posed,
+        layout: &Layout,
+        xi: &[f64],
+        out: &mut [f64],
+    ) -> Result<(), NotFinite> {
+        out.fill(0.0);
+        let maps = &posed.estimands.maps;
+        let (theta, states) = out.split_at_mut(layout.n_theta);
+        let shared = Disjoint::new(states);
+        let finite = posed.each(
+            &self.samples,
+            (&posed.likelihood.jacobian, xi),
+            maps[0].len(),
+            |samples, uniforms, scratch, part| {
+                let job = Job { likelihood: &posed.likelihood, layout, samples, xi, uniforms };
+                job.gradient(&mut scratch.workspace, &shared, part)
+            },
+            |e, part| maps[e].iter().zip(part).for_each(|(&i, t)| theta[i] += t),
+        );
+        for (i, [e, slope, _]) in posed.priors(xi) {
+            out[i] += e * slope;
+        }
+        finite
+    }
+
+    /// Writes factor · ∇²φ at the samples, and adds it between parameters; without `exact` Gauss-Newton's.
+    pub(crate) fn hessian(
+        &self,
+        posed: &Posed,
+        layout: &Layout,
+        exact: bool,
+        xi: &[f64],
+        factor: f64,
+        out: &mut [f64],
+    ) -> Result<(), NotFinite> {
+        let likelihood = &posed.likelihood;
+        let approximate = likelihood.gauss_newton.as_ref().filter(|_| !exact);
+        let tape = approximate.unwrap_or(&likelihood.hessian);
+        // Entries of samples are written, those between parameters summed, at other places.
+        let (stored, between) = out.split_at_mut(self.first);
+        let shared = Disjoint::new(stored);
+        let finite = posed.each(
+            &self.samples,
+            (tape, xi),
+            self.pairs[0].len(),
+            |samples, uniforms, scratch, part| {
+                let job = Job { likelihood, layout, samples, xi, uniforms };
+                job.hessian(tape, &mut scratch.workspace, factor, &shared, part)
+            },
+            |e, part| add(between, self.first, &self.pairs[e], part),
+        );
+        for ((_, [e, slope, bend]), &(_, at)) in posed.priors(xi).zip(&self.priors) {
+            // Gauss-Newton leaves the curvature of the residual out.
+            let bend = if exact { e * bend } else { 0.0 };
+            out[at] += factor * (slope * slope + bend);
+        }
+        finite
+    }
+
+    /// Model outputs at the samples of an experiment: `[output][sample]`.
+    pub(crate) fn outputs(
+        &self,
+        posed: &Posed,
+        layout: &Layout,
+        xi: &[f64],
+        experiment: usize,
+    ) -> Vec<Vec<f64>> {
+        let tape = &posed.outputs.value;
+        let uniforms = posed.uniforms(tape, xi, experiment);
+        let mut out = vec![Vec::new(); tape.outputs.len()];
+        let mut workspace = Workspace::default();
+        for block in self.samples.iter().filter(|s| s.experiment == experiment) {
+            let n = block.points.len();
+            let registers = workspace.registers(tape, n);
+            let n_data = posed.outputs.n_data * n;
+            registers[..n_data].copy_from_slice(&block.data[..n_data]);
+            layout.gather(xi, &block.points, &mut registers[n_data..]);
+            tape.run(registers, &uniforms, n);
+            for (channel, operand) in out.iter_mut().zip(&tape.outputs) {
+                let value = tape.read(*operand, registers, &uniforms, n);
+                channel.extend((0..block.n).map(|l| value.at(l)));
+            }
+        }
+        out
+    }
+}
+
+/// Adds values at places, counted from `first`.
+pub(crate) fn add(to: &mut [f64], first: usize, places: &[usize], values: &[f64]) {
+    places.iter().zip(values).for_each(|(&at, v)| to[at - first] += v);
+}

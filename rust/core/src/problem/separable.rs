@@ -1,0 +1,64 @@
+//! Which parameters the model is linear in, the others given: separable least squares.
+
+use super::posed::Posed;
+use crate::transform::Transform;
+
+/// Greatest factor by which another point to try differs.
+const FACTOR: f64 = 5.0;
+
+impl Posed {
+    /// Variables that are parameters of the model in which f and g are not linear, the least number such that they
+    /// are jointly linear in all others, as far as a greedy choice finds it.
+    pub(crate) fn nonlinear(&self) -> Vec<usize> {
+        let (n_x, n) = (self.state_names.len(), self.n_seen());
+        let mut meets = vec![false; n * n];
+        for function in [&*self.f, &self.outputs] {
+            let pairs =
+                function.hessian_pattern.iter().map(|(r, c)| (r.wrapping_sub(n_x), c.wrapping_sub(n_x)));
+            for (r, c) in pairs.filter(|&(r, c)| r < n && c < n) {
+                (meets[r * n + c], meets[c * n + r]) = (true, true);
+            }
+        }
+        let mut nonlinear: Vec<bool> = (0..n).map(|p| meets[p * n + p]).collect();
+        // Of those that are multiplied with each other, the ones that meet most others first.
+        loop {
+            let others = |p: usize| (0..n).filter(|&q| !nonlinear[q] && meets[p * n + q]).count();
+            let worst = (0..n).filter(|&p| !nonlinear[p]).max_by_key(|&p| (others(p), n - p));
+            match worst.filter(|&p| others(p) > 0) {
+                Some(p) => nonlinear[p] = true,
+                None => break,
+            }
+        }
+        (0..self.n_model_parameters).filter(|&i| nonlinear[self.estimands.parameter[i]]).collect()
+    }
+
+    /// ξ with these variables elsewhere: multiplied by factors that a hash of `draw` gives, within bounds; those
+    /// that are 0 anywhere between their bounds, where they have some.
+    pub(crate) fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
+        let (lower, upper) = self.bounds_of(self.parameters.len());
+        for &i in variables {
+            let share = uniform(draw, i as u64);
+            let by = FACTOR.ln() * (2.0 * share - 1.0);
+            let between = upper[i] - lower[i];
+            let value = match self.estimands.transforms[i] {
+                Transform::Log => xi[i] + by,
+                _ if xi[i] != 0.0 => xi[i] * by.exp(),
+                _ if between.is_finite() => share.mul_add(between, lower[i]),
+                _ => xi[i],
+            };
+            xi[i] = value.clamp(lower[i], upper[i]);
+        }
+    }
+}
+
+/// A number between 0 and 1 from two others: SplitMix64 (Steele, Lea and Flood, 2014).
+fn uniform(a: u64, b: u64) -> f64 {
+    let mut z = a.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(b.wrapping_mul(0xD1B5_4A32_D192_ED03));
+    for _ in 0..2 {
+        z = z.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^= z >> 31;
+    }
+    (z >> 11) as f64 / (1u64 << 53) as f64
+}

@@ -13,8 +13,9 @@ __all__ = ["Groups"]
 _Array = NDArray[np.float64]
 _Grams = list[_Array]
 
-# A column whose square is less, in units of the noise, is rounding; directions with less of the columns' squares are.
-_ROUNDING, _SINGULAR = 1e-10, 1e-10
+# A column, of length 1 as a whole, of which less than this is left in square is rounding; directions with less of the
+# columns' squares are.
+_ROUNDING, _SINGULAR = 1e-20, 1e-10
 
 
 class Groups:

@@ -57,7 +57,8 @@ class Flown:
         self._small = np.concatenate([small, _MOST * _DIFFERENCE * ranges]) / self.units
         delays = dict(zip(model.parameter_names, self._values, strict=True))
         self.late = np.array([delays.get(model.delays.outputs.get(n, ""), 0.0) for n in model.output_names])
-        self._lanes = Lanes(model, t, self._values, self._first, trim)
+        sizes = np.array([np.abs(record.states[name]).max() for name in model.state_names])
+        self._lanes = Lanes(model, t, self._values, self._first, trim, np.where(sizes > 0.0, sizes, 1.0))
 
     def fly(
         self, inputs: _Array, moves: _Array | None = None, which: NDArray[np.intp] | None = None

@@ -87,7 +87,7 @@ def test_what_is_asked_of_a_fit(units: dict[str, float]) -> None:
     validated = found.validate(record(3, **{**each, **units})), reference.validate(record(3, **each))
     assert validated[0].status == validated[1].status == "converged"
     for name in ("y", "w"):
-        assert validated[0].matches[name].r2 == pytest.approx(validated[1].matches[name].r2, rel=1e-7)
+        assert validated[0].matches[name].r_squared == pytest.approx(validated[1].matches[name].r_squared, rel=1e-7)
     profiles = found.profile("k")["k"], reference.profile("k")["k"]
     assert profiles[0].ends == profiles[1].ends == ("found", "found")
     np.testing.assert_allclose(of["k"] * np.array(profiles[0].interval), profiles[1].interval, rtol=1e-6)
@@ -109,6 +109,6 @@ def test_regressions_and_linear_fits(units: dict[str, float]) -> None:
     linear = [ph.fit_linear(ph.subspace(list(f.experiments), 2), list(f.experiments)) for f in (found, reference)]
     time = units.get("time", 1.0)
     poles = [
-        np.sort_complex(np.linalg.eigvals(system.a)) * scale for system, scale in zip(linear, (time, 1.0), strict=True)
+        np.sort_complex(np.linalg.eigvals(system.A)) * scale for system, scale in zip(linear, (time, 1.0), strict=True)
     ]
     np.testing.assert_allclose(poles[0], poles[1], rtol=1e-6)

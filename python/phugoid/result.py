@@ -310,10 +310,14 @@ class Fit:
         """
         if not isinstance(self.transcription, Collocation):
             raise OptionError("integration_error: only collocation has a mesh whose error can be estimated")
+        order = self.transcription.order
+        return tuple(integration_error(self.model, *self._numbers(r.name), r, order) for r in self.records)
+
+    def _numbers(self, experiment: str) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the values of the parameters in an experiment, and the noise's standard deviations by output."""
         named = {n: f"sigma_{n}" for n in self.model.output_names}
         sigmas = {n: self.parameters[s].value for n, s in named.items() if s in self.parameters} | self.noise.known
-        order = self.transcription.order
-        return tuple(integration_error(self.model, self._own(r.name), sigmas, r, order) for r in self.records)
+        return self._own(experiment), sigmas
 
     def _own(self, experiment: str) -> dict[str, float]:
         """The model's parameters as they are in one experiment."""

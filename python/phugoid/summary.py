@@ -11,10 +11,7 @@ from .errors import PhugoidError
 from .match import match
 from .parameters import Estimates, estimates_table, text_table
 
-__all__ = ["coarse_mesh", "corrected", "fit_summary"]
-
-# An integration error of one segment beyond this part of the noise is told of: errors add up along the path.
-_COARSE = 0.1
+__all__ = ["corrected", "fit_summary"]
 
 
 def fit_summary(fit: Any) -> str:
@@ -44,8 +41,6 @@ def fit_summary(fit: Any) -> str:
     parts += getattr(getattr(fit, "correlation", None), "notes", ())
     if any(record.residuals for record in fit.records):
         parts.append(_match_table(fit, outputs))
-    if coarse := coarse_mesh(fit):
-        parts.append(coarse)
     return "\n\n".join(parts)
 
 
@@ -61,28 +56,6 @@ def corrected(fit: Any, again: bool = False) -> Estimates | None:
     except PhugoidError:  # what the page is of has its reasons
         return None
     return found if np.isfinite(found.std_errors_array).any() else None
-
-
-def coarse_mesh(fit: Any) -> str:
-    """A sentence on the segment whose integration error is largest, where that is not small beside the noise; "" where
-    it is, where the mesh was refined, and where to find out takes more time than the fit."""
-    from .uncertainty.tangents import cheap
-
-    if getattr(fit, "refinement", None) or not getattr(fit, "experiments", ()) or not cheap(fit):
-        return ""
-    try:
-        errors = fit.integration_error()
-    except PhugoidError:  # no mesh, or equations that are not finite between its points
-        return ""
-    found = max(errors, key=lambda e: float(e.worst.max()))
-    k = int(np.argmax(found.worst))
-    if not found.worst[k] > _COARSE:
-        return ""
-    where = f" of '{found.name}'" if len(errors) > 1 else ""
-    return (
-        f"The mesh is coarse: from {found.edges[k]:.4g} to {found.edges[k + 1]:.4g} s{where} integration is wrong by "
-        f"{found.worst[k]:.1g} times the noise; transcription=ph.Collocation(refine=True) divides it as needed."
-    )
 
 
 def _header(fit: Any) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.interpolation import kind_of
-from ..integration import IntegrationError
+from ..integration import IntegrationError, coarse_mesh_warning
 from ..refinement import Refinement, Step
 from ..result import Fit
 from ..transcription.collocation import Collocation
@@ -65,6 +65,9 @@ def refined(solve: Callable[[Collocation, Fit | None], Fit], transcription: Coll
         fit = solve(replace(transcription, order=order, substeps=1, segments=segments, refine=False), fit)
     if not steps:
         return fit
+    # How exact it is now is said there, against the tolerance that was asked for.
+    told = coarse_mesh_warning(fit) if fit.feasible else ""
+    fit = replace(fit, warnings=tuple(w for w in fit.warnings if w != told))
     return replace(fit, refinement=Refinement.of(first.parameters, fit.parameters, steps, transcription.tolerance))
 
 

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from ..match import match
-from ..summary import coarse_mesh
 
 __all__ = ["remarks"]
 
@@ -27,8 +26,7 @@ def remarks(fit: Any) -> list[str]:
     determined, estimates at a bound.
     """
     weak = [f"Weakly identified: {direction}." for direction in fit.correlation.weak]
-    coarse = filter(None, [coarse_mesh(fit)])
-    return [*map(_sentence, fit.warnings), *coarse, *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
+    return [*map(_sentence, fit.warnings), *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
 
 
 def _sentence(text: str) -> str:

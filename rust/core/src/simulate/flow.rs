@@ -213,7 +213,8 @@ impl<'a> Flow<'a> {
     fn jump(&mut self, at: &Integrator, sizes: &[f64]) -> Option<&str> {
         let n = at.x.len();
         for i in 0..n {
-            let [far, near] = [1e-2, 1e-4].map(|part| self.sides(at, i, part * at.x[i].abs().max(SMALL * sizes[i])));
+            let [far, near] =
+                [1e-2, 1e-4].map(|part| self.sides(at, i, part * at.x[i].abs().max(SMALL * sizes[i])));
             let ((far_below, far_above), (below, above)) = (far?, near?);
             let jumps = |j: &usize| {
                 below[*j] * above[*j] < 0.0

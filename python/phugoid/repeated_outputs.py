@@ -50,9 +50,9 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
     for group in (g for g in groups if len(g) > 1):
         listed = f"{', '.join(group[:-1])} and {group[-1]}"
         found.append(
-            f"outputs {listed} hold the same measurement: their residuals are proportional, but for little. Each counts as if its "
-            f"noise were its own, and so standard errors are too small, by √{len(group)} where nothing else is "
-            f"measured: leave {'one' if len(group) == 2 else 'all but one'} out of the outputs"
+            f"outputs {listed} hold the same measurement: their residuals are proportional, but for little. "
+            f"Each counts as if its noise were its own, and so standard errors are too small, by √{len(group)} where "
+            f"nothing else is measured: leave {'one' if len(group) == 2 else 'all but one'} out of the outputs"
         )
     return found
 

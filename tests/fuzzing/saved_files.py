@@ -37,8 +37,8 @@ import phugoid as ph  # noqa: E402
 from phugoid.writing import sealed  # noqa: E402
 
 MEMORY = 1 << 30
-# Kinds of files, and how often each is mutated. `PHUGOID_FUZZ` names one of them, or the ending of a record, such as .bin:
-# then no other is.
+# Kinds of files, and how often each is mutated. `PHUGOID_FUZZ` names one of them, or the ending of a record, such as
+# .bin: then no other is.
 KINDS = {"model": 28, "fit": 23, "hdf5 fit": 5, "diagnosis": 5, "record": 33, "px4 tables": 3, "journal": 3}
 SLOW = 30.0  # s, of a single mutation; a page with its figures takes a second or two
 

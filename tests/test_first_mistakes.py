@@ -68,11 +68,28 @@ def test_a_mesh_too_coarse_for_the_motion_is_told_of_until_it_is_refined() -> No
     m, _, people = oral_dose()
     coarse = ph.estimate(m, people)
     assert max(float(e.worst.max()) for e in coarse.integration_error()) > 0.1
-    assert "The mesh is coarse: from 1.1 to 5.1 s of '" in coarse.summary()
-    assert any("The mesh is coarse" in r for r in remarks(coarse))
+    (told,) = [w for w in coarse.warnings if "the mesh is coarse" in w]
+    assert "from 1.1 to 5.1 s of '" in told and "refine=True" in told
+    assert told in coarse.summary()
+    assert any("mesh is coarse" in r for r in remarks(coarse))
     refined = ph.estimate(m, people, transcription=ph.Collocation(refine=True))
-    assert "The mesh is coarse" not in refined.summary()
-    assert "The mesh is coarse" not in ph.estimate(lag(), lag_record(100)).summary()
+    assert "the mesh is coarse" not in refined.summary()
+    assert "the mesh is coarse" not in ph.estimate(lag(), lag_record(100)).summary()
+
+
+@pytest.mark.parametrize(("samples_a_period", "told"), [(3.0, True), (3.5, True), (6.0, False), (20.0, False)])
+def test_an_oscillation_of_few_samples_a_period_has_a_coarse_mesh(samples_a_period: float, told: bool) -> None:
+    m = ph.Model("oscillator")
+    x, v = m.states("x v")
+    k, c = m.parameters(k=3.0, c=0.1)
+    m.dynamics(x=v, v=-k * x - c * v)
+    m.outputs(y=x)
+    t = np.pi / samples_a_period * np.arange(int(12 * samples_a_period))
+    noise = 0.05 * np.random.default_rng(1).standard_normal(t.size)
+    record = ph.Experiment(t, {}, {"y": np.exp(-0.05 * t) * np.cos(np.sqrt(3.9975) * t) + noise})
+    assert any("the mesh is coarse" in w for w in ph.estimate(m, record).warnings) == told
+    refined = ph.estimate(m, record, transcription=ph.Collocation(refine=True))
+    assert not any("the mesh is coarse" in w for w in refined.warnings)
 
 
 def test_a_quantity_of_parameters_that_differ_by_experiment_says_which_there_are() -> None:

@@ -59,10 +59,19 @@ def test_with_process_noise_too() -> None:
 
 
 def test_two_sensors_of_the_same_quantity_are_two() -> None:
-    """They share most of their noise, but each has some of its own."""
-    assert not said(fitted(own_noise=0.005))
+    """They share most of their noise, but half as much each has of its own."""
+    assert not said(fitted(own_noise=0.025))
 
 
 def test_noise_that_goes_together_is_counted_once() -> None:
     """Where the covariance of the noise is estimated, nothing is counted twice."""
     assert not said(fitted(own_noise=0.001, noise=ph.Gaussian(correlated=True)))
+
+
+@pytest.mark.parametrize("scale", [1.0, 57.29578, -3.0])
+def test_slight_noise_of_its_own_hides_nothing(scale: float) -> None:
+    fit = fitted(scale, own_noise=0.005)
+    residuals = fit.records[0].residuals
+    assert 0.99 < abs(np.corrcoef(residuals["x"], residuals["y"])[0, 1]) < 0.999
+    (warning,) = said(fit)
+    assert "outputs x and y hold" in warning

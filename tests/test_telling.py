@@ -201,7 +201,7 @@ def test_lanes_integrate_as_simulate_does() -> None:
     u0 = 0.5 + np.array([np.sin(T), np.where(T > 3, 1.0, 0.0)])[:, None]
     values = np.array([[1.0, 0.3, 0.12, 0.07], [2.0, 0.02, 0.03, 0.13]])
     first = np.array([[0.3, 0.3], [0.2, 0.2]])
-    lanes = Lanes(m, T, values[1], first[1], np.array([0.5]))
+    lanes = Lanes(m, T, values[1], first[1], np.array([0.5]), np.ones(first.shape[1]))
     assert lanes.steps > 1  # of the lag of 0.02 s
     y, states = lanes.outputs(values, first, u0, np.array([0, 1]))
     for i in range(2):

@@ -24,7 +24,7 @@ from .transcription.collocation import Collocation
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["IntegrationError", "integration_error"]
+__all__ = ["IntegrationError", "coarse_mesh_warning", "integration_error"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -33,6 +33,8 @@ _MORE, _MOST = 5, 24
 # No scale is smaller than this part of how far the state moves; a state that is not measured counts as measured to so
 # much of that.
 _FLOOR, _UNMEASURED = 1e-6, 1e-2
+# Errors of a segment below this, in units of the noise, are small beside it.
+_COARSE = 0.1
 # Most numbers of Jacobians that are held at a time.
 _CHUNK = 4_000_000
 # Most sweeps of Picard's iteration, and the change after which they end.
@@ -95,10 +97,15 @@ def integration_error(fit: FitResult) -> tuple[IntegrationError, ...]:
     """
     if not isinstance(fit.transcription, Collocation):
         raise OptionError("integration_error: only collocation has a mesh whose error can be estimated")
+    order = fit.transcription.order
+    return tuple(_of_record(fit.model, *_numbers(fit, r.name), r, order) for r in fit.records)
+
+
+def _numbers(fit: FitResult, experiment: str) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the values of the parameters in an experiment, and the noise's standard deviations by output."""
     named = {n: f"sigma_{n}" for n in fit.model.output_names}
     sigmas = {n: fit.parameters[s].value for n, s in named.items() if s in fit.parameters} | fit.noise.known
-    order = fit.transcription.order
-    return tuple(_of_record(fit.model, fit._own(r.name), sigmas, r, order) for r in fit.records)
+    return fit._own(experiment), sigmas
 
 
 def _of_record(
@@ -143,6 +150,45 @@ def _of_record(
         errors=dict(zip(model.state_names, errors, strict=True)),
         scales=_scales(model, values, sigmas, mesh),
     )
+
+
+def coarse_mesh_warning(fit: FitResult) -> str:
+    """Return a sentence on the segment of a fit by collocation whose integration error is largest, where that is not
+    small beside the noise, else "".
+
+    The error itself is computed only where the path's last Legendre coefficients show that it may be as large: of a
+    path that the mesh resolves they fall off fast, and to see that takes microseconds.
+    """
+    if not isinstance(fit.transcription, Collocation):
+        return ""
+    order = fit.transcription.order
+    if not any(_unresolved(record, fit, order) for record in fit.records):
+        return ""
+    try:
+        errors = integration_error(fit)
+    except EvaluationError:  # equations that are not finite between the points of the mesh
+        return ""
+    found = max(errors, key=lambda e: float(e.worst.max()))
+    k = int(np.argmax(found.worst))
+    if not found.worst[k] > _COARSE:
+        return ""
+    where = f" of '{found.name}'" if len(errors) > 1 else ""
+    return (
+        f"the mesh is coarse: from {found.edges[k]:.4g} to {found.edges[k + 1]:.4g} s{where} integration is wrong by "
+        f"{found.worst[k]:.1g} times the noise, and estimates may be wrong with it: "
+        "transcription=ph.Collocation(refine=True) divides the mesh as needed"
+    )
+
+
+def _unresolved(record: Record, fit: FitResult, order: int) -> bool:
+    """Whether the collocation polynomials of a record may lack terms that are not small beside the noise: the next
+    coefficient, extrapolated from the last two as of a geometric series."""
+    mesh = np.array([record.mesh_states[name] for name in fit.model.state_names])
+    scales = np.array(list(_scales(fit.model, *_numbers(fit, record.name), mesh).values()))
+    points = (order - 1) * np.arange((mesh.shape[1] - 1) // (order - 1))[:, None] + np.arange(order)
+    last_two = np.linalg.inv(_legendre(np.array(_core.lgl(order)[0]), order))[-2:]
+    before, last = np.moveaxis(np.abs(mesh[:, points] @ last_two.T), -1, 0) / scales[:, None]
+    return bool((last * np.minimum(last, before) > _COARSE * before).any())
 
 
 def _departure(jacobian: _Array, defect: _Array, h: _Array, to: _Array) -> _Array:

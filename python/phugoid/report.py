@@ -19,7 +19,7 @@ from .match import Match, match
 from .pages.mathml import equation
 from .pages.page import Picture, Table, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
-from .summary import coarse_mesh, corrected
+from .summary import corrected
 from .uncertainty.correlation import correlation
 from .validation.result import Validation
 from .writing import check_folder, write
@@ -43,8 +43,7 @@ def remarks(fit: FitResult) -> list[str]:
     determined, estimates at a bound.
     """
     weak = [f"Weakly identified: {direction}." for direction in correlation(fit).weak]
-    coarse = filter(None, [coarse_mesh(fit)])
-    return [*map(_sentence, fit.warnings), *coarse, *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
+    return [*map(_sentence, fit.warnings), *_of_residuals(fit), *_of_estimates(fit), *_of_pairs(fit), *weak]
 
 
 def _sentence(text: str) -> str:

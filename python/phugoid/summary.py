@@ -8,17 +8,13 @@ import numpy as np
 
 from .errors import PhugoidError
 from .fit_result import FitResult
-from .integration import integration_error
 from .match import match
 from .parameters import Estimates, estimates_table, text_table
 from .uncertainty.coloured import coloured
 from .uncertainty.correlation import correlation
 from .uncertainty.tangents import cheap
 
-__all__ = ["coarse_mesh", "corrected", "fit_summary"]
-
-# An integration error of one segment beyond this part of the noise is told of: errors add up along the path.
-_COARSE = 0.1
+__all__ = ["corrected", "fit_summary"]
 
 
 def fit_summary(fit: FitResult) -> str:
@@ -38,8 +34,6 @@ def fit_summary(fit: FitResult) -> str:
     parts += correlation(fit).notes
     if any(record.residuals for record in fit.records):
         parts.append(_match_table(fit, outputs))
-    if coarse := coarse_mesh(fit):
-        parts.append(coarse)
     if fit.refinement:
         parts.append(fit.refinement.summary())
     parts += (f"Warning: {w}" for w in fit.warnings)
@@ -56,26 +50,6 @@ def corrected(fit: FitResult, again: bool = False) -> Estimates | None:
     except PhugoidError:  # what the page is of has its reasons
         return None
     return found if np.isfinite(found.std_errors_array).any() else None
-
-
-def coarse_mesh(fit: FitResult) -> str:
-    """A sentence on the segment whose integration error is largest, where that is not small beside the noise; "" where
-    it is, where the mesh was refined, and where to find out takes more time than the fit."""
-    if fit.refinement or not fit.experiments or not cheap(fit):
-        return ""
-    try:
-        errors = integration_error(fit)
-    except PhugoidError:  # no mesh, or equations that are not finite between its points
-        return ""
-    found = max(errors, key=lambda e: float(e.worst.max()))
-    k = int(np.argmax(found.worst))
-    if not found.worst[k] > _COARSE:
-        return ""
-    where = f" of '{found.name}'" if len(errors) > 1 else ""
-    return (
-        f"The mesh is coarse: from {found.edges[k]:.4g} to {found.edges[k + 1]:.4g} s{where} integration is wrong by "
-        f"{found.worst[k]:.1g} times the noise; transcription=ph.Collocation(refine=True) divides it as needed."
-    )
 
 
 def _header(fit: FitResult) -> str:

@@ -13,6 +13,7 @@ import io
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -35,6 +37,9 @@ import phugoid as ph  # noqa: E402
 from phugoid.writing import sealed  # noqa: E402
 
 MEMORY = 1 << 30
+# Kinds of files, and how often each is mutated. `PHUGOID_FUZZ` names one of them, or the ending of a record, such as
+# .bin: then no other is.
+KINDS = {"model": 28, "fit": 23, "hdf5 fit": 5, "diagnosis": 5, "record": 33, "px4 tables": 3, "journal": 3}
 SLOW = 30.0  # s, of a single mutation; a page with its figures takes a second or two
 
 T = 0.1 * np.arange(48)
@@ -143,6 +148,33 @@ def tables(folder: Path) -> dict[str, list[bytes]]:
     return found
 
 
+def px4_tables() -> dict[str, bytes]:
+    """The tables of a PX4 log, by the name of the file."""
+    import gzip
+
+    times = [",".join(("timestamp", "timestamp_sample", "x[0]", "x[1]"))]
+    times += [f"{1_000_000 + 20_000 * k},{999_000 + 20_000 * k},{0.1 * k:g},{-k}" for k in range(20)]
+    text = "\n".join(times).encode()
+    servo = b"timestamp,u\n" + b"\n".join(b"%d,%d" % (1_000_000 + 50_000 * k, k) for k in range(9))
+    return {
+        "log_7_vehicle_gyro_0.csv": text,
+        "log_7_vehicle_gyro_1.csv": text[: len(text) // 2].rpartition(b"\n")[0],
+        "log_7_vehicle_servo_0.csv.gz": gzip.compress(servo, mtime=0),
+    }
+
+
+def multistart(journal: Path) -> ph.Multistart:
+    """A small search for starts whose outcomes are written to a journal; those in it are not run again."""
+    m = ph.Model("decay")
+    (x,) = m.states("x")
+    (k,) = m.parameters(k=ph.Parameter(1.0, bounds=(0.1, 5.0)))
+    m.dynamics(x=-k * x)
+    m.outputs(x=x)
+    e = ph.Experiment(T, {}, {"x": np.exp(-0.7 * T) + 0.01 * np.sin(40 * T)}, name="run")
+    with ThreadPoolExecutor(1) as executor:
+        return ph.multistart(m, e, starts=[{"k": 0.5}, {"k": 1.0}, {"k": 2.0}], executor=executor, journal=journal)
+
+
 # ---------------------------------------------------------------- what is done with them
 
 
@@ -176,6 +208,12 @@ def use_record(path: Path, random: Random) -> None:
     attempted(lambda: ph.read(path, inputs=["u"], outputs=["x"]).check_for(["u"], ["x"]))
 
 
+def use_px4_tables(folder: Path, random: Random) -> None:
+    name = random.choice((None, None, "timestamp_sample"))
+    attempted(lambda: repr(ph.read(folder, time=name)))
+    attempted(lambda: ph.read(folder, inputs=["vehicle_servo.u"], outputs=["vehicle_gyro.x[0]"]))
+
+
 def attempted(ask: Callable[[], Any]) -> None:
     with contextlib.suppress(ph.PhugoidError):
         ask()
@@ -185,8 +223,12 @@ class Cases:
     """Mutations by number."""
 
     def __init__(self, seed: int, folder: Path) -> None:
-        self.seed, self.folder = seed, folder
+        self.seed, self.folder, self.only = seed, folder, os.environ.get("PHUGOID_FUZZ", "")
         saved, self.records = documents(folder), tables(folder)
+        self.px4 = px4_tables()
+        journal = folder / "journal"
+        multistart(journal)
+        self.journal = journal.read_bytes()
         self.saved = {
             kind: [(raw, json.loads(raw) if raw[:1] == b"{" else None) for raw in raws] for kind, raws in saved.items()
         }
@@ -194,9 +236,13 @@ class Cases:
     def run(self, number: int) -> tuple[str, str]:
         """The kind of file, and what came of it: "refused", "used", or "refused when used"."""
         random = Random(self.seed * 1_000_003 + number)
-        kind = random.choices(("model", "fit", "hdf5 fit", "diagnosis", "record"), (30, 25, 5, 5, 35))[0]
-        if kind == "record":
-            ending = random.choice(list(self.records))
+        kind = self.only or random.choices(list(KINDS), list(KINDS.values()))[0]
+        if kind == "px4 tables":
+            return kind, self._px4_tables(random)
+        if kind == "journal":
+            return kind, self._journal(random)
+        if kind == "record" or kind in self.records:
+            ending = random.choice(list(self.records)) if kind == "record" else kind
             path = self.folder / f"record{ending}"
             path.write_bytes(mutated_bytes(random.choice(self.records[ending]), random))
             use_record(path, random)
@@ -234,6 +280,38 @@ class Cases:
         except ph.PhugoidError:
             return kind, "refused when used"
         return kind, "used"
+
+    def _px4_tables(self, random: Random) -> str:
+        folder = self.folder / "px4"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        wrong = random.choice(list(self.px4))
+        for name, content in self.px4.items():
+            file = f"{name}{random.choice(('', '', '.gz', '_0.csv'))}" if name == wrong else name
+            (folder / file).write_bytes(mutated_bytes(content, random) if name == wrong else content)
+        use_px4_tables(folder, random)
+        return "used"
+
+    def _journal(self, random: Random) -> str:
+        path = self.folder / "journal"
+        lines = self.journal.splitlines()
+        at = random.randrange(len(lines))
+        if random.random() < 0.3:
+            content = mutated_bytes(self.journal, random)
+        else:
+            entry = mutated_json(json.loads(lines[at]), random)
+            if at and random.random() < 0.7:
+                entry = sealed(entry) if isinstance(entry, dict) else entry
+            lines[at] = json.dumps(entry).encode("utf-8", "surrogatepass")
+            content = b"\n".join(lines) + b"\n"
+        path.write_bytes(content)
+        try:
+            found = multistart(path)
+        except ph.PhugoidError as error:
+            assert len(str(error)) <= 2000, "a message of more than 2,000 characters"
+            return "refused"
+        _ = found.summary(), repr(found)
+        return "used"
 
 
 # ---------------------------------------------------------------- the run

@@ -16,6 +16,7 @@ from ..data.units import check_units
 from ..errors import EvaluationError, ModelError, OptionError
 from ..fit_result import FitResult
 from ..guess import check_names, further_starts, measured_states, parameter_start, spread, state_start
+from ..integration import coarse_mesh_warning
 from ..interrupts import interrupts
 from ..modelling.model import Model
 from ..modelling.scaling import scalings
@@ -198,6 +199,8 @@ def estimate(
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
     if isinstance(start, FitResult) and (worse := _worse_than_start(fit, start)):
         fit = replace(fit, warnings=(worse, *fit.warnings))
+    if isinstance(transcription, Collocation) and fit.feasible and fit.status not in ("interrupted", "time limit"):
+        fit = replace(fit, warnings=(*fit.warnings, *filter(None, [coarse_mesh_warning(fit)])))
     return fit
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..data.interpolation import kind_of
 from ..fit_result import FitResult
-from ..integration import IntegrationError, integration_error
+from ..integration import IntegrationError, coarse_mesh_warning, integration_error
 from ..refinement import Refinement, Step
 from ..transcription.collocation import Collocation
 
@@ -65,6 +65,9 @@ def refined(solve: Callable[[Collocation, FitResult | None], FitResult], transcr
         fit = solve(replace(transcription, order=order, substeps=1, segments=segments, refine=False), fit)
     if not steps:
         return fit
+    # How exact it is now is said there, against the tolerance that was asked for.
+    told = coarse_mesh_warning(fit) if fit.feasible else ""
+    fit = replace(fit, warnings=tuple(w for w in fit.warnings if w != told))
     return replace(fit, refinement=Refinement.of(first.parameters, fit.parameters, steps, transcription.tolerance))
 
 

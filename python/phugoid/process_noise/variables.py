@@ -92,8 +92,8 @@ class Objective:
         for i, _, std in self.priors:
             metric[i, i] += 1 / std**2
         diagonal = np.diag(metric)[:p]
-        # What has no influence here must not make the metric singular.
-        floor = 1e-9 * np.maximum(diagonal, 1e-6 * diagonal.max(initial=1e-6))
+        # What has no influence here, or none of its own, must not make the metric singular.
+        floor = np.where(diagonal > 0, 1e-9 * diagonal, 1 / np.where(z[:p] == 0, 1.0, z[:p]) ** 2)
         metric[range(p), range(p)] += floor
         noise = [2.0 * count for count in measured]
         noise += [2.0 * intervals / max(q * q, 1e-300) for q in z[self.intensities]]

@@ -30,6 +30,16 @@ _WARM_PUSHES = (
     "warm_start_slack_bound_frac",
     "warm_start_mult_bound_push",
 )
+# What Ipopt asks of the program in the user's units, besides `tol` of the scaled one.
+_UNSCALED_TOLERANCES = (
+    "dual_inf_tol",
+    "constr_viol_tol",
+    "compl_inf_tol",
+    "acceptable_dual_inf_tol",
+    "acceptable_constr_viol_tol",
+    "acceptable_compl_inf_tol",
+)
+_NO_LIMIT = 1e300
 
 
 @dataclass(frozen=True)
@@ -166,6 +176,10 @@ class Ipopt:
             options["max_wall_time"] = min(max(left, 1e-3), 1e20)
         if self.scaling:
             options["nlp_scaling_method"] = "user-scaling"
+            # Tolerances of the unscaled program depend on the user's units: the scaled one alone decides. For the
+            # same reason a bound is infinite only where it is far beyond what any unit makes of a finite one.
+            options.update(dict.fromkeys(_UNSCALED_TOLERANCES, _NO_LIMIT))
+            options.update(nlp_lower_bound_inf=-_NO_LIMIT, nlp_upper_bound_inf=_NO_LIMIT)
             nlp.set_problem_scaling(scaling.objective, scaling.variables, scaling.constraints)
         if not run.near:
             # Gauss-Newton needs no multipliers: their estimates would cost a factorisation.

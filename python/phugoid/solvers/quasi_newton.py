@@ -44,7 +44,10 @@ def bounded_step(gradient: _Array, metric: _Array, low: _Array, high: _Array) ->
     free = (low < high) & ~((low >= 0) & (gradient > 0)) & ~((high <= 0) & (gradient < 0))
     while free.any():
         rest = gradient + metric @ np.where(free, 0.0, step)
-        step[free] = np.linalg.solve(metric[np.ix_(free, free)], -rest[free])
+        # In units in which the diagonal is one: elimination of a badly scaled matrix would lose digits.
+        scale = 1 / np.sqrt(np.diag(metric)[free])
+        scaled = metric[np.ix_(free, free)] * np.outer(scale, scale)
+        step[free] = scale * np.linalg.solve(scaled, -scale * rest[free])
         past = free & ((step < low) | (step > high))
         if not past.any():
             break

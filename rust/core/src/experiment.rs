@@ -1,5 +1,7 @@
 //! One record of measured inputs and outputs.
 
+use std::collections::HashSet;
+
 use crate::error::{Error, did_you_mean};
 use crate::interpolate::{Interpolant, Interpolation, derivative, interpolate};
 use crate::model::Model;
@@ -236,6 +238,22 @@ impl Experiment {
                 "experiment '{}': output '{name}' has no samples (all NaN); take it out of the model",
                 self.name
             ))),
+            None => Ok(()),
+        }
+    }
+
+    /// Checks each of the experiments of a problem, and that no two have the same name.
+    pub(crate) fn check_all(
+        experiments: &[Experiment],
+        inputs: &[&str],
+        outputs: &[&str],
+    ) -> Result<(), Error> {
+        experiments.iter().try_for_each(|e| e.check(inputs, outputs))?;
+        let mut names = HashSet::new();
+        match experiments.iter().find(|e| !names.insert(&e.name)) {
+            Some(Experiment { name, .. }) => {
+                Err(Error::Data(format!("two experiments are called '{name}'; give each a name of its own")))
+            }
             None => Ok(()),
         }
     }

@@ -25,8 +25,9 @@ __all__ = ["CONFOUNDED", "NEARLY", "Groups", "Scan", "Statistics"]
 _Array = NDArray[np.float64]
 _Grams = list[_Array]
 
-# A column whose square is less, in units of the noise, is rounding; directions with less of the columns' squares are.
-_LEAST_SQUARE, _SINGULAR = 1e-10, 1e-10
+# A column, of length 1 as a whole, of which less than this is left in square is rounding; directions with less of the
+# columns' squares are.
+_LEAST_SQUARE, _SINGULAR = 1e-20, 1e-10
 
 
 class Groups:
@@ -109,7 +110,7 @@ CONFOUNDED, NEARLY = 0.003, 0.05
 _GREEDY = 3
 # Filters whose statistics are kept.
 _KEPT = 8
-# Of an effect's own part what is less than this, in units of the noise, is rounding.
+# Of an effect what the parameters leave, if it is less than this part, is rounding.
 _ROUNDING = 1e-10
 # Where tangents imitate all but this of a column's square, what is left is not found by subtraction.
 _CANCELLED = 1e-5
@@ -150,6 +151,10 @@ class Scan:
         effects = [(c, shape) for c in candidates for shape in c.shapes]
         self.white = Whitened(linear, _white(linear))
         columns, parameters, groups = linear.columns(effects)
+        # Coefficients have units: with that of length 1, in units of the noise, none is lost for the user's choice.
+        units = 1.0 / self._lengths(columns)
+        columns *= units[:, None]
+        parameters *= units[:, None]
         along = self._without_tangents(columns)
         # What first states alone cannot imitate, of the tangents and of how parameters took part.
         tangents, each = self.white.basis.T, np.eye(parameters.shape[1])
@@ -168,6 +173,7 @@ class Scan:
         for to, i in zip(self.groups.slices, kept, strict=True):
             columns[to] = columns[groups[i]]
         self._columns: _Array | None = columns[: sum(self.groups.sizes)]
+        self._units = np.concatenate([np.zeros(0), *(units[groups[i]] for i in kept)])
         self.distinct = distinct[kept]
         there = {c.name for c, _ in self.effects}
         self.lost = tuple(dict.fromkeys(c.name for c in candidates if c.name not in there))
@@ -179,8 +185,15 @@ class Scan:
         """(all columns, n_rows) the effects, without what tangents can imitate if the noise is white."""
         if self._columns is None:
             self._columns, _, _ = self.linear.columns(self.effects)
+            self._columns *= self._units[:, None]
             self._without_tangents(self._columns)
         return self._columns
+
+    def _lengths(self, columns: _Array) -> _Array:
+        """(k,) of columns in units of the noise; 1 of those that are zero."""
+        scale = self.linear.scale()
+        lengths = np.array([np.linalg.norm(column / scale) for column in columns])
+        return np.where((lengths > 0) & np.isfinite(lengths), lengths, 1.0)
 
     def _without_tangents(self, columns: _Array) -> _Array:
         """Takes it out of columns, and gives what it was: (k, tangents) along the white basis."""
@@ -225,6 +238,7 @@ class Scan:
             parts[groups.slices[i]] = beside @ errors
             groups.put(grams, i, beside @ beside.T)
         explained, amplitudes = groups.solved(grams, parts)
+        amplitudes *= self._units
         return Statistics(explained / variance, [amplitudes[g] for g in groups.slices], seen, parts, grams)
 
     def _beside(self, seen: Whitened, effect: int) -> _Array:

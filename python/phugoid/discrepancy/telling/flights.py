@@ -94,6 +94,8 @@ _HOPELESS = 0.3
 _SETTLED = 0.1
 # Numbers that derivatives of outputs may be: of a large model fewer manoeuvres are looked at.
 _ROOM = 2e7
+# Of a value, in an integration.
+_ROUNDING = 1e-9
 # Room for the delay of a sensor to move.
 _MARGIN = 1.5
 
@@ -161,11 +163,12 @@ class Flights:
             for kind, names in (("outputs", model.output_names), ("states", model.state_names))
         ]
         limits[0] = np.maximum(_ENVELOPE * limits[0], _STILL * self.final.linear.sigmas)
-        limits[1] = _ENVELOPE * limits[1] + 1e-9
+        limits[1] = _ENVELOPE * limits[1]
         inside = np.ones((y.shape[0], y.shape[2]), dtype=bool)
         for v, limit in zip((y, x), limits, strict=True):
             with np.errstate(invalid="ignore"):
-                inside &= (np.abs(v - v[:, :, :1]) <= limit[:, None]).all(axis=1)
+                away = np.abs(v - v[:, :, :1])
+                inside &= (away <= limit[:, None] + _ROUNDING * np.abs(v[:, :, :1])).all(axis=1)
         return np.where(inside.all(axis=1), inside.shape[1], np.argmin(inside, axis=1))
 
     def record(self, i: int) -> Experiment:

@@ -29,10 +29,11 @@ class Lanes:
 
     Delays are those of each lane: inputs are taken from before, outputs put between the steps.
 
-    ``first`` are first states (n_x,) and ``values`` parameters (n_p,) nearby: they tell how short steps have to be.
+    ``first`` are first states (n_x,) and ``values`` parameters (n_p,) nearby: they tell how short steps have to be,
+    as do ``sizes`` (n_x,) of the states, greater than zero.
     """
 
-    def __init__(self, model: Model, t: _Array, values: _Array, first: _Array, trim: _Array) -> None:
+    def __init__(self, model: Model, t: _Array, values: _Array, first: _Array, trim: _Array, sizes: _Array) -> None:
         self.model, self.t = model, t
         core = model._core
         self._inputs = [name for name, _ in core.inputs]
@@ -45,16 +46,16 @@ class Lanes:
         self._none = np.empty(0)
         self._values = slice(1 + len(self._inputs), 1 + len(self._inputs) + len(model.parameter_names))
         self._states = slice(self._values.stop, self._values.stop + len(model.state_names))
-        self.steps = self._needed(values, first, trim)
+        self.steps = self._needed(values, first, trim, sizes)
 
-    def _needed(self, values: _Array, first: _Array, trim: _Array) -> int:
+    def _needed(self, values: _Array, first: _Array, trim: _Array, sizes: _Array) -> int:
         """Steps in an interval."""
         columns = np.empty((self._states.stop, 2 * first.size))
         columns[0] = self.t[0]
         for row, name in enumerate(self._inputs, start=1):
             columns[row] = trim[self._place(name)]
         columns[self._values], columns[self._states] = values[:, None], first[:, None]
-        h = 1e-6 * np.maximum(np.abs(first), 1e-3)
+        h = 1e-6 * sizes
         columns[self._states, : first.size] += np.diag(h)
         columns[self._states, first.size :] -= np.diag(h)
         f = self._f(columns)
@@ -209,7 +210,8 @@ class Flown:
         self._small = np.concatenate([small, _MOST * _DIFFERENCE * ranges]) / self.units
         delays = dict(zip(model.parameter_names, self._values, strict=True))
         self.late = np.array([delays.get(model.delays.outputs.get(n, ""), 0.0) for n in model.output_names])
-        self._lanes = Lanes(model, t, self._values, self._first, trim)
+        sizes = np.array([np.abs(record.states[name]).max() for name in model.state_names])
+        self._lanes = Lanes(model, t, self._values, self._first, trim, np.where(sizes > 0.0, sizes, 1.0))
 
     def fly(
         self, inputs: _Array, moves: _Array | None = None, which: NDArray[np.intp] | None = None

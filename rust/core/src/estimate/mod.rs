@@ -267,15 +267,7 @@ impl<'a> Estimation<'a> {
         self.model.check()?;
         let inputs = self.model.input_names();
         let outputs: Vec<&str> = self.model.outputs.iter().map(|o| o.name.as_str()).collect();
-        self.experiments.iter().try_for_each(|e| e.check(&inputs, &outputs))?;
-        for (k, one) in self.experiments.iter().enumerate() {
-            if self.experiments[..k].iter().any(|other| other.name == one.name) {
-                let name = &one.name;
-                return Err(Error::Data(format!(
-                    "two experiments are called '{name}'; give each a name of its own"
-                )));
-            }
-        }
+        Experiment::check_all(self.experiments, &inputs, &outputs)?;
         self.check_names(&outputs)?;
         self.noise.check()?;
         self.resolve_noise(&outputs)

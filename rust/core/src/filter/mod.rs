@@ -150,7 +150,7 @@ impl Filter {
         if experiments.is_empty() {
             return Err(Error::Data("no experiment was given; at least one is needed".into()));
         }
-        experiments.iter().try_for_each(|e| e.check(&inputs, &outputs))?;
+        Experiment::check_all(experiments, &inputs, &outputs)?;
         noise.check(&outputs)?;
         if !matches!(noise, Noise::Gaussian(_)) {
             return Err(Error::Option("the filter-error method takes independent Gaussian noise".into()));

@@ -124,7 +124,7 @@ impl Posed {
         if experiments.is_empty() {
             return Err(Error::Data("no experiment was given; at least one is needed".into()));
         }
-        experiments.iter().try_for_each(|e| e.check(&input_names, &output_names))?;
+        Experiment::check_all(experiments, &input_names, &output_names)?;
         noise.check(&output_names)?;
 
         let counts = Counts::new(experiments.iter().map(|e| &e.outputs));

@@ -11,8 +11,10 @@ use crate::model::Model;
 
 /// Times closer than this part of the shortest sampling interval are the same.
 const SAME: f64 = 1e-9;
-/// States below this count as this large when errors are weighed.
+/// States below this part of their size count as this large when errors are weighed.
 const SMALL: f64 = 1e-3;
+/// At most so many points of a record tell of the sizes of states.
+const LOOKED_AT: usize = 64;
 /// A state so many times as large as it ever was at an end of an interval has grown without limit.
 const GROWN: f64 = 1e6;
 
@@ -113,23 +115,55 @@ impl<'a> Flow<'a> {
 
     /// States at the knots.
     fn states(&mut self, first: &[f64], tolerance: f64, method: Method) -> Result<Vec<Vec<f64>>, Error> {
-        let absolute: Vec<f64> = first.iter().map(|x| tolerance * x.abs().max(SMALL)).collect();
+        let sizes = self.sizes(first);
+        let weighed = first.iter().zip(&sizes);
+        let absolute = weighed.map(|(x, size)| tolerance * x.abs().max(SMALL * size)).collect();
         let mut integrator = Adaptive::new(first, tolerance, absolute, method);
         let mut states = vec![first.to_vec()];
         for k in 1..self.knots.len() {
             let (begin, end) = (self.knots[k - 1], self.knots[k]);
             self.field.enter(begin, end);
             if let Err(lost) = integrator.interval(&mut self.field, end - begin) {
-                let largest = states.iter().flatten().fold(1.0f64, |a, x| a.max(x.abs()));
-                return Err(self.failure(begin, &integrator, lost, largest));
+                let mut largest = sizes;
+                for x in &states {
+                    largest.iter_mut().zip(x).for_each(|(a, x)| *a = a.max(x.abs()));
+                }
+                return Err(self.failure(begin, &integrator, lost, &largest));
             }
             states.push(integrator.x.clone());
         }
         Ok(states)
     }
 
-    /// Why there is no solution from a time on.
-    fn failure(&mut self, begin: f64, at: &Adaptive, lost: Lost, largest: f64) -> Error {
+    /// How large each state is, in its own unit: as it begins, or as far as its equation takes it in the time of the record
+    /// with the inputs that there are, the other states each away by its own size. 1 for a state that nothing moves.
+    fn sizes(&mut self, first: &[f64]) -> Vec<f64> {
+        let (n, duration) = (first.len(), self.knots[self.knots.len() - 1] - self.knots[0]);
+        let stride = self.knots.len().div_ceil(LOOKED_AT);
+        let times: Vec<f64> = self.knots.iter().copied().step_by(stride).collect();
+        let mut sizes: Vec<f64> = first.iter().map(|x| x.abs()).collect();
+        let mut slope = vec![0.0; n];
+        // Those that are known may tell of others in turn.
+        for _ in 0..n {
+            if !sizes.contains(&0.0) {
+                break;
+            }
+            let known = sizes.clone();
+            let away: Vec<f64> = first.iter().zip(&known).map(|(x, size)| x + size).collect();
+            for (&t, x) in times.iter().flat_map(|t| [(t, first), (t, &away[..])]) {
+                self.field.enter(t, t);
+                self.field.slope(0.0, x, &mut slope);
+                for (i, f) in slope.iter().enumerate().filter(|(i, f)| known[*i] == 0.0 && f.is_finite()) {
+                    sizes[i] = sizes[i].max(f.abs() * duration);
+                }
+            }
+        }
+        self.field.bad = None;
+        sizes.into_iter().map(|size| if size > 0.0 && size.is_finite() { size } else { 1.0 }).collect()
+    }
+
+    /// Why there is no solution from a time on, of states that were so large before.
+    fn failure(&mut self, begin: f64, at: &Adaptive, lost: Lost, largest: &[f64]) -> Error {
         let x = &at.x;
         let text = format!(
             "experiment '{}': the simulation of '{}' ends at t = {} s of {} s: ",
@@ -138,7 +172,7 @@ impl<'a> Flow<'a> {
             short(begin + at.t),
             short(self.run.t[self.run.t.len() - 1])
         );
-        let grown = x.iter().any(|x| x.abs() > GROWN * largest);
+        let grown = x.iter().zip(largest).any(|(x, largest)| x.abs() > GROWN * largest);
         let why = match (lost, self.field.bad.take()) {
             (Lost::Stopped, _) => "it was stopped".to_owned(),
             (Lost::TimeLimit, _) => "the time limit was reached; allow more, or ask for less accuracy".to_owned(),
@@ -146,7 +180,7 @@ impl<'a> Flow<'a> {
                 "the solution grows without limit; the model may be unstable with these parameters".to_owned()
             }
             (Lost::Step, Some((t, point, slope))) => self.not_finite(t, &point, &slope),
-            (Lost::Step | Lost::Steps, _) => match self.jump(at) {
+            (Lost::Step | Lost::Steps, _) => match self.jump(at, largest) {
                 Some(state) => format!(
                     "the equation of {state}' jumps back and forth there, as that of an ideal relay does: the solution \
                      slides along the jump; give it a smooth transition, such as smooth_sign or smooth_step"
@@ -176,10 +210,11 @@ impl<'a> Flow<'a> {
     }
 
     /// A state whose slope changes its sign across a change of the states, however small that is.
-    fn jump(&mut self, at: &Adaptive) -> Option<&str> {
+    fn jump(&mut self, at: &Adaptive, sizes: &[f64]) -> Option<&str> {
         let n = at.x.len();
         for i in 0..n {
-            let [far, near] = [1e-2, 1e-4].map(|part| self.sides(at, i, part * at.x[i].abs().max(SMALL)));
+            let [far, near] =
+                [1e-2, 1e-4].map(|part| self.sides(at, i, part * at.x[i].abs().max(SMALL * sizes[i])));
             let ((far_below, far_above), (below, above)) = (far?, near?);
             let jumps = |j: &usize| {
                 below[*j] * above[*j] < 0.0

@@ -22,11 +22,12 @@ def record(seed: int) -> ph.Experiment:
     fine = np.interp((np.arange(400 * steps) + 0.5) * h, t, u)
     x, v, path = 1.0, 0.0, [1.0]
     for k, force in enumerate(fine):
-        force -= TRUE["w"] * x + TRUE["z"] * v
-        if v != 0 or abs(force) > TRUE["c"]:
-            after = v + h * (force - TRUE["c"] * np.sign(v if v != 0 else force))
-            after = 0.0 if after * v < 0 else after
-            x, v = x + h * (v + after) / 2, after
+        rest = force - TRUE["w"] * x
+        if v != 0 or abs(rest) > TRUE["c"]:
+            friction = TRUE["c"] * np.sign(v if v != 0 else rest)
+            middle = v + h / 2 * (rest - TRUE["z"] * v - friction)
+            after = v + h * (force - TRUE["w"] * (x + h / 2 * v) - TRUE["z"] * middle - friction)
+            x, v = x + h * middle, 0.0 if after * v < 0 else after
         if (k + 1) % steps == 0:
             path.append(x)
     noise = 0.005 * np.random.default_rng(seed).standard_normal(t.size)

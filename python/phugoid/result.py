@@ -27,6 +27,7 @@ from .noise.noise import Noise
 from .parameters import Estimate, Estimates
 from .records import Record
 from .refinement import Refinement
+from .smoothing import Smoothing
 from .solvers import Iteration, Solution
 from .tolerance import Tolerance
 from .transcription.collocation import Collocation
@@ -66,6 +67,7 @@ class Fit:
     warnings        what to beware of in the result, in words.
     covariance      (n, n) of the parameters in their order; NaN where there is none.
     refinement      what ``Collocation(refine=True)`` did.
+    smoothing       how kinks of the state equations were smoothed, where they had to be; None otherwise.
     experiments     the data it was fitted to; empty for a fit of a file of version 1, which had none.
     """
 
@@ -85,8 +87,10 @@ class Fit:
     history: Sequence[Iteration] = ()
     solution: Solution | None = field(default=None)
     refinement: Refinement | None = None
+    smoothing: Smoothing | None = None
     experiments: Sequence[Experiment] = ()
-    # Where something is late: the fit of the model without delays to data moved by them.
+    # Where something is late: the fit of the model without delays to data moved by them. Where kinks were smoothed: that
+    # of the smooth model.
     _moved: Fit | None = field(default=None, repr=False)
 
     @property
@@ -300,7 +304,8 @@ class Fit:
     def summary(self) -> str:
         """The fit as a plain-text table: of each parameter the Cramér-Rao standard error and, where the fit has its
         data at hand, the one corrected for coloured residuals."""
-        text = summary.fit_summary(self) + (f"\n\n{self.refinement.summary()}" if self.refinement else "")
+        parts = [each.summary() for each in (self.refinement, self.smoothing) if each]
+        text = "\n\n".join([summary.fit_summary(self), *parts])
         return text + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 
     def integration_error(self) -> tuple[IntegrationError, ...]:
@@ -313,7 +318,9 @@ class Fit:
         named = {n: f"sigma_{n}" for n in self.model.output_names}
         sigmas = {n: self.parameters[s].value for n, s in named.items() if s in self.parameters} | self.noise.known
         order = self.transcription.order
-        return tuple(integration_error(self.model, self._own(r.name), sigmas, r, order) for r in self.records)
+        # A mesh for smoothed kinks resolves these, and no jumps.
+        model = self._moved.model if self.smoothing and self._moved and not self.model.delays else self.model
+        return tuple(integration_error(model, self._own(r.name), sigmas, r, order) for r in self.records)
 
     def _own(self, experiment: str) -> dict[str, float]:
         """The model's parameters as they are in one experiment."""

@@ -19,6 +19,7 @@ from .reconstruction.vane_places import VanePlaces
 from .records import Record
 from .refinement import Refinement
 from .regression.equation_error import EquationError
+from .smoothing import Smoothing
 from .solvers import Iteration
 from .starts.multistart import Multistart
 from .starts.optima import Optimum
@@ -64,6 +65,7 @@ __all__ = [
     "Record",
     "Refinement",
     "Scored",
+    "Smoothing",
     "Trim",
     "Validation",
     "VanePlaces",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -33,10 +33,12 @@ _COARSE = 0.1
 _FIRST, _WIDER = 0.1, 1.0
 # Each width is the last over this. Crossings of a kink move with the width, and the mesh must still resolve them.
 _RATIO = 2.0
-# Widths are narrow enough where the error left is below this part of every standard error, and most passes until then.
-_SETTLED, _PASSES = 0.25, 30
-# Of the integration error of a segment, in units of the noise.
-_TOLERANCE = 1e-2
+# Widths are narrow enough where the error left is below this part of every standard error and, root mean square, of the
+# residuals, and most passes until then. In a validation there are no standard errors.
+_SETTLED, _OF_RESIDUALS, _PASSES = 0.25, 0.1, 30
+# Of the integration error of a segment, in units of the noise. With ten times more, standard errors are wrong: errors
+# that change with where a kink is crossed between points bend the likelihood.
+_TOLERANCE = 1e-3
 _STOPPED = ("interrupted", "time limit")
 
 
@@ -159,13 +161,24 @@ def _left(passes: Sequence[tuple[float, Fit]]) -> dict[str, tuple[float, float]]
 
 
 def _settled(passes: Sequence[tuple[float, Fit]]) -> bool:
-    """Whether the error left is small beside every standard error, and was nearly so a pass before."""
-    if len(passes) < 3:
+    """Whether the error left is small beside every standard error, and was nearly so a pass before, and what it is in the
+    outputs is small beside the residuals."""
+    if len(passes) < 3 or not all(_alike(passes[-2:])):
         return False
     now, before = _left(passes), _left(passes[:-1])
     known = [n for n, (left, error) in now.items() if error > 0 and math.isfinite(left)]
     small = (abs(now[n][0]) <= _SETTLED * now[n][1] for n in known)
     return all(small) and all(abs(before[n][0]) <= _RATIO * _SETTLED * before[n][1] for n in known if n in before)
+
+
+def _alike(passes: Sequence[tuple[float, Fit]]) -> Iterator[bool]:
+    """Whether what smoothing leaves in error of each output is small beside its residuals."""
+    (before, earlier), (part, last) = passes
+    for then, now in zip(earlier.records, last.records, strict=True):
+        for name, residuals in now.residuals.items():
+            left = (now.outputs[name] - then.outputs[name]) * part / (before - part)
+            there = np.isfinite(residuals)
+            yield bool((left[there] ** 2).sum() <= _OF_RESIDUALS**2 * (residuals[there] ** 2).sum())
 
 
 def _segments(fit: Fit) -> int:

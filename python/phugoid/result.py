@@ -89,8 +89,8 @@ class Fit:
     refinement: Refinement | None = None
     smoothing: Smoothing | None = None
     experiments: Sequence[Experiment] = ()
-    # Where something is late: the fit of the model without delays to data moved by them. Where kinks were smoothed: that
-    # of the smooth model.
+    # Where something is late: the fit of the model without delays to data moved by them. Where kinks were smoothed:
+    # that of the smooth model.
     _moved: Fit | None = field(default=None, repr=False)
 
     @property

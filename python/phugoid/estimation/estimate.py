@@ -66,9 +66,10 @@ def estimate(
     ``solver``: `Newton` unless asked otherwise.
     ``progress``: True prints the iterations; a function is called with each.
 
-    Where jumps or kinks of the state equations (`sign`, `abs`, `where`, ...) keep a fit by `Collocation` from converging,
-    or are crossed where its mesh is too coarse for them, they are smoothed, over widths that are reduced from fit to
-    fit until what they leave in error is small beside the standard errors. `Fit.smoothing` and the message say so.
+    Where jumps or kinks of the state equations (`sign`, `abs`, `where`, ...) keep a fit by `Collocation` from
+    converging, or are crossed where its mesh is too coarse for them, they are smoothed, over widths that are reduced
+    from fit to fit until what they leave in error is small beside the standard errors. `Fit.smoothing` and the message
+    say so.
 
     Ctrl-C ends the run and returns the best point so far, with status "interrupted". Pressed once more, while its
     standard errors are computed, it leaves these out (NaN, and a warning); a third is as ever.

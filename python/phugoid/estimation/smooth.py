@@ -64,8 +64,8 @@ def kinks_matter(fit: Fit) -> bool:
 
 
 def smoothed_fit(solve: _Solve, rough: Fit) -> Fit:
-    """The estimate of a model with kinks by passes over smooth models, each from the last, or ``rough``, the fit without
-    smoothing, where these do not converge either.
+    """The estimate of a model with kinks by passes over smooth models, each from the last, or ``rough``, the fit
+    without smoothing, where these do not converge either.
 
     ``solve`` estimates a model on a mesh, from a fit or the user's start. Widths are halved until what they leave in
     error is small beside the standard errors, or the mesh cannot be made to resolve narrower ones.
@@ -132,10 +132,11 @@ def _told(rough: Fit, passes: Sequence[tuple[float, Fit]], spreads: _Array, seco
             "mesh (ph.Collocation(substeps=...))",
             *warnings,
         )
+    over = f"kinks of the state equations were smoothed: {smoothing.description} (see fit.smoothing)"
     return replace(
         last,
         model=model,
-        message=f"{last.message}; kinks of the state equations were smoothed: {smoothing.description} (see fit.smoothing)",
+        message=f"{last.message}; {over}",
         warnings=warnings,
         iterations=rough.iterations + sum(_iterations(f) for _, f in passes),
         time=seconds,
@@ -161,8 +162,8 @@ def _left(passes: Sequence[tuple[float, Fit]]) -> dict[str, tuple[float, float]]
 
 
 def _settled(passes: Sequence[tuple[float, Fit]]) -> bool:
-    """Whether the error left is small beside every standard error, and was nearly so a pass before, and what it is in the
-    outputs is small beside the residuals."""
+    """Whether the error left is small beside every standard error, and was nearly so a pass before, and what it is in
+    the outputs is small beside the residuals."""
     if len(passes) < 3 or not all(_alike(passes[-2:])):
         return False
     now, before = _left(passes), _left(passes[:-1])

@@ -17,8 +17,8 @@ from ..errors import DataError
 from ..parameters import Estimates
 from ..records import Record
 from ..refinement import Refinement
-from ..smoothing import Smoothing
 from ..result import Fit
+from ..smoothing import Smoothing
 from ..solvers import HINTS, Iteration, Solution
 from ..transcription.filter_error import FilterError
 

@@ -22,8 +22,8 @@ from ..noise.kinds import noise_from_dict
 from ..parameters import Estimate, Estimates
 from ..records import Record
 from ..refinement import Refinement
-from ..smoothing import Smoothing
 from ..result import Fit
+from ..smoothing import Smoothing
 from ..solvers import Iteration, Solution
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription, from_dict, to_dict

@@ -65,7 +65,9 @@ impl Model {
         let kinked = self.kinked();
         if widths.len() != kinked.len() || !widths.iter().all(|w| w.is_finite() && *w > 0.0) {
             let n = kinked.len();
-            return Err(Error::Option(format!("smoothed: give {n} positive widths, one for each kink, not {widths:?}")));
+            return Err(Error::Option(format!(
+                "smoothed: give {n} positive widths, one for each kink, not {widths:?}"
+            )));
         }
         let mut model = self.clone();
         for place in self.places() {

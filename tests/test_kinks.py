@@ -1,5 +1,4 @@
-"""Kinks of the state equations are smoothed over widths that fall until the estimates settle; where that cannot be, they
-are named."""
+"""Kinks of state equations are smoothed over widths that fall until the estimates settle; else they are named."""
 
 from collections.abc import Callable
 from functools import cache

@@ -26,8 +26,8 @@ def kink_advice(core: _core.Model) -> str:
     functions = " and ".join(dict.fromkeys(f"ph.{_SMOOTH[name]}" for _, name, *_ in kinks))
     return (
         f"the state equations have kinks or jumps: {_listed(name_kinks(core))}. No smooth path satisfies such "
-        f"equations at the points of a mesh: write {functions}, with a width that is small beside the motion, and reduce it in "
-        "steps, each with start=fit of the last"
+        f"equations at the points of a mesh: write {functions}, with a width that is small beside the motion, "
+        "and reduce it in steps, each with start=fit of the last"
     )
 
 

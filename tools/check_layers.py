@@ -22,8 +22,8 @@ PYTHON = [
     "_core", "errors", "writing", "tabular", "symbols", "parameters", "noise", "modelling", "data", "transcription",
     "guess", "solvers", "interrupts", "progress", "records", "tolerance", "match", "goodness_of_fit", "correlations",
     "repeated_outputs", "figures", "regression", "integration", "refinement", "smoothing", "summary", "result",
-    "process_noise", "estimation", "simulate", "linear", "inputs", "models", "export", "saving", "validation", "pages", "discrepancy",
-    "loading", "planning", "reconstruction", "report", "starts", "uncertainty", "results", "cli", "__init__",
+    "process_noise", "estimation", "simulate", "linear", "inputs", "models", "export", "saving", "validation", "pages",
+    "discrepancy", "loading", "planning", "reconstruction", "report", "starts", "uncertainty", "results", "cli", "__init__",
     "__main__",
 ]
 DISCREPANCY = [

@@ -1,5 +1,6 @@
 """Kinks of state equations are smoothed over widths that fall until the estimates settle; else they are named."""
 
+import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,7 @@ TRUE = {"w": 4.0, "z": 0.3, "c": 0.8}
 T = np.linspace(0, 20, 401)
 U = 3 * np.sin(0.3 * T**1.3)
 NOISE = 0.005
+DATA = Path(os.environ.get("PHUGOID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
 def slide(w: float, z: float, c: float, x: float = 1.0, v: float = 0.0) -> np.ndarray:
@@ -169,3 +171,19 @@ def test_friction_is_estimated_as_the_width_falls_by_hand() -> None:
     assert fit is not None and fit.status == "converged"
     assert fit.parameters["w"].value == pytest.approx(TRUE["w"], rel=0.02)
     assert fit.parameters["c"].value == pytest.approx(TRUE["c"], rel=0.02)
+
+
+def test_dry_friction_of_a_real_pendulum_is_estimated() -> None:
+    path = DATA / "known" / "pendulum2.csv"
+    if not path.exists():
+        pytest.skip("the record known/pendulum2.csv is neither in $PHUGOID_DATA nor in ../shared/data")
+    t, theta, _ = np.loadtxt(path, delimiter=",", skiprows=1)[198:3600:2].T
+    m = ph.Model("pendulum")
+    phi, w = m.states(phi="rad", w="rad/s")
+    w2, p0, f, d = m.parameters(w2=48.0, p0=0.0, f=0.1, d=0.001)
+    m.dynamics(phi=w, w=-w2 * ph.sin(phi - p0) - f * ph.sign(w) - d * w * abs(w))
+    m.outputs(phi=phi)
+    fit = ph.estimate(m, ph.Experiment(t - t[0], {}, {"phi": theta - np.pi}))
+    assert fit.status == "converged"
+    assert fit.parameters["f"].value == pytest.approx(0.553, rel=0.02)
+    assert fit.parameters["d"].value == pytest.approx(0.00096, rel=0.05)

@@ -23,8 +23,8 @@ PYTHON = [
     "guess", "solvers", "interrupts", "progress", "records", "tolerance", "match", "goodness_of_fit", "correlations",
     "repeated_outputs", "figures", "regression", "integration", "refinement", "smoothing", "summary", "result",
     "process_noise", "estimation", "simulate", "linear", "inputs", "models", "export", "saving", "validation", "pages",
-    "discrepancy", "loading", "planning", "reconstruction", "report", "starts", "uncertainty", "results", "cli", "__init__",
-    "__main__",
+    "discrepancy", "loading", "planning", "reconstruction", "report", "starts", "uncertainty", "results", "cli",
+    "__init__", "__main__",
 ]
 DISCREPANCY = [
     "colour", "misfit", "candidates", "search", "telling", "page", "findings", "diagnosis", "saved", "diagnose",

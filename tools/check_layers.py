@@ -21,11 +21,11 @@ RUST = [
 
 PYTHON = [
     "_core", "errors", "writing", "tabular", "symbols", "parameters", "noise", "modelling", "data", "transcription",
-    "guess", "solvers", "interrupts", "progress", "records", "refinement", "fit_result", "tolerance", "match",
-    "repeated_outputs", "figures", "regression", "integration", "process_noise", "estimation", "simulate", "linear",
-    "inputs", "models", "export", "saving", "validation", "pages", "discrepancy", "planning", "starts", "uncertainty",
-    "summary", "report", "result", "diagnosis", "api", "multistart", "reconstruction", "results", "cli", "__init__",
-    "__main__",
+    "guess", "solvers", "interrupts", "progress", "records", "refinement", "smoothing", "fit_result", "tolerance",
+    "match", "repeated_outputs", "figures", "regression", "integration", "process_noise", "estimation", "simulate",
+    "linear", "inputs", "models", "export", "saving", "validation", "pages", "discrepancy", "planning", "starts",
+    "uncertainty", "summary", "report", "result", "diagnosis", "api", "multistart", "reconstruction", "results", "cli",
+    "__init__", "__main__",
 ]
 DISCREPANCY = [
     "colour", "misfit", "candidates", "search", "telling", "diagnosis_result", "page", "saved", "diagnose",

@@ -18,6 +18,7 @@ from .noise.noise import Noise
 from .parameters import Estimates
 from .records import Record
 from .refinement import Refinement
+from .smoothing import Smoothing
 from .solvers import Iteration, Solution
 from .transcription.filter_error import FilterError
 from .transcription.shooting import Transcription
@@ -40,6 +41,7 @@ class FitResult:
     warnings        what to beware of in the result, in words.
     covariance      (n, n) of the parameters in their order; NaN where there is none.
     refinement      what ``Collocation(refine=True)`` did.
+    smoothing       how kinks of the state equations were smoothed, where they had to be; None otherwise.
     experiments     the data it was fitted to; empty for a fit of a file of version 1, which had none.
     """
 
@@ -59,8 +61,10 @@ class FitResult:
     history: Sequence[Iteration] = ()
     solution: Solution | None = field(default=None)
     refinement: Refinement | None = None
+    smoothing: Smoothing | None = None
     experiments: Sequence[Experiment] = ()
-    # Where something is late: the fit of the model without delays to data moved by them.
+    # Where something is late: the fit of the model without delays to data moved by them. Where kinks were smoothed:
+    # that of the smooth model.
     _moved: FitResult | None = field(default=None, repr=False)
 
     @property

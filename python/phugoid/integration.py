@@ -98,7 +98,9 @@ def integration_error(fit: FitResult) -> tuple[IntegrationError, ...]:
     if not isinstance(fit.transcription, Collocation):
         raise OptionError("integration_error: only collocation has a mesh whose error can be estimated")
     order = fit.transcription.order
-    return tuple(_of_record(fit.model, *_numbers(fit, r.name), r, order) for r in fit.records)
+    # A mesh for smoothed kinks resolves these, and no jumps.
+    model = fit._moved.model if fit.smoothing and fit._moved and not fit.model.delays else fit.model
+    return tuple(_of_record(model, *_numbers(fit, r.name), r, order) for r in fit.records)
 
 
 def _numbers(fit: FitResult, experiment: str) -> tuple[dict[str, float], dict[str, float]]:

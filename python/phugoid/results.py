@@ -21,6 +21,7 @@ from .reconstruction.vane_places import VanePlaces
 from .records import Record
 from .refinement import Refinement
 from .regression.equation_error import EquationError
+from .smoothing import Smoothing
 from .solvers import Iteration
 from .starts.outcome import Outcome
 from .uncertainty.bands import Bands
@@ -65,6 +66,7 @@ __all__ = [
     "Record",
     "Refinement",
     "Scored",
+    "Smoothing",
     "Trim",
     "Validation",
     "VanePlaces",

@@ -34,8 +34,7 @@ def fit_summary(fit: FitResult) -> str:
     parts += correlation(fit).notes
     if any(record.residuals for record in fit.records):
         parts.append(_match_table(fit, outputs))
-    if fit.refinement:
-        parts.append(fit.refinement.summary())
+    parts += (each.summary() for each in (fit.refinement, fit.smoothing) if each)
     parts += (f"Warning: {w}" for w in fit.warnings)
     return "\n\n".join(parts)
 

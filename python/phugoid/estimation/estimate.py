@@ -33,6 +33,7 @@ from ..transcription.shooting import MultipleShooting, SingleShooting, Transcrip
 from .fitted import make_fit
 from .late import estimate_late
 from .refine import refined
+from .smooth import kinks_matter, smoothed_fit
 
 __all__ = ["estimate"]
 
@@ -66,12 +67,41 @@ def estimate(
     ``solver``: `Newton` unless asked otherwise.
     ``progress``: True prints the iterations; a function is called with each.
 
+    Where jumps or kinks of the state equations (`sign`, `abs`, `where`, ...) keep a fit by `Collocation` from
+    converging, or are crossed where its mesh is too coarse for them, they are smoothed, over widths that are reduced
+    from fit to fit until what they leave in error is small beside the standard errors. `Fit.smoothing` and the message
+    say so.
+
     Ctrl-C ends the run and returns the best point so far, with status "interrupted". Pressed once more, while its
     standard errors are computed, it leaves these out (NaN, and a warning); a third is as ever.
 
     Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model is not
     finite at the start. Not to converge is a status of the fit, not an error.
     """
+    deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
+    fit = _estimate(model, data, transcription, noise, start, solver, progress)
+    if not kinks_matter(fit):
+        return fit
+
+    def solve(smooth: Model, mesh: Collocation, before: FitResult | None) -> FitResult:
+        by = replace(solver or Newton(), time_limit=deadline.left())
+        if before is not None and isinstance(by, Newton):
+            by = replace(by, regression=False)
+        return _estimate(smooth, data, mesh, noise, start if before is None else before, by, progress)
+
+    return smoothed_fit(solve, fit)
+
+
+def _estimate(
+    model: Model,
+    data: Experiment | Sequence[Experiment],
+    transcription: Transcription | FilterError | None = None,
+    noise: Noise | None = None,
+    start: Mapping[str, Any] | FitResult | EquationError | None = None,
+    solver: Newton | Ipopt | None = None,
+    progress: bool | Callable[[Iteration], None] = False,
+) -> FitResult:
+    """Return the estimate with the kinks of the model as they are."""
     deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
     experiments = as_experiments(data, "estimate")
     if not isinstance(model, Model):
@@ -104,9 +134,10 @@ def estimate(
         again = replace(solver, regression=False) if isinstance(solver, Newton) else solver
 
         def fit_on(mesh: Collocation, fit: FitResult | None) -> FitResult:
-            begin, by = (fit, again) if fit else (start, solver)
+            # The likelihood on another mesh is none to compare with.
+            begin, by = (replace(fit, log_likelihood=np.nan), again) if fit else (start, solver)
             by = replace(by, time_limit=deadline.left())
-            return estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
+            return _estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
 
         return refined(fit_on, transcription)
 
@@ -114,7 +145,7 @@ def estimate(
         if isinstance(transcription, FilterError):
             raise OptionError("FilterError: delays are not supported")
         options = {"transcription": transcription, "noise": noise, "progress": progress}
-        return estimate_late(estimate, model, experiments, start, (solver, deadline), options)
+        return estimate_late(_estimate, model, experiments, start, (solver, deadline), options)
 
     moving = [_moving(e, model.output_names) for e in experiments]
     for i, experiment in enumerate(experiments):
@@ -134,7 +165,7 @@ def estimate(
 
         def begun() -> FitResult:
             _, others = split(transcription, start or {})
-            return estimate(model, experiments, noise=noise, start=others, progress=progress)
+            return _estimate(model, experiments, noise=noise, start=others, progress=progress)
 
         early = begun() if transcription.output_error or local else None
         fit = filter_error(model, experiments, transcription, noise, start, progress, early)
@@ -158,10 +189,10 @@ def estimate(
     if starts and not collocated:
         # A path that follows the measurements is found by collocation; an integration from poor values is none.
         begun_by = Newton(time_limit=deadline.left())
-        first = estimate(model, experiments, noise=noise, start=given, solver=begun_by, progress=progress)
+        first = _estimate(model, experiments, noise=noise, start=given, solver=begun_by, progress=progress)
         if first.status in _ENDS:
             by = replace(solver, time_limit=deadline.left())
-            fit = estimate(
+            fit = _estimate(
                 model,
                 experiments,
                 transcription=transcription,

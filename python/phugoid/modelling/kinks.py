@@ -1,17 +1,18 @@
-"""Advice on kinks and jumps in the state equations of a fit that did not converge."""
+"""How kinks and jumps of the state equations are told of."""
 
 from __future__ import annotations
 
 from .. import _core
 
-__all__ = ["kink_advice"]
+__all__ = ["kink_advice", "name_kinks", "width_unit"]
 
 _SMOOTH = {
     "sign": "smooth_sign(x, width)",
     "abs": "smooth_abs(x, width)",
     "min": "smooth_min(a, b, width)",
     "max": "smooth_max(a, b, width)",
-    "where": "smooth_step(x, width)",
+    "lt": "smooth_step(x, width)",
+    "le": "smooth_step(x, width)",
 }
 # No more expressions are named, none in more characters.
 _NAMED, _LONG = 4, 60
@@ -19,14 +20,31 @@ _NAMED, _LONG = 4, 60
 
 def kink_advice(core: _core.Model) -> str:
     """Name the kinks and jumps of a model, and the smooth functions that can stand for them; "" without any."""
-    kinks = list(dict.fromkeys(core.kinks()))
+    kinks = core.kinks()
     if not kinks:
         return ""
-    named = [f"{text if len(text) <= _LONG else name + '(...)'} in {place}" for place, name, text in kinks[:_NAMED]]
-    more = f" and {len(kinks) - _NAMED} more" if len(kinks) > _NAMED else ""
-    functions = " and ".join(dict.fromkeys(f"ph.{_SMOOTH[name]}" for _, name, _ in kinks))
+    functions = " and ".join(dict.fromkeys(f"ph.{_SMOOTH[name]}" for _, name, *_ in kinks))
     return (
-        f"the state equations have kinks or jumps: {', '.join(named)}{more}. No smooth path satisfies such equations "
-        f"at the points of a mesh: write {functions}, with a width that is small beside the motion, and reduce it in "
-        "steps, each with start=fit of the last"
+        f"the state equations have kinks or jumps: {_listed(name_kinks(core))}. No smooth path satisfies such "
+        f"equations at the points of a mesh: write {functions}, with a width that is small beside the motion, "
+        "and reduce it in steps, each with start=fit of the last"
     )
+
+
+def name_kinks(core: _core.Model) -> list[str]:
+    """Return for each kink of a model its expression and its equation, as in "sign(v) in v'"."""
+    return [f"{text if len(text) <= _LONG else name + '(...)'} in {place}" for place, name, text, _ in core.kinks()]
+
+
+def _listed(texts: list[str]) -> str:
+    """Join the first of some texts, and say how many more there are."""
+    more = f" and {len(texts) - _NAMED} more" if len(texts) > _NAMED else ""
+    return ", ".join(texts[:_NAMED]) + more
+
+
+def width_unit(core: _core.Model, argument: _core.Expr) -> str:
+    """Return the unit of the argument of a kink: that of a state in which it has the slope 1 or -1; "" of others."""
+    for name, unit in core.states:
+        if name in argument.symbols and argument.diff(name).constant in (1.0, -1.0):
+            return unit
+    return ""

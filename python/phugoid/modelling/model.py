@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -350,6 +350,10 @@ class Model:
             core.parameter(name, unit, values.get(name, start), low, high, prior, fixed or name in values, *others)
 
         return self._around(rebuilt(self._core, self._core.inputs, declare), self._delays)
+
+    def _smoothed(self, widths: Sequence[float]) -> Model:
+        """The model with each kink of its state equations made smooth over a width."""
+        return self._around(self._core.smoothed(widths), self._delays)
 
     def _around(self, core: _core.Model, delays: Delays) -> Model:
         """A model with another core and the noise of this one."""

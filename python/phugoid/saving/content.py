@@ -18,6 +18,7 @@ from ..fit_result import FitResult
 from ..parameters import Estimates
 from ..records import Record
 from ..refinement import Refinement
+from ..smoothing import Smoothing
 from ..solvers import HINTS, Iteration, Solution
 from ..transcription.filter_error import FilterError
 
@@ -38,6 +39,8 @@ def check_fit(fit: FitResult, moved: bool = True) -> None:
     _history("history", fit.history)
     if fit.refinement is not None:
         _refinement(fit.refinement, fit.parameters)
+    if fit.smoothing is not None:
+        _smoothing(fit.smoothing, fit.parameters)
     if fit.experiments:
         _experiments(fit)
     if fit.solution is not None:
@@ -183,6 +186,14 @@ def _refinement(found: Refinement, parameters: Estimates) -> None:
         whole = ("order", "segments", "coarse", "iterations")
         check_kinds(f"refinement.steps[{i}]", vars(step), (), whole, ("largest", "log_likelihood"))
     _require({*found.changes} <= {*parameters}, "refinement.changes: one is of no parameter")
+
+
+def _smoothing(found: Smoothing, parameters: Estimates) -> None:
+    _require(len(found.steps) > 0, "smoothing.steps: there is none")
+    for i, step in enumerate(found.steps):
+        numbers = ("part", "log_likelihood")
+        check_kinds(f"smoothing.steps[{i}]", vars(step), (), ("segments", "iterations"), numbers)
+    _require({*found.left} <= {*parameters}, "smoothing.left: one is of no parameter")
 
 
 def _history(place: str, lines: Sequence[Iteration]) -> None:

@@ -23,6 +23,7 @@ from ..noise.kinds import noise_from_dict
 from ..parameters import Estimate, Estimates
 from ..records import Record
 from ..refinement import Refinement
+from ..smoothing import Smoothing
 from ..solvers import Iteration, Solution
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription, from_dict, to_dict
@@ -82,6 +83,7 @@ def fit_payload(fit: FitResult) -> dict[str, Any]:
         "warnings": list(fit.warnings),
         "history": [vars(line) for line in fit.history],
         "refinement": fit.refinement.to_dict() if fit.refinement else None,
+        "smoothing": fit.smoothing.to_dict() if fit.smoothing else None,
         "experiments": [_experiment_payload(e) for e in fit.experiments],
         "solution": _solution_payload(fit.solution) if fit.solution else None,
         "moved": fit_payload(fit._moved) if fit._moved else None,
@@ -160,6 +162,7 @@ def fit_from(saved: Mapping[str, Any], version: int) -> FitResult:
         warnings=tuple(saved["warnings"]),
         history=_history(saved["history"]),
         refinement=Refinement.from_dict(saved["refinement"]) if saved.get("refinement") else None,
+        smoothing=Smoothing.from_dict(saved["smoothing"]) if saved.get("smoothing") else None,
     )
     if version > 1:
         solution, moved = saved["solution"], saved["moved"]

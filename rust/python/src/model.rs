@@ -132,9 +132,16 @@ impl PyModel {
         self.0.check().map_err(raise)
     }
 
-    /// Kinks and jumps in the states: the quantity or the state with a prime, the operation, the expression.
-    fn kinks(&self) -> Vec<(String, &'static str, String)> {
-        self.0.kinks()
+    /// Kinks and jumps in the states: the quantity or the state with a prime, the operation, the expression as text, and
+    /// what is zero at the kink.
+    fn kinks(&self) -> Vec<(String, &'static str, String, PyExpr)> {
+        self.0.kinks().into_iter().map(|k| (k.place, k.name, k.text, PyExpr(k.argument))).collect()
+    }
+
+    /// The model with each kink made smooth over its width.
+    #[allow(clippy::needless_pass_by_value)]
+    fn smoothed(&self, widths: Vec<f64>) -> PyResult<PyModel> {
+        self.0.smoothed(&widths).map(PyModel).map_err(raise)
     }
 
     /// Scalings that no output can tell: exponents by name, the parameter to hold, and where.

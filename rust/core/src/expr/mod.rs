@@ -240,17 +240,25 @@ impl Expr {
 
     /// The expression with symbols replaced.
     pub fn substitute(&self, replace: &HashMap<Arc<str>, Expr>) -> Expr {
+        self.rebuilt(|old, _| match old.node() {
+            Node::Symbol(name) => replace.get(name).cloned(),
+            _ => None,
+        })
+    }
+
+    /// The expression with nodes replaced, from its leaves up: `change` sees each node and its arguments as they are by
+    /// then, and returns what stands for it, or `None` for the same operation.
+    pub(crate) fn rebuilt(&self, mut change: impl FnMut(&Expr, &[Expr]) -> Option<Expr>) -> Expr {
         let mut done: HashMap<*const Inner, Expr> = HashMap::new();
         self.visit(|e| {
             let args: Vec<Expr> = e.args().iter().map(|a| done[&Arc::as_ptr(&a.0)].clone()).collect();
             let unchanged = args.iter().zip(e.args()).all(|(new, old)| Arc::ptr_eq(&new.0, &old.0));
-            let new = match e.node() {
-                Node::Symbol(name) => replace.get(name).unwrap_or(e).clone(),
+            let new = change(e, &args).unwrap_or_else(|| match e.node() {
                 _ if unchanged => e.clone(),
                 Node::Apply(op, _) => Expr::apply(*op, args),
                 Node::Lookup(lookup, _) => Expr::lookup(lookup.clone(), args),
-                Node::Constant(_) => e.clone(),
-            };
+                Node::Symbol(_) | Node::Constant(_) => e.clone(),
+            });
             done.insert(Arc::as_ptr(&e.0), new);
         });
         done[&Arc::as_ptr(&self.0)].clone()

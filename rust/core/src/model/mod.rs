@@ -16,6 +16,7 @@ pub use crate::parameter::Parameter;
 pub use compiled::Compiled;
 pub(crate) use delays::rates;
 pub use delays::{Delays, LateInput, LateOutput};
+pub use kinks::Kink;
 pub use scaling::Scaling;
 
 use crate::condition::{Condition, End};

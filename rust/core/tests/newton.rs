@@ -303,7 +303,8 @@ impl Nlp for Shapeless {
 fn a_program_without_chains_is_solved_by_the_sparse_factorisation() {
     let (p, xi) = problem(&models::linear(), 61, &settings(3));
     let known = run(&p, &xi, &Options::default());
-    let s = solve(&Shapeless::new(p, usize::MAX), &xi, None, &Options::default(), &mut |_| Control::Continue).unwrap();
+    let s = solve(&Shapeless::new(p, usize::MAX), &xi, None, &Options::default(), &mut |_| Control::Continue)
+        .unwrap();
     assert_eq!((known.status, s.status), (Status::Converged, Status::Converged), "{}", s.message);
     assert!((s.objective - known.objective).abs() < 1e-8);
     for i in 0..TRUTH.len() {
@@ -316,7 +317,8 @@ fn an_evaluation_that_was_stopped_is_not_searched_for_what_is_not_finite() {
     let (p, xi) = problem(&models::linear(), 61, &settings(3));
     let p = Shapeless::new(p, 2);
     let options = Options { regression: false, ..Options::default() };
-    let s = Interrupt::within(None).run(|| solve(&p, &xi, None, &options, &mut |_| Control::Continue).unwrap());
+    let s =
+        Interrupt::within(None).run(|| solve(&p, &xi, None, &options, &mut |_| Control::Continue).unwrap());
     assert_eq!((s.status, s.iterations), (Status::Interrupted, 2));
     assert_eq!(p.explained.load(Ordering::Relaxed), 0);
 }

@@ -13,6 +13,7 @@ from ...estimation.estimate import estimate
 from ...parameters import Estimates
 from ...result import Fit
 from ...solvers import Newton
+from ...solvers.limits import TimeUp
 from ..candidates.candidate import Candidate
 from ..colour.joint import Filter
 from .least_squares import Whitened, joint_whitening, own_whitening
@@ -107,6 +108,8 @@ def refit(
         )
     except PhugoidError:
         return None
+    if fit.status == "time limit":
+        raise TimeUp
     if fit.status == "interrupted":
         raise KeyboardInterrupt
     return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None

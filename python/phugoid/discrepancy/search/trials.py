@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextvars import copy_context
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -90,7 +91,9 @@ class Trials:
 
             executor = ThreadPoolExecutor(min(len(new), _WORKERS))
             try:
-                self._refits |= dict(zip(new, executor.map(one, new.values()), strict=True))
+                # Each thread works within the limit in force here.
+                tasks = [executor.submit(copy_context().run, one, candidates) for candidates in new.values()]
+                self._refits |= {key: task.result() for key, task in zip(new, tasks, strict=True)}
             finally:
                 executor.shutdown(cancel_futures=True)
         return [self._refits[key] for key in keys]

@@ -156,9 +156,7 @@ def test_validation_and_simulation(fit: ph.Fit) -> None:
 
 def test_inner_limits_are_no_longer_than_outer_ones(pass_limit: Callable[[], None]) -> None:
     with limits.Deadline(10).in_force():
-        assert (
-            limits.Deadline(20).left() == 10 and limits.Deadline(5).left() == 5 and limits.Deadline(None).left() == 10
-        )
+        assert [limits.Deadline(seconds).left() for seconds in (20, 5, None)] == [10, 5, 10]
         with limits.shielded():
             assert limits.Deadline(None).left() is None
         limits.check_time()

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solvers.limits import check_time
 from ..candidates.candidate import Candidate
 from ..colour.joint import Filter
 from ..colour.prediction import Channel
@@ -126,6 +127,7 @@ class Scan:
         for known, statistics in self._last:
             if known is filter:
                 return statistics
+        check_time()
         seen = self.white if filter is self.white.filter else Whitened(self.linear, filter.on(self.linear.structure))
         statistics = self._statistics(seen)
         self._last = [(filter, statistics), *self._last[: _KEPT - 1]]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...result import Fit
+from ...solvers.limits import check_time
 from ...validation.biases import freed_by_default
 from ..candidates.candidate import Candidate
 from ..candidates.centres import with_other_centres
@@ -70,6 +71,7 @@ class Trials:
 
     def refits(self, sets: Sequence[Sequence[Candidate]], near: Fit | None = None) -> list[Refit | None]:
         """The refits of several sets, side by side."""
+        check_time()
         keys = [frozenset(c.name for c in candidates) for candidates in sets]
         new = {key: candidates for key, candidates in zip(keys, sets, strict=True) if key not in self._refits}
 

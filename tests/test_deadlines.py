@@ -9,14 +9,18 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 import phugoid as ph
 
-# On a machine that others share, a limit may be passed by so much (s). Without a limit, many parameters take minutes.
-_SLACK = 2.0
+# On a machine that others share, the wall clock goes on while this process waits: what is told of a deadline by the
+# wall alone fails by chance. So the overshoot is the lesser of wall and processor time that went by after the limit,
+# and may be so much (s); what a result needs of a long record is within it, and without a limit many parameters take
+# minutes. The wall alone tells of a run that hangs.
+_SLACK, _HANGS = 1.0, 30.0
 
 
 def oscillator(n: int) -> tuple[ph.Model, ph.Experiment]:
@@ -46,10 +50,22 @@ def many_parameters(p: int, n: int) -> tuple[ph.Model, ph.Experiment]:
     return m, ph.Experiment(t, {"u": rng.standard_normal(n)}, {"x": rng.standard_normal(n)}, name="wide")
 
 
-def timed(model: ph.Model, data: ph.Experiment, limit: float, **options: object) -> tuple[ph.results.Fit, float]:
+def overshoot(limit: float, work: Callable[[], Any]) -> tuple[Any, float]:
+    """Return what work gives, and the seconds that it went on after the limit."""
+    at_limit: list[float] = []
+    timer = threading.Timer(min(limit, threading.TIMEOUT_MAX), lambda: at_limit.append(time.process_time()))
     began = time.monotonic()
-    fit = ph.estimate(model, data, solver=ph.Newton(time_limit=limit), **options)  # type: ignore[arg-type]
-    return fit, time.monotonic() - began
+    timer.start()
+    found = work()
+    wall, processor = time.monotonic() - began, time.process_time()
+    timer.cancel()
+    timer.join()
+    assert wall < limit + _HANGS
+    return found, min(wall - limit, processor - (at_limit or [processor])[0])
+
+
+def timed(model: ph.Model, data: ph.Experiment, limit: float, **options: Any) -> tuple[ph.results.Fit, float]:
+    return overshoot(limit, lambda: ph.estimate(model, data, solver=ph.Newton(time_limit=limit), **options))
 
 
 def test_no_time_gives_the_start() -> None:
@@ -61,21 +77,24 @@ def test_no_time_gives_the_start() -> None:
     assert not fit.feasible and math.isnan(fit.log_likelihood)
     assert "do not satisfy the equations" in fit.warnings[0]
     # What a result needs of a long record: the problem, and its outputs there.
-    assert seconds < 2 * _SLACK
+    assert seconds < _SLACK and fit.solution is not None
+    counts = fit.solution.evaluations
+    # Sizes of the variables are asked for at the start; nothing is after the limit.
+    assert counts["objective"] == 1 and counts["hessian"] == counts["factorizations"] == counts["solutions"] == 0
 
 
 @pytest.mark.parametrize("limit", [0.3, 1.0])
 def test_many_parameters_end_in_time(limit: float) -> None:
     model, data = many_parameters(500, 1001)
     fit, seconds = timed(model, data, limit)
-    assert fit.status == "time limit" and seconds < limit + _SLACK
+    assert fit.status == "time limit" and seconds < _SLACK
     assert all(math.isfinite(e.value) for e in fit.parameters.values())
 
 
 def test_mesh_refinement_and_delays_share_the_time() -> None:
     model, data = oscillator(20_001)
     fit, seconds = timed(model, data, 0.25, transcription=ph.Collocation(refine=True, tolerance=1e-9))
-    assert fit.status == "time limit" and seconds < 0.25 + _SLACK
+    assert fit.status == "time limit" and seconds < _SLACK
     m = ph.Model("late")
     (x,) = m.states("x")
     (u,) = m.inputs("u")
@@ -84,23 +103,23 @@ def test_mesh_refinement_and_delays_share_the_time() -> None:
     m.outputs(x=x)
     late = ph.Experiment(data.t, {"u": data.input("u")}, {"x": data.output("x")}, name="late")
     fit, seconds = timed(m, late, 0.25)
-    assert fit.status == "time limit" and seconds < 0.25 + _SLACK
+    assert fit.status == "time limit" and seconds < _SLACK
 
 
 def test_shooting_ends_in_time() -> None:
     model, data = oscillator(10_001)
     fit, seconds = timed(model, data, 0.3, transcription=ph.SingleShooting())
-    assert fit.status == "time limit" and seconds < 0.3 + _SLACK
+    assert fit.status == "time limit" and seconds < _SLACK
 
 
 def test_ipopt_ends_in_time() -> None:
     pytest.importorskip("cyipopt")
     model, data = oscillator(2_001)
     for limit in (0.0, 0.2):
-        began = time.monotonic()
-        fit = ph.estimate(model, data, solver=ph.Ipopt(time_limit=limit))
+        solver = ph.Ipopt(time_limit=limit)
+        fit, seconds = overshoot(limit, lambda by=solver: ph.estimate(model, data, solver=by))
         assert fit.status == "time limit" or fit.converged
-        assert time.monotonic() - began < limit + _SLACK
+        assert seconds < _SLACK
 
 
 @pytest.mark.parametrize("limit", [1e20, math.inf])
@@ -127,11 +146,9 @@ def press_after(seconds: float, done: threading.Event) -> threading.Timer:
 @pytest.mark.skipif(sys.platform == "win32", reason="signals as POSIX has them")
 def test_ctrl_c_is_seen_within_an_iteration() -> None:
     model, data = many_parameters(500, 1001)
-    began = time.monotonic()
     done = threading.Event()
     timers = press_after(0.5, done), press_after(0.7, done)  # the second leaves out the standard errors
-    fit = ph.estimate(model, data)
+    fit, seconds = overshoot(0.7, lambda: ph.estimate(model, data))
     done.set()
-    assert time.monotonic() - began < 0.7 + 2 * _SLACK
     [t.join() for t in timers]
-    assert fit.status == "interrupted"
+    assert fit.status == "interrupted" and seconds < 2 * _SLACK

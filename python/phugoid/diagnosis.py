@@ -37,7 +37,7 @@ class Diagnosis(DiagnosisResult):
     threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass; findings have
                 theirs, in log-likelihood itself.
     notes       what was done, in words.
-    interrupted whether the search was ended by Ctrl-C: what is here was found until then.
+    interrupted whether the search was ended by Ctrl-C or its time limit: what is here was found until then.
     seconds     that it took.
     """
 

@@ -89,6 +89,7 @@ class Fit(FitResult):
         coloured: bool = False,
         executor: Executor | None = None,
         progress: bool | Callable[[Outcome], None] = False,
+        time_limit: float | None = None,
     ) -> Profiles:
         """Intervals by profile likelihood (Venzon & Moolgavkar 1988): each parameter is moved, all others estimated
         anew, until twice the log-likelihood has dropped by chi-square's quantile. They follow a likelihood that is no
@@ -98,15 +99,17 @@ class Fit(FitResult):
         ``coloured``: the drop is made larger by what `coloured` finds, as for a composite likelihood (Chandler & Bate
         2007); without it, intervals take residuals for white.
         ``executor``, ``progress``: as of `multistart`; a task is one side of a parameter.
+        ``time_limit``: in seconds, of the whole.
 
         An interval ends at a bound where the likelihood is still high there, and is infinite where it stays high
-        however far one goes: ``.ends`` says so. Ctrl-C keeps the sides that are done.
+        however far one goes: ``.ends`` says so. Ctrl-C, and the time limit, keep the sides that are done.
 
         With process noise (`FilterError`) the likelihood is the marginal one, with the intensities estimated anew too.
 
         Raises OptionError for names without a profile, and a fit that has not converged.
         """
-        return profile(self, names, level=level, coloured=coloured, executor=executor, progress=progress)
+        options = {"executor": executor, "progress": progress, "time_limit": time_limit}
+        return profile(self, names, level=level, coloured=coloured, **options)  # type: ignore[arg-type]
 
     def bootstrap(
         self,
@@ -117,6 +120,7 @@ class Fit(FitResult):
         seed: int = 0,
         executor: Executor | None = None,
         progress: bool | Callable[[Outcome], None] = False,
+        time_limit: float | None = None,
     ) -> Bootstrap:
         """Standard errors and intervals from estimates with data as they might have been (Efron & Tibshirani 1993):
         the fitted model's outputs with other noise, where there were measurements.
@@ -126,14 +130,16 @@ class Fit(FitResult):
         themselves together, all channels at once, without reaching over gaps (Künsch 1989).
         ``block``: samples of a block; None: from how long the noise remembers, a sixth of a record at most.
         ``seed``: draw i has random numbers of its own, whatever n and executor.
-        ``executor``, ``progress``: as of `multistart`. Each run starts from this fit. Ctrl-C keeps those that are done.
+        ``executor``, ``progress``: as of `multistart`. Each run starts from this fit.
+        ``time_limit``: in seconds, of all runs together. It keeps the runs that are done, as Ctrl-C does.
 
         With process noise (`FilterError`) "parametric" is the only kind: it draws process noise too, so other motions.
 
         Raises OptionError for options that cannot be right, a fit that has not converged, and a vehicle that other
         process noise would carry far away with the inputs as recorded, such as an unstable one with its controller.
         """
-        return bootstrap(self, n, kind, block=block, seed=seed, executor=executor, progress=progress)
+        options = {"executor": executor, "progress": progress, "time_limit": time_limit}
+        return bootstrap(self, n, kind, block=block, seed=seed, **options)  # type: ignore[arg-type]
 
     def prediction_bands(
         self,
@@ -211,6 +217,7 @@ class Fit(FitResult):
         biases: Sequence[str] | None = None,
         values: Mapping[str, float] | None = None,
         tolerances: Mapping[str, float | Tolerance] | None = None,
+        time_limit: float | None = None,
     ) -> Validation:
         """Tries the fitted model on other experiments: only initial states and biases are found anew.
 
@@ -226,12 +233,13 @@ class Fit(FitResult):
         ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance` where it grows with what is measured,
         in the style of flight-simulator qualification (14 CFR Part 60): the part of the samples within is reported, and
         the bands are drawn.
+        ``time_limit``: in seconds; what is found anew then is the best so far, which ``status`` and a warning say.
 
         Raises ModelError, DataError or OptionError for what cannot be right: unknown names, an experiment without the
         model's channels or with fewer samples than unknowns. An experiment that the fit was
         made on, and a fit that has not converged, are among the ``warnings`` of the result.
         """
-        return validate(self, other, biases=biases, values=values, tolerances=tolerances)
+        return validate(self, other, biases=biases, values=values, tolerances=tolerances, time_limit=time_limit)
 
     def report(
         self,

@@ -19,6 +19,7 @@ from .fit_result import FitResult
 from .guess import measured_states
 from .modelling.model import Model
 from .records import Record
+from .solvers.limits import limited
 
 __all__ = ["first_values", "simulate"]
 
@@ -59,8 +60,7 @@ def simulate(
         raise OptionError(f"simulate: method is one of {', '.join(_METHODS)}, not {method!r}")
     if not (isinstance(rtol, Real) and 0 < rtol < 1):
         raise OptionError(f"simulate: rtol is a number between 0 and 1, not {rtol!r}")
-    if time_limit is not None and not (isinstance(time_limit, Real) and float(time_limit) >= 0):
-        raise OptionError(f"simulate: time_limit is a number of seconds from 0, or None, not {time_limit!r}")
+    deadline = limited("simulate", time_limit)
     model.check()
     data.check_for(model.input_names, [])
     check_units(model, [data], "simulate")
@@ -68,7 +68,7 @@ def simulate(
     x0 = first_values(model, values, parameters, data, initial or {})
     if model.delays:
         first = dict(zip(model.state_names, x0, strict=True))
-        options = {"method": method, "rtol": rtol, "time_limit": time_limit}
+        options = {"method": method, "rtol": rtol, "time_limit": deadline.left()}
         return simulated_late(simulate, model, values, data, initial=first, **options)
     states, y = _core.simulate(
         model._core,
@@ -77,7 +77,7 @@ def simulate(
         list(zip(model.state_names, x0.tolist(), strict=True)),
         method,
         float(rtol),
-        None if time_limit is None else float(time_limit),
+        deadline.left(),
     )
     outputs = dict(zip(model.output_names, y, strict=True))
     there = {*data.outputs, *data.channels}

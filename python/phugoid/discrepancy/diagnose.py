@@ -14,6 +14,7 @@ from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, PhugoidError, did_you_mean
 from ..fit_result import FitResult
 from ..interrupts import interrupts
+from ..solvers.limits import check_time, limited
 from ..transcription.filter_error import FilterError
 from ..validation.validate import shared
 from .candidates.candidate import Candidate
@@ -141,6 +142,8 @@ def ranking_of(search: Search, scan: Scan) -> list[Scored]:
 _FEWEST, _EACH = 40, 5
 # Of an output's spread: a residual below it is rounding.
 _EXACT = 1e-9
+# How a search ended before its end, in words.
+_EARLY = {"interrupted": "The search was interrupted", "time limit": "The search reached its time limit"}
 # Candidates without a direction of their own that a note names.
 _LOST_NAMED = 12
 
@@ -152,6 +155,7 @@ def diagnose(
     *,
     biases: Sequence[str] | None = None,
     progress: bool | Callable[[str], None] = False,
+    time_limit: float | None = None,
 ) -> DiagnosisResult:
     """What a fitted model is missing: shows the misfit, names its causes, measures what each gains.
 
@@ -168,12 +172,14 @@ def diagnose(
     with a value for each experiment must be among them, for which one another record has is not known.
     ``progress``: True shows what is done; a function is called with it. Ctrl-C ends the search with what was found, and
     goes on to what is quick; once more, it leaves out the ranking where there is none yet.
+    ``time_limit``: in seconds. It ends the search as Ctrl-C does.
 
     Raises DataError for a fit that has not converged, that is exact, or of too short a record, and for a validation
     record without the channels or that the model cannot be fitted to; OptionError and ModelError for candidates and
     biases that cannot be.
     """
     started = time.perf_counter()
+    deadline = limited("diagnose", time_limit)
     _check(fit)
     others = _validation(fit, validation)
     free = _biases(fit, others, biases)
@@ -181,26 +187,34 @@ def diagnose(
     _check_size(base)
     listed = _candidates(fit, candidates, base)
     with _shown(progress) as watch:
-        search = Search(base, listed, others, watch, free)
-        search.try_validation()
+
+        def step(text: str) -> None:
+            check_time()
+            watch(text)
+
+        search = Search(base, listed, others, step, free)
         final, found = base, list[Found]()
-        # Now, while what the search needs next is at hand.
-        ranking, interrupted = _ranked(search, base)
-        if not interrupted:
-            final, found, interrupted = search.run()
+        with deadline.in_force():
+            # Now, while what the search needs next is at hand.
+            ranking, interrupted = _ranked(search, base)
+            if not interrupted:
+                final, found, interrupted = search.run()
+        ended = deadline.ended() if interrupted else ""
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             findings = [finding_of(search, final, f) for f in found]
             interrupted = interrupted or pressed() > 0
+        ended = ended or ("interrupted" if interrupted else "")
         if not interrupted:
-            findings = [
-                replace(each, advice=each.advice or advice_of(search, final, f.candidate, each.aliases))
-                for each, f in zip(findings, found, strict=True)
-            ]
-        elif not ranking:
+            with deadline.in_force():
+                findings = [
+                    replace(each, advice=each.advice or advice_of(search, final, f.candidate, each.aliases))
+                    for each, f in zip(findings, found, strict=True)
+                ]
+        elif not ranking and not deadline.passed():
             ranking, _ = _ranked(search, base)
     with interrupts():
         scan = search.scan(base) if ranking else None
-        notes = (*_notes(scan, final, listed, others, free, interrupted), *search.remarks)
+        notes = (*_notes(scan, final, listed, others, free, ended), *search.remarks)
         return DiagnosisResult(
             fit=fit,
             misfit=misfit(fit),
@@ -218,6 +232,7 @@ def diagnose(
 def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:
     """The first scan, and whether it was interrupted: then there is none."""
     try:
+        search.try_validation()
         return tuple(ranking_of(search, search.scan(base))), False
     except KeyboardInterrupt:
         return (), True
@@ -345,12 +360,10 @@ def _notes(
     listed: Sequence[Candidate],
     others: Sequence[Experiment],
     free: Sequence[str] | None,
-    interrupted: bool,
+    ended: str,
 ) -> tuple[str, ...]:
     if scan is None:
-        return (
-            f"The search was interrupted before the {len(listed)} candidates were scanned: only the misfit is told.",
-        )
+        return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is told.",)
     notes = [f"{len(listed)} candidates, {len(scan.effects)} with their shapes, were scanned."]
     if scan.lost:
         more = len(scan.lost) - _LOST_NAMED
@@ -363,6 +376,6 @@ def _notes(
         notes.append("Gains were measured on a quarter of the record at a time, predicted from the others.")
     if len(final.candidates) >= MOST:
         notes.append(f"The search ends after {MOST} findings: diagnose the extended fit for what is left.")
-    if interrupted:
-        notes.append("The search was interrupted: what it had found until then is here.")
+    if ended:
+        notes.append(f"{_EARLY[ended]}: what it had found until then is here.")
     return tuple(notes)

@@ -157,21 +157,8 @@ def _estimate(
     if isinstance(transcription, FilterError):
         if isinstance(start, EquationError):
             start = start.as_start()
-        # Of parameters that each experiment has its own, states are measured with biases: their path is a fit's.
-        local = len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values())
-        if isinstance(start, FitResult):
-            fit = filter_error(model, experiments, transcription, noise, start, progress)
-            return replace(fit, experiments=tuple(experiments))
-
-        def begun() -> FitResult:
-            _, others = split(transcription, start or {})
-            return _estimate(model, experiments, noise=noise, start=others, progress=progress)
-
-        early = begun() if transcription.output_error or local else None
-        fit = filter_error(model, experiments, transcription, noise, start, progress, early)
-        if early is None and doubtful(fit, transcription):
-            fit = better(fit, lambda: filter_error(model, experiments, transcription, noise, start, progress, begun()))
-        return replace(fit, experiments=tuple(experiments))
+        with Deadline(transcription.time_limit).in_force():
+            return _filtered(model, experiments, transcription, noise, start, progress)
 
     warm = start if isinstance(start, (FitResult, EquationError)) else None
     given: Mapping[str, Any] = _given(start, noise)
@@ -233,6 +220,32 @@ def _estimate(
     if isinstance(transcription, Collocation) and fit.feasible and fit.status not in ("interrupted", "time limit"):
         fit = replace(fit, warnings=(*fit.warnings, *filter(None, [coarse_mesh_warning(fit)])))
     return fit
+
+
+def _filtered(
+    model: Model,
+    experiments: Sequence[Experiment],
+    transcription: FilterError,
+    noise: Noise,
+    start: Mapping[str, Any] | FitResult | None,
+    progress: bool | Callable[[Iteration], None],
+) -> FitResult:
+    """Return the fit by the filter-error method, within the limit in force."""
+    # Of parameters that each experiment has its own, states are measured with biases: their path is a fit's.
+    local = len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values())
+    if isinstance(start, FitResult):
+        fit = filter_error(model, experiments, transcription, noise, start, progress)
+        return replace(fit, experiments=tuple(experiments))
+
+    def begun() -> FitResult:
+        _, others = split(transcription, start or {})
+        return _estimate(model, experiments, noise=noise, start=others, progress=progress)
+
+    early = begun() if transcription.output_error or local else None
+    fit = filter_error(model, experiments, transcription, noise, start, progress, early)
+    if early is None and doubtful(fit, transcription):
+        fit = better(fit, lambda: filter_error(model, experiments, transcription, noise, start, progress, begun()))
+    return replace(fit, experiments=tuple(experiments))
 
 
 # An end that is less likely than the start by more than this is another optimum, not rounding.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
 from ..progress import Progress
+from ..solvers.limits import check_time, limited
 from ..solvers.solution import Iteration
 from .hankel import triangle
 from .modal_blocks import ModalBlocks, best_places
@@ -50,6 +51,7 @@ def fit_linear(
     moves: int | None = None,
     max_iterations: int = 200,
     progress: bool | Callable[[Iteration], None] = False,
+    time_limit: float | None = None,
 ) -> StateSpace:
     """The linear system of the same order that fits evenly sampled records best: maximum likelihood of the outputs.
 
@@ -72,9 +74,10 @@ def fit_linear(
     ``moves``       how many modes are tried before that ends: None for all, 0 for none.
     ``max_iterations``  in each search.
     ``progress``    True prints the iterations; a function is called with each (its ``defect`` is 0, ``dual`` the gain).
+    ``time_limit``  in seconds, of the whole.
 
-    Ctrl-C ends the search and gives the best so far, with a warning. Modes may grow with time only if one of
-    ``system`` does.
+    Ctrl-C, and the time limit, end the search and give the best so far, with a warning. Modes may grow with time only
+    if one of ``system`` does.
 
     For parameters with standard errors: ``ph.estimate(ph.models.modal(start=ph.fit_linear(...)), data)``, which then is
     a few steps away from its optimum.
@@ -82,6 +85,7 @@ def fit_linear(
     Raises DataError for channels that are not there and uneven sampling, ModelError for a system that is none or has
     eigenvalues that cannot be told apart, OptionError for options out of range.
     """
+    deadline = limited("fit_linear", time_limit)
     most = np.iinfo(np.int64).max if moves is None else moves
     for name, value, least in (("moves", most, 0), ("max_iterations", max_iterations, 1)):
         if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
@@ -99,10 +103,11 @@ def fit_linear(
     with Progress.of(progress, "linear system") as watch:
         task.watch = watch
         try:
-            task.moved(task.search(found, _ROUGH), most)
-            task.search(task.best or found, _GAIN)
+            with deadline.in_force():
+                task.moved(task.search(found, _ROUGH), most)
+                task.search(task.best or found, _GAIN)
         except KeyboardInterrupt:
-            warnings = ("interrupted: this is the best system so far, not the optimum",)
+            warnings = (f"{deadline.ended()}: this is the best system so far, not the optimum",)
     found = task.best or found
     values, C, _ = found.blocks.modal()
     return identified(
@@ -172,6 +177,7 @@ class _Task:
         self.best: _Point | None = None
 
     def point(self, blocks: ModalBlocks) -> _Point:
+        check_time()
         values, C, _ = blocks.modal()
         answers = [driven.answers(values) for driven in self.records.driven]
         found = regression(answers, C, self.records.outputs, self.direct, self.offset)

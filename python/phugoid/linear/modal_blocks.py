@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..solvers.limits import check_time
 from .hankel import triangle
 from .modal_regression import ModalRegression, rows
 from .modal_response import Answers
@@ -195,6 +196,7 @@ def best_places(
             whole[there] = np.column_stack([q, r])
             bases.append((there, whole))
         for a in range(0, places.size, _AT_ONCE):
+            check_time()
             some = slice(a, min(a + _AT_ONCE, places.size))
             parts = np.empty((some.stop - a, m, 2, driven.run.n))
             for k, xi in enumerate(driven.forced(places[some])):

@@ -76,6 +76,9 @@ class Model:
     >>> m.outputs(x=x)
     """
 
+    # Parameters of the core, and the same as declared.
+    _made: tuple[list[Any], dict[str, Parameter]] = ([], {})
+
     def __init__(self, name: str = "model") -> None:
         self._core = _core.Model(str(name))
         self._noise: Noise = Gaussian()
@@ -270,10 +273,14 @@ class Model:
     @property
     def declared_parameters(self) -> dict[str, Parameter]:
         """The parameters as declared."""
-        return {
-            name: Parameter(start, (low, high), unit, prior, fixed, local, "log" if log else None, scale)
-            for name, unit, start, low, high, prior, fixed, local, log, scale in self._core.parameters
-        }
+        rows = self._core.parameters
+        if rows != self._made[0]:  # of a thousand parameters they take long to make
+            made = {
+                name: Parameter(start, (low, high), unit, prior, fixed, local, "log" if log else None, scale)
+                for name, unit, start, low, high, prior, fixed, local, log, scale in rows
+            }
+            self._made = rows, made
+        return dict(self._made[1])
 
     @property
     def declared_states(self) -> dict[str, State]:

@@ -13,6 +13,7 @@ from ..errors import ModelError, OptionError
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.noise import KINDS, Noise
+from ..solvers.limits import limited
 from ..starts.gathered import Watch, check_progress, gathered
 from ..starts.outcome import Problem
 from ..starts.starts import Draw, Range, given, plain, uniform
@@ -43,6 +44,7 @@ def multistart(
     noise: Noise | None = None,
     start: Mapping[str, Any] | FitResult | None = None,
     solver: Any = None,
+    time_limit: float | None = None,
 ) -> Multistart:
     """Estimates from many starts, to see which optima there are and how many starts reach the best one.
 
@@ -64,12 +66,14 @@ def multistart(
     is missing (also after ``n`` was raised). One run at a time. Where it can no longer be written, as on a full disk,
     the run goes on without it, and a warning of the result says so.
     ``progress``: True shows a bar; a function is called with each `Outcome` as it comes in.
+    ``time_limit``: in seconds, of all starts together; that of a ``solver`` is of each.
 
     What goes wrong in a run is an outcome, not an error of the whole. If a worker dies, its starts run again, in a
     fresh pool where the old one is broken, or in this process where there can be none (a warning of the result says
     so). A start that loses its worker time and again (three times in a pool), at last running alone, is given up with
     status "killed".
-    Ctrl-C returns the outcomes so far, with status "interrupted"; runs under way in an executor are not waited for.
+    Ctrl-C returns the outcomes so far, with status "interrupted", and the time limit with status "time limit"; runs
+    under way in an executor are not waited for.
 
     Raises ModelError, DataError or OptionError for what cannot be right, whatever the start, and DataError for a
     journal of another problem.
@@ -90,6 +94,7 @@ def multistart(
     from .journal import Journal
 
     begin = time.perf_counter()
+    deadline = limited("multistart", time_limit)
     problem = _problem(model, data, transcription, noise, start, solver)
     if n is not None and not _whole(n, 1):
         raise OptionError(f"multistart: n is a whole number from 1, not {n!r}")
@@ -111,11 +116,12 @@ def multistart(
         done = {index: outcome for index, outcome in known.items() if index < total}
         missing = ((i, plan(i)) for i in range(total) if i not in known)
         keep = book.append if book else None
-        found = gathered(crew, missing, progress, problem.model.name, total, known=done, keep=keep, best=True)
+        with deadline.in_force():
+            found = gathered(crew, missing, progress, problem.model.name, total, known=done, keep=keep, best=True)
     return Multistart(
         outcomes=tuple(found.values()),
         n=total,
-        status="complete" if len(found) == total else "interrupted",
+        status="complete" if len(found) == total else deadline.ended(),
         problem=problem,
         warnings=crew.warnings + (book.warnings if book else ()),
         time=time.perf_counter() - begin,

@@ -36,7 +36,7 @@ class Multistart:
 
     outcomes  what came of each start that is finished, in the order of their numbers.
     n         how many starts were asked for.
-    status    "complete", or "interrupted" where outcomes are missing.
+    status    "complete", or "interrupted" or "time limit" where outcomes are missing.
     warnings  what went wrong with the executor or the journal, in words.
     time      s, of the call; what a journal held already took none.
     problem   what all starts share.

@@ -14,6 +14,7 @@ from ..errors import EvaluationError, OptionError
 from ..fit_result import FitResult
 from ..inputs.grid import number
 from ..modelling.model import Model
+from ..solvers.limits import check_time, limited
 from .plan import Criterion, Plan, criterion_of
 from .planned import plan
 
@@ -34,6 +35,7 @@ def optimal_plan(
     criterion: Criterion = "D",
     generations: int = 12,
     seed: int = 0,
+    time_limit: float | None = None,
     **options: Any,
 ) -> Plan:
     """The manoeuvre of a family that tells most and keeps its limits.
@@ -44,6 +46,8 @@ def optimal_plan(
     generations  of differential evolution (Storn and Price, J. Global Optim. 11, 1997), which does not mind widths that
                  jump from sample to sample; a simplex search (Nelder and Mead) ends it. About (generations + 1) times 6
                  plans for each number, and 25. ``seed``: of its random numbers.
+    time_limit   in seconds, of the whole. It ends the search as Ctrl-C does: the best plan so far is the result, with a
+                 warning.
     options      those of `plan`: values, noise, limits, after, ...
 
     Returns the best plan that was seen; ``plan.choice`` holds the numbers. It is near the optimum, not at it to many
@@ -52,6 +56,7 @@ def optimal_plan(
     """
     from scipy.optimize import differential_evolution, minimize
 
+    deadline = limited("optimal_plan", time_limit)
     kind = criterion_of("optimal_plan", criterion)
     names = list(bounds)
     if not names:
@@ -73,6 +78,7 @@ def optimal_plan(
         nonlocal best, nearest
         inside = np.clip(point, ends[:, 0], ends[:, 1])
         values = np.where(log, np.exp(np.where(log, inside, 0.0)), inside)
+        check_time()
         choice = dict(zip(names, values.tolist(), strict=True))
         try:
             made = plan(source, make(**choice), **options)
@@ -96,11 +102,17 @@ def optimal_plan(
     first = ends[:, 0] + parts * (ends[:, 1] - ends[:, 0])
     cost(first[0])  # mistakes in the call show themselves here, as they are
     evolution = {"init": first, "maxiter": generations, "seed": rng, "polish": False, "tol": 0.0}
-    found = differential_evolution(cost, ends.tolist(), **evolution)
-    small = 0.05 * (ends[:, 1] - ends[:, 0])
-    corners = np.vstack([found.x, found.x + np.diag(np.where(found.x + small > ends[:, 1], -small, small))])
-    settings = {"initial_simplex": corners, "maxfev": _STEPS * len(names), "xatol": np.inf, "fatol": _CLOSE}
-    minimize(cost, found.x, method="Nelder-Mead", options=settings)
+    ended = ""
+    try:
+        with deadline.in_force():
+            found = differential_evolution(cost, ends.tolist(), **evolution)
+            small = 0.05 * (ends[:, 1] - ends[:, 0])
+            corners = np.vstack([found.x, found.x + np.diag(np.where(found.x + small > ends[:, 1], -small, small))])
+            settings = {"initial_simplex": corners, "maxfev": _STEPS * len(names), "xatol": np.inf, "fatol": _CLOSE}
+            minimize(cost, found.x, method="Nelder-Mead", options=settings)
+    except KeyboardInterrupt:
+        ended = deadline.ended()
     if best is None:
-        raise OptionError(f"optimal_plan: nothing that was tried keeps its limits. The nearest: {nearest[1]}")
-    return best
+        early = f" before the end ({ended})" if ended else ""
+        raise OptionError(f"optimal_plan: nothing that was tried{early} keeps its limits. The nearest: {nearest[1]}")
+    return replace(best, warnings=(f"{ended}: this is the best plan so far",)) if ended else best

@@ -72,6 +72,7 @@ class Plan:
                  mean of their squares; "worst": the greatest relative error of a parameter. Small is good, infinite is
                  not told.
     choice       what `optimal_plan` chose.
+    warnings     what to beware of, in words: that the search for it was ended before.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Plan:
     sigmas: Mapping[str, float]
     choice: Mapping[str, float] = field(default_factory=dict)
     added: str = ""
+    warnings: tuple[str, ...] = ()
 
     @property
     def weak(self) -> tuple[WeakDirection, ...]:
@@ -136,7 +138,7 @@ class Plan:
             for channel, e in channels.items()
         ]
         text += ["", text_table(["channel", "least", "greatest", "unit", "limit"], ranges, "lrrll")]
-        return "\n".join([*text, *(f"Limit: {v}" for v in self.violations)])
+        return "\n".join([*text, *(f"Limit: {v}" for v in self.violations), *(f"Warning: {w}" for w in self.warnings)])
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
         """Inputs and predicted outputs over time with their limits, and the predicted errors."""

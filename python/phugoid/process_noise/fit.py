@@ -20,6 +20,7 @@ from ..modelling.model import Model
 from ..noise.noise import Gaussian, Noise
 from ..progress import Progress
 from ..solvers import Iteration
+from ..solvers.limits import Deadline, shielded
 from ..solvers.quasi_newton import Minimum, bounded_step, minimise
 from ..transcription.filter_error import FilterError
 from .result import make_filter_fit
@@ -36,6 +37,8 @@ _TOLERANCE = 0.5e-8
 _FLOOR = 1e-4
 # Estimates that would move by less, in standard errors, stay where they are.
 _STILL = 0.1
+# Ends of fits that were stopped.
+_STOPPED = ("interrupted", "time limit")
 # How often the exact Hessian takes the place of what the iterations have learnt of it.
 _ROUNDS = 6
 
@@ -91,7 +94,8 @@ def filter_error(
     objective = Objective(model, problem, path, bounds, len(intensities))
     z = np.array([*parameters.values(), *np.log([s[1] for s in unknown]), *intensities])
 
-    first = objective(z)
+    with shielded():  # the start is always known: it may be all that is left
+        first = objective(z)
     if first is None:
         raise EvaluationError(
             f"FilterError: at the starting point, {objective.reason}; give other start values, or output_error=True"
@@ -114,7 +118,7 @@ def filter_error(
             try:
                 moved, first = _movement(fine, end, curvature)
             except KeyboardInterrupt:
-                end.status = "interrupted"
+                end.status = Deadline(None).ended()
                 break
             if moved < _STILL or first is None:
                 break
@@ -136,7 +140,7 @@ def filter_error(
 def doubtful(fit: FitResult, options: FilterError) -> bool:
     """Whether an end found from values far away may be none: it was not reached, or only once the noise between samples
     was refined. Coarse steps have optima of their own, of motions too fast for them."""
-    if fit.status == "interrupted":
+    if fit.status in _STOPPED:
         return False
     return not fit.converged or fit.transcription != options.meshes()[0]
 
@@ -147,7 +151,7 @@ def better(fit: FitResult, other: Callable[[], FitResult]) -> FitResult:
         second = other()
     except PhugoidError:  # no ordinary fit, or no likelihood there
         return fit
-    if second.status == "interrupted":
+    if second.status in _STOPPED:
         return fit
     return max((fit, second), key=lambda f: (f.converged, f.log_likelihood))
 
@@ -236,18 +240,18 @@ def _maximise(
             lower, upper = objective.bounds
             held = _held(objective.bounds, end)
             hessian = objective.hessian(z, end.metric, held)
+            if hessian is None:
+                break
+            metric, saddle = _positive(hessian, end.metric, held)
+            if saddle is not None and end.status == "converged":
+                # A saddle, as q = 0 is where there is noise: one standard error down the slope there.
+                found = objective(z + saddle)
+                if found is not None and found[0] < end.value:
+                    z, first = z + saddle, found
+                    continue
         except KeyboardInterrupt:
-            end.status = "interrupted"
+            end.status = Deadline(None).ended()
             break
-        if hessian is None:
-            break
-        metric, saddle = _positive(hessian, end.metric, held)
-        if saddle is not None and end.status == "converged":
-            # A saddle, as q = 0 is where there is noise: one standard error down the slope there.
-            found = objective(z + saddle)
-            if found is not None and found[0] < end.value:
-                z, first = z + saddle, found
-                continue
         step = bounded_step(end.gradient, metric, lower - z, upper - z)
         if -0.5 * float(end.gradient @ step) < _TOLERANCE:
             end.status = "converged"

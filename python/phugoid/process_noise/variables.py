@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .. import _core
 from ..errors import ModelError, OptionError
 from ..modelling.model import Model
+from ..solvers.limits import Deadline, TimeUp
 from ..transcription.filter_error import FilterError
 
 __all__ = ["Objective", "intensity_start", "split"]
@@ -64,9 +65,15 @@ class Objective:
         return math.nan if isinstance(found, str) else found[0]
 
     def __call__(self, z: _Array) -> tuple[float, _Array] | None:
-        """Value and gradient; None where there is none, and ``reason`` says why."""
+        """Value and gradient; None where there is none, and ``reason`` says why.
+
+        Raises TimeUp at the limit in force.
+        """
         theta = self.theta(z)
-        found = self.problem.evaluate(theta, self.path, True)
+        try:
+            found = self.problem.evaluate(theta, self.path, True, Deadline(None).left())
+        except TimeoutError:
+            raise TimeUp from None
         self.evaluations += 1
         if isinstance(found, str):
             self.reason = found

@@ -20,6 +20,7 @@ from ..parameters import Estimate, plus_minus, text_table
 from ..records import Record
 from ..regression.differentiate import SmoothingSpline
 from ..result import Fit
+from ..solvers.limits import limited
 from ..summary import corrected as with_coloured_errors
 from .vane_places import VanePlaces, compare_places
 
@@ -144,6 +145,7 @@ def reconstruct(
     *,
     start: Mapping[str, Any] | None = None,
     noise: Any = None,
+    time_limit: float | None = None,
     **options: Any,
 ) -> Reconstruction:
     """Finds biases, scale factors and delays of the sensors from the kinematic equations alone, and corrects the
@@ -159,6 +161,7 @@ def reconstruct(
              `models.flight_path`. None takes the outputs that all records have.
     start    values of parameters by name, as for `estimate`; None needs none.
     noise    as for `estimate`.
+    time_limit  in seconds, of the whole; the best point so far is the result, as for `estimate`.
 
     A vane ahead of the centre of gravity reads much like a late one, and it is its place that is known. So where the
     model is made here, and places of vanes for alpha or beta among the outputs are not given (``alpha_vane``,
@@ -170,6 +173,7 @@ def reconstruct(
 
     Raises DataError, ModelError or OptionError for what cannot be right.
     """
+    deadline = limited("reconstruct", time_limit)
     runs = as_experiments(data, "reconstruct")
     if isinstance(model, Model):
         if options:
@@ -185,8 +189,9 @@ def reconstruct(
     if "V" in made.delays.outputs:
         # What is late measures no state, and states that none measures start at 0: there is no angle of attack at rest.
         begin.setdefault("V", float(np.nanmedian(np.concatenate([run.output("V") for run in ready]))))
-    fit = estimate(made, ready, start=begin, noise=noise)
-    placed = None if isinstance(model, Model) else _placed(fit, ready, begin, noise, options)
+    with deadline.in_force():
+        fit = estimate(made, ready, start=begin, noise=noise)
+        placed = None if isinstance(model, Model) else _placed(fit, ready, begin, noise, options)
     return Reconstruction(fit, tuple(ready), placed)
 
 

@@ -2,28 +2,45 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from numbers import Integral, Real
 from typing import Any
 
 from ..errors import OptionError
 
-__all__ = ["Deadline", "check_limits"]
+__all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "limited", "shielded"]
 
 # What is told at the end may take so much longer, in s and as a part of the limit.
 _GRACE, _GRACE_PART = 0.03, 0.03
 
 
+# Time of the monotonic clock, in s, at which the work of this thread is to end.
+_END: ContextVar[float] = ContextVar("end of the limit in force", default=math.inf)
+
+
+class TimeUp(KeyboardInterrupt):
+    """Raised where the limit in force is passed.
+
+    It is caught wherever Ctrl-C is: work that ends early for either reason keeps what it has.
+    """
+
+
 class Deadline:
-    """The time by which work is to end: so many seconds from now, or never (None)."""
+    """The time by which work is to end: so many seconds from now, or never (None), but no later than the limit in
+    force."""
 
     def __init__(self, seconds: float | None) -> None:
-        self.seconds = seconds
-        self._began = time.monotonic()
+        now = time.monotonic()
+        self._end = min(_END.get(), math.inf if seconds is None else now + float(seconds))
+        self.seconds = None if math.isinf(self._end) else max(self._end - now, 0.0)
 
     def left(self) -> float | None:
         """Return the seconds that are left, at least 0; None where there is no limit."""
-        return None if self.seconds is None else max(self.seconds - (time.monotonic() - self._began), 0.0)
+        return None if self.seconds is None else max(self._end - time.monotonic(), 0.0)
 
     def passed(self) -> bool:
         """Return whether no time is left."""
@@ -34,6 +51,43 @@ class Deadline:
         left = self.left()
         return None if left is None or self.seconds is None else left + max(_GRACE, _GRACE_PART * self.seconds)
 
+    def ended(self) -> str:
+        """Return the status of work that ended early: "time limit" or "interrupted"."""
+        return "time limit" if self.passed() else "interrupted"
+
+    @contextmanager
+    def in_force(self) -> Iterator[Deadline]:
+        """Limit all that is called within, on this thread."""
+        before = _END.set(self._end)
+        try:
+            yield self
+        finally:
+            _END.reset(before)
+
+
+@contextmanager
+def shielded() -> Iterator[None]:
+    """Do work that must be done, whatever the limit in force."""
+    before = _END.set(math.inf)
+    try:
+        yield
+    finally:
+        _END.reset(before)
+
+
+def check_time() -> None:
+    """Raise TimeUp where the limit in force is passed: to be called between the parts of long work."""
+    if time.monotonic() >= _END.get():
+        raise TimeUp
+
+
+def limited(caller: str, time_limit: Any) -> Deadline:
+    """Return the deadline of a call with this option; OptionError, in the caller's name, for what is no time."""
+    number = isinstance(time_limit, Real) and not isinstance(time_limit, bool)
+    if time_limit is not None and not (number and float(time_limit) >= 0):
+        raise OptionError(f"{caller}: time_limit is a number of seconds from 0, or None, not {time_limit!r}")
+    return Deadline(time_limit)
+
 
 def check_limits(solver: str, max_iterations: Any, tolerance: Any, time_limit: Any) -> None:
     """Raises OptionError, in the solver's name, for what these cannot be."""
@@ -42,6 +96,4 @@ def check_limits(solver: str, max_iterations: Any, tolerance: Any, time_limit: A
         raise OptionError(f"{solver}: max_iterations is a whole number from 0, not {max_iterations!r}")
     if not isinstance(tolerance, Real) or not 0 < float(tolerance) < 1:
         raise OptionError(f"{solver}: tolerance is a number between 0 and 1, not {tolerance!r}")
-    number = isinstance(time_limit, Real) and not isinstance(time_limit, bool)
-    if time_limit is not None and not (number and float(time_limit) >= 0):
-        raise OptionError(f"{solver}: time_limit is a number of seconds from 0, or None, not {time_limit!r}")
+    limited(solver, time_limit)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from .limits import Deadline
 from .solution import Iteration
 
 __all__ = ["Minimum", "bounded_step", "minimise"]
@@ -71,7 +72,8 @@ def minimise(
     """Minimises ``function`` from ``x``, where it is ``first``, by BFGS with Powell's damping, from the Hessian
     ``metric`` (Nocedal and Wright, *Numerical Optimization*, 2006, chapters 6 and 18).
 
-    Ends where a step promises less than ``tolerance``. An interrupt ends with the best point so far.
+    Ends where a step promises less than ``tolerance``. An interrupt, and the limit in force, end with the best point so
+    far.
     """
     value, gradient = first
     lower, upper = bounds
@@ -102,7 +104,7 @@ def minimise(
             if watch is not None:
                 watch(line)
     except KeyboardInterrupt:
-        end.status = "interrupted"
+        end.status = Deadline(None).ended()
     return end
 
 

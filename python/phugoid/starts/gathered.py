@@ -35,7 +35,7 @@ def gathered(
     keep: Watch | None = None,
     best: bool = False,
 ) -> dict[int, Outcome]:
-    """Number -> outcome of all work, in order; Ctrl-C ends it with what is there.
+    """Number -> outcome of all work, in order; Ctrl-C and the limit in force end it with what is there.
 
     ``known``: outcomes that are there already, among ``total``. ``keep`` is called with each new one before it is
     shown. ``best``: the bar tells the greatest log-likelihood.

@@ -15,13 +15,14 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import chain
 from typing import Any
 
 from ..errors import OptionError
 from ..interrupts import interrupts
+from ..solvers.limits import Deadline, check_time
 from .outcome import Outcome, Problem
 
 __all__ = ["Crew"]
@@ -35,13 +36,17 @@ _BREAKING, _STARTING = 10.0, 60.0
 # Deaths after which a start runs alone, and is given up if it dies again.
 _ALONE = 2
 
+# Status of a run that the limit of the whole cut short: it is no outcome.
+_LATE = "out of time"
 _KEPT = 4
 _PROBLEMS: dict[str, Problem] = {}
 """In a worker: the problems that it knows, by key."""
 
 
-def run(key: str, payload: bytes | None, index: int, start: Mapping[str, Any], ticket: int) -> Outcome | None:
-    """A task. None where the worker does not know the problem and was not sent it.
+def run(
+    key: str, payload: bytes | None, index: int, start: Mapping[str, Any], ticket: int, left: float | None = None
+) -> Outcome | None:
+    """A task. None where the worker does not know the problem and was not sent it. ``left``: seconds that it may take.
 
     ``ticket`` makes every task differ: Dask takes equal ones for the same, and answers from memory.
     """
@@ -53,8 +58,14 @@ def run(key: str, payload: bytes | None, index: int, start: Mapping[str, Any], t
         if len(_PROBLEMS) >= _KEPT:
             _PROBLEMS.clear()
         _PROBLEMS[key] = problem
-    outcome: Outcome = problem.outcome(index, start)
-    return outcome
+    with Deadline(left).in_force() as deadline:
+        outcome: Outcome = problem.outcome(index, start)
+    return replace(outcome, status=_LATE) if _cut(outcome) and deadline.passed() else outcome
+
+
+def _cut(outcome: Outcome) -> bool:
+    """Return whether a run ended early, by its own solver's limit or by that of the whole."""
+    return outcome.status in ("interrupted", "time limit")
 
 
 @dataclass
@@ -103,7 +114,8 @@ class Crew:
         return tuple(found)
 
     def outcomes(self, starts: Iterable[tuple[int, Mapping[str, Any]]]) -> Generator[Outcome, None, None]:
-        """The outcomes as they come in. At Ctrl-C those that are there, and then KeyboardInterrupt."""
+        """The outcomes as they come in. At Ctrl-C, and at the limit in force, those that are there, and then
+        KeyboardInterrupt."""
         self._fresh = (_Task(index, start) for index, start in starts)
         try:
             if self.executor is not None:
@@ -127,19 +139,26 @@ class Crew:
     def _here(self) -> Iterator[Outcome]:
         """In this process, what is left; last what was in flight when a worker died."""
         for task in chain(self._waiting[0], self._fresh, self._waiting[1], self._waiting[2]):
+            check_time()
             outcome = self.problem.outcome(task.index, task.start)
+            if _cut(outcome):
+                check_time()
             if outcome.status == "interrupted":
                 raise KeyboardInterrupt
             yield outcome
 
     def _there(self, payload: bytes, key: str) -> Iterator[Outcome]:
         """On the executor, until all is done or it takes no more."""
+        deadline = Deadline(None)
         while True:
+            check_time()
             broken = self._submit(payload, key)
             if not broken:
                 if not self._flying:
                     return
-                done, _ = wait(self._flying, timeout=_POLL, return_when=FIRST_COMPLETED)
+                left = deadline.left()
+                poll = _POLL if left is None else min(_POLL, left)
+                done, _ = wait(self._flying, timeout=poll, return_when=FIRST_COMPLETED)
                 broken = any(isinstance(_failure(f), BrokenExecutor) for f in done)
             if broken:
                 wait(self._flying, timeout=_BREAKING)
@@ -156,8 +175,9 @@ class Crew:
         while self.executor is not None and (task := self._next()):
             self._tickets += 1
             carried = payload if task.carries else None
+            left = Deadline(None).left()
             try:
-                future = self.executor.submit(run, key, carried, task.index, task.start, self._tickets)
+                future = self.executor.submit(run, key, carried, task.index, task.start, self._tickets, left)
             except Exception as error:
                 self._waiting[task.deaths].appendleft(task)
                 if isinstance(error, BrokenExecutor):
@@ -201,6 +221,9 @@ class Crew:
             outcome = future.result()
             if outcome is None:
                 task.carries = True
+                self._waiting[task.deaths].appendleft(task)
+                return None
+            if outcome.status == _LATE:
                 self._waiting[task.deaths].appendleft(task)
                 return None
             if outcome.status != "interrupted":

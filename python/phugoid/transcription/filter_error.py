@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 from .. import _core
@@ -44,6 +44,9 @@ class FilterError:
     q = 0 is that of output error; but where process noise can explain an output by itself, this likelihood grows
     without bound as its sigma goes to 0. Likelihoods with different ``initial`` cannot be compared.
 
+    ``time_limit``: in seconds, of all that the estimation does; the best point so far is the result, with status "time
+    limit".
+
     ``intensities``: known ones by state, q in the unit above; 0 is no noise. Those not named are estimated.
 
     R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 5.
@@ -58,6 +61,7 @@ class FilterError:
     output_error: bool = False
     max_iterations: int = 200
     intensities: Mapping[str, float] | None = None
+    time_limit: float | None = None
 
     def __post_init__(self) -> None:
         names = (self.states,) if isinstance(self.states, str) else self.states
@@ -69,6 +73,9 @@ class FilterError:
                 continue
             if not isinstance(value, Integral) or isinstance(value, bool) or value < 1:
                 raise OptionError(f"FilterError: {name} is a whole number from 1, not {value!r}")
+        limit = self.time_limit
+        if limit is not None and not (isinstance(limit, Real) and not isinstance(limit, bool) and float(limit) >= 0):
+            raise OptionError(f"FilterError: time_limit is a number of seconds from 0, or None, not {limit!r}")
         if not isinstance(self.output_error, bool):
             raise OptionError(f"FilterError: output_error is True or False, not {self.output_error!r}")
         if self.initial is not None and not isinstance(self.initial, Mapping):
@@ -117,7 +124,8 @@ class FilterError:
     def to_dict(self) -> dict[str, Any]:
         """As JSON takes it."""
         initial = {name: list(pair) if pair else None for name, pair in (self.initial or {}).items()}
-        return {**vars(self), "states": list(self.states), "initial": initial}
+        saved = {name: value for name, value in vars(self).items() if name != "time_limit"}
+        return {**saved, "states": list(self.states), "initial": initial}
 
     def __str__(self) -> str:
         steps, terms = self.mesh

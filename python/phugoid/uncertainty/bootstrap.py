@@ -17,6 +17,7 @@ from ..errors import DataError, OptionError
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult
 from ..parameters import Estimates, text_table
+from ..solvers.limits import limited
 from ..starts.outcome import Outcome, Problem
 from ..starts.starts import stream
 from ..transcription.filter_error import FilterError
@@ -45,7 +46,7 @@ class Bootstrap:
     kind        of the noise; ``block`` the samples of a block, None where there are none.
     n           how many runs were asked for.
     failed      how many ended without converging: they are left out.
-    status      "complete", or "interrupted" where runs are missing.
+    status      "complete", or "interrupted" or "time limit" where runs are missing.
     warnings    what to beware of, in words.
     time        s.
     """
@@ -164,9 +165,11 @@ def bootstrap(
     seed: int = 0,
     executor: Executor | None = None,
     progress: bool | Callable[[Outcome], None] = False,
+    time_limit: float | None = None,
 ) -> Bootstrap:
     """What `Fit.bootstrap` does; see there."""
     begin = time.perf_counter()
+    deadline = limited("bootstrap", time_limit)
     if not _whole(n, 1):
         raise OptionError(f"bootstrap: n is a whole number from 1, not {n!r}")
     if not _whole(seed, 0):
@@ -193,7 +196,7 @@ def bootstrap(
     else:
         resampler = Parametric.of(fit) if kind == "parametric" else Coloured.of(fit)
     problem = _Resampled(**common, resampler=resampler, seed=int(seed))
-    runs = run_all(problem, [{"draw": i} for i in range(n)], executor, progress, "bootstrap")
+    runs = run_all(problem, [{"draw": i} for i in range(n)], executor, progress, "bootstrap", deadline)
     good = [o for o in runs.outcomes.values() if o.status in ("converged", "acceptable")]
     failed = len(runs.outcomes) - len(good)
     warnings = list(runs.warnings)
@@ -211,7 +214,7 @@ def bootstrap(
         block=block,
         n=int(n),
         failed=failed,
-        status="complete" if runs.complete else "interrupted",
+        status=runs.status,
         warnings=tuple(warnings),
         time=time.perf_counter() - begin,
     )

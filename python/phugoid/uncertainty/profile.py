@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..errors import OptionError, UnknownName, did_you_mean, listing
 from ..fit_result import FitResult
 from ..parameters import text_table
+from ..solvers.limits import limited
 from ..starts.outcome import Outcome
 from .coloured import coloured as corrected
 from .runs import common_to, run_all
@@ -37,7 +38,7 @@ _SAID: Mapping[str, str] = {
     "bound": "at its bound",
     "open": "no end: the likelihood stays above",
     "failed": "not found: the solver did not converge beyond",
-    "missing": "interrupted",
+    "missing": "not reached: the run was ended before",
 }
 
 
@@ -49,7 +50,7 @@ class Profile:
     interval   (low, high) of all values whose likelihood ratio is not rejected; -inf or inf where it has no end.
     ends       what the ends are: "found"; "bound", where the interval ends at a bound of the parameter; "open", where
                the likelihood does not fall low enough however far one goes; "failed", where the solver came no farther;
-               "missing", where the run was interrupted.
+               "missing", where the run was interrupted or its time limit was reached.
     values     (k,) that were tried, in order, the estimate among them.
     drops      (k,) by how much the log-likelihood is lower there, with all else estimated anew.
     threshold  the drop at the ends: half of chi-square's quantile with one degree of freedom.
@@ -89,7 +90,7 @@ class Profiles(Mapping[str, Profile]):
     """The result of `Fit.profile`: name -> `Profile`.
 
     level     of the intervals.
-    status    "complete", or "interrupted".
+    status    "complete", "interrupted" or "time limit".
     warnings  what to beware of, in words.
     runs      estimations that it took.
     time      s.
@@ -153,9 +154,11 @@ def profile(
     coloured: bool = False,
     executor: Executor | None = None,
     progress: bool | Callable[[Outcome], None] = False,
+    time_limit: float | None = None,
 ) -> Profiles:
     """What `Fit.profile` does; see there."""
     begin = time.perf_counter()
+    deadline = limited("profile", time_limit)
     if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
         raise OptionError(f"profile: level is a number between 0 and 1, such as 0.95, not {level!r}")
     chosen = _chosen(fit, names)
@@ -166,7 +169,7 @@ def profile(
     problem = Sides(**common_to(fit, "profile"))
     root = NormalDist().inv_cdf(0.5 + 0.5 * level)
     starts = [{"name": n, "side": side, "root": root * inflation[n]} for n in chosen for side in (-1, 1)]
-    runs = run_all(problem, starts, executor, progress, "profile")
+    runs = run_all(problem, starts, executor, progress, "profile", deadline)
     found, better = {}, 0.0
     for i, name in enumerate(chosen):
         sides = [runs.outcomes.get(2 * i + k) for k in range(2)]
@@ -195,7 +198,7 @@ def profile(
     return Profiles(
         profiles=found,
         level=float(level),
-        status="complete" if runs.complete else "interrupted",
+        status=runs.status,
         warnings=tuple(warnings),
         runs=sum(o.iterations for o in runs.outcomes.values()),
         time=time.perf_counter() - begin,

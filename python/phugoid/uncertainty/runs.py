@@ -10,9 +10,11 @@ from ..discrepancy.search.linearised import dataset
 from ..errors import OptionError
 from ..fit_result import FitResult
 from ..solvers import Newton
+from ..solvers.limits import Deadline
 from ..starts.gathered import Watch, check_progress, gathered
 from ..starts.outcome import Outcome, Problem
 from ..transcription.filter_error import FilterError
+from ..transcription.shooting import Transcription
 
 __all__ = ["NEAR", "Runs", "common_to", "run_all"]
 
@@ -23,10 +25,11 @@ NEAR = Newton(regression=False)
 
 @dataclass(frozen=True)
 class Runs:
-    """What came of the runs: outcomes by number, whether all are there, and what went wrong with workers."""
+    """What came of the runs: outcomes by number, "complete" where all are there or else why not, and what went wrong
+    with workers."""
 
     outcomes: Mapping[int, Outcome]
-    complete: bool
+    status: str
     warnings: tuple[str, ...]
 
 
@@ -39,11 +42,16 @@ def common_to(fit: FitResult, caller: str) -> dict[str, Any]:
     return {
         "model": fit.model,
         "experiments": tuple(dataset(fit)),
-        "transcription": fit.transcription,
+        "transcription": _without_limit(fit.transcription),
         "noise": fit.noise,
         "solver": None if isinstance(fit.transcription, FilterError) else NEAR,  # which has its own
         "base": replace(fit, history=()),
     }
+
+
+def _without_limit(transcription: Transcription | FilterError) -> Transcription | FilterError:
+    """A limit was that of the fit itself."""
+    return replace(transcription, time_limit=None) if isinstance(transcription, FilterError) else transcription
 
 
 def run_all(
@@ -52,11 +60,13 @@ def run_all(
     executor: Any,
     progress: bool | Watch,
     caller: str,
+    deadline: Deadline,
 ) -> Runs:
-    """Runs all starts; Ctrl-C ends it with what is there."""
+    """Runs all starts; Ctrl-C and the deadline end it with what is there."""
     from ..starts.workers import Crew  # executors are loaded by whoever runs something
 
     check_progress(caller, progress)
     crew = Crew(executor, problem)
-    done = gathered(crew, enumerate(starts), progress, f"{problem.model.name}: {caller}", len(starts))
-    return Runs(done, len(done) == len(starts), crew.warnings)
+    with deadline.in_force():
+        done = gathered(crew, enumerate(starts), progress, f"{problem.model.name}: {caller}", len(starts))
+    return Runs(done, "complete" if len(done) == len(starts) else deadline.ended(), crew.warnings)

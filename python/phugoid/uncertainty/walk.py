@@ -17,6 +17,7 @@ from ..modelling.model import Model
 from ..modelling.rebuilt import rebuilt
 from ..parameters import Estimates
 from ..process_noise.separate import Separated
+from ..solvers.limits import check_time
 from ..starts.outcome import Outcome, Problem
 
 __all__ = ["End", "Side", "Sides"]
@@ -114,6 +115,8 @@ class _Walk:
             )
         except PhugoidError:
             return math.nan
+        if fit.status == "time limit":
+            check_time()
         if fit.status == "interrupted":
             raise KeyboardInterrupt
         if fit.status not in ("converged", "acceptable"):

@@ -19,6 +19,7 @@ from ..match import Match, chi_square, chi_square_warning, match
 from ..modelling.model import Model
 from ..records import Record
 from ..solvers import Newton
+from ..solvers.limits import limited
 from ..tolerance import Tolerance, tolerances_by_output
 from ..transcription.filter_error import FilterError
 from .biases import freed_by_default
@@ -38,11 +39,13 @@ def validate(
     biases: Sequence[str] | None = None,
     values: Mapping[str, float] | None = None,
     tolerances: Mapping[str, float | Tolerance] | None = None,
+    time_limit: float | None = None,
 ) -> Validation:
     """What `Fit.validate` does; see there."""
     model, experiments = fit.model, as_experiments(other, "validate")
     limits = tolerances_by_output("validate", model.output_names, tolerances)
-    found, free, held, warnings = found_anew(fit, experiments, biases, {} if values is None else values)
+    with limited("validate", time_limit).in_force():
+        found, free, held, warnings = found_anew(fit, experiments, biases, {} if values is None else values)
     noise, filtered = found.noise, isinstance(found.transcription, FilterError)
     records = [_predicted(r) for r in found.records] if filtered else found.records
     if not found.feasible:

@@ -104,4 +104,34 @@ impl Interrupt {
     pub fn stops(&self) -> bool {
         self.0.is_some() && self.cause().is_some()
     }
+
+    /// For a loop whose turns take about so many operations each: the interrupt is asked about once a millisecond.
+    pub fn turns(&self, operations: usize) -> Turns {
+        let every = (OPERATIONS / operations.max(1)).max(1);
+        Turns { interrupt: self.clone(), every, left: every }
+    }
+}
+
+/// Operations, about, between two looks at the interrupt.
+const OPERATIONS: usize = 1 << 20;
+
+/// Turns of a loop, each too short to look at the clock.
+#[derive(Debug)]
+pub struct Turns {
+    interrupt: Interrupt,
+    every: usize,
+    left: usize,
+}
+
+impl Turns {
+    /// Counts a turn; whether the work must end.
+    #[inline]
+    pub fn stop(&mut self) -> bool {
+        self.left -= 1;
+        if self.left > 0 {
+            return false;
+        }
+        self.left = self.every;
+        self.interrupt.stops()
+    }
 }

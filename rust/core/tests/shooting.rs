@@ -2,9 +2,12 @@
 
 mod common;
 
+use std::time::Duration;
+
 use common::flights;
 use common::models::linear;
 use phugoid::integrate::{Integrator, Steps};
+use phugoid::interrupt::Interrupt;
 use phugoid::mesh::Grid;
 use phugoid::nlp::Nlp;
 use phugoid::noise::{Noise, Sigma};
@@ -165,4 +168,22 @@ fn wrong_options() {
     assert!(build(Shots { grid, ..Shots::default() }, 3).contains("2 grids for 3 experiments"));
     let grid = vec![Grid::Edges(vec![0.0, 1.5])];
     assert!(build(Shots { grid, ..Shots::default() }, 1).contains("end at the last"));
+}
+
+/// An evaluation asks the interrupt in force, however short its segments are.
+#[test]
+fn an_evaluation_that_is_stopped_ends() {
+    let model = bell();
+    let t: Vec<f64> = (0..=40).map(|k| 0.05 * f64::from(k)).collect();
+    let y = t.iter().map(|t| 1.0 / (1.0 + t * t)).collect();
+    let run = Experiment::new(&model, "run", t, [("y", y)]).unwrap();
+    let settings = Shots { grid: vec![Grid::Uniform(10)], threads: 1, ..Shots::default() };
+    let noise = Noise::Gaussian(vec![Sigma::Known(1.0)]);
+    let problem = Shooting::new(&model, std::slice::from_ref(&run), noise, &settings).unwrap();
+    let mut xi = vec![-2.0];
+    xi.resize(problem.n(), 1.0);
+    let mut jacobian = vec![0.0; problem.jacobian_structure().len()];
+    assert!(problem.jacobian(&xi, &mut jacobian).is_ok());
+    let limit = Interrupt::within(Some(Duration::ZERO));
+    assert!(limit.run(|| problem.jacobian(&xi, &mut jacobian)).is_err());
 }

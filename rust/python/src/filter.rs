@@ -1,12 +1,14 @@
 //! The marginal likelihood of the filter-error method.
 
 use numpy::{PyArray1, PyArray2, PyReadonlyArray1};
-use phugoid::filter::{Filter, Settings};
+use phugoid::filter::{Filter, Lost, Settings};
+use phugoid::interrupt::Interrupt;
 use phugoid::noise::Noise;
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyTimeoutError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::errors::raise;
+use crate::interrupt::{interruptible, seconds};
 use crate::model::PyModel;
 use crate::noise::{SigmaSpec, sigma};
 use crate::problem::{Record, experiment};
@@ -99,22 +101,27 @@ impl PyFilter {
         Ok(PyArray1::from_vec(py, self.0.states(path)))
     }
 
-    /// The marginal log-likelihood; a text that says why where there is none.
+    /// The marginal log-likelihood; a text that says why where there is none. Ctrl-C raises KeyboardInterrupt; more than
+    /// `time_limit` seconds raise TimeoutError.
+    #[pyo3(signature = (theta, path, gradient, time_limit = None))]
     fn evaluate<'py>(
         &self,
         py: Python<'py>,
         theta: PyReadonlyArray1<'_, f64>,
         path: PyReadonlyArray1<'_, f64>,
         gradient: bool,
+        time_limit: Option<f64>,
     ) -> PyResult<Outcome<'py>> {
         let (theta, path) = self.slices(&theta, &path)?;
-        Ok(match py.detach(|| self.0.evaluate(theta, path, gradient)) {
+        let work = || Interrupt::within(seconds(time_limit)).run(|| self.0.evaluate(theta, path, gradient));
+        Ok(match interruptible(py, None, work)? {
             Ok(m) => Outcome::Found((
                 m.log_likelihood,
                 PyArray1::from_vec(py, m.gradient),
                 PyArray1::from_vec(py, m.path),
                 m.iterations,
             )),
+            Err(Lost::Stopped) => return Err(PyTimeoutError::new_err("time limit")),
             Err(lost) => Outcome::Lost(self.0.explain(lost)),
         })
     }

@@ -17,6 +17,7 @@ from ...errors import EvaluationError
 from ...estimation.estimate import estimate
 from ...fit_result import FitResult
 from ...guess import spread
+from ...solvers.limits import check_time
 from ...transcription.collocation import Collocation
 from ..candidates.candidate import Candidate, Place
 from ..candidates.scales import Points
@@ -382,7 +383,7 @@ class Linearised:
         for place, members in by_place.items():
             for begin in range(0, len(members), most):
                 some = members[begin : begin + most]
-                signals = [np.vstack([effects[i][0].signals(p, effects[i][1]) for i in some]) for p in self.points]
+                signals = [np.vstack([_signals(*effects[i], p) for i in some]) for p in self.points]
                 at = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in some])
                 answers[at], parameters[at] = self._answers(place, signals)
         return answers, parameters, groups
@@ -402,3 +403,9 @@ class Linearised:
         if found is None:
             raise EvaluationError(_DEPENDENT)
         return found
+
+
+def _signals(candidate: Candidate, shape: Mapping[str, float], points: Points) -> _Array:
+    """Return the signals of a candidate along the path, (k, points), within the limit in force."""
+    check_time()
+    return candidate.signals(points, shape)

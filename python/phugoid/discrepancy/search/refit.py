@@ -16,6 +16,7 @@ from ...estimation.estimate import estimate
 from ...fit_result import FitResult
 from ...parameters import Estimates
 from ...solvers import Newton
+from ...solvers.limits import TimeUp
 from ...validation.biases import freed_by_default
 from ...validation.held import estimates_of, held_model, held_noise, mesh_for
 from ..candidates.candidate import Candidate
@@ -112,6 +113,8 @@ def refit(
         )
     except PhugoidError:
         return None
+    if fit.status == "time limit":
+        raise TimeUp
     if fit.status == "interrupted":
         raise KeyboardInterrupt
     return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None
@@ -210,6 +213,10 @@ def on_other_data(
     start = started_from(near.fit, ()) if near else {n: float(np.mean(v)) for n, v in known.items() if v}
     mesh = mesh_for(fit, data)
     found = estimate(model, list(data), transcription=mesh, noise=noise, start=start)
+    if found.status == "time limit":
+        raise TimeUp
+    if found.status == "interrupted":
+        raise KeyboardInterrupt
     if found.status not in ("converged", "acceptable", "unidentifiable"):
         raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")
     return Linearised(found)

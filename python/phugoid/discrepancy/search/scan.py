@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solvers.limits import check_time
 from ..candidates.candidate import Candidate
 from ..colour.colour import Channel
 from ..colour.whitening import Filter, Whitening
@@ -216,6 +217,7 @@ class Scan:
         for known, statistics in self._last:
             if known is filter:
                 return statistics
+        check_time()
         seen = self.white if filter is self.white.filter else Whitened(self.linear, filter.on(self.linear.structure))
         statistics = self._statistics(seen)
         self._last = [(filter, statistics), *self._last[: _KEPT - 1]]

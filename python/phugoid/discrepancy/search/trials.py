@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextvars import copy_context
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...fit_result import FitResult
+from ...solvers.limits import check_time
 from ...validation.biases import freed_by_default
 from ..candidates.candidate import Candidate, with_other_centres
 from ..colour.whitening import Whitening
@@ -67,6 +69,7 @@ class Trials:
 
     def refits(self, sets: Sequence[Sequence[Candidate]], near: FitResult | None = None) -> list[Refit | None]:
         """The refits of several sets, side by side."""
+        check_time()
         keys = [frozenset(c.name for c in candidates) for candidates in sets]
         new = {key: candidates for key, candidates in zip(keys, sets, strict=True) if key not in self._refits}
 
@@ -88,7 +91,9 @@ class Trials:
 
             executor = ThreadPoolExecutor(min(len(new), _WORKERS))
             try:
-                self._refits |= dict(zip(new, executor.map(one, new.values()), strict=True))
+                # Each thread works within the limit in force here.
+                tasks = [executor.submit(copy_context().run, one, candidates) for candidates in new.values()]
+                self._refits |= {key: task.result() for key, task in zip(new, tasks, strict=True)}
             finally:
                 executor.shutdown(cancel_futures=True)
         return [self._refits[key] for key in keys]

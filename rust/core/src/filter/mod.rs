@@ -53,6 +53,7 @@ mod steps;
 
 use crate::error::Error;
 use crate::experiment::Experiment;
+use crate::interrupt::current;
 use crate::model::Model;
 use crate::noise::Noise;
 
@@ -265,6 +266,7 @@ impl Filter {
             ),
             Lost::Curvature => "the most probable path is no proper maximum of its density".into(),
             Lost::Stuck => "the most probable path was not found".into(),
+            Lost::Stopped => "the search for the most probable path was stopped".into(),
         }
     }
 
@@ -286,6 +288,9 @@ impl Filter {
             let found = at.path(start)?;
             out.log_likelihood -= found.cost + 0.5 * found.chain.log_det(&found.factor)?;
             if with_gradient {
+                if current().stops() {
+                    return Err(Lost::Stopped);
+                }
                 self.add_gradient(&at, &found, &mut gradient)?;
             }
             out.path.extend(found.path.x);

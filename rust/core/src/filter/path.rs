@@ -6,6 +6,7 @@ use super::flow::{Flow, Linear};
 use super::sample::{Costs, Samples};
 use super::steps::Intervals;
 use crate::experiment::Experiment;
+use crate::interrupt::{Interrupt, current};
 
 /// A record with what its path is found by.
 #[derive(Clone, Debug)]
@@ -62,6 +63,8 @@ pub enum Lost {
     Curvature,
     /// No further progress, or too many iterations.
     Stuck,
+    /// The interrupt in force ended the search.
+    Stopped,
 }
 
 /// gᵀ H⁻¹ g at which the path is where it should be: 1e-8 of a standard deviation.
@@ -142,7 +145,11 @@ impl At<'_> {
     pub(super) fn path(&self, mut path: Path) -> Result<Found, Lost> {
         let n = self.n();
         let mut before = f64::INFINITY;
+        let interrupt = current();
         for iterations in 0..ITERATIONS {
+            if interrupt.stops() {
+                return Err(Lost::Stopped);
+            }
             let lambda = Some(&path.lambda[..]);
             let linear =
                 self.flow.linearise(&self.driving, &self.run.intervals, &path.x, &path.e, lambda, false);
@@ -183,7 +190,8 @@ impl At<'_> {
             let size = if decrement < TRUSTED && is_exact {
                 1.0
             } else {
-                self.search(&path, &step, &costs, &gaps).ok_or(Lost::Stuck)?
+                let size = self.search(&path, &step, &costs, &gaps, &interrupt);
+                size.ok_or_else(|| if interrupt.stops() { Lost::Stopped } else { Lost::Stuck })?
             };
             advance(&mut path.x, &step.x, size);
             advance(&mut path.e, &step.e, size);
@@ -195,7 +203,14 @@ impl At<'_> {
 
     /// A step length that lessens cost plus weighted gaps (an exact penalty; Nocedal and Wright, *Numerical
     /// Optimization*, 2006, section 18.3).
-    fn search(&self, path: &Path, step: &super::chain::Step, costs: &Costs, gaps: &[f64]) -> Option<f64> {
+    fn search(
+        &self,
+        path: &Path,
+        step: &super::chain::Step,
+        costs: &Costs,
+        gaps: &[f64],
+        interrupt: &Interrupt,
+    ) -> Option<f64> {
         let n = self.n();
         let mut weights = vec![0.0f64; n];
         for lambda in [&path.lambda, &step.lambda] {
@@ -211,6 +226,9 @@ impl At<'_> {
         let slope = dot(&costs.slope, &step.x) + dot(&path.e, &step.e) - now;
         let mut size = 1.0;
         for _ in 0..25 {
+            if interrupt.stops() {
+                break;
+            }
             let mut trial = path.clone();
             advance(&mut trial.x, &step.x, size);
             advance(&mut trial.e, &step.e, size);

@@ -13,9 +13,6 @@ use super::tableau::Tableau;
 use crate::interrupt::current;
 use crate::tape::{BLOCK, Function, LANE_MULTIPLE, Tape, Workspace};
 
-/// Steps between two looks at the interrupt.
-const ASK: usize = 256;
-
 /// A group with what its integration needs.
 #[derive(Clone, Copy)]
 pub(crate) struct Flow<'a> {
@@ -100,10 +97,10 @@ impl Flow<'_> {
             }
         }
         let size = n_x * W;
-        let interrupt = current();
+        // A single shot goes over the whole record.
+        let mut turns = current().turns(s * self.f.value.instructions() * LANE_MULTIPLE);
         for i in 0..steps {
-            // A single shot goes over the whole record.
-            if i % ASK == ASK - 1 && interrupt.stops() {
+            if turns.stop() {
                 return false;
             }
             let (first, h) = (i * s, lanes::<W>(&self.group.h, i));
@@ -145,6 +142,7 @@ impl Flow<'_> {
     }
 
     /// Outputs of a tape at all points, `out[(point·outputs + output)·W + lane]`; `weights` as x, where it has them.
+    /// Whether it came to the end.
     fn everywhere<const W: usize>(
         &self,
         tape: &Tape,
@@ -152,11 +150,15 @@ impl Flow<'_> {
         weights: bool,
         m: &mut Memory,
         out: &mut Vec<f64>,
-    ) {
+    ) -> bool {
         let (n_x, columns, count) = (self.n_x(), self.f.n_data, tape.outputs.len());
         zeroed(out, self.group.points * count * W);
         let block = BLOCK / W;
+        let mut turns = current().turns(BLOCK * (tape.instructions() + count));
         for first in (0..self.group.points).step_by(block) {
+            if turns.stop() {
+                return false;
+            }
             let points = block.min(self.group.points - first);
             let n = (points * W).next_multiple_of(LANE_MULTIPLE);
             let registers = m.workspace.registers(tape, n);
@@ -180,18 +182,19 @@ impl Flow<'_> {
                 }
             }
         }
+        true
     }
 
     /// ∂f at all points; whether all are finite.
     pub(crate) fn linearise<const W: usize>(&self, uniforms: &[f64], m: &mut Memory) -> bool {
         let mut out = std::mem::take(&mut m.jacobian);
-        self.everywhere::<W>(&self.f.jacobian, uniforms, false, m, &mut out);
+        let done = self.everywhere::<W>(&self.f.jacobian, uniforms, false, m, &mut out);
         m.jacobian = out;
-        m.jacobian.iter().all(|v| v.is_finite())
+        done && m.jacobian.iter().all(|v| v.is_finite())
     }
 
-    /// S at all points.
-    pub(crate) fn sensitivities<const W: usize>(&self, m: &mut Memory) {
+    /// S at all points; whether it came to the end.
+    pub(crate) fn sensitivities<const W: usize>(&self, m: &mut Memory) -> bool {
         let (n_x, n_q, s, steps) = (self.n_x(), self.n_q(), self.stages(), self.group.steps);
         let size = n_x * n_q * W;
         zeroed(&mut m.sx, (steps * s + 1) * size);
@@ -199,7 +202,11 @@ impl Flow<'_> {
         for r in 0..n_x {
             m.sx[(r * n_q + r) * W..][..W].fill(1.0);
         }
+        let mut turns = current().turns(s * size * (n_x + s));
         for i in 0..steps {
+            if turns.stop() {
+                return false;
+            }
             let (first, h) = (i * s, lanes::<W>(&self.group.h, i));
             for j in 0..=s {
                 let weights = if j < s { &self.tableau.a[j] } else { &self.tableau.b };
@@ -219,6 +226,7 @@ impl Flow<'_> {
         if self.group.points > steps * s {
             self.slope_sensitivity::<W>(steps * s, m);
         }
+        true
     }
 
     /// ∂f/∂x S + ∂f/∂θ at one point.
@@ -280,13 +288,14 @@ impl Flow<'_> {
     }
 
     /// Adjoints of a function of x at the samples and the ends: κ at all points, and that of x at the start, the first
-    /// of `m.ax`. `gradient(sample, state)` is its derivative at a sample, `end(lane, state)` at an end.
+    /// of `m.ax`. `gradient(sample, state)` is its derivative at a sample, `end(lane, state)` at an end. Whether it came
+    /// to the end.
     pub(crate) fn backward<const W: usize>(
         &self,
         m: &mut Memory,
         gradient: impl Fn(&Sampled, usize) -> f64,
         end: impl Fn(usize, usize) -> f64,
-    ) {
+    ) -> bool {
         let (n_x, s, steps) = (self.n_x(), self.stages(), self.group.steps);
         let size = n_x * W;
         zeroed(&mut m.ax, (steps + 1) * size);
@@ -313,7 +322,11 @@ impl Flow<'_> {
             self.transposed::<W>(steps * s, &m.jacobian, kappa, ax);
         }
         let mut pull = vec![0.0; size];
+        let mut turns = current().turns(s * size * (n_x + s));
         for i in (0..steps).rev() {
+            if turns.stop() {
+                return false;
+            }
             let (first, h) = (i * s, lanes::<W>(&self.group.h, i));
             let (before, after) = m.ax.split_at_mut((i + 1) * size);
             let ax = &mut before[i * size..];
@@ -332,6 +345,7 @@ impl Flow<'_> {
                 }
             }
         }
+        true
     }
 
     /// to += (∂f/∂x)ᵀ κ at one point.
@@ -356,16 +370,21 @@ impl Flow<'_> {
     }
 
     /// Adds Σ Sᵀ ∇²(κᵀf) S over the points to `m.sums`, `[(a·n_Q + b)·W + lane]` for a ≥ b; n_Q counts the noise's
-    /// parameters too. Whether all are finite.
+    /// parameters too. Whether all are finite, and it came to the end.
     pub(crate) fn curvature<const W: usize>(&self, uniforms: &[f64], n_all: usize, m: &mut Memory) -> bool {
         let (n_x, n_q) = (self.n_x(), self.n_q());
         let pattern = &self.f.hessian_pattern;
         let mut second = std::mem::take(&mut m.second);
-        self.everywhere::<W>(&self.f.hessian, uniforms, true, m, &mut second);
-        let finite = second.iter().all(|v| v.is_finite());
-        if !pattern.is_empty() {
+        let done = self.everywhere::<W>(&self.f.hessian, uniforms, true, m, &mut second);
+        let mut finite = done && second.iter().all(|v| v.is_finite());
+        if finite && !pattern.is_empty() {
+            let mut turns = current().turns(n_x * n_q * (n_q + n_x) * W);
             let size = n_x * n_q * W;
             for point in 0..self.group.points {
+                if turns.stop() {
+                    finite = false;
+                    break;
+                }
                 let entries = &second[point * pattern.len() * W..][..pattern.len() * W];
                 let terms = pattern.iter().zip(entries.as_chunks::<W>().0).map(|(at, v)| (at, *v));
                 let s = &m.sx[point * size..][..size];

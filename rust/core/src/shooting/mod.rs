@@ -8,6 +8,7 @@ mod shot;
 mod shots;
 
 use std::cell::RefCell;
+use std::sync::{Arc, Mutex};
 
 use rayon::prelude::*;
 
@@ -20,6 +21,7 @@ use crate::integrate::flow::{Flow, Memory};
 use crate::integrate::group::Group;
 use crate::integrate::steps::Track;
 use crate::integrate::tableau::Tableau;
+use crate::interrupt::current;
 use crate::mesh::Grid;
 use crate::model::Model;
 use crate::nlp::{Chain, Chains, NotFinite, Structure};
@@ -77,6 +79,8 @@ pub struct Shooting {
     chains: Option<Chains>,
     /// Conditions on the ends of records.
     boundary: Option<Boundary>,
+    /// The variables that were integrated last, and what `integrate` gave for them.
+    latest: Mutex<Option<(Vec<f64>, Arc<Vec<f64>>)>>,
 }
 
 impl OfExperiment for Group {
@@ -145,6 +149,7 @@ impl Shooting {
             jacobian_structure: Structure::default(),
             hessian_structure: Structure::default(),
             chains: None,
+            latest: Mutex::default(),
         };
         problem.place_derivatives();
         problem.chains = problem.find_chains();
@@ -190,8 +195,11 @@ impl Shooting {
     ) -> Result<(), NotFinite> {
         let step = width.max(1);
         let mut parts = vec![0.0; self.groups.len() * step];
+        let interrupt = current();
         let run = |(group, part): (&Group, &mut [f64])| {
-            MEMORY.with(|m| work(group, &mut m.borrow_mut(), &mut part[..width]))
+            let own = || MEMORY.with(|m| work(group, &mut m.borrow_mut(), &mut part[..width]));
+            // What was not finished is taken for not finite; whoever set the interrupt knows.
+            !interrupt.stops() && interrupt.run(own)
         };
         let finite = if self.posed.n_threads() == 1 || self.groups.len() == 1 {
             self.groups.iter().zip(parts.chunks_exact_mut(step)).map(run).fold(true, |a, b| a & b)

@@ -4,6 +4,7 @@
 use super::Shooting;
 use crate::integrate::flow::{Memory, congruence};
 use crate::integrate::group::Group;
+use crate::interrupt::current;
 use crate::problem::disjoint::Disjoint;
 use crate::tape::BLOCK;
 
@@ -100,7 +101,9 @@ pub(super) fn jacobian_of<const W: usize>(
         return false;
     }
     let flow = p.flow(group);
-    flow.sensitivities::<W>(m);
+    if !flow.sensitivities::<W>(m) {
+        return false;
+    }
     let (n_x, n_q) = (p.layout.n_x, flow.n_q());
     let mut finite = true;
     for lane in 0..group.n - usize::from(group.last) {
@@ -133,7 +136,9 @@ pub(super) fn gradient_of<const W: usize>(
         return false;
     }
     let flow = p.flow(group);
-    flow.backward::<W>(m, |s, r| at_samples[p.sampled.state(s.index) + r], |_, _| 0.0);
+    if !flow.backward::<W>(m, |s, r| at_samples[p.sampled.state(s.index) + r], |_, _| 0.0) {
+        return false;
+    }
     flow.parameter_gradient::<W>(m, theta);
     let n_x = p.layout.n_x;
     // SAFETY: a node belongs to one group.
@@ -169,7 +174,9 @@ pub(super) fn hessian_of<const W: usize>(
         return false;
     }
     let flow = p.flow(group);
-    flow.sensitivities::<W>(m);
+    if !flow.sensitivities::<W>(m) {
+        return false;
+    }
     let n_x = p.layout.n_x;
     let n_seen = p.posed.estimands.maps[0].len();
     let (n_q, n_all) = (flow.n_q(), n_x + n_seen);
@@ -183,8 +190,8 @@ pub(super) fn hessian_of<const W: usize>(
             let follows = !(group.last && lane + 1 == group.n);
             if follows { -lambda[(group.node + lane - group.experiment) * n_x + r] } else { 0.0 }
         };
-        flow.backward::<W>(m, |s, r| job.gradient[p.sampled.state(s.index) + r], multiplier);
-        finite &= flow.curvature::<W>(of(&job.curvature, group), n_all, m);
+        let done = flow.backward::<W>(m, |s, r| job.gradient[p.sampled.state(s.index) + r], multiplier);
+        finite &= done && flow.curvature::<W>(of(&job.curvature, group), n_all, m);
     }
 
     // The samples': those that couple with states; the others are between parameters already.
@@ -192,7 +199,11 @@ pub(super) fn hessian_of<const W: usize>(
     let pattern = || likelihood.hessian_pattern.iter().filter(|(_, c)| *c < n_x);
     let first_sample = p.sampled.first_point[group.experiment];
     let first_block = p.objective.samples.iter().position(|s| s.experiment == group.experiment);
+    let mut turns = current().turns(n_x * n_q * (n_q + n_x));
     for sample in &group.samples {
+        if turns.stop() {
+            return false;
+        }
         flow.sample_sensitivity::<W>(sample, m);
         let k = sample.index - first_sample;
         let block = &p.objective.samples[first_block.unwrap_or(0) + k / BLOCK];

@@ -1,6 +1,7 @@
 //! φ, the continuity of segments, and their derivatives.
 
 use std::ops::Range;
+use std::sync::{Arc, PoisonError};
 
 use super::Shooting;
 use super::pieces::{
@@ -13,8 +14,15 @@ use crate::problem::layout::Place;
 use crate::threads::Threads;
 
 impl Shooting {
-    /// θ and the states at the samples.
-    pub(super) fn integrate(&self, xi: &[f64]) -> Result<Vec<f64>, NotFinite> {
+    /// θ and the states at the samples. An objective, its derivatives, and the states and outputs of each experiment
+    /// share one integration.
+    pub(super) fn integrate(&self, xi: &[f64]) -> Result<Arc<Vec<f64>>, NotFinite> {
+        let latest = || self.latest.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((at, zeta)) = &*latest()
+            && at == xi
+        {
+            return Ok(Arc::clone(zeta));
+        }
         let mut zeta = vec![0.0; self.sampled.n()];
         zeta[..self.layout.n_theta].copy_from_slice(&xi[..self.layout.n_theta]);
         let out = Disjoint::new(&mut zeta);
@@ -24,6 +32,8 @@ impl Shooting {
             |group, m, _| by_width!(group, states_at(self, group, xi, &uniforms, m, &out)),
             |_, _| (),
         )?;
+        let zeta = Arc::new(zeta);
+        *latest() = Some((xi.to_vec(), Arc::clone(&zeta)));
         Ok(zeta)
     }
 

@@ -49,7 +49,7 @@ fn a_branch_that_is_not_finite_does_not_enter_where_it_is_not_taken() {
 
 #[test]
 fn kinks_of_inputs_of_time_and_of_outputs_alone_are_none() {
-    let mut m = model(|x, u| u.abs() * x + gt(&Expr::symbol("time"), 1.0));
+    let mut m = model(|x, u| u.abs() * x + gt(Expr::symbol("time"), 1.0));
     let x = Expr::symbol("x");
     let shown = m.quantity("shown", x.abs(), None).unwrap();
     m.output("y", shown, "", None).unwrap();

@@ -80,8 +80,11 @@ pub struct Shooting {
     /// Conditions on the ends of records.
     boundary: Option<Boundary>,
     /// The variables that were integrated last, and what `integrate` gave for them.
-    latest: Mutex<Option<(Vec<f64>, Arc<Vec<f64>>)>>,
+    latest: Mutex<Option<Latest>>,
 }
+
+/// Variables, and θ with the states at the samples.
+type Latest = (Vec<f64>, Arc<Vec<f64>>);
 
 impl OfExperiment for Group {
     fn experiment(&self) -> usize {

@@ -212,9 +212,9 @@ impl<'a> Flow<'a> {
     /// A state whose slope changes its sign across a change of the states, however small that is.
     fn jump(&mut self, at: &Adaptive, sizes: &[f64]) -> Option<&str> {
         let n = at.x.len();
-        for i in 0..n {
+        for (i, size) in sizes.iter().enumerate() {
             let [far, near] =
-                [1e-2, 1e-4].map(|part| self.sides(at, i, part * at.x[i].abs().max(SMALL * sizes[i])));
+                [1e-2, 1e-4].map(|part| self.sides(at, i, part * at.x[i].abs().max(SMALL * size)));
             let ((far_below, far_above), (below, above)) = (far?, near?);
             let jumps = |j: &usize| {
                 below[*j] * above[*j] < 0.0

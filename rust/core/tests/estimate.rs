@@ -3,7 +3,7 @@
 mod common;
 
 use common::Random;
-use phugoid::collocation::{Collocation, Settings};
+use phugoid::collocation::{self, Collocation};
 use phugoid::estimate::Bound;
 use phugoid::filter::{self, Filter};
 use phugoid::nlp::Nlp;
@@ -166,7 +166,7 @@ fn wrong_names_and_values_give_clear_errors() {
     let message = &["two experiments are called 'run'"];
     assert_error(Estimation::new(&model, &twice).solve(), message);
     let known = || Noise::Gaussian(vec![Sigma::Known(0.1)]);
-    let collocation = Collocation::new(&model, &twice, known(), &Settings::default());
+    let collocation = Collocation::new(&model, &twice, known(), &collocation::Settings::default());
     assert!(collocation.unwrap_err().to_string().contains(message[0]));
     let settings = filter::Settings { states: vec!["x".into()], substeps: 1, terms: 1, initial: vec![None] };
     let filter = Filter::new(&model, &twice, &known(), &settings);

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -35,6 +34,8 @@ from .validation.result import Validation
 from .validation.validate import validate
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     import pandas
     import xarray
     from matplotlib.axes import Axes

@@ -155,10 +155,13 @@ fn fits_agree_with_collocation() {
 fn wrong_options() {
     let model = bell();
     let t = vec![0.0, 1.0, 2.0];
-    let run = Experiment::new(&model, "run", t, [("y", vec![1.0, 0.5, 0.2])]).unwrap();
+    let run = |k: usize| {
+        Experiment::new(&model, &format!("run {k}"), t.clone(), [("y", vec![1.0, 0.5, 0.2])]).unwrap()
+    };
     let build = |settings: Shots, runs: usize| {
         let noise = Noise::Gaussian(vec![Sigma::Known(1.0)]);
-        Shooting::new(&model, &vec![run.clone(); runs], noise, &settings).map(|_| ()).unwrap_err().to_string()
+        let runs: Vec<Experiment> = (0..runs).map(run).collect();
+        Shooting::new(&model, &runs, noise, &settings).map(|_| ()).unwrap_err().to_string()
     };
     for steps in [Steps::Samples(0), Steps::Number(0), Steps::Length(0.0), Steps::Length(f64::NAN)] {
         let error = build(Shots { steps, ..Shots::default() }, 1);

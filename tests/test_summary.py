@@ -163,6 +163,7 @@ def fit(records: list[Record]) -> SimpleNamespace:
         _intensities=set(),
         experiments=(),
         refinement=None,
+        smoothing=None,
         warnings=(),
     )
 

@@ -139,6 +139,7 @@ class Journal:
                 "Name another file, or delete this one"
             )
         outcomes: dict[int, Outcome] = {}
+        names: set[str] = set()
         for number, line in enumerate(lines[1:], 2):
             try:
                 entry = self._parsed(line)
@@ -146,6 +147,10 @@ class Journal:
                 mark = entry.pop("start_hash")
                 outcome = _outcome(entry)
                 start = _start(starts, outcome.index)
+                if outcome.parameters and {*outcome.parameters} != names:
+                    if names:
+                        raise ValueError("parameters are the same in all outcomes")
+                    names = {*outcome.parameters}
             except (ArithmeticError, AttributeError, KeyError, TypeError, ValueError):
                 raise DataError(f"journal {self.path}: line {number} is damaged; delete the line") from None
             if start is None:
@@ -186,14 +191,17 @@ def _outcome(entry: Mapping[str, Any]) -> Outcome:
     texts = [entry["status"], entry.get("message", "")]
     if not all(isinstance(text, str) for text in texts):
         raise TypeError("status and message are texts")
+    parameters, std_errors = numbers("parameters"), numbers("std_errors")
+    if {*parameters} != {*std_errors}:
+        raise ValueError("each parameter has a standard error")
     return Outcome(
         whole("index"),
         numbers("start"),
         texts[0],
         texts[1],
         io.to_float(entry.get("log_likelihood")),
-        numbers("parameters"),
-        numbers("std_errors"),
+        parameters,
+        std_errors,
         whole("iterations"),
         io.to_float(entry.get("time", 0.0)),
     )

@@ -246,3 +246,36 @@ def test_a_delay_at_its_own_bound_says_so() -> None:
     assert fit.converged
     assert fit.parameters["tau"].bounds_active == "upper"
     assert fit.parameters["tau"].value == pytest.approx(0.1, abs=1e-6)
+
+
+def test_the_mesh_of_a_fit_with_delays_has_an_integration_error() -> None:
+    """It is that of the model without delays, whose late inputs are moved: that was an error on unknown symbols."""
+    fit = ph.estimate(model(), record())
+    (error,) = fit.integration_error()
+    assert error.name == "run" and np.isfinite(error.worst).all() and error.worst.size > 100
+
+
+def test_a_kink_in_a_model_with_a_delay_is_smoothed() -> None:
+    m = ph.Model("late relay")
+    (x,) = m.states(x="m")
+    (u,) = m.inputs(u="m")
+    k, r, tau = m.parameters(k=0.5, r=0.5, tau=ph.Parameter(0.05, bounds=(0.0, 0.5)))
+    m.dynamics(x=k * (m.delay(u, tau) - x) - r * ph.sign(x))
+    m.outputs(x=x)
+    true = {"k": 2.0, "r": 0.4, "tau": 0.13}
+    t = np.arange(0, 20, 0.05)
+    e = ph.Experiment(t, {"u": 2.0 * np.sin(0.9 * t) + np.sin(0.37 * t)}, name="run")
+    # Sticking friction, in steps with a narrow smooth sign instead of the jump.
+    almost = ph.Model("almost")
+    (y,) = almost.states(x="m")
+    (w,) = almost.inputs(u="m")
+    a, b, late = almost.parameters(k=2.0, r=0.4, tau=0.13)
+    almost.dynamics(x=a * (almost.delay(w, late) - y) - b * ph.smooth_sign(y, 1e-4))
+    almost.outputs(x=y)
+    path = ph.simulate(almost, true, e, initial={"x": 0.5})
+    noise = 0.005 * np.random.default_rng(0).standard_normal(t.size)
+    fit = ph.estimate(m, e.with_outputs({"x": path.outputs["x"] + noise}))
+    assert fit.converged and fit.smoothing is not None, fit.message
+    for name, value in true.items():
+        found = fit.parameters[name]
+        assert abs(found.value - value) < max(4 * found.std_error, 0.02 * value), (name, found)

@@ -92,14 +92,18 @@ class IntegrationError:
 def integration_error(fit: FitResult) -> tuple[IntegrationError, ...]:
     """Return the error that each segment of the mesh adds to the path, one for each experiment of a fit.
 
-    Raises OptionError for a fit that was not transcribed by collocation, and EvaluationError where the state equations
-    are not finite between the points of the mesh.
+    Raises OptionError for a fit that was not transcribed by collocation, or has delays and no fit without them within,
+    and EvaluationError where the state equations are not finite between the points of the mesh.
     """
     if not isinstance(fit.transcription, Collocation):
         raise OptionError("integration_error: only collocation has a mesh whose error can be estimated")
+    if fit.model.delays:  # the mesh is that of the model without delays, on records moved by them
+        if fit._moved is None:
+            raise OptionError("integration_error: estimate this fit with delays again first, with start=fit")
+        return integration_error(fit._moved)
     order = fit.transcription.order
     # A mesh for smoothed kinks resolves these, and no jumps.
-    model = fit._moved.model if fit.smoothing and fit._moved and not fit.model.delays else fit.model
+    model = fit._moved.model if fit.smoothing and fit._moved else fit.model
     return tuple(_of_record(model, *_numbers(fit, r.name), r, order) for r in fit.records)
 
 

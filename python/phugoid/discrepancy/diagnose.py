@@ -213,7 +213,7 @@ def diagnose(
         elif not ranking and not deadline.passed():
             ranking, _ = _ranked(search, base)
     with interrupts():
-        scan = search.scan(base) if ranking else None
+        scan = search.scan(base) if ranking or not ended else None
         notes = (*_notes(scan, final, listed, others, free, ended), *search.remarks)
         return DiagnosisResult(
             fit=fit,

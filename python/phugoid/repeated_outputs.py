@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,15 +29,18 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
     noise is their own. With process noise they are the innovations, which two sensors of a state that was wrongly
     predicted may share: there, only proportional ones are reported.
     """
-    residuals = {name: [_centred(r.innovations.get(name, r.residuals[name])) for r in records] for name in outputs}
-    measured = {name: [_centred(r.measured[name]) for r in records] for name in outputs}
+    residuals = {name: _joined(r.innovations.get(name, r.residuals[name]) for r in records) for name in outputs}
+    measured = {name: _joined(r.measured[name] for r in records) for name in outputs}
     known = [name for name in outputs if _size(residuals[name]) > _EXACT * _size(measured[name])]
+    innovations = any(r.innovations for r in records)
 
     def alike(one: str, other: str) -> bool:
-        copies = not any(r.innovations for r in records) and _copies(
-            (residuals[one], measured[one]), (residuals[other], measured[other])
-        )
-        return copies or _alike(residuals[one], residuals[other])
+        correlation = _correlation(residuals[one], residuals[other])
+        # A copy with noise of its own has residuals that go together as well, though less closely.
+        if innovations or correlation < 1 - 2 * _OWN**2:
+            return correlation > _SAME
+        copies = _copies((residuals[one], measured[one]), (residuals[other], measured[other]))
+        return copies or correlation > _SAME
 
     groups: list[list[str]] = []
     for name in known:
@@ -62,29 +65,34 @@ def _centred(values: _Array) -> _Array:
     return np.asarray(values - values[there].mean()) if there.any() else values
 
 
-def _size(each: Sequence[_Array]) -> float:
-    return float(np.sqrt(sum(np.nansum(v**2) for v in each)))
+def _joined(parts: Iterable[_Array]) -> _Array:
+    """Values of all records, each about its mean."""
+    return np.concatenate([_centred(part) for part in parts])
 
 
-_Pair = tuple[Sequence[_Array], Sequence[_Array]]  # residuals and measurements
+def _size(values: _Array) -> float:
+    return float(np.sqrt(np.nansum(values**2)))
+
+
+def _correlation(one: _Array, other: _Array) -> float:
+    """Its absolute value, 0 with too few samples."""
+    both = np.isfinite(one) & np.isfinite(other)
+    if both.sum() < _FEWEST:
+        return 0.0
+    a, b = one[both], other[both]
+    product = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(abs(a @ b)) / product if product > 0.0 else 0.0
+
+
+_Pair = tuple[_Array, _Array]  # residuals and measurements
 
 
 def _copies(one: _Pair, other: _Pair) -> bool:
     """Whether one output is the other, scaled, but for noise that is slight beside the residuals."""
-    (a, b), (za, zb) = (([np.concatenate(each) for each in pair]) for pair in zip(one, other, strict=True))
-    both = np.isfinite(a) & np.isfinite(b)
-    if both.sum() < _FEWEST or not _size([za[both]]) > 0.0:
+    both = np.isfinite(one[0]) & np.isfinite(other[0])
+    (a, za), (b, zb) = ([values[both] for values in pair] for pair in (one, other))
+    if not _size(za) > 0.0:
         return False
-    a, b, za, zb = a[both], b[both], za[both], zb[both]
     scale = (za @ zb) / (za @ za)
     size = _OWN * np.std(b)
     return bool(np.std(zb - scale * za) < size and np.std(b - scale * a) < size)
-
-
-def _alike(one: Sequence[_Array], other: Sequence[_Array]) -> bool:
-    a, b = np.concatenate(one), np.concatenate(other)
-    both = np.isfinite(a) & np.isfinite(b)
-    if both.sum() < _FEWEST:
-        return False
-    a, b = a[both], b[both]
-    return bool(abs(a @ b) > _SAME * np.linalg.norm(a) * np.linalg.norm(b))

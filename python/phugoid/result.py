@@ -109,8 +109,9 @@ class Fit(FitResult):
 
         Raises OptionError for names without a profile, and a fit that has not converged.
         """
-        options = {"executor": executor, "progress": progress, "time_limit": time_limit}
-        return profile(self, names, level=level, coloured=coloured, **options)  # type: ignore[arg-type]
+        return profile(
+            self, names, level=level, coloured=coloured, executor=executor, progress=progress, time_limit=time_limit
+        )
 
     def bootstrap(
         self,
@@ -139,8 +140,9 @@ class Fit(FitResult):
         Raises OptionError for options that cannot be right, a fit that has not converged, and a vehicle that other
         process noise would carry far away with the inputs as recorded, such as an unstable one with its controller.
         """
-        options = {"executor": executor, "progress": progress, "time_limit": time_limit}
-        return bootstrap(self, n, kind, block=block, seed=seed, **options)  # type: ignore[arg-type]
+        return bootstrap(
+            self, n, kind, block=block, seed=seed, executor=executor, progress=progress, time_limit=time_limit
+        )
 
     def prediction_bands(
         self,

@@ -30,7 +30,7 @@ __all__ = ["Estimation"]
 
 @contextmanager
 def progress_bar(title: str, limit: int) -> Iterator[Callable[[Iteration], None]]:
-    """What to call with each iteration: a bar of at most ``limit`` iterations on a terminal, else a line every tenth.
+    """Give what to call each iteration: a bar of at most ``limit`` iterations on a terminal, else a line every tenth.
 
     Iterations end where the optimum is, mostly long before the limit.
     """
@@ -65,7 +65,7 @@ _SOLVERS: Mapping[str, type[Newton] | type[Ipopt]] = {"newton": Newton, "ipopt":
 
 @dataclass(frozen=True)
 class Estimation:
-    """How to estimate: the options, as texts. Raises OptionError for what they cannot be."""
+    """Hold the options of an estimation, as texts. Raises OptionError for what they cannot be."""
 
     order: Annotated[
         int | None,

@@ -1,4 +1,4 @@
-"""How a command is called and ends: its options, exit codes, and one clear line where something is wrong."""
+"""Call a command and end it: its options, exit codes, and one clear line where something is wrong."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ _CALLED = {
 
 @dataclass(frozen=True)
 class Reading:
-    """How data files are read: the options of `read`, as texts. Raises OptionError for what they cannot be."""
+    """Hold the options of `read` for data files, as texts. Raises OptionError for what they cannot be."""
 
     time: Annotated[str, Option("--time", help="Column of time, in s.", metavar="NAME")] = "t"
     rename: Annotated[

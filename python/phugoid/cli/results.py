@@ -101,7 +101,7 @@ def finish(
 
 
 def saved(save: Callable[[Path], object], path: Path | None) -> Callable[[], list[Path]]:
-    """What writes one file with ``save``; nothing without a path."""
+    """Return what writes one file with ``save``; nothing without a path."""
 
     def write_file() -> list[Path]:
         if path is None:

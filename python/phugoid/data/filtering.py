@@ -167,12 +167,12 @@ Signal: TypeAlias = tuple[_Array, _Array, float, int]
 Columns: TypeAlias = Mapping[str, Mapping[str, _Array]]
 """Group ("input", "output" or "channel") -> name -> (N,)."""
 _Step: TypeAlias = Callable[[str, _Array, _Array], _Array]
-"""How messages call the channel, its times (s), its values -> new values at these times."""
+"""Takes the channel's name in messages, its times (s) and its values; returns new values at these times."""
 _Self = TypeVar("_Self", bound="Channelled")
 
 
 class Channelled:
-    """What a step needs of a record."""
+    """Holds what a step needs of a record."""
 
     @abstractmethod
     def _columns_of(self) -> Columns:
@@ -192,7 +192,7 @@ class Channelled:
 
     @abstractmethod
     def _is_held(self, name: str) -> bool:
-        """Whether the input of a name is held between its samples."""
+        """Tell whether the input of a name is held between its samples."""
 
     @abstractmethod
     def _stepped(

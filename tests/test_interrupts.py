@@ -33,14 +33,14 @@ def at(number):
             press()
     return watch
 
-exact = _core.information
+exact = _core.assess
 
 def pressed(times):
-    def information(*rest):
+    def assess(*rest):
         for _ in range(times):
             press()
         return exact(*rest)
-    _core.information = information
+    _core.assess = assess
 
 def tell(fit):
     values = {n: e.value for n, e in fit.parameters.items()}
@@ -78,13 +78,13 @@ def test_signals_of_another_process_do_the_same(here: Path) -> None:
             until = time.time() + 60
             while not stop and time.time() < until:
                 time.sleep(0.01)
-    def information(*rest):
+    def assess(*rest):
         print("errors", flush=True)
         until = time.time() + 60
         while not rest[-1]() and time.time() < until:
             time.sleep(0.01)
         return exact(*rest)
-    _core.information = information
+    _core.assess = assess
     stop = []
     import threading
     threading.Thread(target=lambda: stop.append(sys.stdin.readline()), daemon=True).start()

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from typing_extensions import disjoint_base
 
 __all__ = [
+    "Assessment",
     "Collocation",
     "Evaluator",
     "Expr",
@@ -20,6 +21,9 @@ __all__ = [
     "__version__",
     "answers",
     "apply",
+    "assess",
+    "check_start",
+    "further_starts",
     "gap_warnings",
     "gaps",
     "information",
@@ -28,7 +32,10 @@ __all__ = [
     "load_expression",
     "newton",
     "operations",
+    "parameter_start",
     "simulate",
+    "start_point",
+    "state_start",
     "tangents",
 ]
 
@@ -97,6 +104,7 @@ class Expr:
     def diff(self, symbol: Expr | str) -> Expr: ...
     def substitute(self, replace: Mapping[str, _Operand]) -> Expr: ...
     def simplify(self) -> Expr: ...
+    def measured_states(self, parameters: Sequence[float]) -> list[tuple[str, str, float, float]]: ...
     def to_json(self) -> str: ...
     def sin(self) -> Expr: ...
     def cos(self) -> Expr: ...
@@ -139,6 +147,7 @@ class Model:
     def __new__(cls, name: str) -> Model: ...
     @staticmethod
     def from_json(text: str) -> Model: ...
+    def measured_states(self, parameters: Sequence[float]) -> list[tuple[str, str, float, float]]: ...
     def to_json(self) -> str: ...
     def state(
         self, name: str, unit: str, start: float | None = None, lower: float = ..., upper: float = ...
@@ -355,6 +364,61 @@ class Whitening:
     def log_scales(self) -> _Array: ...
     def products(self, columns: _Array, vectors: _Array, sizes: Sequence[int]) -> tuple[_Array, _Array]: ...
 
+_Estimated: TypeAlias = tuple[str, float, float, str, str | None]  # name, value, standard error, unit, bound
+
+@final
+class Assessment:
+    @property
+    def parameters(self) -> list[_Estimated]: ...
+    @property
+    def initial(self) -> list[list[_Estimated]]: ...
+    @property
+    def covariance(self) -> _Array: ...
+    @property
+    def log_likelihood(self) -> float: ...
+    @property
+    def feasible(self) -> bool: ...
+    @property
+    def status(self) -> str: ...
+    @property
+    def message(self) -> str: ...
+    @property
+    def warnings(self) -> list[str]: ...
+    @property
+    def unknowns(self) -> int: ...
+    def record(self, index: int) -> tuple[list[_Array], list[_Array], list[_Array], _Array, list[_Array]]: ...
+
+def assess(
+    problem: Problem,
+    model: Model,
+    records: Sequence[_Record],
+    xi: _Array,
+    multipliers: _Array,
+    status: str,
+    message: str,
+    interior: bool,
+    scalings: Sequence[tuple[Sequence[tuple[str, float]], str, float]],
+    time_limit: float | None,
+    stop: Callable[[], bool] | None,
+) -> Assessment: ...
+
+_Start: TypeAlias = float | Sequence[_Array]
+
+def check_start(model: Model, names: Sequence[str], experiments: Sequence[str], noise: Sequence[str]) -> None: ...
+def parameter_start(model: Model, given: Sequence[tuple[str, float]], experiment: str | None = None) -> list[float]: ...
+def state_start(
+    model: Model, record: _Record, times: _Array, parameters: Sequence[float], given: Sequence[tuple[str, _Start]]
+) -> list[_Array]: ...
+def start_point(
+    problem: Problem,
+    model: Model,
+    records: Sequence[_Record],
+    given: Sequence[tuple[str, _Start]],
+    paths: Sequence[Sequence[tuple[_Array, _Array] | None]],
+) -> _Array: ...
+def further_starts(
+    problem: Problem, model: Model, xi: _Array, parameters: Sequence[float], known: Sequence[str]
+) -> list[_Array]: ...
 def information(
     problem: Problem,
     xi: _Array,

@@ -15,7 +15,7 @@ from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
 from ..errors import EvaluationError, ModelError, OptionError
 from ..fit_result import FitResult
-from ..guess import check_names, further_starts, measured_states, parameter_start, spread, state_start
+from ..guess import check_names, further_starts, measured_states, parameter_start, spread, start_point
 from ..integration import coarse_mesh_warning
 from ..interrupts import interrupts
 from ..modelling.model import Model
@@ -171,7 +171,7 @@ def _estimate(
     parameters |= held
     spreads = {name: spread(experiments, name) for name in model.output_names}
     problem = transcription.problem(posed, experiments, noise.resolve(model.output_names, spreads, given))
-    xi = starting_point(problem, posed, experiments, parameters, given, warm)
+    xi = start_point(problem, posed, experiments, given, _paths(warm, posed, experiments))
     starts = [] if warm else further_starts(model, problem, xi, parameters, given)
     if starts and not collocated:
         # A path that follows the measurements is found by collocation; an integration from poor values is none.
@@ -312,31 +312,18 @@ def _given(start: Any, noise: Noise) -> Mapping[str, Any]:
     return start.as_start() if isinstance(start, EquationError) else dict(start or {})
 
 
-def starting_point(
-    problem: _core.Problem,
-    model: Model,
-    experiments: Sequence[Experiment],
-    parameters: Mapping[str, float],
-    given: Mapping[str, Any],
-    warm: FitResult | EquationError | None = None,
-) -> _Array:
-    """The decision variables to start from: parameters, those of the noise, states at all points."""
-    each = [list(parameter_start(model, given, e.name).values()) for e in experiments]
-    shared = list(parameters.values())
-    values = [(shared if e is None else each[e])[p] for _, p, e in problem.estimands]
-    parts = [np.array([*problem.variables(values), *problem.noise_start])]
-    for i, experiment in enumerate(experiments):
-        times = problem.point_times(i)
-        own = dict(zip(parameters, each[i], strict=True))
-        states = state_start(model, experiment, times, own, given)
-        if warm is not None and i < len(warm.records):
-            record = warm.records[i]
-            for k, name in enumerate(model.state_names):
-                if name in record.mesh_states:
-                    path = record.mesh_states[name]
-                    states[k] = _core.interpolate("cubic", record.mesh_t.tolist(), path.tolist(), times.tolist())
-        parts.append(states.T.ravel())
-    return np.concatenate(parts)
+def _paths(
+    warm: FitResult | EquationError | None, model: Model, experiments: Sequence[Experiment]
+) -> list[list[tuple[_Array, _Array] | None]]:
+    """The paths of the states that a fit or a regression has of each experiment."""
+    records = [] if warm is None else warm.records[: len(experiments)]
+    return [
+        [
+            (np.ascontiguousarray(r.mesh_t), np.ascontiguousarray(r.mesh_states[n])) if n in r.mesh_states else None
+            for n in model.state_names
+        ]
+        for r in records
+    ]
 
 
 def _warm(

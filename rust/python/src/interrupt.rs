@@ -8,10 +8,10 @@ use phugoid::interrupt::Interrupt;
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
+use crate::worker::beside;
+
 /// Signals are looked for so often.
 const POLL: Duration = Duration::from_millis(10);
-/// The stack that Python's own thread has.
-const STACK: usize = 8 << 20;
 
 type Job<'a> = Box<dyn FnOnce(Python<'_>) -> PyResult<()> + Send + 'a>;
 
@@ -32,7 +32,7 @@ impl<'a, R> Caller<'a, R> {
     }
 }
 
-/// Does work on a thread of its own while this one looks for signals. `stop` is asked now and then. The result, and the
+/// Does work on another thread while this one looks for signals. `stop` is asked now and then. The result, and the
 /// error that ended the work: a KeyboardInterrupt where `stop` said so.
 pub fn watched<'a, R: Send>(
     py: Python<'_>,
@@ -55,39 +55,34 @@ pub fn watched<'a, R: Send>(
         error = Some(e);
     }
     let done = py.detach(|| {
-        thread::scope(|scope| {
-            let (sender, receiver) = channel::<Message<'a, R>>();
-            let inner = interrupt.clone();
-            let body = move || {
-                let caller = Caller(sender);
-                let run = std::panic::AssertUnwindSafe(|| inner.run(|| work(&caller)));
-                let result = std::panic::catch_unwind(run);
-                let _ = caller.0.send(Message::Done(result));
-            };
-            let started = thread::Builder::new().stack_size(STACK).spawn_scoped(scope, body);
-            if let Err(e) = started {
-                std::panic::resume_unwind(Box::new(e.to_string()));
-            }
-            let mut fail = |e: PyErr| {
-                interrupt.stop();
-                error.get_or_insert(e);
-            };
-            loop {
-                match receiver.recv_timeout(POLL) {
-                    Ok(Message::Done(result)) => break result,
-                    Ok(Message::Do(job, reply)) => {
-                        let said = Python::attach(|py| ask(py).and_then(|()| job(py)).and_then(|()| ask(py)));
-                        let fine = said.is_ok();
-                        said.unwrap_or_else(&mut fail);
-                        let _ = reply.send(fine);
-                    }
-                    Err(RecvTimeoutError::Timeout) => {
-                        Python::attach(ask).unwrap_or_else(&mut fail);
-                    }
-                    Err(RecvTimeoutError::Disconnected) => unreachable!("the work sends its end"),
+        let (sender, receiver) = channel::<Message<'a, R>>();
+        let inner = interrupt.clone();
+        let body = || {
+            let caller = Caller(sender);
+            let run = std::panic::AssertUnwindSafe(|| inner.run(|| work(&caller)));
+            let result = std::panic::catch_unwind(run);
+            let _ = caller.0.send(Message::Done(result));
+        };
+        let mut fail = |e: PyErr| {
+            interrupt.stop();
+            error.get_or_insert(e);
+        };
+        let wait = || loop {
+            match receiver.recv_timeout(POLL) {
+                Ok(Message::Done(result)) => break result,
+                Ok(Message::Do(job, reply)) => {
+                    let said = Python::attach(|py| ask(py).and_then(|()| job(py)).and_then(|()| ask(py)));
+                    let fine = said.is_ok();
+                    said.unwrap_or_else(&mut fail);
+                    let _ = reply.send(fine);
                 }
+                Err(RecvTimeoutError::Timeout) => {
+                    Python::attach(ask).unwrap_or_else(&mut fail);
+                }
+                Err(RecvTimeoutError::Disconnected) => unreachable!("the work sends its end"),
             }
-        })
+        };
+        beside(body, wait).unwrap_or_else(|e| std::panic::resume_unwind(Box::new(e.to_string())))
     });
     match done {
         Ok(result) => (result, error),

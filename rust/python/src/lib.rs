@@ -1,5 +1,6 @@
 //! Python bindings of `phugoid`: handles and views, no numerics.
 
+mod assessment;
 mod collocation;
 mod errors;
 mod evaluator;
@@ -13,7 +14,9 @@ mod problem;
 mod response;
 mod shooting;
 mod simulate;
+mod start;
 mod whitening;
+mod worker;
 
 use pyo3::prelude::*;
 
@@ -29,9 +32,16 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<shooting::PyShooting>()?;
     m.add_class::<evaluator::PyEvaluator>()?;
     m.add_class::<filter::PyFilter>()?;
+    m.add_class::<assessment::PyAssessment>()?;
     m.add_class::<newton::PySolution>()?;
     m.add_class::<whitening::PyWhitening>()?;
+    m.add_function(wrap_pyfunction!(assessment::assess, m)?)?;
     m.add_function(wrap_pyfunction!(newton::newton, m)?)?;
+    m.add_function(wrap_pyfunction!(start::check_start, m)?)?;
+    m.add_function(wrap_pyfunction!(start::parameter_start, m)?)?;
+    m.add_function(wrap_pyfunction!(start::state_start, m)?)?;
+    m.add_function(wrap_pyfunction!(start::start_point, m)?)?;
+    m.add_function(wrap_pyfunction!(start::further_starts, m)?)?;
     m.add_function(wrap_pyfunction!(newton::information, m)?)?;
     m.add_function(wrap_pyfunction!(simulate::simulate, m)?)?;
     m.add_function(wrap_pyfunction!(response::answers, m)?)?;

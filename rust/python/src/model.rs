@@ -196,6 +196,16 @@ impl PyModel {
         named(&self.0.outputs)
     }
 
+    /// For each state that an output measures, with these values of the parameters: state, output, offset and slope.
+    #[allow(clippy::needless_pass_by_value)]
+    fn measured_states(&self, parameters: Vec<f64>) -> Vec<(String, String, f64, f64)> {
+        let found = self.0.measured_states(&parameters);
+        let pairs = self.0.states.iter().zip(found).filter_map(|(s, m)| Some((s, m?)));
+        pairs
+            .map(|(s, m)| (s.name.clone(), self.0.outputs[m.output].name.clone(), m.offset, m.slope))
+            .collect()
+    }
+
     fn to_json(&self) -> String {
         self.0.to_json()
     }

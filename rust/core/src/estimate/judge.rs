@@ -5,6 +5,7 @@ use nalgebra::DMatrix;
 
 use super::fit::Record;
 use crate::diagnosis::Information;
+use crate::experiment::Experiment;
 use crate::model::Model;
 use crate::noise::{Noise, Sigma};
 use crate::parameter::Parameter;
@@ -102,7 +103,7 @@ pub(super) fn confounded(parameters: &[Parameter], covariance: &[f64]) -> Vec<St
 }
 
 /// Returns the sum of the absolute defects of each state; `None` where they are not finite.
-fn total_defects(problem: &dyn Transcribed, xi: &[f64]) -> Option<Vec<f64>> {
+pub(super) fn total_defects(problem: &dyn Transcribed, xi: &[f64]) -> Option<Vec<f64>> {
     let n_x = problem.layout().n_x;
     let mut defects = vec![0.0; problem.m()];
     problem.constraints(xi, &mut defects).ok()?;
@@ -113,8 +114,8 @@ fn total_defects(problem: &dyn Transcribed, xi: &[f64]) -> Option<Vec<f64>> {
 /// Returns whether the states satisfy the equations. Defects add up along the path: they may do so to a hundredth of the way
 /// that a state goes (its total variation), and no further than the noise of the output of the same name. Far below the
 /// range of the state they are rounding.
-pub(super) fn feasible(model: &Model, problem: &dyn Transcribed, xi: &[f64]) -> bool {
-    let Some(total) = total_defects(problem, xi) else { return false };
+pub(super) fn feasible(model: &Model, problem: &dyn Transcribed, xi: &[f64], total: Option<&[f64]>) -> bool {
+    let Some(total) = total else { return false };
     let sigmas = problem.posed().sigmas(xi);
     let n_x = problem.layout().n_x;
     let states = &xi[problem.layout().n_theta..];
@@ -159,12 +160,17 @@ pub(super) fn unlike_noise(noise: &Noise, records: &[Record], unknowns: usize) -
 }
 
 /// Defects add up along the path; unless they stay far below σ, the likelihood is not that of a solution.
-pub(super) fn large_defects(model: &Model, problem: &dyn Transcribed, xi: &[f64]) -> Vec<String> {
+pub(super) fn large_defects(
+    model: &Model,
+    problem: &dyn Transcribed,
+    xi: &[f64],
+    total: &[f64],
+) -> Vec<String> {
     let sigmas = problem.posed().sigmas(xi);
     let mut found = Vec::new();
-    for (state, total) in model.states.iter().zip(total_defects(problem, xi).unwrap_or_default()) {
+    for (state, total) in model.states.iter().zip(total) {
         let same = model.outputs.iter().position(|o| o.name == state.name);
-        if let Some(sigma) = same.map(|c| sigmas[c]).filter(|s| total > SMALL * s) {
+        if let Some(sigma) = same.map(|c| sigmas[c]).filter(|s| *total > SMALL * s) {
             found.push(format!(
                 "the defects of {0} sum to {total:.1e}, not far below sigma_{0} = {sigma:.1e}: the state path is \
                  not a solution to that accuracy; tighten the solver's tolerance",
@@ -173,4 +179,18 @@ pub(super) fn large_defects(model: &Model, problem: &dyn Transcribed, xi: &[f64]
         }
     }
     found
+}
+
+/// Returns a sentence where there are no more measured values than unknowns: a path with as many unknowns passes through
+/// them, whatever the truth is. A prior counts as a measurement.
+pub(super) fn few_samples(model: &Model, experiments: &[Experiment], unknowns: usize) -> Option<String> {
+    let samples =
+        experiments.iter().flat_map(|e| e.outputs.iter().flatten()).filter(|z| z.is_finite()).count();
+    let measured = samples + model.parameters.iter().filter(|p| p.prior.is_some()).count();
+    (measured <= unknowns).then(|| {
+        format!(
+            "{measured} measured values are no more than the {unknowns} parameters and initial states that they should \
+             tell: the fit passes through the noise, and its standard errors say nothing"
+        )
+    })
 }

@@ -1,19 +1,233 @@
 //! The fit at a solution.
 
 use super::fit::{Bound, Estimate, Fit, Record};
-use super::judge::{NOT_FEASIBLE, confounded, feasible, judge, large_defects, unlike_noise};
-use crate::diagnosis::information;
+use super::judge::{
+    NOT_FEASIBLE, confounded, feasible, few_samples, judge, large_defects, total_defects, unlike_noise,
+};
+use crate::diagnosis::{NoInformation, information};
 use crate::experiment::Experiment;
 use crate::gaps::gap_warnings;
-use crate::interrupt::Interrupt;
-use crate::model::{Model, Variable};
+use crate::interrupt::{Cause, Interrupt};
+use crate::linalg::KktError;
+use crate::model::{Model, Scaling, Variable};
 use crate::noise::{Reported, SIGMA};
 use crate::problem::Transcribed;
-use crate::solver::Solution;
+use crate::solver::{Solution, Status};
 
-/// A bound is active where the variable is there, but for this fraction of it: the solver's active set
-/// stands exactly on bounds, and σ is given by its inverse.
+/// A bound is active where the variable lies within this part of it: the solver's active set stands exactly on bounds,
+/// and σ is given by its inverse. An interior-point method ends short of them.
 const AT_BOUND: f64 = 1e-9;
+const NEAR_BOUND: f64 = 1e-6;
+
+/// Where a solver ended.
+#[derive(Clone, Debug)]
+pub struct End<'a> {
+    /// Variables.
+    pub xi: &'a [f64],
+    /// Multipliers of the constraints.
+    pub multipliers: &'a [f64],
+    /// How it ended.
+    pub status: Status,
+    /// What that means.
+    pub message: String,
+    /// Whether it kept away from bounds, as an interior-point method does.
+    pub interior: bool,
+    /// Scalings that no output can tell, of each of which a parameter was held.
+    pub scalings: &'a [Scaling],
+}
+
+/// What the end of a run is worth: estimates with standard errors, time histories, and what to beware of.
+#[derive(Clone, Debug)]
+pub struct Assessment {
+    /// As [`Fit::parameters`].
+    pub parameters: Vec<Estimate>,
+    /// As [`Fit::covariance`].
+    pub covariance: Vec<f64>,
+    /// Of the measurements; NaN where the states do not satisfy the equations.
+    pub log_likelihood: f64,
+    /// Whether the states satisfy the equations.
+    pub feasible: bool,
+    /// How the run ended, in the light of the information matrix.
+    pub status: Status,
+    /// What that means, and what to do.
+    pub message: String,
+    /// One an experiment.
+    pub records: Vec<Record>,
+    /// What to beware of.
+    pub warnings: Vec<String>,
+    /// Number of parameters of the model and initial states that were estimated.
+    pub unknowns: usize,
+}
+
+impl Assessment {
+    /// Assesses the end of a run, with standard errors where the limit leaves time for them.
+    pub fn new(
+        model: &Model,
+        experiments: &[Experiment],
+        problem: &dyn Transcribed,
+        end: &End<'_>,
+        limit: &Interrupt,
+    ) -> Self {
+        Interrupt::shielded(|| assessed(model, experiments, problem, end, limit))
+    }
+}
+
+fn assessed(
+    model: &Model,
+    experiments: &[Experiment],
+    problem: &dyn Transcribed,
+    end: &End<'_>,
+    limit: &Interrupt,
+) -> Assessment {
+    let (xi, n_theta, n_x) = (end.xi, problem.layout().n_theta, problem.layout().n_x);
+    let bounds = active_bounds(problem, xi, end.interior);
+    let held: Vec<usize> = (0..n_theta).filter(|&i| bounds[i].is_some()).collect();
+    let initial: Vec<usize> = problem.layout().first_point[..experiments.len()]
+        .iter()
+        .map(|&p| problem.layout().state(p))
+        .collect();
+    let mut wanted: Vec<usize> = (0..n_theta).filter(|&i| bounds[i].is_none()).collect();
+    let free = wanted.len();
+    wanted.extend(initial.iter().flat_map(|first| *first..first + n_x));
+
+    let (mut status, mut message) = (end.status, end.message.clone());
+    let mut warnings = Vec::new();
+    let n_model = problem.posed().n_model_parameters;
+    let reported = problem.posed().noise_report(xi);
+    let mut errors = vec![f64::NAN; problem.n()];
+    let mut covariance = vec![f64::NAN; n_theta * n_theta];
+    let total = total_defects(problem, xi);
+    let feasible = feasible(model, problem, xi, total.as_deref());
+    let found = feasible
+        .then(|| limit.run(|| information(problem, xi, end.multipliers, &wanted, &held, &mut || true)));
+    match found {
+        None => warnings.push(NOT_FEASIBLE.into()),
+        Some(Err(why)) => warnings.push(no_errors(problem, xi, why, limit)),
+        Some(Ok(found)) => {
+            judge(problem, &found, &wanted, (&mut status, &mut message), &mut warnings);
+            let k = wanted.len();
+            // The solver sees the logarithm of a parameter, or a part of it.
+            let slope = |i: usize| {
+                let transform = problem.posed().estimands.transforms.get(i);
+                transform.map_or(1.0, |t| t.slope(xi[i]))
+            };
+            for (a, &i) in wanted.iter().enumerate() {
+                let variance = found.covariance[a * k + a];
+                if variance > 0.0 {
+                    errors[i] = variance.sqrt() * slope(i).abs();
+                }
+                for (b, &j) in wanted[..free].iter().enumerate().filter(|_| a < free) {
+                    covariance[i * n_theta + j] = found.covariance[a * k + b] * slope(i) * slope(j);
+                }
+            }
+            warnings.extend(confounded(&problem.posed().parameters, &covariance));
+            noise_covariance(&reported, n_model, n_theta, &mut covariance);
+            for i in n_model..n_theta {
+                errors[i] = covariance[i * n_theta + i].sqrt();
+            }
+        }
+    }
+    let names: Vec<&str> = problem.posed().parameters[..n_model].iter().map(|p| p.name.as_str()).collect();
+    for scaling in end.scalings {
+        let scaled =
+            |name: &str| scaling.exponents.iter().any(|e| e.0 == name.split('[').next().unwrap_or(name));
+        for i in (0..n_model).filter(|&i| scaled(names[i])) {
+            errors[i] = f64::NAN;
+            (0..n_theta).for_each(|j| covariance[i * n_theta + j] = f64::NAN);
+            (0..n_theta).for_each(|j| covariance[j * n_theta + i] = f64::NAN);
+        }
+        for (i, _) in model.states.iter().enumerate().filter(|s| scaled(&s.1.name)) {
+            initial.iter().for_each(|first| errors[first + i] = f64::NAN);
+        }
+        warnings.push(scaling.advice(model));
+    }
+    if !end.scalings.is_empty()
+        && matches!(status, Status::Converged | Status::Acceptable | Status::Unidentifiable)
+    {
+        let said = if status == Status::Unidentifiable { &message } else { Status::Unidentifiable.hint() };
+        let each = end.scalings.iter().map(|s| {
+            let names: Vec<&str> = s.exponents.iter().map(|e| e.0.as_str()).collect();
+            format!("{}: one scale is free", names.join(", "))
+        });
+        message = format!("{said} ({})", each.collect::<Vec<_>>().join("; "));
+        status = Status::Unidentifiable;
+    }
+
+    let of_model = problem.posed().parameters[..n_model].iter().enumerate().map(|(i, p)| Estimate {
+        name: p.name.clone(),
+        unit: p.unit.clone(),
+        value: problem.posed().estimands.value(i, xi),
+        std_error: errors[i],
+        bound: bounds[i],
+    });
+    let of_noise = reported.iter().enumerate().map(|(i, r)| {
+        let of = |k: usize| {
+            if r.gradient[k] < 0.0 { bounds[n_model + k].map(flipped) } else { bounds[n_model + k] }
+        };
+        Estimate {
+            name: r.name.clone(),
+            unit: r.output.map_or_else(String::new, |c| model.outputs[c].unit.clone()),
+            value: r.value,
+            std_error: errors[n_model + i],
+            bound: r.bounded_by.and_then(of),
+        }
+    });
+    let parameters: Vec<Estimate> = of_model.chain(of_noise).collect();
+    let at_floor = |p: &&Estimate| p.bound == Some(Bound::Lower) && p.name.starts_with(SIGMA);
+    for p in parameters[n_model..].iter().filter(at_floor) {
+        warnings.push(format!(
+            "{} sits at its lower bound {:.3e}: the fit of this output is exact for all we know",
+            p.name, p.value
+        ));
+    }
+    if let Some(total) = total.filter(|_| feasible) {
+        warnings.extend(large_defects(model, problem, xi, &total));
+    }
+    warnings.extend(gap_warnings(&model.input_names(), experiments));
+    let of_model = held.iter().filter(|&&i| i < n_model).count();
+    // Each constraint, of the path or on its ends, takes one unknown away.
+    let unknowns = (problem.n() - of_model - (n_theta - n_model)).saturating_sub(problem.m());
+    warnings.extend(few_samples(model, experiments, unknowns));
+
+    let record = |e: usize| record(model, &experiments[e], problem, xi, &errors, e);
+    let log_likelihood = match problem.objective(xi) {
+        Ok(objective) if feasible => problem.posed().prior_terms(xi) - objective,
+        _ => f64::NAN,
+    };
+    Assessment {
+        records: (0..experiments.len()).map(record).collect(),
+        covariance,
+        log_likelihood,
+        feasible,
+        status,
+        message,
+        warnings,
+        unknowns,
+        parameters,
+    }
+}
+
+/// Why there are no standard errors.
+fn no_errors(problem: &dyn Transcribed, xi: &[f64], why: NoInformation, limit: &Interrupt) -> String {
+    let why = match (limit.cause(), why) {
+        (Some(Cause::Stopped), NoInformation::Stopped) => {
+            return "interrupted: there are no standard errors; an estimation that starts from this fit goes on from here"
+                .into();
+        }
+        (_, NoInformation::Stopped) => {
+            return "time limit: there are no standard errors; allow more time, or go on from this fit"
+                .into();
+        }
+        (_, NoInformation::NotFinite) => {
+            problem.explain(xi).unwrap_or_else(|| "a derivative of the model is not finite".into())
+        }
+        (_, NoInformation::Singular(KktError::Dependent { row })) => {
+            format!("the {} depends on others", problem.constraint_name(row))
+        }
+        (_, other) => other.to_string(),
+    };
+    format!("the standard errors could not be computed: {why}")
+}
 
 impl Fit {
     /// The fit at a solution, with standard errors where the limit leaves time for them.
@@ -24,105 +238,32 @@ impl Fit {
         solution: Solution,
         limit: &Interrupt,
     ) -> Self {
-        let (xi, n_theta, n_x) = (&solution.xi, problem.layout().n_theta, problem.layout().n_x);
-        let bounds = active_bounds(problem, xi);
-        let held: Vec<usize> = (0..n_theta).filter(|&i| bounds[i].is_some()).collect();
-        let initial =
-            problem.layout().first_point[..experiments.len()].iter().map(|&p| problem.layout().state(p));
-        let mut wanted: Vec<usize> = (0..n_theta).filter(|&i| bounds[i].is_none()).collect();
-        let free = wanted.len();
-        wanted.extend(initial.flat_map(|first| first..first + n_x));
-
-        let (mut status, mut message) = (solution.status, solution.message.clone());
-        let mut warnings = Vec::new();
-        let n_model = problem.posed().n_model_parameters;
-        let reported = problem.posed().noise_report(xi);
-        let mut errors = vec![f64::NAN; problem.n()];
-        let mut covariance = vec![f64::NAN; n_theta * n_theta];
-        let multipliers = &solution.multipliers;
-        let feasible = feasible(model, problem, xi);
-        let found = feasible
-            .then(|| limit.run(|| information(problem, xi, multipliers, &wanted, &held, &mut || true)));
-        match found {
-            None => warnings.push(NOT_FEASIBLE.into()),
-            Some(Err(why)) => warnings.push(format!("there are no standard errors: {why}")),
-            Some(Ok(found)) => {
-                judge(problem, &found, &wanted, (&mut status, &mut message), &mut warnings);
-                let k = wanted.len();
-                // The solver sees the logarithm of a parameter, or a part of it.
-                let slope = |i: usize| {
-                    let transform = problem.posed().estimands.transforms.get(i);
-                    transform.map_or(1.0, |t| t.slope(xi[i]))
-                };
-                for (a, &i) in wanted.iter().enumerate() {
-                    let variance = found.covariance[a * k + a];
-                    if variance > 0.0 {
-                        errors[i] = variance.sqrt() * slope(i).abs();
-                    }
-                    for (b, &j) in wanted[..free].iter().enumerate().filter(|_| a < free) {
-                        covariance[i * n_theta + j] = found.covariance[a * k + b] * slope(i) * slope(j);
-                    }
-                }
-                warnings.extend(confounded(&problem.posed().parameters, &covariance));
-                noise_covariance(&reported, n_model, n_theta, &mut covariance);
-                for i in n_model..n_theta {
-                    errors[i] = covariance[i * n_theta + i].sqrt();
-                }
-            }
+        let end = End {
+            xi: &solution.xi,
+            multipliers: &solution.multipliers,
+            status: solution.status,
+            message: solution.message.clone(),
+            interior: false,
+            scalings: &[],
+        };
+        let mut found = Assessment::new(model, experiments, problem, &end, limit);
+        let noise = &problem.posed().noise;
+        if found.feasible
+            && let Some(warning) = unlike_noise(noise, &found.records, found.unknowns)
+        {
+            found.warnings.insert(0, warning);
         }
-
-        let of_model = problem.posed().parameters[..n_model].iter().enumerate().map(|(i, p)| Estimate {
-            name: p.name.clone(),
-            unit: p.unit.clone(),
-            value: problem.posed().estimands.value(i, xi),
-            std_error: errors[i],
-            bound: bounds[i],
-        });
-        let of_noise = reported.iter().enumerate().map(|(i, r)| {
-            let of = |k: usize| {
-                if r.gradient[k] < 0.0 { bounds[n_model + k].map(flipped) } else { bounds[n_model + k] }
-            };
-            Estimate {
-                name: r.name.clone(),
-                unit: r.output.map_or_else(String::new, |c| model.outputs[c].unit.clone()),
-                value: r.value,
-                std_error: errors[n_model + i],
-                bound: r.bounded_by.and_then(of),
-            }
-        });
-        let parameters: Vec<Estimate> = of_model.chain(of_noise).collect();
-        let at_floor = |p: &&Estimate| p.bound == Some(Bound::Lower) && p.name.starts_with(SIGMA);
-        for p in parameters[n_model..].iter().filter(at_floor) {
-            warnings.push(format!(
-                "{} sits at its lower bound {:.3e}: the fit of this output is exact for all we know",
-                p.name, p.value
-            ));
-        }
-        if feasible {
-            warnings.extend(large_defects(model, problem, xi));
-        }
-        let inputs: Vec<&str> = model.inputs.iter().map(|v| v.name.as_str()).collect();
-        warnings.extend(gap_warnings(&inputs, experiments));
-
-        let record = |e: usize| record(model, &experiments[e], problem, xi, &errors, e);
-        let records: Vec<Record> = (0..experiments.len()).map(record).collect();
-        let of_model = held.iter().filter(|&&i| i < n_model).count();
-        let unknowns = problem.n() - problem.m() - of_model - (n_theta - n_model);
-        if feasible && let Some(warning) = unlike_noise(&problem.posed().noise, &records, unknowns) {
-            warnings.insert(0, warning);
-        }
-        let priors = problem.posed().prior_terms(xi);
         Fit {
             model: model.clone(),
-            covariance,
-            log_likelihood: if feasible { priors - solution.objective } else { f64::NAN },
-            feasible,
-            status,
-            message,
+            parameters: found.parameters,
+            covariance: found.covariance,
+            log_likelihood: found.log_likelihood,
+            status: found.status,
+            feasible: found.feasible,
+            message: found.message,
             iterations: solution.iterations,
-            records,
-            warnings,
-            parameters,
+            records: found.records,
+            warnings: found.warnings,
             solution,
         }
     }
@@ -145,11 +286,16 @@ fn noise_covariance(reported: &[Reported], n_model: usize, n: usize, covariance:
     }
 }
 
-/// For each parameter, what keeps it where it is.
-fn active_bounds(problem: &dyn Transcribed, xi: &[f64]) -> Vec<Option<Bound>> {
+/// For each parameter, what keeps it where it is. A bound other than zero is its own measure, so that units do not matter;
+/// one of zero is measured by the other.
+fn active_bounds(problem: &dyn Transcribed, xi: &[f64], interior: bool) -> Vec<Option<Bound>> {
     let (lower, upper) = problem.bounds();
-    let at = |i: usize, bound: f64| bound.is_finite() && (xi[i] - bound).abs() <= AT_BOUND * bound.abs();
-    let active = |i: usize| match (at(i, lower[i]), at(i, upper[i])) {
+    let part = if interior { NEAR_BOUND } else { AT_BOUND };
+    let at = |i: usize, bound: f64, other: f64| {
+        let size = if interior && bound == 0.0 { other.abs().min(1.0) } else { bound.abs() };
+        bound.is_finite() && (xi[i] - bound).abs() <= part * size
+    };
+    let active = |i: usize| match (at(i, lower[i], upper[i]), at(i, upper[i], lower[i])) {
         _ if lower[i] == upper[i] => Some(Bound::Fixed),
         (true, _) => Some(Bound::Lower),
         (_, true) => Some(Bound::Upper),

@@ -1,16 +1,21 @@
-//! Which outputs measure a state by itself.
+//! Which states are known before an estimation: measured by an output, or declared.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
+use crate::condition::End;
 use crate::experiment::Experiment;
 use crate::model::{Model, TIME};
 
 /// An output that measures a state: z = offset + slope · x.
-pub(crate) struct Measured {
-    output: usize,
-    offset: f64,
-    slope: f64,
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measured {
+    /// Number of the output.
+    pub output: usize,
+    /// In the unit of the output.
+    pub offset: f64,
+    /// In the unit of the output over that of the state.
+    pub slope: f64,
 }
 
 impl Measured {
@@ -21,32 +26,47 @@ impl Measured {
     }
 }
 
-/// For each state, the output that measures it: one that depends on no other state, input or time, and
-/// on this one linearly, with these parameters.
-pub(crate) fn measured_states(model: &Model, parameters: &[f64]) -> Vec<Option<Measured>> {
-    let varying: HashSet<&str> =
-        model.states.iter().chain(&model.inputs).map(|v| v.name.as_str()).chain([TIME]).collect();
-    let mut numbers: HashMap<Arc<str>, f64> =
-        model.parameters.iter().zip(parameters).map(|(p, v)| (p.name.as_str().into(), *v)).collect();
-    let mut found: Vec<Option<Measured>> = model.states.iter().map(|_| None).collect();
-    for (output, expr) in model.expanded().1.iter().enumerate() {
-        let symbols = expr.symbols();
-        let mut inside = symbols.iter().filter(|s| varying.contains(&***s));
-        let (Some(name), None) = (inside.next(), inside.next()) else { continue };
-        let Some(state) = model.states.iter().position(|s| *s.name == **name) else { continue };
-        let slope = expr.derivative(name);
-        if found[state].is_some() || slope.symbols().iter().any(|s| varying.contains(&**s)) {
-            continue;
-        }
-        numbers.insert(name.clone(), 0.0);
-        if let (Ok(offset), Ok(slope)) = (expr.evaluate(&numbers), slope.evaluate(&numbers))
-            && offset.is_finite()
-            && slope.is_finite()
-            && slope != 0.0
-        {
-            found[state] = Some(Measured { output, offset, slope });
-        }
-        numbers.remove(name);
+impl Model {
+    fn values(&self, parameters: &[f64]) -> HashMap<Arc<str>, f64> {
+        self.parameters.iter().zip(parameters).map(|(p, v)| (p.name.as_str().into(), *v)).collect()
     }
-    found
+
+    /// For each state, the output that measures it: one that depends on no other state, input or time, and
+    /// on this one linearly, with these parameters.
+    pub fn measured_states(&self, parameters: &[f64]) -> Vec<Option<Measured>> {
+        let varying: HashSet<&str> =
+            self.states.iter().chain(&self.inputs).map(|v| v.name.as_str()).chain([TIME]).collect();
+        let mut numbers = self.values(parameters);
+        let mut found: Vec<Option<Measured>> = self.states.iter().map(|_| None).collect();
+        for (output, expr) in self.expanded().1.iter().enumerate() {
+            let symbols = expr.symbols();
+            let mut inside = symbols.iter().filter(|s| varying.contains(&***s));
+            let (Some(name), None) = (inside.next(), inside.next()) else { continue };
+            let Some(state) = self.states.iter().position(|s| *s.name == **name) else { continue };
+            let slope = expr.derivative(name);
+            if found[state].is_some() || slope.symbols().iter().any(|s| varying.contains(&**s)) {
+                continue;
+            }
+            numbers.insert(name.clone(), 0.0);
+            if let (Ok(offset), Ok(slope)) = (expr.evaluate(&numbers), slope.evaluate(&numbers))
+                && offset.is_finite()
+                && slope.is_finite()
+                && slope != 0.0
+            {
+                found[state] = Some(Measured { output, offset, slope });
+            }
+            numbers.remove(name);
+        }
+        found
+    }
+
+    /// For each state, where it starts if that is declared, or follows from an initial condition and these parameters.
+    pub fn declared_paths(&self, parameters: &[f64]) -> Vec<Option<f64>> {
+        let numbers = self.values(parameters);
+        let of_condition = |state: &str| {
+            let mut own = self.conditions.iter().filter(|c| c.end == End::Initial && c.state == state);
+            own.find_map(|c| c.expr.evaluate(&numbers).ok().filter(|v| v.is_finite()))
+        };
+        self.states.iter().map(|s| s.start.or_else(|| of_condition(&s.name))).collect()
+    }
 }

@@ -9,8 +9,9 @@ mod print;
 mod start;
 
 pub use fit::{Bound, Estimate, Fit, Record};
-pub(crate) use measured::{Measured, measured_states};
-pub use start::Start;
+pub use make::{Assessment, End};
+pub use measured::Measured;
+pub use start::{Given, Start, point};
 
 use crate::collocation::{self, Collocation};
 use crate::error::{Error, did_you_mean};
@@ -18,7 +19,7 @@ use crate::experiment::Experiment;
 use crate::interrupt::{Interrupt, current};
 use crate::mesh::Grid;
 use crate::model::Model;
-use crate::noise::{Density, Noise, NoiseModel, SIGMA, Scale};
+use crate::noise::{Density, Noise, NoiseModel, Scale};
 use crate::problem::Transcribed;
 use crate::shooting::{Shooting, Shots};
 use crate::solver::{Control, Iteration, Settings, solve};
@@ -234,7 +235,7 @@ impl<'a> Estimation<'a> {
             ))
         })?;
         let limit = current();
-        Ok(Interrupt::shielded(|| Fit::new(self.model, self.experiments, problem, solution, &limit)))
+        Ok(Fit::new(self.model, self.experiments, problem, solution, &limit))
     }
 
     /// The nonlinear program of collocation and the point to start from: for a solver of one's own.
@@ -287,22 +288,7 @@ impl<'a> Estimation<'a> {
                 return Err(Error::Option(format!("noise: '{name}' is not an output.{hint}")));
             }
         }
-        let sigmas = outputs.iter().map(|o| format!("{SIGMA}{o}"));
-        let sigmas: Vec<String> = sigmas.chain(self.names_of_noise(outputs)).collect();
-        let parameters = self.model.parameters.iter().map(|p| &p.name);
-        let states = self.model.states.iter().map(|s| &s.name);
-        let local = self.model.parameters.iter().filter(|p| p.local);
-        let local: Vec<String> =
-            local.flat_map(|p| self.experiments.iter().map(|e| format!("{}[{}]", p.name, e.name))).collect();
-        let known = parameters.chain(&sigmas).chain(states).chain(&local);
-        let known: Vec<&str> = known.map(String::as_str).collect();
-        for (name, _) in &self.start {
-            if !known.contains(&name.as_str()) {
-                let hint = did_you_mean(name, known);
-                return Err(Error::Option(format!("start: '{name}' is no parameter, sigma or state.{hint}")));
-            }
-        }
-        Ok(())
+        self.given().check(self.experiments.iter().map(|e| e.name.as_str()), &self.names_of_noise(outputs))
     }
 
     /// The fit to go on from, where it is of this problem and nothing else is asked for.

@@ -2,9 +2,11 @@
 //! measurements, states as measured.
 
 use super::Estimation;
-use super::measured::measured_states;
-use crate::error::Error;
+use super::fit::Fit;
+use crate::error::{Error, did_you_mean};
+use crate::experiment::Experiment;
 use crate::interpolate::{Interpolation, interpolate};
+use crate::model::{Model, Parameter, Variable};
 use crate::noise::{Channel, Covariance, Density, Dof, Joint, Noise, SIGMA, Scale, Sigma};
 use crate::problem::Transcribed;
 
@@ -39,43 +41,202 @@ impl From<Vec<Vec<f64>>> for Start {
 /// Standard deviations without bounds of their own lie within these factors of the spread.
 const RANGE: (f64, f64) = (1e-9, 1e6);
 
-impl Estimation<'_> {
-    fn given(&self, name: &str) -> Option<&Start> {
-        self.start.iter().rev().find(|s| s.0 == name).map(|s| &s.1)
+/// Where states are tried of which nothing is known, where the model has no finite derivatives at 0.
+const ELSEWHERE: [f64; 4] = [1.0, 10.0, 0.1, -1.0];
+
+/// Starting values of a model: given by name, else those of a fit, else as declared.
+#[derive(Clone, Copy, Debug)]
+pub struct Given<'a> {
+    /// The model.
+    pub model: &'a Model,
+    /// Of two of one name the later one holds.
+    pub values: &'a [(String, Start)],
+    /// The fit to go on from.
+    pub fit: Option<&'a Fit>,
+}
+
+impl<'a> Given<'a> {
+    /// What is given for a name.
+    pub fn of(&self, name: &str) -> Option<&'a Start> {
+        self.values.iter().rev().find(|s| s.0 == name).map(|s| &s.1)
     }
 
-    /// The start of a parameter: given, or as a fit has it, or as declared.
+    /// Checks that each name is one of the model, of an experiment's own parameters, or of the noise.
+    ///
+    /// # Errors
+    /// For a name that is none.
+    pub fn check<'b>(
+        &self,
+        experiments: impl Iterator<Item = &'b str> + Clone,
+        noise: &[String],
+    ) -> Result<(), Error> {
+        let model = self.model;
+        let parameters = model.parameters.iter().map(|p| p.name.clone());
+        let sigmas = model.outputs.iter().map(|o| format!("{SIGMA}{}", o.name));
+        let states = model.states.iter().map(|s| s.name.clone());
+        let local = model.parameters.iter().filter(|p| p.local);
+        let local = local.flat_map(|p| experiments.clone().map(|e| format!("{}[{e}]", p.name)));
+        let known: Vec<String> =
+            parameters.chain(sigmas).chain(noise.iter().cloned()).chain(states).chain(local).collect();
+        match self.values.iter().find(|(name, _)| !known.contains(name)) {
+            Some((name, _)) => {
+                let hint = did_you_mean(name, known.iter().map(String::as_str));
+                Err(Error::Model(format!("start: '{name}' is no parameter, sigma or state.{hint}")))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// The start of a parameter that is declared to start at a value, with bounds.
     fn value(&self, name: &str, declared: f64, bounds: (f64, f64)) -> Result<f64, Error> {
-        let fail = |text: String| Err(Error::Option(format!("start: '{name}' {text}")));
-        match self.given(name) {
+        let fail = |text: String| Err(Error::Model(format!("start: '{name}' {text}")));
+        match self.of(name) {
             Some(Start::Paths(_)) => fail("is a parameter: give one number".into()),
             Some(Start::Value(v)) if !v.is_finite() => fail(format!("is {v}, not a finite number")),
             Some(Start::Value(v)) if *v < bounds.0 || *v > bounds.1 => {
-                fail(format!("= {v} lies outside its bounds {bounds:?}; move one of them"))
+                fail(format!("= {v:?} lies outside its bounds {bounds:?}; move one of them"))
             }
             Some(Start::Value(v)) => Ok(*v),
             None => {
-                let fitted = self.warm.and_then(|fit| fit.parameter(name)).map(|e| e.value);
+                let fitted = self.fit.and_then(|fit| fit.parameter(name)).map(|e| e.value);
                 Ok(fitted.map_or(declared, |v| v.max(bounds.0).min(bounds.1)))
             }
         }
     }
 
-    pub(super) fn parameters(&self) -> Result<Vec<f64>, Error> {
-        let one = |p: &crate::model::Parameter| {
+    /// Starting values of the parameters of the model, those that each experiment has of its own as they are in this
+    /// one.
+    ///
+    /// # Errors
+    /// For values that are not finite, outside of bounds, or not that of a parameter that is fixed.
+    pub fn parameters(&self, experiment: Option<&str>) -> Result<Vec<f64>, Error> {
+        let one = |p: &Parameter| {
             let bounds = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
-            if !p.fixed {
-                return self.value(&p.name, p.start, bounds);
-            }
-            match self.given(&p.name) {
-                Some(given) if *given != Start::Value(p.start) => Err(Error::Option(format!(
-                    "start: '{}' is fixed at {} and cannot start elsewhere",
+            let label = experiment.filter(|_| p.local).map(|e| format!("{}[{e}]", p.name));
+            let own = label.as_deref().filter(|label| self.of(label).is_some());
+            if let Some(Start::Value(v)) = self.of(own.unwrap_or(&p.name))
+                && p.fixed
+                && *v != p.start
+            {
+                return Err(Error::Model(format!(
+                    "start: '{}' is fixed at {:?} and cannot start at {v:?}",
                     p.name, p.start
-                ))),
-                _ => Ok(p.start),
+                )));
+            }
+            let shared = self.value(&p.name, p.start, bounds)?;
+            let shared = if p.fixed { p.start } else { shared };
+            match label.filter(|_| !p.fixed) {
+                Some(label) => self.value(&label, shared, bounds),
+                None => Ok(shared),
             }
         };
         self.model.parameters.iter().map(one).collect()
+    }
+
+    /// Starting states of the experiment of this number at some times, `[state][time]`: as given, else the path of the
+    /// fit, else as measured, else as declared ([`Variable::start`](crate::model::Variable), or an initial condition that
+    /// depends on parameters alone), else 0; within the bounds of the states. `parameters` holds those of the experiment.
+    ///
+    /// # Errors
+    /// For a path that is not one finite value a sample.
+    pub fn states(
+        &self,
+        index: usize,
+        experiment: &Experiment,
+        times: &[f64],
+        parameters: &[f64],
+    ) -> Result<Vec<Vec<f64>>, Error> {
+        let measured = self.model.measured_states(parameters);
+        let declared = self.model.declared_paths(parameters);
+        let (t, name) = (&experiment.t, &experiment.name);
+        let at_times = |t: &[f64], x: &[f64]| interpolate(Interpolation::Linear, t, x, times);
+        let path = |(i, state): (usize, &Variable)| {
+            let fitted = self.fit.and_then(|fit| fit.path(index, &state.name));
+            let path = match (self.of(&state.name), fitted, &measured[i]) {
+                (Some(Start::Value(v)), ..) if v.is_finite() => vec![*v; times.len()],
+                (Some(Start::Paths(paths)), ..)
+                    if paths
+                        .get(index)
+                        .is_some_and(|p| p.len() == t.len() && p.iter().all(|x| x.is_finite())) =>
+                {
+                    at_times(t, &paths[index])
+                }
+                (Some(_), ..) => {
+                    return Err(Error::Data(format!(
+                        "start: state '{}' takes a finite number, or for each experiment a path of one finite number a \
+                         sample ({} for '{name}')",
+                        state.name,
+                        t.len(),
+                    )));
+                }
+                (None, Some((t, x)), _) => interpolate(Interpolation::Cubic, t, x, times),
+                (None, None, Some(m)) => {
+                    let (t, x) = m.samples(experiment);
+                    at_times(&t, &x)
+                }
+                (None, None, None) => vec![declared[i].unwrap_or(0.0); times.len()],
+            };
+            let (lower, upper) = state.bounds();
+            Ok(path.into_iter().map(|x| x.max(lower).min(upper)).collect())
+        };
+        self.model.states.iter().enumerate().map(path).collect()
+    }
+
+    /// For each state, whether it is known where it starts: given, measured or declared.
+    fn known(&self, parameters: &[f64]) -> Vec<bool> {
+        let measured = self.model.measured_states(parameters);
+        let declared = self.model.declared_paths(parameters);
+        let states = self.model.states.iter().zip(measured).zip(declared);
+        states.map(|((s, m), d)| m.is_some() || d.is_some() || self.of(&s.name).is_some()).collect()
+    }
+
+    /// The points to start from in place of `xi`, where that makes no sense: states that are neither given nor measured
+    /// nor declared start at 0, where a square root has no derivative, and which may be outside of their bounds. In these
+    /// points they start at each of a few values at which all is finite. Empty where `xi` does, or where nothing helps.
+    pub fn elsewhere(&self, problem: &dyn Transcribed, xi: &[f64], parameters: &[f64]) -> Vec<Vec<f64>> {
+        let known = self.known(parameters);
+        let unknown: Vec<usize> = (0..known.len()).filter(|&i| !known[i]).collect();
+        let bounds: Vec<(f64, f64)> = self.model.states.iter().map(Variable::bounds).collect();
+        let inside = unknown.iter().all(|&i| bounds[i].0 < 0.0 && 0.0 < bounds[i].1);
+        if unknown.is_empty() || inside && is_finite(problem, xi) {
+            return Vec::new();
+        }
+        let mut found: Vec<Vec<f64>> = Vec::new();
+        for value in ELSEWHERE {
+            let mut trial = xi.to_vec();
+            for states in trial[problem.layout().n_theta..].chunks_exact_mut(known.len()) {
+                unknown.iter().for_each(|&i| states[i] = value.max(bounds[i].0).min(bounds[i].1));
+            }
+            if !found.contains(&trial) && is_finite(problem, &trial) {
+                found.push(trial);
+            }
+        }
+        found
+    }
+}
+
+/// Whether functions and first derivatives are finite.
+fn is_finite(problem: &dyn Transcribed, xi: &[f64]) -> bool {
+    let mut defects = vec![0.0; problem.m()];
+    let mut gradient = vec![0.0; problem.n()];
+    let mut jacobian = vec![0.0; problem.jacobian_structure().len()];
+    problem.objective(xi).is_ok()
+        && problem.constraints(xi, &mut defects).is_ok()
+        && problem.jacobian(xi, &mut jacobian).is_ok()
+        && problem.gradient(xi, &mut gradient).is_ok()
+}
+
+impl Estimation<'_> {
+    pub(super) fn given(&self) -> Given<'_> {
+        Given { model: self.model, values: &self.start, fit: self.warm }
+    }
+
+    fn value(&self, name: &str, declared: f64, bounds: (f64, f64)) -> Result<f64, Error> {
+        self.given().value(name, declared, bounds)
+    }
+
+    pub(super) fn parameters(&self) -> Result<Vec<f64>, Error> {
+        self.given().parameters(None)
     }
 
     /// What may be started of the noise beside its scales.
@@ -165,7 +326,7 @@ impl Estimation<'_> {
             let said = self.noise.scale_of(name);
             let sigma = format!("{SIGMA}{name}");
             if let Some(Scale::Known(value)) = said {
-                return match self.given(&sigma) {
+                return match self.given().of(&sigma) {
                     Some(_) => Err(Error::Option(format!(
                         "{sigma} is known ({value}) and cannot be given a start as well"
                     ))),
@@ -185,7 +346,7 @@ impl Estimation<'_> {
                 Some(Scale::Unknown { start, bounds }) => (*start, *bounds),
                 _ => (None, None),
             };
-            match (bounds, self.given(&sigma)) {
+            match (bounds, self.given().of(&sigma)) {
                 (Some(said), _) => (lower, upper) = said,
                 (None, Some(Start::Value(v))) => (lower, upper) = (lower.min(*v), upper.max(*v)),
                 (None, _) => {
@@ -203,65 +364,48 @@ impl Estimation<'_> {
 
     /// Whether all states are measured or given, so that a regression on them makes sense.
     pub(super) fn states_known(&self) -> bool {
-        let parameters = self.parameters().unwrap_or_default();
-        let measured = measured_states(self.model, &parameters);
-        self.model.states.iter().zip(&measured).all(|(s, m)| m.is_some() || self.given(&s.name).is_some())
+        let measured = self.model.measured_states(&self.parameters().unwrap_or_default());
+        let given = self.given();
+        self.model.states.iter().zip(&measured).all(|(s, m)| m.is_some() || given.of(&s.name).is_some())
     }
 
     /// Parameters, precision roots of the noise, states at all points.
     pub(super) fn starting_point(&self, problem: &dyn Transcribed) -> Result<Vec<f64>, Error> {
-        let declared = self.parameters()?;
-        let measured = measured_states(self.model, &declared);
-        let mut xi = Vec::with_capacity(problem.n());
-        for (i, p) in problem.posed().parameters.iter().enumerate() {
-            let value = if i >= problem.posed().n_model_parameters {
-                p.start
-            } else if problem.posed().estimands.experiment[i].is_some() && !p.fixed {
-                let bounds = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
-                self.value(&p.name, declared[problem.posed().estimands.parameter[i]], bounds)?
-            } else {
-                declared[problem.posed().estimands.parameter[i]]
-            };
-            xi.push(problem.posed().estimands.transforms[i].inverse(value));
-        }
-        xi.resize(problem.n(), 0.0);
-        for (i, state) in self.model.states.iter().enumerate() {
-            for (e, experiment) in self.experiments.iter().enumerate() {
-                let (t, mesh) = (&experiment.t, problem.point_times(e));
-                let at_points = |t: &[f64], x: &[f64]| interpolate(Interpolation::Linear, t, x, mesh);
-                let fitted = self.warm.and_then(|fit| fit.path(e, &state.name));
-                let path = match (self.given(&state.name), fitted, &measured[i]) {
-                    (Some(Start::Value(v)), ..) if v.is_finite() => vec![*v; mesh.len()],
-                    (Some(Start::Paths(paths)), ..)
-                        if paths.len() == self.experiments.len()
-                            && paths[e].len() == t.len()
-                            && paths[e].iter().all(|x| x.is_finite()) =>
-                    {
-                        at_points(t, &paths[e])
-                    }
-                    (Some(_), ..) => {
-                        return Err(Error::Option(format!(
-                            "start: state '{}' takes a finite number, or a path of finite numbers for each of {} \
-                             experiments ({} for '{}')",
-                            state.name,
-                            self.experiments.len(),
-                            t.len(),
-                            experiment.name
-                        )));
-                    }
-                    (None, Some((t, x)), _) => interpolate(Interpolation::Cubic, t, x, mesh),
-                    (None, None, Some(m)) => {
-                        let (t, x) = m.samples(experiment);
-                        at_points(&t, &x)
-                    }
-                    (None, None, None) => continue,
-                };
-                let first = problem.layout().first_point[e];
-                path.iter().enumerate().for_each(|(p, x)| xi[problem.layout().state(first + p) + i] = *x);
-            }
-        }
-        Ok(xi)
+        let given = self.given();
+        let own = self.experiments.iter().map(|e| given.parameters(Some(&e.name)));
+        let own: Vec<Vec<f64>> = own.collect::<Result<_, _>>()?;
+        let shared = given.parameters(None)?;
+        Ok(point(problem, &shared, &own, |e, times| given.states(e, &self.experiments[e], times, &own[e]))?)
     }
+}
+
+/// The variables of a problem whose parameters start at these values, `shared` by all experiments or each experiment's
+/// `own`, and whose states are those of an experiment at some times.
+pub fn point(
+    problem: &dyn Transcribed,
+    shared: &[f64],
+    own: &[Vec<f64>],
+    states: impl Fn(usize, &[f64]) -> Result<Vec<Vec<f64>>, Error>,
+) -> Result<Vec<f64>, Error> {
+    let posed = problem.posed();
+    let mut xi = Vec::with_capacity(problem.n());
+    for (i, p) in posed.parameters.iter().enumerate() {
+        xi.push(if i >= posed.n_model_parameters {
+            p.start
+        } else {
+            let values = posed.estimands.experiment[i].map_or(shared, |e| &own[e]);
+            posed.estimands.transforms[i].inverse(values[posed.estimands.parameter[i]])
+        });
+    }
+    xi.resize(problem.n(), 0.0);
+    let n_x = problem.layout().n_x;
+    for e in 0..own.len() {
+        let first = problem.layout().state(problem.layout().first_point[e]);
+        for (i, path) in states(e, problem.point_times(e))?.iter().enumerate() {
+            path.iter().zip(xi[first + i..].iter_mut().step_by(n_x)).for_each(|(x, to)| *to = *x);
+        }
+    }
+    Ok(xi)
 }
 
 /// Whether the samples that are there differ by more than rounding.

@@ -23,6 +23,42 @@ pub struct Scaling {
     pub at: f64,
 }
 
+impl Scaling {
+    /// Says which quantities are free to scale, and what to fix.
+    pub fn advice(&self, model: &Model) -> String {
+        let power = |e: f64| match e {
+            1.0 => "s".into(),
+            e if e > 0.0 => format!("s**{}", significant(e, 4)),
+            e => format!("s**({})", significant(e, 4)),
+        };
+        let is_state = |name: &str| model.states.iter().any(|s| s.name == name);
+        let scaled: Vec<String> = self.exponents.iter().map(|(n, e)| format!("{n}*{}", power(*e))).collect();
+        let names: Vec<&str> = self.exponents.iter().map(|e| e.0.as_str()).collect();
+        let (states, parameters): (Vec<&str>, Vec<&str>) = names.iter().partition(|n| is_state(n));
+        let fix = match parameters[..] {
+            [one] => format!("fix {one}"),
+            _ => format!("fix one of {}", parameters.join(", ")),
+        };
+        let known = match &states[..] {
+            [] => String::new(),
+            own => format!(", or give {} a known initial value", own[..own.len().min(3)].join(" or ")),
+        };
+        format!(
+            "{} cannot be told apart with any data: the outputs stay the same with {} for every s > 0; {} was held at {}. \
+             To determine them {fix}{known}, or give one a prior",
+            names.join(", "),
+            scaled.join(", "),
+            self.held,
+            significant(self.at, 6)
+        )
+    }
+}
+
+/// A number to so many significant digits.
+fn significant(value: f64, digits: usize) -> f64 {
+    format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
+}
+
 /// Exponents below this are 0.
 const NOTHING: f64 = 1e-9;
 

@@ -12,7 +12,7 @@ pub use path::Path;
 
 use crate::condition::End;
 use crate::error::{Error, did_you_mean};
-use crate::estimate::{Fit, measured_states};
+use crate::estimate::Fit;
 use crate::experiment::{Experiment, Signal};
 use crate::interrupt::Interrupt;
 use crate::model::{Model, TIME};
@@ -194,7 +194,7 @@ impl<'a> Simulation<'a> {
             let given = self.initial.iter().rev().find(|s| s.0 == name).map(|s| s.1);
             given.or_else(|| record?.initial.iter().find(|e| e.name == name).map(|e| e.value))
         };
-        let measured = measured_states(model, parameters);
+        let measured = model.measured_states(parameters);
         let start = |(name, m): (&str, &Option<crate::estimate::Measured>)| {
             let as_measured = || m.as_ref().and_then(|m| m.samples(run).1.first().copied());
             said(name).or_else(as_measured).unwrap_or(0.0)

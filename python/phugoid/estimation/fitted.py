@@ -16,7 +16,7 @@ from ..fit_result import FitResult
 from ..match import chi_square_warning, no_match, r_squared
 from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
-from ..modelling.scaling import Scaling
+from ..modelling.scaling import ScalingSymmetry
 from ..noise.kinds import PerExperiment
 from ..noise.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates, Parameter, correlation_matrix
@@ -59,7 +59,7 @@ def make_fit(
     transcription: Transcription,
     problem: _core.Problem,
     solution: Solution,
-    free: Sequence[Scaling] = (),
+    free: Sequence[ScalingSymmetry] = (),
     stop: Callable[[], bool] | None = None,
     deadline: Deadline | None = None,
 ) -> FitResult:
@@ -220,7 +220,7 @@ def _unknowns(problem: _core.Problem, held: int) -> int:
 
 def _scaled(
     model: Model,
-    free: Sequence[Scaling],
+    free: Sequence[ScalingSymmetry],
     problem: _core.Problem,
     firsts: Sequence[int],
     errors: tuple[_Array, _Array],

@@ -83,7 +83,7 @@ def sigmas_of(model: Model, fit: FitResult | None, noise: Mapping[str, float] | 
 def first_states(model: Model, fit: FitResult | None, initial: Mapping[str, float] | None) -> dict[str, float]:
     found = {} if fit is None else {n: e.value for n, e in fit.initial_states[fit.records[0].name].items()}
     # What the model's conditions say follows from the values.
-    held = {state for end, state, *_ in model._core.conditions if end == "initial"}
+    held = {state for end, state, _ in model.conditions if end == "initial"}
     found = {n: v for n, v in found.items() if n not in held}
     for n, v in (initial or {}).items():
         if n not in model.state_names:

@@ -231,7 +231,7 @@ def _start(fit: FitResult, slim: Model, held: Mapping[str, float], free: Sequenc
 def _degrees(model: Model, free: Sequence[str], found: FitResult) -> int:
     """Measured values minus what was estimated."""
     values = sum(int(np.isfinite(r.residuals[name]).sum()) for r in found.records for name in model.output_names)
-    conditions = len({(end, state) for end, state, *_ in model._core.conditions})
+    conditions = len({(end, state) for end, state, _ in model.conditions})
     states = max(len(model.state_names) - conditions, 0) * len(found.records)
     return values - states - len(estimates_of(found.parameters, free))
 

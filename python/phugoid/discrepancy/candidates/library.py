@@ -115,7 +115,7 @@ def _check(model: Any, trim: Any, leave_out: Any, equations: Any, base: Any) -> 
     if equations not in ("own", "all"):
         raise OptionError(f'candidates: equations is "own" or "all", not {equations!r}')
     for name in trim or {}:
-        known = [*model.state_names, *(n for n, _ in model._core.inputs)]
+        known = [*model.state_names, *model.declared_inputs]
         if name not in known:
             raise OptionError(f"candidates: trim names '{name}', no state or input.{did_you_mean(name, known)}")
     if isinstance(leave_out, str):
@@ -130,9 +130,8 @@ class _Names:
     """Names of new parameters: none twice, none of the model's."""
 
     def __init__(self, model: Model) -> None:
-        core = model._core
         self._taken = {*model.state_names, *model.parameter_names, *model.output_names, "time"}
-        self._taken |= {name for name, *_ in core.quantities} | {name for name, _ in core.inputs}
+        self._taken |= {*model.quantity_names, *model.declared_inputs}
 
     def __call__(self, wanted: str) -> str:
         return unused(re.sub(r"\W+", "_", wanted).strip("_"), self._taken)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
 from ..._core import Expr
 from ...errors import DataError
+from ...modelling.compiled import CompiledExpressions
 
 __all__ = [
     "Points",
@@ -209,16 +209,9 @@ def of(group: Mapping[str, _Array], name: str, points: Points, what: str) -> _Ar
 
 def evaluated(e: Expr, points: Points) -> _Array:
     """(n,) values of an expression in states, inputs, quantities and time."""
-    core = _core.Model("")
     names = [name for name in e.symbols if name != "time"]
-    for name in names:
-        core.input(name, "")
-    core.state("no_state__", "")  # a model has one
-    core.equation("no_state__", 0.0, None)
-    core.output("value", e, "", None)
     columns = [points.t, *(of(points.values, name, points, "state, input or quantity") for name in names)]
-    empty = np.zeros(0)
-    return np.asarray(_core.Evaluator(core).outputs(empty, np.vstack([*columns, np.zeros(points.n)]))[0])
+    return np.asarray(CompiledExpressions([e], inputs=names)(np.zeros(0), np.vstack(columns))[0])
 
 
 def lagged(t: _Array, u: _Array, tau: float) -> _Array:

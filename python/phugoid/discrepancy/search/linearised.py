@@ -150,7 +150,7 @@ class Linearised:
             at = place_of[problem.sample_points(e)]
             seen = derivatives(theta, self._at_samples(experiment, columns[:, at]))
             for of, name in late.items():  # what acts on an input, acts on it late
-                by_place, inputs = found.by_place, [n for n, _ in model._core.inputs]
+                by_place, inputs = found.by_place, list(model.declared_inputs)
                 for each in (by_place, seen.by_place):
                     (f, g), (more_f, more_g) = each[Place("input", of)], each[Place("input", name)]
                     each[Place("input", of)] = f + more_f, g + more_g
@@ -171,7 +171,7 @@ class Linearised:
     def _at_samples(self, experiment: Experiment, columns: _Array) -> _Array:
         """Columns at the samples, with inputs that are held as the outputs see them: from the sample's time on."""
         columns = columns.copy()
-        for row, (name, _) in enumerate(self.model._core.inputs, start=1):
+        for row, name in enumerate(self.model.declared_inputs, start=1):
             own, values, delay, order = experiment.signal(name) or (experiment.t, experiment.input(name), 0.0, 0)
             if experiment.interpolation_of(name) == "hold" and order == 0:
                 columns[row] = interpolated("hold", own, values, columns[0] - delay)
@@ -184,11 +184,11 @@ class Linearised:
         def rate(v: _Array) -> _Array:
             return np.gradient(v, t)
 
-        inputs = [n for n, _ in model._core.inputs]
+        inputs = list(model.declared_inputs)
         values = dict(zip([*inputs, *model.state_names], columns[1:], strict=True))
         rates = {n: rate(values[n]) for n in inputs} | dict(zip(model.state_names, found.f, strict=True))
         outputs = dict(zip(model.output_names, found.g, strict=True))
-        values |= dict(zip((n for n, *_ in model._core.quantities), found.quantities, strict=True))
+        values |= dict(zip(model.quantity_names, found.quantities, strict=True))
         return Points(name, t, values, rates, outputs, {n: rate(v) for n, v in outputs.items()})
 
     @cached_property

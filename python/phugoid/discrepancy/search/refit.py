@@ -102,7 +102,7 @@ def refit(
             own = {n: starts[n] for n in candidate.parameters if n in starts}
             model = candidate.extended(model, own)
         if model.delays:
-            model = model._around(model._core, replace(model.delays, settled=_SETTLED, passes=_PASSES))
+            model = model._changed(delays=replace(model.delays, settled=_SETTLED, passes=_PASSES))
         fit = estimate(
             model,
             dataset(base),

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
+from ...modelling.compiled import CompiledModel
 from ...modelling.model import Model
-from ...modelling.rebuilt import rebuilt
 from ..search.refit import Refit
 
 __all__ = ["Flown", "Lanes"]
@@ -35,14 +32,8 @@ class Lanes:
 
     def __init__(self, model: Model, t: _Array, values: _Array, first: _Array, trim: _Array, sizes: _Array) -> None:
         self.model, self.t = model, t
-        core = model._core
-        self._inputs = [name for name, _ in core.inputs]
-
-        def declare(new: _core.Model, declared: Any) -> None:
-            new.input(declared[0], declared[1])  # an input: then each lane has its own
-
-        slim = rebuilt(core, core.inputs, declare)
-        self._evaluator = _core.Evaluator(slim)
+        self._inputs = list(model.declared_inputs)
+        self._evaluator = CompiledModel(model, own_parameters=True)
         self._none = np.empty(0)
         self._values = slice(1 + len(self._inputs), 1 + len(self._inputs) + len(model.parameter_names))
         self._states = slice(self._values.stop, self._values.stop + len(model.state_names))
@@ -185,17 +176,17 @@ class Flown:
         self._t0, self._experiment = float(t[0]), fit.records[0].name
         model, record = fit.model, fit.records[0]
         labels = [n if n in fit.parameters else f"{n}[{record.name}]" for n in model.parameter_names]
-        declared = model._core.parameters
+        declared = model.declared_parameters.values()
         estimates = [fit.parameters.get(label) for label in labels]
-        self._values = np.array([d[2] if e is None else e.value for d, e in zip(declared, estimates, strict=True)])
-        self._low, self._high = (np.array([d[k] for d in declared], dtype=np.float64) for k in (3, 4))
+        self._values = np.array([p.start if e is None else e.value for p, e in zip(declared, estimates, strict=True)])
+        self._low, self._high = np.array([p.bounds for p in declared]).reshape(-1, 2).T
         first = fit.initial_states[record.name]
         self._first = np.array([float(first[n]) for n in model.state_names])
-        held = {state for end, state, *_ in model._core.conditions if end == "initial"}
+        held = {state for end, state, _ in model.conditions if end == "initial"}
         self._free = [
             i
-            for i, (d, e) in enumerate(zip(declared, estimates, strict=True))
-            if e is not None and not d[6] and not e.bounds_active
+            for i, (p, e) in enumerate(zip(declared, estimates, strict=True))
+            if e is not None and not p.fixed and not e.bounds_active
         ]
         self._states = [i for i, n in enumerate(model.state_names) if n not in held]
         errors = np.array([refit.own.parameter(labels[i])[1] for i in self._free])
@@ -231,7 +222,7 @@ class Flown:
 
     def _conditioned(self, values: _Array, first: _Array) -> _Array:
         """First states (L, n_x) that the model's initial conditions ask for."""
-        conditions = [(state, e) for end, state, e, _ in self.model._core.conditions if end == "initial"]
+        conditions = [(state, e) for end, state, e in self.model.conditions if end == "initial"]
         if not conditions:
             return first
         known = dict(zip(self.model.input_names, self.trim.tolist(), strict=True)) | {"time": self._t0}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,13 @@ from ...errors import ModelError, did_you_mean
 from ...modelling.model import Model
 from ...modelling.rebuilt import Key
 from ...parameters import Parameter
-from .scales import Points, Scales, of
+from ...sensitivities.trajectory import Place, Points
+from .scales import Scales, of
 
 __all__ = [
     "Candidate",
     "Effect",
     "ExtensionBuilder",
-    "Place",
     "largest_coefficient",
     "place_range",
     "unused",
@@ -29,17 +29,6 @@ __all__ = [
 ]
 
 _Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a candidate acts: what its signal is added to.
-
-    An "input" stands for its symbol everywhere, an "equation" for the derivative of the state of that name.
-    """
-
-    kind: Literal["quantity", "equation", "output", "input"]
-    name: str
 
 
 class Candidate(ABC):

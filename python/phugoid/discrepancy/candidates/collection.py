@@ -10,8 +10,9 @@ from ..._core import Expr
 from ...errors import DataError, ModelError, UnknownName, did_you_mean
 from ...modelling.model import Model
 from ...parameters import text_table
-from .candidate import Candidate, Effect, Place
-from .scales import Points, Scales
+from ...sensitivities.trajectory import Place, Points
+from .candidate import Candidate, Effect
+from .scales import Scales
 
 __all__ = ["Candidates", "read_terms"]
 

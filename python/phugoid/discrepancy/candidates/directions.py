@@ -19,8 +19,9 @@ from ...errors import ModelError
 from ...modelling.compiled import CompiledModel
 from ...modelling.model import Model
 from ...modelling.rebuilt import Key
+from ...sensitivities.trajectory import Points
 from .candidate import Candidate
-from .scales import Points, Scales
+from .scales import Scales
 
 __all__ = ["Directions", "Verdict"]
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...errors import DataError
 from ...modelling.compiled import CompiledExpressions
+from ...sensitivities.trajectory import Points
 
 __all__ = [
-    "Points",
     "Scales",
     "delay_bounds",
     "delay_grid",
@@ -33,31 +33,6 @@ __all__ = [
 ]
 
 _Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Points:
-    """One experiment along the fitted path, at n times: the mesh points, or the samples.
-
-    experiment  name of the experiment.
-    t           (n,) time, s.
-    values      name -> (n,): states, inputs and quantities.
-    rates       name -> (n,): time derivatives of states and inputs, per second.
-    outputs     name -> (n,): outputs of the model.
-    output_rates  name -> (n,): their time derivatives, per second.
-    """
-
-    experiment: str
-    t: _Array
-    values: Mapping[str, _Array]
-    rates: Mapping[str, _Array]
-    outputs: Mapping[str, _Array]
-    output_rates: Mapping[str, _Array]
-
-    @property
-    def n(self) -> int:
-        """Number of points."""
-        return int(self.t.size)
 
 
 # A variable hovers about zero where its median is less than this part of its standard deviation.

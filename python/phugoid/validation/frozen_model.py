@@ -22,12 +22,12 @@ from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import SingleShooting, Transcription
 
-__all__ = ["estimates_of", "held_model", "held_noise", "mesh_for"]
+__all__ = ["estimates_of", "freeze_model", "freeze_noise", "mesh_for"]
 
 _Array = NDArray[np.float64]
 
 
-def held_model(model: Model, values: Mapping[str, float], free: Collection[str]) -> Model:
+def freeze_model(model: Model, values: Mapping[str, float], free: Collection[str]) -> Model:
     """The model with all parameters fixed at ``values`` but those in ``free``, which stay as declared."""
     # Without bounds: a value at one may lie outside by rounding.
     return model.with_parameters(
@@ -38,7 +38,7 @@ def held_model(model: Model, values: Mapping[str, float], free: Collection[str])
     )
 
 
-def held_noise(fit: FitResult) -> tuple[Noise, tuple[str, ...]]:
+def freeze_noise(fit: FitResult) -> tuple[Noise, tuple[str, ...]]:
     """The fit's noise with every number known, and what to say of that.
 
     Where each experiment of the fit has noise of its own, another experiment gets its mean: of variances and

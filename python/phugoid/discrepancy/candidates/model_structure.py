@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from ..._core import Expr
 from ...modelling.model import Model
-from .candidate import Place
+from ...sensitivities.trajectory import Place
 
-__all__ = ["Anatomy", "Variable"]
+__all__ = ["ModelStructure", "Variable"]
 
 _ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
 
@@ -24,7 +24,7 @@ class Variable:
     speed: bool = False  # what friction may turn with
 
 
-class Anatomy:
+class ModelStructure:
     """Variables and places of a model.
 
     A quantity is a place where parameters stand in it; others define something exactly. A state equation is one where

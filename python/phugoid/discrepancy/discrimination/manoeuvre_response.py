@@ -9,7 +9,7 @@ from ...modelling.compiled import CompiledModel
 from ...modelling.model import Model
 from ..search.refit import Refit
 
-__all__ = ["Flown", "Lanes"]
+__all__ = ["BatchSimulation", "ManoeuvreResponse"]
 
 _Array = NDArray[np.float64]
 _Indices = NDArray[np.intp]
@@ -17,11 +17,11 @@ _Indices = NDArray[np.intp]
 # Steps are shorter than the fastest time constant, within reason, and then at least stable: the limit of the method
 # is 2.7 of them.
 _STEP, _REASON, _STABLE = 1.0, 3, 2.0
-# Lanes that are integrated together: they stay in the cache.
+# BatchSimulation that are integrated together: they stay in the cache.
 _AT_ONCE = 1024
 
 
-class Lanes:
+class BatchSimulation:
     """The classical method of Runge and Kutta, in steps of equal length between the times ``t`` (N,), equally spaced.
 
     Delays are those of each lane: inputs are taken from before, outputs put between the steps.
@@ -162,7 +162,7 @@ _LOOSE = 10.0
 _DIFFERENCE, _MOST = 0.01, 1e-3
 
 
-class Flown:
+class ManoeuvreResponse:
     """From the state in which its first record begins, at times ``t`` (N,) with inputs about ``trim`` (n_u,).
 
     units   (k,) by which free parameters, then first states, move: ten standard errors; the range of the state.
@@ -202,7 +202,7 @@ class Flown:
         delays = dict(zip(model.parameter_names, self._values, strict=True))
         self.late = np.array([delays.get(model.delays.outputs.get(n, ""), 0.0) for n in model.output_names])
         sizes = np.array([np.abs(record.states[name]).max() for name in model.state_names])
-        self._lanes = Lanes(model, t, self._values, self._first, trim, np.where(sizes > 0.0, sizes, 1.0))
+        self._lanes = BatchSimulation(model, t, self._values, self._first, trim, np.where(sizes > 0.0, sizes, 1.0))
 
     def fly(
         self, inputs: _Array, moves: _Array | None = None, which: NDArray[np.intp] | None = None

@@ -56,7 +56,7 @@ class Sides(Problem):
         """One side."""
         begin = time.perf_counter()
         assert self.base is not None
-        walk = _Walk(self, self.base, start["name"])
+        walk = _ProfileSearch(self, self.base, start["name"])
         try:
             end, kind = walk.to_end(start["side"], start["root"])
         except KeyboardInterrupt:
@@ -74,7 +74,7 @@ class Sides(Problem):
         )
 
 
-class _Walk:
+class _ProfileSearch:
     """Estimations with one parameter held at value after value, each from the nearest before."""
 
     def __init__(self, problem: Sides, base: FitResult, name: str) -> None:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._core import Expr
-from ...modelling.compiled import CompiledExpressions
-from ..candidates.candidate import Place
+from .._core import Expr
+from ..modelling.compiled import CompiledExpressions
+from .trajectory import Place
 
 __all__ = ["Derivatives", "Values"]
 

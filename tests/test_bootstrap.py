@@ -14,8 +14,7 @@ from oscillator import SIGMA, TRUE, measured, model
 from scipy import stats
 
 import phugoid as ph
-from phugoid.uncertainty.blocks import Blocks, block_length
-from phugoid.uncertainty.resample import Coloured, Parametric
+from phugoid.uncertainty.resample import Blocks, ColouredNoise, Parametric, block_length
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +85,7 @@ def test_missing_samples_stay_missing() -> None:
     x = run.output("x").copy()
     x[50:80] = np.nan
     fit = ph.estimate(model(), run.with_outputs({"x": x, "v": run.output("v")}))
-    for resampler in (Parametric.of(fit), Coloured.of(fit), Blocks.of(fit, 10)):
+    for resampler in (Parametric.of(fit), ColouredNoise.of(fit), Blocks.of(fit, 10)):
         (drawn,) = resampler.draw(np.random.default_rng(0))
         assert np.array_equal(np.isnan(drawn["x"]), np.isnan(x)) and np.isfinite(drawn["v"]).all()
 
@@ -122,7 +121,7 @@ def test_parametric_noise_has_the_correlation_of_the_fit() -> None:
 
 def test_coloured_noise_has_the_autocorrelation_of_the_fit() -> None:
     fit = ph.estimate(model(), measured(600, (0.9, 0.5), 0, common=0.8))
-    resampler = Coloured.of(fit)
+    resampler = ColouredNoise.of(fit)
     random = np.random.default_rng(0)
     drawn = [resampler.noise(random, 0) for _ in range(60)]
     for name in SIGMA:

@@ -12,7 +12,7 @@ import pytest
 from oscillator import SIGMA, TRUE, autoregressive, clean, covered, measured, model
 
 import phugoid as ph
-from phugoid.uncertainty.tangents import Tangents, linearised
+from phugoid.sensitivities.tangents import Tangents
 
 SEEDS = 120
 
@@ -148,7 +148,7 @@ KINDS = [
 def test_white_limit_is_the_covariance_of_the_fit(model: ph.Model, noise: ph.Gaussian) -> None:
     """The information on the tangents is that of the fit: exact second derivatives, priors, whatever the noise."""
     fit = ph.estimate(model, gust(0), noise=noise)
-    t = Tangents(linearised(fit, "test"))
+    t = Tangents.of(fit, "test")
     found = t.of_parameters(t.inverse)
     n = len(found)
     free = np.isfinite(np.diag(fit.covariance)[:n])
@@ -183,7 +183,7 @@ def unstable() -> ph.Fit:
 
 def test_unstable_motion() -> None:
     fit = unstable()
-    t = Tangents(linearised(fit, "test"))
+    t = Tangents.of(fit, "test")
     assert np.sqrt(np.diag(t.of_parameters(t.inverse))) == pytest.approx(fit.parameters.std_errors_array[:3], rel=1e-6)
     assert all(0.8 < ratio < 3.0 for ratio in fit.coloured.inflation.values())
 

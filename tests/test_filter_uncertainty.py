@@ -81,9 +81,9 @@ def test_bootstrap_draws_process_noise_anew(fit: ph.Fit) -> None:
 
 def test_bootstrap_of_draws_with_the_statistics_of_the_model(fit: ph.Fit) -> None:
     """Many draws about one input: the variance of the state at the end is that of the equations."""
-    from phugoid.uncertainty.disturbed import Disturbed
+    from phugoid.uncertainty.process_noise_bootstrap import ProcessNoiseResampler
 
-    drawn = Disturbed.of(fit)
+    drawn = ProcessNoiseResampler.of(fit)
     random = np.random.default_rng(0)
     last = np.array([drawn.draw(random)[0]["y"][-1] for _ in range(400)])
     p = {n: e.value for n, e in fit.parameters.items()}

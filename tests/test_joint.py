@@ -10,17 +10,18 @@ from scipy.stats import multivariate_normal
 
 import phugoid as ph
 from phugoid import _core
-from phugoid.discrepancy.colour.whitening import JointWhitening, Rows, Strand
+from phugoid.residual_noise.uniform_segments import UniformSegment
+from phugoid.residual_noise.whitening import MultivariateWhitening, RowStructure
 
 A = np.array([[0.8, 0.1, 0.0], [0.5, 0.3, 0.0], [-0.2, 0.4, 0.6]])
 ROOT = np.array([[1.0, 0.0, 0.0], [0.5, 0.2, 0.0], [0.0, 0.1, 2.0]])
 
 
-def rows(n: int, n_y: int) -> Rows:
+def rows(n: int, n_y: int) -> RowStructure:
     """All channels at n times."""
     at = np.arange(n * n_y).reshape(n_y, n).T
-    strands = [[Strand(slice(i * n, (i + 1) * n), np.arange(n))] for i in range(n_y)]
-    return Rows(strands, [(tuple(range(n_y)), at)], [at])
+    strands = [[UniformSegment(slice(i * n, (i + 1) * n), np.arange(n))] for i in range(n_y)]
+    return RowStructure(strands, [(tuple(range(n_y)), at)], [at])
 
 
 def process(n: int, seed: int) -> NDArray[np.float64]:
@@ -35,7 +36,7 @@ def process(n: int, seed: int) -> NDArray[np.float64]:
 
 def test_the_process_is_found_and_made_white() -> None:
     n = 4000
-    r, first = process(n, 0), JointWhitening.fitted(process(n, 0), rows(n, 3))[0]
+    r, first = process(n, 0), MultivariateWhitening.fitted(process(n, 0), rows(n, 3))[0]
     found = first.orders[1].coefficients.T * np.outer(first.scale, 1.0 / first.scale)
     assert np.abs(found - A).max() < 0.06
     e = first(r).reshape(3, n)
@@ -46,7 +47,7 @@ def test_the_process_is_found_and_made_white() -> None:
 
 def test_its_likelihood_is_that_of_a_normal_distribution() -> None:
     n = 12
-    whitening = JointWhitening.fitted(process(2000, 1), rows(2000, 3))[0].on(rows(n, 3))
+    whitening = MultivariateWhitening.fitted(process(2000, 1), rows(2000, 3))[0].on(rows(n, 3))
     r = process(n, 2)
     # The transform is linear and triangular in time: its matrix gives the covariance.
     transform = whitening(np.eye(3 * n)).T
@@ -56,8 +57,8 @@ def test_its_likelihood_is_that_of_a_normal_distribution() -> None:
 
 
 def test_records_too_short_and_single_channels_have_none() -> None:
-    assert JointWhitening.fitted(np.ones(20), rows(20, 1)) == []
-    assert len(JointWhitening.fitted(process(60, 3), rows(60, 3))) < 4
+    assert MultivariateWhitening.fitted(np.ones(20), rows(20, 1)) == []
+    assert len(MultivariateWhitening.fitted(process(60, 3), rows(60, 3))) < 4
 
 
 def gusts(seed: int, size: float) -> tuple[ph.Model, ph.Experiment]:

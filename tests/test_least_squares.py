@@ -9,10 +9,10 @@ import pytest
 from scipy.signal import lfilter
 
 import phugoid as ph
-from phugoid.discrepancy.colour.whitening import Whitening
-from phugoid.discrepancy.search.least_squares import Whitened, climbed, own_whitening
-from phugoid.discrepancy.search.linearised import Linearised
 from phugoid.discrepancy.search.refit import Refit
+from phugoid.residual_noise.whitening import Whitening
+from phugoid.sensitivities.linearised import Linearised
+from phugoid.sensitivities.whitened import Whitened, climbed, own_whitening
 
 TRUTH = {"k": 2.0, "c": 0.6, "g": 1.3, "b": 0.2}
 SIGMA = {"x": 0.02, "a": 0.05}

@@ -13,12 +13,13 @@ from scipy.signal import butter, sosfiltfilt
 import phugoid as ph
 from phugoid import _core
 from phugoid.discrepancy.candidates.candidate import Candidate
-from phugoid.discrepancy.colour.colour import Channel
-from phugoid.discrepancy.colour.whitening import Whitening
-from phugoid.discrepancy.search.least_squares import Whitened
-from phugoid.discrepancy.search.linearised import Linearised, collocated
 from phugoid.guess import spread
-from phugoid.validation.held import held_model
+from phugoid.residual_noise.autoregression import Autoregression
+from phugoid.residual_noise.whitening import Whitening
+from phugoid.sensitivities.collocated import collocated
+from phugoid.sensitivities.linearised import Linearised
+from phugoid.sensitivities.whitened import Whitened
+from phugoid.validation.frozen_model import freeze_model
 
 SIGMA = {"x": 0.01, "v": 0.02, "a": 0.03}
 NOISE = ph.Gaussian(SIGMA)
@@ -28,7 +29,7 @@ EXACT = ph.Newton(tolerance=1e-9)
 
 def white(linear: Linearised) -> Whitened:
     """Seen through the noise that was fitted."""
-    channels = [Channel((np.empty(0),), np.array([sigma])) for sigma in linear.sigmas]
+    channels = [Autoregression((np.empty(0),), np.array([sigma**2])) for sigma in linear.sigmas]
     return Whitened(linear, Whitening(channels, linear.structure))
 
 
@@ -156,7 +157,7 @@ def of_refits(
     for c in (size, -size):
         model = candidate.extended(fit.model, {candidate.coefficients[0]: c})
         values = {n: e.value for n, e in fit.parameters.items()} | {candidate.coefficients[0]: c}
-        held = held_model(model, values, free)
+        held = freeze_model(model, values, free)
         again = ph.estimate(held, data, noise=fit.noise, start=fit, transcription=fit.transcription, solver=EXACT)
         assert again.converged
         found.append(outputs(again, data))
@@ -255,7 +256,7 @@ def test_samples_that_are_missing_leave_the_others_as_they_are() -> None:
     linear = compare(ph.estimate(m, data, noise=NOISE), data, PLACES)
     assert linear.counts == [170 + 200, 133 + 200, 400] and linear.n_rows == linear.n_measured == sum(linear.counts)
     assert np.array_equal(linear.measured_rows, np.arange(linear.n_rows))
-    strands, together = linear.structure.strands, linear.structure.together
+    strands, together = linear.structure.segments, linear.structure.together
     # A gap is one in the grid of a channel's times; experiments are apart.
     assert [strand.rows for strand in strands[0]] == [slice(0, 170), slice(170, 370)]
     assert strands[0][0].places.tolist() == [*range(30), *range(60, 200)]
@@ -279,7 +280,7 @@ def test_channels_at_their_own_rates() -> None:
     linear = compare(fit, data, PLACES)
     assert linear.counts == [t[s].size for s in parts.values()]
     # Each channel is one strand at its own rate; only a few samples of channels fall together.
-    assert [[s.runs for s in line] for line in linear.structure.strands] == [[[slice(0, n)]] for n in linear.counts]
+    assert [[s.runs for s in line] for line in linear.structure.segments] == [[[slice(0, n)]] for n in linear.counts]
     for (first, *_), s in zip(linear.rows, parts.values(), strict=True):
         assert linear.times[first] == pytest.approx(t[s])
     assert sum(rows.size for _, rows in linear.structure.together) == linear.n_rows

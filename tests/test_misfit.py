@@ -19,13 +19,13 @@ from records import find
 from scipy.signal import lfilter
 
 import phugoid as ph
-from phugoid.discrepancy.colour.colour import colour_of
-from phugoid.discrepancy.colour.spectrum import spectrum_of
 from phugoid.discrepancy.misfit.misfit import ChannelMisfit, misfit
 from phugoid.discrepancy.page.figures import misfit_figure
 from phugoid.errors import DataError, UnknownName
 from phugoid.modelling.rebuilt import rebuilt
 from phugoid.records import Record
+from phugoid.residual_noise.autoregression import burg
+from phugoid.residual_noise.spectrum import spectrum_of
 
 N, DT = 600, 0.1
 T = DT * np.arange(N)
@@ -210,8 +210,8 @@ def test_a_bias_is_told_once() -> None:
 @pytest.mark.parametrize("coefficients", [[0.9], [1.6, -0.8], [0.5, 0.0, 0.3]])
 def test_noise_is_what_cannot_be_predicted(coefficients: list[float]) -> None:
     r = lfilter([0.3], [1, *(-a for a in coefficients)], white(5, 5000))
-    model = colour_of([r])
-    assert model.noise == pytest.approx(0.3, rel=0.04)
+    model = burg([r])
+    assert model.deviation([r]) == pytest.approx(0.3, rel=0.04)
     assert model.coefficients[: len(coefficients)] == pytest.approx(coefficients, abs=0.06)
 
 
@@ -222,7 +222,7 @@ def test_noise_beneath_a_slow_misfit() -> None:
 
 
 def test_model_autocorrelation_is_that_of_its_process() -> None:
-    model = colour_of([coloured(0, 0.9, 20_000)])
+    model = burg([coloured(0, 0.9, 20_000)])
     assert model.autocorrelation(20) == pytest.approx(model.coefficients[0] ** np.arange(20), abs=0.05)
 
 
@@ -338,7 +338,7 @@ def test_of_process_noise_innovations_are_looked_at() -> None:
 
 
 def test_bands_need_more_than_chance() -> None:
-    from phugoid.discrepancy.colour.series import channel_series
+    from phugoid.residual_noise.residual_series import channel_series
 
     said = [spectrum_of(channel_series([record(az=white(seed))], "az"), 1e-3).bands for seed in range(40)]
     assert sum(map(bool, said)) <= 1

@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 import phugoid as ph
-from phugoid.discrepancy.colour.whitening import Whitening
-from phugoid.discrepancy.search.linearised import Linearised
 from phugoid.discrepancy.search.ringing import light_modes, ringing_of
+from phugoid.residual_noise.whitening import Whitening
+from phugoid.sensitivities.linearised import Linearised
 
 STEP, N = 0.05, 1200
 RATE, DAMPING = 2 * np.pi, 0.005  # 1 Hz

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.discrepancy.colour.whitening import Whitening
 from phugoid.discrepancy.search import scan as module
-from phugoid.discrepancy.search.least_squares import Whitened, own_whitening
-from phugoid.discrepancy.search.linearised import Linearised
 from phugoid.discrepancy.search.scan import CONFOUNDED, Groups, Scan, Statistics
+from phugoid.residual_noise.whitening import Whitening
+from phugoid.sensitivities.linearised import Linearised
+from phugoid.sensitivities.whitened import Whitened, own_whitening
 
 
 @cache

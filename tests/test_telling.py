@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import phugoid as ph
+from phugoid.discrepancy.discrimination.advice import TELLS, advised, discrimination_advice
+from phugoid.discrepancy.discrimination.candidate_manoeuvres import CandidateManoeuvres
+from phugoid.discrepancy.discrimination.manoeuvre_response import BatchSimulation, ManoeuvreResponse
+from phugoid.discrepancy.discrimination.manoeuvres import planned
 from phugoid.discrepancy.search.refit import Refit, refit
-from phugoid.discrepancy.telling.flights import Flights
-from phugoid.discrepancy.telling.flown import Flown, Lanes
-from phugoid.discrepancy.telling.manoeuvres import planned
-from phugoid.discrepancy.telling.telling import TELLS, advised, telling_manoeuvre
 
 TRUTH = {"k": 4.0, "d": 0.8, "b": 1.0}
 SIGMA = {"x": 0.01, "v": 0.02}
@@ -81,7 +81,7 @@ def test_a_faster_input_tells_a_late_sensor_from_a_slow_one() -> None:
 
 def test_a_larger_motion_tells_two_nonlinear_springs_apart() -> None:
     final, rival, _ = stiff()
-    flights = Flights(final)
+    flights = CandidateManoeuvres(final)
     gains = flights.gains(rival, 0.0)
     by: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for m, g in zip(flights.manoeuvres, gains, strict=True):
@@ -96,8 +96,8 @@ def test_a_larger_motion_tells_two_nonlinear_springs_apart() -> None:
 
 def test_nothing_tells_one_effect_by_two_names() -> None:
     final, other, same = stiff()
-    assert Flights(final).gains(same, 0.0).max() < 1e-3
-    text = telling_manoeuvre(final, [same])
+    assert CandidateManoeuvres(final).gains(same, 0.0).max() < 1e-3
+    text = discrimination_advice(final, [same])
     assert text.startswith("No manoeuvre of u tried here")
     assert text.endswith("would tell it from drive:x^3: they act alike.")
     # Beside a rival that can be told, both are said.
@@ -130,7 +130,7 @@ def test_data_of_the_manoeuvre_give_what_was_expected(pair: functools._lru_cache
 
 def test_flights_stay_within_the_envelope_until_they_are_over() -> None:
     final, *_ = stiff()
-    flights, record = Flights(final), final.fit.records[0]
+    flights, record = CandidateManoeuvres(final), final.fit.records[0]
     assert {m.kind for m in flights.manoeuvres} >= {"doublet", "3-2-1-1", "sine sweep", "slow ramp"}
     for m, y, end in zip(flights.manoeuvres, flights.y, flights.ends, strict=True):
         assert end >= m.done
@@ -156,7 +156,7 @@ def roll(rate: float, ref: np.ndarray) -> Refit:
 def test_an_unstable_vehicle_is_not_let_go() -> None:
     """It is flown as long as it stays near, if the manoeuvre is over by then."""
     wave = 0.2 * np.sin(2 * T[:101])
-    held, free = Flights(roll(-1.0, wave)), Flights(roll(3.0, wave))
+    held, free = CandidateManoeuvres(roll(-1.0, wave)), CandidateManoeuvres(roll(3.0, wave))
     assert {"sine sweep", "doublet"} <= {m.kind for m in held.manoeuvres}
     assert "sine sweep" not in {m.kind for m in free.manoeuvres}
     assert max(held.ends) == 101 > max(free.ends)
@@ -176,16 +176,16 @@ def test_without_an_input_that_moves_there_is_no_advice() -> None:
     library = {c.name: c for c in ph.candidates(m, points=Refit((), fit).linear.points)}
     found = [refit(fit, [library[n]], {}) for n in ("x':x^2", "x':x^3")]
     final, rival = [r for r in found if r]
-    assert telling_manoeuvre(final, [rival]) == ""
-    assert telling_manoeuvre(final, []) == ""
+    assert discrimination_advice(final, [rival]) == ""
+    assert discrimination_advice(final, []) == ""
 
 
 def test_on_a_disturbance_there_is_no_advice() -> None:
     """The next record has another one."""
     final, rival, _ = stiff()
     wave = refits(final.fit.experiments[0], "f:periodic")[0]
-    assert telling_manoeuvre(wave, [rival]) == ""
-    assert telling_manoeuvre(final, [rival]) != ""
+    assert discrimination_advice(wave, [rival]) == ""
+    assert discrimination_advice(final, [rival]) != ""
 
 
 def test_lanes_integrate_as_simulate_does() -> None:
@@ -201,7 +201,7 @@ def test_lanes_integrate_as_simulate_does() -> None:
     u0 = 0.5 + np.array([np.sin(T), np.where(T > 3, 1.0, 0.0)])[:, None]
     values = np.array([[1.0, 0.3, 0.12, 0.07], [2.0, 0.02, 0.03, 0.13]])
     first = np.array([[0.3, 0.3], [0.2, 0.2]])
-    lanes = Lanes(m, T, values[1], first[1], np.array([0.5]), np.ones(first.shape[1]))
+    lanes = BatchSimulation(m, T, values[1], first[1], np.array([0.5]), np.ones(first.shape[1]))
     assert lanes.steps > 1  # of the lag of 0.02 s
     y, states = lanes.outputs(values, first, u0, np.array([0, 1]))
     for i in range(2):
@@ -218,7 +218,7 @@ def test_tangents_are_differences_of_flights() -> None:
     final, *_ = late()
     u = np.zeros((1, 1, T.size))
     u[0, 0, 40:80] = 1.0
-    flown = Flown(final, T, np.zeros(1))
+    flown = ManoeuvreResponse(final, T, np.zeros(1))
     moved = flown.tangents(u)[0]
     for k in range(flown.units.size):
         to = np.zeros((2, flown.units.size))

@@ -12,8 +12,9 @@ from scipy.linalg import block_diag, solve_discrete_lyapunov, toeplitz
 from scipy.signal import lfilter
 from scipy.stats import chi2, multivariate_normal
 
-from phugoid.discrepancy.colour.colour import autoregressive
-from phugoid.discrepancy.colour.whitening import Rows, Strand, Whitening, strands_of
+from phugoid.residual_noise.autoregression import burg
+from phugoid.residual_noise.uniform_segments import UniformSegment, uniform_segments
+from phugoid.residual_noise.whitening import RowStructure, Whitening
 
 AR = [[], [0.9], [1.6, -0.8], [0.5, 0.0, 0.3], [-0.7]]
 
@@ -38,33 +39,33 @@ def covariance(a: Sequence[float], sigma: float, n: int) -> np.ndarray:
     return np.asarray(toeplitz(gamma))
 
 
-def alone(strands: Sequence[Sequence[Strand]]) -> Rows:
+def alone(strands: Sequence[Sequence[UniformSegment]]) -> RowStructure:
     """No two rows at the same time."""
     together = [((i,), np.arange(s.rows.start, s.rows.stop)[:, None]) for i, line in enumerate(strands) for s in line]
-    return Rows(strands, together)
+    return RowStructure(strands, together)
 
 
-def one(*lengths: int) -> Rows:
+def one(*lengths: int) -> RowStructure:
     """One channel, a strand without gaps for each length."""
     edges = np.cumsum([0, *lengths]).tolist()
-    return alone([[Strand(slice(a, b), np.arange(b - a)) for a, b in pairwise(edges)]])
+    return alone([[UniformSegment(slice(a, b), np.arange(b - a)) for a, b in pairwise(edges)]])
 
 
-def side_by_side(present: np.ndarray) -> Rows:
-    """Rows of channels (n_y, n) at common times, output by output, where present."""
+def side_by_side(present: np.ndarray) -> RowStructure:
+    """RowStructure of channels (n_y, n) at common times, output by output, where present."""
     numbers = np.full(present.shape, -1)
     numbers[present] = np.arange(int(present.sum()))
     strands = []
     for line, there in zip(numbers, present, strict=True):
         places = np.flatnonzero(there)
         first = int(line[places[0]])
-        strands.append([Strand(slice(first, first + places.size), places - places[0])])
+        strands.append([UniformSegment(slice(first, first + places.size), places - places[0])])
     together = []
     for pattern in np.unique(present.T, axis=0):
         if pattern.any():
             which = np.flatnonzero(pattern)
             together.append((tuple(which.tolist()), numbers.T[(pattern == present.T).all(axis=1)][:, which]))
-    return Rows(strands, together)
+    return RowStructure(strands, together)
 
 
 # ---------------------------------------------------------------- one channel
@@ -72,7 +73,7 @@ def side_by_side(present: np.ndarray) -> Rows:
 
 @pytest.mark.parametrize("a", AR, ids=str)
 def test_the_process_is_found_and_its_order(a: list[float]) -> None:
-    channel = autoregressive([coloured(a, 20_000, 1, 0.3)])
+    channel = burg([coloured(a, 20_000, 1, 0.3)])
     assert len(a) <= channel.order <= len(a) + 1
     assert channel.predictors[-1][: len(a)] == pytest.approx(a, abs=0.03)
     assert channel.sigmas[-1] == pytest.approx(0.3, rel=0.02)
@@ -82,7 +83,7 @@ def test_runs_tell_what_one_series_tells() -> None:
     """Pieces of one series, with every sixth left out."""
     x = coloured([1.6, -0.8], 12_000, 2)
     pieces = [x[i : i + 50] for i in range(0, x.size, 60)]
-    channel = autoregressive(pieces)
+    channel = burg(pieces)
     assert 2 <= channel.order <= 3
     assert channel.predictors[-1][:2] == pytest.approx([1.6, -0.8], abs=0.04)
 
@@ -95,8 +96,8 @@ def test_of_white_noise_there_is_no_model(missing: float) -> None:
         random = np.random.default_rng(seed)
         t = 0.1 * np.flatnonzero(random.random(400) >= missing)
         x = random.standard_normal(t.size)
-        (strand,) = strands_of(t)
-        channel = autoregressive([x[run] for run in strand.runs])
+        (strand,) = uniform_segments(t)
+        channel = burg([x[run] for run in strand.runs])
         orders.append(channel.order)
         sigmas.append(channel.sigmas[-1])
     assert np.mean(np.array(orders) > 0) <= 0.03
@@ -107,7 +108,7 @@ def test_of_white_noise_there_is_no_model(missing: float) -> None:
     "x", [np.ones(200), np.sin(0.3 * np.arange(200)), np.arange(200.0), np.zeros(200), np.r_[1.0, np.zeros(99)]]
 )
 def test_of_what_is_no_noise_the_model_is_still_stationary(x: np.ndarray) -> None:
-    channel = autoregressive([x])
+    channel = burg([x])
     roots = np.roots(np.r_[1.0, -channel.predictors[-1]])
     assert (np.abs(roots) < 1.0).all() and (channel.sigmas > 0).all()
     assert np.isfinite(Whitening([channel], one(x.size))(x)).all()
@@ -115,22 +116,22 @@ def test_of_what_is_no_noise_the_model_is_still_stationary(x: np.ndarray) -> Non
 
 def test_samples_on_a_grid_are_one_strand() -> None:
     t = 0.1 * np.arange(20)
-    places = [strand.places.tolist() for strand in strands_of(t)]
+    places = [strand.places.tolist() for strand in uniform_segments(t)]
     assert places == [list(range(20))]
-    (rounded,) = strands_of(t + 0.002 * (-1.0) ** np.arange(20))
+    (rounded,) = uniform_segments(t + 0.002 * (-1.0) ** np.arange(20))
     assert rounded.places.tolist() == list(range(20)) and rounded.runs == [slice(0, 20)]
-    (gaps,) = strands_of(np.delete(t, [5, 6, 12]))
+    (gaps,) = uniform_segments(np.delete(t, [5, 6, 12]))
     assert gaps.places.tolist() == np.delete(np.arange(20), [5, 6, 12]).tolist()
     assert gaps.runs == [slice(0, 5), slice(5, 10), slice(10, 17)]
     # Every third is missing: two steps alternate.
-    (pairs,) = strands_of(np.delete(t, np.s_[2::3]))
+    (pairs,) = uniform_segments(np.delete(t, np.s_[2::3]))
     assert pairs.places.tolist() == [0, 1, 3, 4, 6, 7, 9, 10, 12, 13, 15, 16, 18, 19]
     # A jump by half a step, and a spacing that is no multiple.
-    jump = strands_of(np.r_[t, t + 2.05])
+    jump = uniform_segments(np.r_[t, t + 2.05])
     assert [(s.rows, s.places.size) for s in jump] == [(slice(0, 20), 20), (slice(20, 40), 20)]
-    assert strands_of(np.r_[t, t[-1] + 0.15 * np.arange(1, 6)])[0].rows == slice(0, 20)
+    assert uniform_segments(np.r_[t, t[-1] + 0.15 * np.arange(1, 6)])[0].rows == slice(0, 20)
     assert jump[1].from_row(100).rows == slice(120, 140)
-    assert [s.rows for s in strands_of(t[:1])] == [slice(0, 1)] and list(strands_of(t[:0])) == []
+    assert [s.rows for s in uniform_segments(t[:1])] == [slice(0, 1)] and list(uniform_segments(t[:0])) == []
 
 
 # ---------------------------------------------------------------- likelihood
@@ -147,16 +148,16 @@ def test_the_likelihood_is_that_of_the_process() -> None:
         [np.r_[:20, 90:100, 101, 250], np.r_[0:200:7, 200:210]],
     ]
     processes = [[1.6, -0.8], [0.9], [0.4, 0.3, -0.2, 0.1]]
-    strands: list[list[Strand]] = []
+    strands: list[list[UniformSegment]] = []
     pieces, first = [], 0
     for i, line in enumerate(places):
         strands.append([])
         for k, at in enumerate(line):
-            strands[-1].append(Strand(slice(first, first + at.size), at))
+            strands[-1].append(UniformSegment(slice(first, first + at.size), at))
             pieces.append(coloured(processes[i], int(at[-1]) + 1, 10 * i + k, 0.3)[at])
             first += at.size
     r = np.concatenate(pieces)
-    channels = [autoregressive([coloured(a, 5000, 77 + i, 0.3)]) for i, a in enumerate(processes)]
+    channels = [burg([coloured(a, 5000, 77 + i, 0.3)]) for i, a in enumerate(processes)]
     assert all(channel.order >= len(a) for channel, a in zip(channels, processes, strict=True))
     whitening = Whitening(channels, alone(strands))
     densities = whitening.log_densities(whitening(r))
@@ -176,11 +177,11 @@ def test_the_likelihood_is_that_of_the_process() -> None:
 
 def test_far_down_a_slow_process_no_digits_are_lost() -> None:
     """A process of high order near its edge of stability, through the least gap."""
-    channel = autoregressive([np.sin(0.3 * np.arange(3000)) + 0.01 * np.random.default_rng(0).standard_normal(3000)])
+    channel = burg([np.sin(0.3 * np.arange(3000)) + 0.01 * np.random.default_rng(0).standard_normal(3000)])
     assert channel.order > 4 and channel.sigmas[-1] < 0.03 * channel.sigmas[0]
     at = np.r_[:40, 41:80]
     whole = covariance(channel.predictors[-1], channel.sigmas[-1], 80)
-    w = Whitening([channel], alone([[Strand(slice(0, 79), at)]]))(np.eye(79)).T
+    w = Whitening([channel], alone([[UniformSegment(slice(0, 79), at)]]))(np.eye(79)).T
     assert w @ whole[np.ix_(at, at)] @ w.T == pytest.approx(np.eye(79), abs=1e-9)
 
 
@@ -253,7 +254,7 @@ def test_densities_with_correlation_and_missing_channels() -> None:
     present = PRESENT[:, :80].copy()
     present[1, 10:25] = present[0, 20:40] = present[2, ::3] = False
     rows = side_by_side(present)
-    channels = [autoregressive([coloured(a, 3000, i)]) for i, a in enumerate(([0.8], [0.5, 0.3], []))]
+    channels = [burg([coloured(a, 3000, i)]) for i, a in enumerate(([0.8], [0.5, 0.3], []))]
     whitening = Whitening(channels, rows, C)
     assert {which for which, _ in rows.together} > {(0, 1, 2), (0, 1), (1,)}
     n = int(present.sum())

@@ -23,12 +23,12 @@ PYTHON = [
     "_core", "errors", "writing", "tabular", "symbols", "parameters", "noise", "modelling", "data", "transcription",
     "guess", "solvers", "interrupts", "progress", "records", "refinement", "smoothing", "fit_result", "tolerance",
     "match", "repeated_outputs", "figures", "regression", "integration", "process_noise", "estimation", "simulate",
-    "linear", "inputs", "models", "export", "saving", "validation", "pages", "discrepancy", "planning", "starts",
-    "uncertainty", "summary", "report", "result", "diagnosis", "api", "multistart", "reconstruction", "results", "cli",
-    "__init__", "__main__",
+    "linear", "inputs", "models", "export", "saving", "residual_noise", "sensitivities", "validation", "pages",
+    "discrepancy", "planning", "starts", "uncertainty", "summary", "report", "result", "diagnosis", "api",
+    "multistart", "reconstruction", "results", "cli", "__init__", "__main__",
 ]
 DISCREPANCY = [
-    "colour", "misfit", "candidates", "search", "telling", "diagnosis_result", "page", "saved", "diagnose",
+    "misfit", "candidates", "search", "discrimination", "diagnosis_result", "page", "saved", "diagnose",
 ]
 # fmt: on
 

@@ -42,8 +42,8 @@ from .noise.densities import Density, Huber, Laplace, StudentT
 from .noise.kinds import PerExperiment, PerOutput
 from .noise.noise import Gaussian, Sigma
 from .parameters import Parameter
+from .planning.design_evaluation import plan, plans
 from .planning.optimum import optimal_plan
-from .planning.planned import plan, plans
 from .reconstruction.reconstruct import reconstruct
 from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
 from .regression.equation_error import equation_error

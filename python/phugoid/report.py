@@ -307,7 +307,7 @@ def _equations(fit: FitResult) -> tuple[dict[str, list[str]], list[str]]:
     delays = fit.model.delays
     late = [f"{name}(t) = {of}(t − {tau})" for name, (of, tau) in delays.inputs.items()]
     late += [f"{output} is measured late, by {tau}" for output, tau in delays.outputs.items()]
-    late += [f"{state} at the {end} sample = {e}" for end, state, e, _ in fit.model._core.conditions]
+    late += [f"{state} at the {end} sample = {e}" for end, state, e in fit.model.conditions]
     return groups, late
 
 

@@ -1,9 +1,8 @@
 """What functions give back: for annotations and `isinstance`. Nobody makes these by hand."""
 
 from .diagnosis import Diagnosis, Extension
-from .discrepancy.candidates.candidate import Candidate, Place
+from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates
-from .discrepancy.candidates.scales import Points
 from .discrepancy.misfit.misfit import Misfit
 from .discrepancy.search.finding import Finding, Gain, Scored
 from .fit_result import FitResult
@@ -21,6 +20,7 @@ from .reconstruction.vane_places import VanePlaces
 from .records import Record
 from .refinement import Refinement
 from .regression.equation_error import EquationError
+from .sensitivities.trajectory import Place, Points
 from .smoothing import Smoothing
 from .solvers import Iteration
 from .starts.outcome import Outcome

@@ -10,9 +10,9 @@ from .errors import PhugoidError
 from .fit_result import FitResult
 from .match import match
 from .parameters import Estimates, estimates_table, text_table
+from .sensitivities.collocated import cheap
 from .uncertainty.coloured import coloured
 from .uncertainty.correlation import correlation
-from .uncertainty.tangents import cheap
 
 __all__ = ["corrected", "fit_summary"]
 

@@ -5,17 +5,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from typer import Option
 
-from .. import _core
 from ..api import estimate
 from ..data.experiment import Experiment
 from ..errors import ModelError, OptionError, listing
 from ..modelling.model import Model
-from ..modelling.rebuilt import rebuilt
 from ..progress import Progress
 from ..result import Fit
 from ..solvers import Ipopt, Newton
@@ -127,19 +125,12 @@ class Estimation:
 
 def _with_fixed(model: Model, fixed: Mapping[str, float | None]) -> Model:
     """The model with parameters held at values, or (None) where they start."""
-    for name in fixed:
-        if name not in model.parameter_names:
+    declared, changes = model.declared_parameters, {}
+    for name, value in fixed.items():
+        if name not in declared:
             raise ModelError(f"--fix: '{name}' is no parameter.{listing(name, model.parameter_names)}")
-    if not fixed:
-        return model
-
-    def declare(core: _core.Model, declared: Any) -> None:
-        name, unit, start, low, high, prior, held, local, log, scale = declared
-        if name in fixed:
-            value = fixed[name]
-            start, held = start if value is None else value, True
-            if not low <= start <= high:
-                raise ModelError(f"--fix: {name} = {start:g} lies outside its bounds ({low:g}, {high:g})")
-        core.parameter(name, unit, start, low, high, prior, held, local, log, scale)
-
-    return model._around(rebuilt(model._core, model._core.inputs, declare), model.delays)
+        low, high = declared[name].bounds
+        if value is not None and not low <= value <= high:
+            raise ModelError(f"--fix: {name} = {value:g} lies outside its bounds ({low:g}, {high:g})")
+        changes[name] = replace(declared[name], start=declared[name].start if value is None else value, fixed=True)
+    return model.with_parameters(changes)

@@ -14,6 +14,7 @@ from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, PhugoidError, did_you_mean
 from ..fit_result import FitResult
 from ..interrupts import interrupts
+from ..sensitivities.collocated import collocated
 from ..solvers.limits import check_time, limited
 from ..transcription.filter_error import FilterError
 from ..validation.validate import shared
@@ -21,13 +22,12 @@ from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
 from .candidates.library import candidates as library
 from .diagnosis_result import DiagnosisResult
+from .discrimination.advice import discrimination_advice
 from .misfit.misfit import misfit
 from .search.finding import Finding, Scored
-from .search.linearised import collocated
 from .search.refit import Refit
 from .search.scan import NEARLY, Scan
 from .search.search import MOST, Found, Search, is_physical
-from .telling.telling import telling_manoeuvre
 
 __all__ = ["diagnose"]
 
@@ -112,7 +112,7 @@ def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequenc
     if not rivals:
         return ""
     search.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")
-    return telling_manoeuvre(final, rivals)
+    return discrimination_advice(final, rivals)
 
 
 def ranking_of(search: Search, scan: Scan) -> list[Scored]:

@@ -14,7 +14,7 @@ from ..fit_result import FitResult
 from ..match import chi_square_warning, no_match, r_squared
 from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
-from ..modelling.scaling import Scaling
+from ..modelling.scaling import ScalingSymmetry
 from ..noise.kinds import PerExperiment
 from ..noise.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
@@ -38,7 +38,7 @@ def make_fit(
     transcription: Transcription,
     problem: _core.Problem,
     solution: Solution,
-    free: Sequence[Scaling] = (),
+    free: Sequence[ScalingSymmetry] = (),
     stop: Callable[[], bool] | None = None,
     deadline: Deadline | None = None,
 ) -> FitResult:

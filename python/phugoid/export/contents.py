@@ -53,7 +53,7 @@ def contents_of(
             f"{caller}(..., late_inputs=True) each late input is one of its own, which the caller delays"
         )
     states = dict.fromkeys(model.state_names, 0.0)
-    inputs = {name: 0.0 for name, _ in model._core.inputs}
+    inputs = dict.fromkeys(model.declared_inputs, 0.0)
     held: list[str] = []
     facts = [f"model: {model.name}"]
     if isinstance(fit, FitResult):

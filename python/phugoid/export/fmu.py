@@ -135,7 +135,7 @@ def _description(contents: Contents, name: str, guid: str) -> bytes:
     from xml.etree import ElementTree
 
     model, units = contents.model, contents.model.units
-    of_outputs = {n: unit or units.get(n, "") for n, _, unit, _ in model._core.outputs}
+    of_outputs = {n: units.get(n, "") for n in model.output_names}
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -211,10 +211,7 @@ def _structure(root: Any, contents: Contents, places: Mapping[str, int], taken: 
     from xml.etree import ElementTree
 
     model = contents.model
-    known: dict[str, Any] = {}
-    for n, e, *_ in model._core.quantities:
-        known[n] = e.substitute(known)
-    f = {n: Expr(e.substitute(known)) for n, e, *_ in model._core.dynamics}
+    f = model.state_expressions()
     sides = {f"output.{n}" if n in taken else n: Expr(e) for n, e in model.output_expressions().items()}
     rates = {f"der(state.{n})": f[n] for n in contents.states}
     structure = ElementTree.SubElement(root, "ModelStructure")

@@ -41,27 +41,24 @@ class _Writer:
     def __init__(self, contents: Contents, name: str) -> None:
         model = contents.model
         self.contents, self.model, self.name, self.big = contents, model, name, name.upper()
-        outputs = {n: unit for n, _, unit, _ in model._core.outputs}
         units = model.units
         # Letter -> name and unit of each place.
         self.vectors: dict[str, dict[str, str]] = {
-            "x": dict(model._core.states),
-            "u": dict(model._core.inputs),
+            "x": {n: state.unit for n, state in model.declared_states.items()},
+            "u": model.declared_inputs,
             "p": {n: units.get(n, "") for n in model.parameter_names},
-            "y": {n: outputs[n] or units.get(n, "") for n in model.output_names},
+            "y": {n: units.get(n, "") for n in model.output_names},
         }
         self.places: dict[str, tuple[str, int]] = {}
         for letter in "xup":
             self.places |= {n: (letter, k) for k, n in enumerate(self.vectors[letter])}
         self.labels = {letter: _unique(group) for letter, group in self.vectors.items()}
         self.graph = Graph()
-        known: dict[str, Any] = {}
         self.quantities: dict[int, str] = {}
-        for n, e, *_ in model._core.quantities:
-            known[n] = e.substitute(known)
+        known = model.quantity_expressions()
         for e, label in zip(known.values(), _unique(known), strict=True):
             self.quantities.setdefault(self.graph.add(Expr(e)), f"q_{label}")
-        by_state = {n: Expr(e.substitute(known)) for n, e, *_ in model._core.dynamics}
+        by_state = model.state_expressions()
         self.f = [by_state[n] for n in model.state_names]
         self.g = [Expr(e) for e in model.output_expressions().values()]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +27,10 @@ class Jacobians:
     def __init__(self, model: Model, caller: str, blocks: str = "ABCD") -> None:
         self.model, self.caller = model, caller
         self.states = model.state_names
-        self.inputs = tuple(name for name, _ in model._core.inputs)
+        self.inputs = tuple(model.declared_inputs)
         self.outputs = model.output_names
-        known: dict[str, Any] = {}
-        for name, e, *_ in model._core.quantities:
-            known[name] = e.substitute(known)
-        f = [Expr(e.substitute(known)) for _, e, *_ in _by_state(model)]
+        by_state = model.state_expressions()
+        f = [by_state[name] for name in self.states]
         g = [Expr(e) for e in model.output_expressions().values()]
         pairs = {"A": (f, self.states), "B": (f, self.inputs), "C": (g, self.states), "D": (g, self.inputs)}
         self.blocks = {block: _derivatives(*pairs[block]) for block in blocks}
@@ -81,11 +79,6 @@ class Jacobians:
                     d = e.diff(parameter)
                     found[block].append((place, d.evaluate({name: numbers[name] for name in d.symbols})))
         return found
-
-
-def _by_state(model: Model) -> list[Any]:
-    by_name = {entry[0]: entry for entry in model._core.dynamics}
-    return [by_name[name] for name in model.state_names]
 
 
 def _derivatives(expressions: Sequence[Expr], names: Sequence[str]) -> dict[_Place, Expr]:

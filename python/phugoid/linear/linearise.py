@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,7 +14,6 @@ from ..errors import EvaluationError, ModelError, listing
 from ..fit_result import FitResult
 from ..guess import spread
 from ..modelling.model import Model
-from ..modelling.rebuilt import rebuilt
 from ..transcription.filter_error import FilterError
 from .jacobians import Jacobians
 from .mode_table import Modes, table_of
@@ -99,14 +99,14 @@ class Uncertainty:
         without = [n for n, v, h in zip(self.names, variance, self._held, strict=True) if not h and not v > 0.0]
         loose = {label.partition("[")[0]: fit.parameters[label].value for label in without}
         typical = float(np.sqrt(np.mean(np.square(list(loose.values())))))
-
-        def declare(core: _core.Model, declared: Any) -> None:
-            name, unit, start, low, high, prior, *others = declared
-            if name in loose and prior is None:
-                prior = (loose[name], width * (abs(loose[name]) + _LEAST * typical or 1.0))
-            core.parameter(name, unit, start, low, high, prior, *others)
-
-        return fit.model._around(rebuilt(fit.model._core, fit.model._core.inputs, declare), fit.model.delays)
+        declared = fit.model.declared_parameters
+        return fit.model.with_parameters(
+            {
+                name: replace(declared[name], prior=(value, width * (abs(value) + _LEAST * typical or 1.0)))
+                for name, value in loose.items()
+                if declared[name].prior is None
+            }
+        )
 
 
 def linearise(

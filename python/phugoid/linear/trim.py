@@ -135,10 +135,7 @@ class _Problem:
         _known("rates", rates, model.state_names)
         _known("outputs", outputs, model.output_names)
         same = {late: Expr.symbol(of) for late, (of, _) in model.delays.inputs.items()}
-        known: dict[str, Any] = dict(same)
-        for name, e, *_ in model._core.quantities:
-            known[name] = e.substitute(known)
-        self.f = {name: Expr(e.substitute(known)) for name, e, *_ in model._core.dynamics}
+        self.f = {name: Expr(e.substitute(same)) for name, e in model.state_expressions().items()}
         self.g = {name: Expr(Expr(e).substitute(same)) for name, e in model.output_expressions().items()}
         wanted = {name: 0.0 for name in model.state_names} | rates
         goals = {f"{n}'": (self.f[n], value) for n, value in wanted.items() if value is not None}
@@ -238,7 +235,7 @@ class _Problem:
             warnings = (f"{', '.join(loose)} {what} not determined by the equations: hold as you need",)
         return Trim(
             states={n: numbers[n] for n in model.state_names},
-            inputs={n: {**numbers, **late}[n] for n, _ in model._core.inputs},
+            inputs={n: {**numbers, **late}[n] for n in model.declared_inputs},
             outputs={n: _at(e, {"time": 0.0, **numbers}) for n, e in self.g.items()},
             rates={n: _at(self.f[n], numbers) for n in model.state_names},
             found=tuple(self.unknown),

@@ -1,13 +1,55 @@
-"""The symbols that a declaration returns."""
+"""What declarations of a model read and return: names with units, symbols, and the line where they stand."""
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from .._core import Expr
 from ..errors import ModelError
 
-__all__ = ["Declared"]
+__all__ = ["Declared", "check_units", "read_names", "source_line"]
+
+
+_PACKAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "")
+
+
+def source_line() -> str | None:
+    """``file:line`` of the user's call: the innermost frame outside this package."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        if not os.path.abspath(frame.f_code.co_filename).startswith(_PACKAGE):
+            return f"{os.path.basename(frame.f_code.co_filename)}:{frame.f_lineno}"
+        if frame.f_back is None:
+            break
+        frame = frame.f_back
+    return None
+
+
+def read_names(kind: str, names: tuple[str, ...], units: Mapping[str, Any]) -> dict[str, Any]:
+    """Names from ``"a b"`` or ``"a", "b"`` (without value) and from ``a=..., b=...``."""
+    given: list[tuple[str, Any]] = []
+    for text in names:
+        if not isinstance(text, str):
+            raise ModelError(f"{kind}: names are text, as in {kind}('a b') or {kind}(a='m/s'), not {text!r}")
+        given += [(name, None) for name in text.replace(",", " ").split()]
+    given += units.items()
+    if not given:
+        raise ModelError(f"{kind}: no names were given")
+    found = dict(given)
+    if len(found) < len(given):
+        listed = [name for name, _ in given]
+        raise ModelError(f"{kind}: '{next(n for n in listed if listed.count(n) > 1)}' is there twice")
+    return found
+
+
+def check_units(kind: str, declared: Mapping[str, Any]) -> dict[str, str]:
+    for name, unit in declared.items():
+        if not isinstance(unit, (str, type(None))):
+            raise ModelError(f"{kind}: the unit of '{name}' is text, not {unit!r}")
+    return {name: unit or "" for name, unit in declared.items()}
 
 
 class Declared(tuple[Expr, ...]):

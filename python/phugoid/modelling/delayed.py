@@ -108,12 +108,9 @@ def _earlier(
     moved: Callable[[str, Any], Expr],
 ) -> Expr:
     """An output, quantities put in, as it was a little earlier: states by the equations, inputs by their rates."""
-    known: dict[str, Any] = {}
-    for name, e, *_ in model._core.quantities:
-        known[name] = e.substitute(known)
-    f = {name: Expr(e.substitute(known)) for name, e, *_ in model._core.dynamics}
+    f = model.state_expressions()
     at: dict[str, Any] = {"time": Expr.symbol("time") - by}
-    inputs = [name for name, _ in model._core.inputs]
+    inputs = list(model.declared_inputs)
     for name in inputs:
         own = rest[model.delays.inputs[name][1]] if name in model.delays.inputs else 0.0
         at[name] = moved(name, by + own)

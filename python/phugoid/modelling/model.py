@@ -4,62 +4,24 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from .. import _core
 from .._core import Expr
-from ..errors import DataError, ModelError, did_you_mean, refuse_attribute
+from ..errors import DataError, ModelError, did_you_mean, listing, refuse_attribute
 from ..noise.kinds import PerOutput, noise_from_dict
 from ..noise.noise import KINDS, Gaussian, Noise, Sigma
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
-from .declared import Declared
+from .declared import Declared, check_units, read_names, source_line
 from .delayed import Delays, at_delays
-from .rebuilt import rebuilt
+from .rebuilt import Key, changed, declare_parameter, equations_of
 from .state import State
 
 __all__ = ["Model"]
-
-_PACKAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "")
-
-
-def _source() -> str | None:
-    """``file:line`` of the user's call: the innermost frame outside this package."""
-    frame = sys._getframe(1)
-    while frame is not None:
-        if not os.path.abspath(frame.f_code.co_filename).startswith(_PACKAGE):
-            return f"{os.path.basename(frame.f_code.co_filename)}:{frame.f_lineno}"
-        if frame.f_back is None:
-            break
-        frame = frame.f_back
-    return None
-
-
-def _declared(kind: str, names: tuple[str, ...], units: Mapping[str, Any]) -> dict[str, Any]:
-    """Names from ``"a b"`` or ``"a", "b"`` (without value) and from ``a=..., b=...``."""
-    given: list[tuple[str, Any]] = []
-    for text in names:
-        if not isinstance(text, str):
-            raise ModelError(f"{kind}: names are text, as in {kind}('a b') or {kind}(a='m/s'), not {text!r}")
-        given += [(name, None) for name in text.replace(",", " ").split()]
-    given += units.items()
-    if not given:
-        raise ModelError(f"{kind}: no names were given")
-    found = dict(given)
-    if len(found) < len(given):
-        listed = [name for name, _ in given]
-        raise ModelError(f"{kind}: '{next(n for n in listed if listed.count(n) > 1)}' is there twice")
-    return found
-
-
-def _with_units(kind: str, declared: Mapping[str, Any]) -> dict[str, str]:
-    for name, unit in declared.items():
-        if not isinstance(unit, (str, type(None))):
-            raise ModelError(f"{kind}: the unit of '{name}' is text, not {unit!r}")
-    return {name: unit or "" for name, unit in declared.items()}
 
 
 class Model:
@@ -96,15 +58,15 @@ class Model:
     def states(self, *names: str, **states: str | State) -> tuple[Expr, ...]:
         """Declares states, ``name="unit"``, ``"a b c"``, or ``name=State("unit", start=..., bounds=...)``; returns
         their symbols in order."""
-        declared = _declared("states", names, states)
+        declared = read_names("states", names, states)
         plain = {name: value for name, value in declared.items() if not isinstance(value, State)}
-        whole = {name: State(unit) for name, unit in _with_units("states", plain).items()}
+        whole = {name: State(unit) for name, unit in check_units("states", plain).items()}
         each = {name: whole.get(name, value) for name, value in declared.items()}
         return Declared(self._core.state(name, s.unit, s.start, *s.bounds) for name, s in each.items())
 
     def inputs(self, *names: str, **units: str) -> tuple[Expr, ...]:
         """Declares inputs, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
-        declared = _with_units("inputs", _declared("inputs", names, units))
+        declared = check_units("inputs", read_names("inputs", names, units))
         return Declared(self._core.input(n, u) for n, u in declared.items())
 
     def parameters(self, *names: str, **parameters: Parameter | float) -> tuple[Expr, ...]:
@@ -112,18 +74,14 @@ class Model:
 
         Returns their symbols in order.
         """
-        declared = _declared("parameters", names, parameters)
+        declared = read_names("parameters", names, parameters)
         symbols = []
         for name, value in declared.items():
             try:
                 p = value if isinstance(value, Parameter) else Parameter(0.0 if value is None else value)
             except (ModelError, TypeError) as error:
                 raise ModelError(f"parameter '{name}': {error}") from None
-            low, high = p.bounds
-            log = p.transform == "log"
-            symbols.append(
-                self._core.parameter(name, p.unit, p.start, low, high, p.prior, p.fixed, p.per_experiment, log, p.scale)
-            )
+            symbols.append(declare_parameter(self._core, name, p))
         return Declared(symbols)
 
     def delay(self, input: Expr, by: Expr, name: str | None = None) -> Expr:
@@ -169,12 +127,12 @@ class Model:
 
         A term that is added to a quantity later enters wherever the quantity is used.
         """
-        source = _source()
+        source = source_line()
         return Declared(self._each("quantity", expressions, lambda n, e: self._core.quantity(n, e, source)))
 
     def dynamics(self, **expressions: Any) -> None:
         """Gives state equations: ``dynamics(x=...)`` is x' = ... (per second)."""
-        source = _source()
+        source = source_line()
         self._each("dynamics", expressions, lambda n, e: self._core.equation(n, e, source))
 
     def initial(self, **expressions: Any) -> None:
@@ -194,14 +152,14 @@ class Model:
         self._conditions("periodic", {**dict.fromkeys(states, 0.0), **differences})
 
     def _conditions(self, end: str, expressions: Mapping[str, Any]) -> None:
-        source = _source()
+        source = source_line()
         self._each(f"{end} condition", expressions, lambda n, e: self._core.condition(end, n, e, source))
 
     def outputs(self, *args: Any, **expressions: Any) -> None:
         """Declares what is measured: ``outputs(name=expression)`` or ``name=(expression, "unit")``."""
         if args:
             raise ModelError("outputs: give each output a name, as in outputs(q=q)")
-        source = _source()
+        source = source_line()
 
         def declare(name: str, value: Any) -> None:
             expression, unit = value if isinstance(value, tuple) and len(value) == 2 else (value, "")
@@ -219,7 +177,7 @@ class Model:
             try:
                 results.append(act(name, expression))
             except TypeError as error:
-                raise ModelError(f"{kind} of '{name}' ({_source()}): {error}") from None
+                raise ModelError(f"{kind} of '{name}' ({source_line()}): {error}") from None
         return results
 
     def noise(self, *args: Noise, **sigma: float | Sigma | Noise) -> None:
@@ -261,6 +219,11 @@ class Model:
         return tuple(name for name, _ in self._core.inputs if name not in self._delays.inputs)
 
     @property
+    def quantity_names(self) -> tuple[str, ...]:
+        """Names of the quantities, in order."""
+        return tuple(name for name, *_ in self._core.quantities)
+
+    @property
     def output_names(self) -> tuple[str, ...]:
         """Names of the outputs, in order."""
         return tuple(name for name, *_ in self._core.outputs)
@@ -288,6 +251,11 @@ class Model:
         return {name: State(unit, start, (low, high)) for name, unit, start, low, high in self._core.declared_states}
 
     @property
+    def declared_inputs(self) -> dict[str, str]:
+        """Units of the inputs by name, as declared: late inputs of `delay` among them, "" where none was given."""
+        return dict(self._core.inputs)
+
+    @property
     def units(self) -> dict[str, str]:
         """Units of states, inputs, parameters and outputs by name, where known."""
         pairs = [*self._core.states, *self._core.inputs]
@@ -302,11 +270,26 @@ class Model:
         found |= {f"{name}'": e for name, e, *_ in self._core.dynamics}
         return found | {f"y:{name}": e for name, e, *_ in self._core.outputs}
 
-    def output_expressions(self) -> dict[str, Expr]:
-        """Outputs with all quantities put in."""
+    @property
+    def conditions(self) -> tuple[tuple[str, str, Expr], ...]:
+        """Conditions on the ends of records: the end ("initial", "final" or "periodic"), the state, the expression."""
+        return tuple((end, state, e) for end, state, e, _ in self._core.conditions)
+
+    def quantity_expressions(self) -> dict[str, Expr]:
+        """Quantities, those above put into each."""
         known: dict[str, Any] = {}
         for name, e, *_ in self._core.quantities:
-            known[name] = e.substitute(known)
+            known[name] = Expr(e.substitute(known))
+        return known
+
+    def state_expressions(self) -> dict[str, Expr]:
+        """Right-hand sides of the state equations by state, in the order of `dynamics`, with all quantities put in."""
+        known: dict[str, Any] = {**self.quantity_expressions()}
+        return {name: Expr(e.substitute(known)) for name, e, *_ in self._core.dynamics}
+
+    def output_expressions(self) -> dict[str, Expr]:
+        """Outputs with all quantities put in."""
+        known: dict[str, Any] = {**self.quantity_expressions()}
         return {name: e.substitute(known) for name, e, *_ in self._core.outputs}
 
     def check(self) -> None:
@@ -325,10 +308,14 @@ class Model:
 
     def to_json(self) -> str:
         """The model as text that `from_json`, and the Rust crate, read back exactly."""
-        text = self._core.to_json()
+        text = self._equations_to_json()
         more = {"noise": self._noise.to_dict(), "delays": self._delays.to_dict()}
         more = {key: value for key, value in more.items() if value}
         return json.dumps({**json.loads(text), **more}) if more else text
+
+    def _equations_to_json(self) -> str:
+        """The model without noise and delays, as the Rust crate reads it."""
+        return self._core.to_json()
 
     @classmethod
     def from_json(cls, text: str) -> Model:
@@ -347,16 +334,110 @@ class Model:
             ) from error
         return model
 
+    def with_parameters(
+        self, changes: Mapping[str, Parameter | float] | None = None, /, **parameters: Parameter | float
+    ) -> Model:
+        """Return a model with other parameters; this one stays as it is.
+
+        A number moves the start, or the value of a fixed parameter; a `Parameter` takes the place of the declaration.
+        Names may be given in a mapping too. Raises ModelError for a name that is no parameter, and for a start outside
+        of the bounds.
+
+        >>> import phugoid as ph
+        >>> m = ph.Model("lag")
+        >>> x, = m.states(x="m")
+        >>> T, = m.parameters(T=ph.Parameter(1.0, bounds=(0.1, 10), unit="s"))
+        >>> m.dynamics(x=-x/T)
+        >>> m.outputs(x=x)
+        >>> m.with_parameters(T=2.0).declared_parameters["T"].bounds
+        (0.1, 10.0)
+        """
+        declared, found = self.declared_parameters, {}
+        for name, value in {**(changes or {}), **parameters}.items():
+            if name not in declared:
+                raise ModelError(f"with_parameters: '{name}' is no parameter.{listing(str(name), list(declared))}")
+            try:
+                found[name] = value if isinstance(value, Parameter) else replace(declared[name], start=value)
+            except (ModelError, TypeError) as error:
+                raise ModelError(f"with_parameters: '{name}': {error}") from None
+        return self._changed(parameters=found)
+
+    def with_terms(self, terms: Mapping[str, Any], parameters: Mapping[str, Parameter | float] | None = None) -> Model:
+        """Return a model with terms added to its equations; this one stays as it is.
+
+        terms       by what each is added to, named as in `equations`: a quantity (``"Cm"``), a state equation
+                    (``"q'"``) or an output (``"y:q"``).
+        parameters  new ones that the terms hold, declared as by `Model.parameters`.
+
+        Raises ModelError for what is no equation, for a parameter that is there already, and for what is no expression.
+
+        >>> import phugoid as ph
+        >>> m = ph.Model("pendulum")
+        >>> a, q = m.states(a="rad", q="rad/s")
+        >>> m.dynamics(a=q, q=-9.81*ph.sin(a))
+        >>> m.outputs(a=a)
+        >>> damped = m.with_terms({"q'": -Expr.symbol("d")*q}, {"d": ph.Parameter(0.1, unit="1/s")})
+        >>> "d" in damped.equations["q'"].symbols
+        True
+        """
+        keys = {name: ("quantity", name) for name in self.quantity_names}
+        keys |= {f"{name}'": ("equation", name) for name, *_ in self._core.dynamics}
+        keys |= {f"y:{name}": ("output", name) for name in self.output_names}
+        old, equations, declared = self.equations, {}, {}
+        for name, term in terms.items():
+            if name not in keys:
+                raise ModelError(f"with_terms: '{name}' is no equation.{listing(str(name), list(keys))}")
+            try:
+                equations[keys[name]] = Expr(old[name] + Expr(term))
+            except TypeError as error:
+                raise ModelError(f"with_terms: the term of '{name}': {error}") from None
+        for name, value in (parameters or {}).items():
+            if name in self.parameter_names:
+                raise ModelError(f"with_terms: the model has a parameter '{name}' already: give another name")
+            try:
+                declared[name] = value if isinstance(value, Parameter) else Parameter(value)
+            except (ModelError, TypeError) as error:
+                raise ModelError(f"with_terms: '{name}': {error}") from None
+        return self._changed(parameters=declared, equations=equations)
+
+    def with_noise(self, *args: Noise, **sigma: float | Sigma | Noise) -> Model:
+        """Return a model with other noise, stated as by `noise`; this one stays as it is."""
+        model = self._changed()
+        model.noise(*args, **sigma)
+        return model
+
+    def _changed(
+        self,
+        *,
+        parameters: Mapping[str, Parameter] = {},
+        equations: Mapping[Key, Expr] = {},
+        inputs: Mapping[str, str] = {},
+        outputs: Mapping[str, Expr] = {},
+        states: Mapping[str, tuple[str, Expr, Expr]] = {},
+        delays: Delays | None = None,
+    ) -> Model:
+        """The model with parameters and equations replaced or added, and other delays.
+
+        ``equations`` are keyed as in `equations_of`; new ``states`` are unit, right-hand side and initial value;
+        ``inputs`` are units.
+        """
+        core = changed(self._core, parameters, equations, inputs, outputs)
+        for name, (unit, right, initial) in states.items():
+            core.state(name, unit)
+            core.equation(name, right, None)
+            core.condition("initial", name, initial, None)
+        return self._around(core, self._delays if delays is None else delays)
+
+    def _right_hand_sides(self) -> dict[Key, Expr]:
+        """All right-hand sides by kind ("quantity", "equation", "output", or the end of a condition) and name."""
+        return dict(equations_of(self._core))
+
     def _holding(self, values: Mapping[str, float]) -> Model:
         """The model with some parameters fixed at these values."""
         if not values:
             return self
-
-        def declare(core: _core.Model, declared: Any) -> None:
-            name, unit, start, low, high, prior, fixed, *others = declared
-            core.parameter(name, unit, values.get(name, start), low, high, prior, fixed or name in values, *others)
-
-        return self._around(rebuilt(self._core, self._core.inputs, declare), self._delays)
+        declared = self.declared_parameters
+        return self.with_parameters({n: replace(declared[n], start=v, fixed=True) for n, v in values.items()})
 
     def _smoothed(self, widths: Sequence[float]) -> Model:
         """The model with each kink of its state equations made smooth over a width."""

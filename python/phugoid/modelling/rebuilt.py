@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 from .. import _core
 from .._core import Expr
+from ..parameters import Parameter
 
-__all__ = ["equations_of", "rebuilt"]
+__all__ = ["Key", "changed", "declare_parameter", "equations_of", "rebuilt"]
 
 Key = tuple[str, str]
 
@@ -21,6 +22,12 @@ def equations_of(core: _core.Model) -> Iterator[tuple[Key, Expr]]:
             yield (kind, name), e
     for end, state, e, _ in core.conditions:
         yield (end, state), e
+
+
+def declare_parameter(core: _core.Model, name: str, p: Parameter) -> Expr:
+    """Declare a parameter in a core model."""
+    log = p.transform == "log"
+    return core.parameter(name, p.unit, p.start, *p.bounds, p.prior, p.fixed, p.per_experiment, log, p.scale)
 
 
 def rebuilt(
@@ -46,4 +53,29 @@ def rebuilt(
         core.output(name, change(("output", name), e), unit, source)
     for end, state, e, source in old.conditions:
         core.condition(end, state, change((end, state), e), source)
+    return core
+
+
+def changed(
+    old: _core.Model,
+    parameters: Mapping[str, Parameter],
+    equations: Mapping[Key, Expr],
+    inputs: Mapping[str, str],
+    outputs: Mapping[str, Expr],
+) -> _core.Model:
+    """A model with some parameters and equations replaced, and with parameters, inputs and outputs that it had not."""
+
+    def declare(core: _core.Model, declared: Any) -> None:
+        if declared[0] in parameters:
+            declare_parameter(core, declared[0], parameters[declared[0]])
+        else:
+            core.parameter(*declared)
+
+    core = rebuilt(old, [*old.inputs, *inputs.items()], declare, lambda key, e: equations.get(key, e))
+    there = {name for name, *_ in old.parameters}
+    for name, p in parameters.items():
+        if name not in there:
+            declare_parameter(core, name, p)
+    for name, e in outputs.items():
+        core.output(name, e, "", None)
     return core

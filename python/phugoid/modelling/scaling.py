@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from .. import _core
 
-__all__ = ["Scaling", "scalings"]
+__all__ = ["ScalingSymmetry", "scalings"]
 
 
 @dataclass(frozen=True)
-class Scaling:
+class ScalingSymmetry:
     """A family of models with the same outputs: each quantity is multiplied by s to the power of its exponent.
 
     exponents  name of state or parameter -> exponent, states first.
@@ -42,6 +42,6 @@ def _power(exponent: float) -> str:
     return "s" if exponent == 1 else f"s**{exponent:.4g}" if exponent > 0 else f"s**({exponent:.4g})"
 
 
-def scalings(core: _core.Model, starts: Mapping[str, float]) -> list[Scaling]:
+def scalings(core: _core.Model, starts: Mapping[str, float]) -> list[ScalingSymmetry]:
     """The scalings of a model that is complete, its parameters starting at ``starts``."""
-    return [Scaling(dict(exponents), held, at) for exponents, held, at in core.scalings(list(starts.values()))]
+    return [ScalingSymmetry(dict(exponents), held, at) for exponents, held, at in core.scalings(list(starts.values()))]

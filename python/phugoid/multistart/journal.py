@@ -38,7 +38,7 @@ def fingerprint(problem: Problem, starts: Starts) -> dict[str, Any]:
     and the data as hashes. The number of threads, where equations stand in the user's files, and what the model does
     not use of the data have no part in it.
     """
-    document = json.loads(problem.model._core.to_json())
+    document = json.loads(problem.model._equations_to_json())
     for group in document.values():
         for entry in group if isinstance(group, list) else ():
             entry.pop("source", None)

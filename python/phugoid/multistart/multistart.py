@@ -14,7 +14,7 @@ from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.noise import KINDS, Noise
 from ..solvers.limits import limited
-from ..starts.gathered import Watch, check_progress, gathered
+from ..starts.collect import Watch, check_progress, collect
 from ..starts.outcome import Problem
 from ..starts.starts import Draw, Range, given, plain, uniform
 from ..transcription.collocation import Collocation
@@ -117,7 +117,7 @@ def multistart(
         missing = ((i, plan(i)) for i in range(total) if i not in known)
         keep = book.append if book else None
         with deadline.in_force():
-            found = gathered(crew, missing, progress, problem.model.name, total, known=done, keep=keep, best=True)
+            found = collect(crew, missing, progress, problem.model.name, total, known=done, keep=keep, best=True)
     return Multistart(
         outcomes=tuple(found.values()),
         n=total,

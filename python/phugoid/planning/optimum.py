@@ -15,8 +15,8 @@ from ..fit_result import FitResult
 from ..inputs.grid import number
 from ..modelling.model import Model
 from ..solvers.limits import check_time, limited
+from .design_evaluation import plan
 from .plan import Criterion, Plan, criterion_of
-from .planned import plan
 
 __all__ = ["optimal_plan"]
 

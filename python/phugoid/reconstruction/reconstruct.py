@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import _core
 from ..api import estimate
 from ..data.experiment import Experiment, as_experiments
 from ..data.interpolation import kinds_for
 from ..errors import ModelError, OptionError, PhugoidError
+from ..modelling.compiled import CompiledExpressions
 from ..modelling.model import Model
 from ..models.flight_path import flight_path
 from ..parameters import Estimate, plus_minus, text_table
@@ -37,26 +37,17 @@ def corrected(fit: Fit, record: Record, run: Experiment) -> Experiment:
     """A record with inertial channels at the centre of gravity and without bias, and states in place of what measured
     them; its other channels as they were. All are channels, which serve as inputs or as outputs."""
     model = fit.model
-    quantities = {n.removesuffix(_SUFFIX): n for n, *_ in model._core.quantities if n.endswith(_SUFFIX)}
+    quantities = {n.removesuffix(_SUFFIX): n for n in model.quantity_names if n.endswith(_SUFFIX)}
     if "V" not in model.state_names or "q" not in quantities:
         raise ModelError(f"'{model.name}' is no model of a flight path: make one with models.flight_path")
-    known: dict[str, _core.Expr] = {}
-    for n, e, *_ in model._core.quantities:
-        known[n] = e.substitute(known)
-    only = Model(model.name)
-    only.states(*model.state_names)
-    only.inputs(*model.input_names)
-    used = {symbol for n in quantities.values() for symbol in known[n].symbols}
-    parameters = [n for n in model.parameter_names if n in used]
-    if parameters:
-        only.parameters(*parameters)
-    only.dynamics(**dict.fromkeys(model.state_names, 0.0))
-    only.outputs(**{n: known[n] for n in quantities.values()})
-    own = fit._own(record.name)
-    theta = np.array([own[n] for n in parameters])
+    known, own = model.quantity_expressions(), fit._own(record.name)
+    compiled = CompiledExpressions(
+        [known[n] for n in quantities.values()], model.parameter_names, model.input_names, model.state_names
+    )
+    theta = np.array([own[n] for n in model.parameter_names])
     states = [record.states[n] for n in model.state_names]
     columns = np.vstack([record.t, *(record.inputs[n] for n in model.input_names), *states])
-    found = dict(zip(quantities, _core.Evaluator(only._core).outputs(theta, columns), strict=True))
+    found = dict(zip(quantities, compiled(theta, columns), strict=True))
     found |= {n: np.asarray(v) for n, v in record.states.items()}
     channels = {**run.channels, **run.outputs, **run.inputs, **found}
     units = {**run.units, **{n: model.units[n] for n in found if n in model.units}}
@@ -182,7 +173,7 @@ def reconstruct(
     else:
         names = model if model is not None else _outputs(runs, bool(options.get("longitudinal")))
         made = flight_path(names, **options)
-    if "V" not in made.state_names or "q_true" not in dict.fromkeys(n for n, *_ in made._core.quantities):
+    if "V" not in made.state_names or "q_true" not in made.quantity_names:
         raise ModelError(f"reconstruct: '{made.name}' is no model of a flight path: make one with models.flight_path")
     ready = [_turning(_unwrapped(run, made), made) for run in runs]
     begin = dict(start or {})

@@ -9,11 +9,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
 from .._core import Expr
 from ..data.experiment import Experiment
 from ..errors import EvaluationError, ModelError
 from ..guess import measured_states
+from ..modelling.compiled import CompiledExpressions, CompiledModel
 from ..modelling.model import Model
 
 __all__ = ["Equation", "Evaluation", "MeasuredChannel", "channels", "equations", "groups", "parameters_in"]
@@ -73,16 +73,14 @@ def equations(
     A state equation is left out where an output measures the slope itself. Where it does but for a bias, both stay:
     the slope tells the bias from the constants of the equation.
     """
-    known: dict[str, Expr | float] = {}
-    for name, e, *_ in model._core.quantities:
-        known[name] = e.substitute(known)
     inside = {c.state: (Expr.symbol(c.state) - c.offset) / c.slope for c in measured}
     taken = {c.output for c in measured}
     slopes = _measured_slopes(model, measured, values, data[0])
     found = []
-    for (state, e, *_), channel in zip(model._core.dynamics, _in_order(model, measured), strict=True):
+    by_state = {c.state: c for c in measured}
+    for state, e in model.state_expressions().items():
         if state not in slopes:
-            right = e.substitute(known).substitute(inside)
+            channel, right = by_state[state], e.substitute(inside)
             found.append(Equation(f"{state}'", right * channel.slope, channel))
     for name, e in model.output_expressions().items():
         if name not in taken:
@@ -90,16 +88,11 @@ def equations(
     return found
 
 
-def _in_order(model: Model, measured: Sequence[MeasuredChannel]) -> list[MeasuredChannel]:
-    by_state = {c.state: c for c in measured}
-    return [by_state[state] for state, *_ in model._core.dynamics]
-
-
 def _measured_slopes(
     model: Model, measured: Sequence[MeasuredChannel], values: Mapping[str, float], run: Experiment
 ) -> set[str]:
     """States whose x' is an output: told by numbers, whatever the form of the two expressions."""
-    evaluator = _core.Evaluator(model._core)
+    evaluator = CompiledModel(model)
     random = np.random.default_rng(0)
     declared = model.declared_parameters
     taken = {c.output for c in measured}
@@ -160,35 +153,24 @@ class Evaluation:
         self.listed, self.names = listed, names
         used = set().union(*(e.right.symbols for e in listed))
         self.order = [name for name in model.parameter_names if name in used]
-        aux = _core.Model("equations")
-        for name in self.order:
-            aux.parameter(name, "", 0.0, -np.inf, np.inf, None, False, False, False, None)
-        for name in model.input_names:
-            aux.input(name, "")
-        for name in model.state_names:
-            aux.state(name, "")
-            aux.equation(name, 0.0, None)
         self.place: list[list[int]] = []
         self.linear = True
-        count = 0
-        taken = {*self.order, *model.input_names, *model.state_names}
+        wanted: list[Expr] = []
         for equation in listed:
             derivatives = []
-            aux.output(_fresh(f"e{count}", taken), equation.right, "", None)
-            count += 1
+            wanted.append(equation.right)
             for j, name in enumerate(names):
                 if name in equation.right.symbols:
                     d = equation.right.diff(name)
                     self.linear &= not any(_depends(d, other) for other in names)
-                    aux.output(_fresh(f"e{count}", taken), d, "", None)
-                    count += 1
+                    wanted.append(d)
                     derivatives.append(j)
             self.place.append(derivatives)
-        self.evaluator = _core.Evaluator(aux)
+        self._rows = CompiledExpressions(wanted, self.order, model.input_names, model.state_names)
 
     def __call__(self, values: Mapping[str, float], columns: _Array) -> tuple[_Array, _Array]:
         """Right-hand sides (E, N) and derivatives (E, N, p) for columns of time, inputs and state channels."""
-        rows = self.evaluator.outputs(np.array([values[n] for n in self.order]), columns)
+        rows = self._rows(np.array([values[n] for n in self.order]), columns)
         right = np.empty((len(self.listed), columns.shape[1]))
         derivatives = np.zeros((*right.shape, len(self.names)))
         k = 0
@@ -211,9 +193,3 @@ class Evaluation:
 
 def _depends(e: Expr, name: str) -> bool:
     return name in e.symbols and e.diff(name).constant != 0.0
-
-
-def _fresh(name: str, taken: set[str]) -> str:
-    while name in taken:
-        name += "_"
-    return name

@@ -12,20 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
-from ..discrepancy.search.linearised import Linearised, collocated
 from ..errors import DataError, OptionError, UnknownName, did_you_mean
 from ..fit_result import FitResult
 from ..guess import spread
 from ..parameters import Estimates
 from ..records import Record
+from ..sensitivities.collocated import collocated
+from ..sensitivities.linearised import Linearised
+from ..sensitivities.tangents import Tangents
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
-from ..validation.validate import found_anew
+from ..validation.validate import re_estimated
 from .coloured import Colouring
 from .coloured import coloured as corrected
-from .filter_bands import elsewhere, within
+from .filtered import elsewhere, within
 from .resample import Parametric
-from .tangents import Tangents, linearised
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,7 +60,7 @@ class Bands:
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
         """Each output with both bands. Returns the figure and its axes by name."""
-        from .bands_figure import plot_bands
+        from .figures import plot_bands
 
         return plot_bands(self, self._title)
 
@@ -94,7 +95,7 @@ def prediction_bands(
         if filtered:
             errors = within(fit, e)
         else:
-            tangents = Tangents(linearised(fit, "prediction_bands"))
+            tangents = Tangents.of(fit, "prediction_bands")
             covariance = Colouring(tangents).covariance if coloured else tangents.inverse
             errors = _errors(fit, tangents, covariance, e, record)
     z = NormalDist().inv_cdf(0.5 + 0.5 * level)
@@ -142,7 +143,7 @@ def _elsewhere(
 ) -> tuple[Record, dict[str, _Array], Parametric]:
     """Of an experiment that the fit was not made on: its initial states and biases are found anew, for parameters as
     fitted, so the errors of the former follow those of the latter."""
-    found, free, held, _ = found_anew(fit, [other], biases, values)
+    found, free, held, _ = re_estimated(fit, [other], biases, values)
     if not found.converged:
         raise DataError(
             f"prediction_bands: initial states and biases of '{other.name}' were not found ({found.status}): "

@@ -21,9 +21,8 @@ from ..solvers.limits import limited
 from ..starts.outcome import Outcome, Problem
 from ..starts.starts import stream
 from ..transcription.filter_error import FilterError
-from .blocks import Blocks, block_length
-from .disturbed import Disturbed
-from .resample import Coloured, Parametric, Resampler
+from .process_noise_bootstrap import ProcessNoiseResampler
+from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length
 from .runs import common_to, run_all
 
 if TYPE_CHECKING:
@@ -189,12 +188,12 @@ def bootstrap(
                 f'bootstrap: kind="{kind}" is for coloured residuals; with process noise (FilterError) innovations are '
                 'white where the model is right: kind="parametric" draws process noise and that of the sensors'
             )
-        resampler = Disturbed.of(fit)
+        resampler = ProcessNoiseResampler.of(fit)
     elif kind == "block":
         block = block_length(fit) if block is None else int(block)
         resampler = Blocks.of(fit, block)
     else:
-        resampler = Parametric.of(fit) if kind == "parametric" else Coloured.of(fit)
+        resampler = Parametric.of(fit) if kind == "parametric" else ColouredNoise.of(fit)
     problem = _Resampled(**common, resampler=resampler, seed=int(seed))
     runs = run_all(problem, [{"draw": i} for i in range(n)], executor, progress, "bootstrap", deadline)
     good = [o for o in runs.outcomes.values() if o.status in ("converged", "acceptable")]

@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 from ..errors import EvaluationError
 from ..fit_result import FitResult
 from ..parameters import Estimates, plus_minus, text_table
-from .colour import Laid, Links, Process, common, fitted, links
-from .grids import grids_of
-from .tangents import Tangents, linearised
+from ..residual_noise.autoregression import Autoregression
+from ..residual_noise.restricted_likelihood import (
+    GridColumns,
+    Links,
+    cross_correlations,
+    restricted_autoregressions,
+    shared_covariance,
+)
+from ..residual_noise.uniform_segments import output_segments
+from ..sensitivities.tangents import Tangents
 
 __all__ = ["Coloured", "Colouring", "coloured"]
 
@@ -100,7 +107,7 @@ class Colouring:
     def __init__(self, tangents: Tangents) -> None:
         self.tangents = t = tangents
         linear, scores, k = t.linear, t.scores, t.k
-        self.grids = grids_of(linear)
+        self.segments = output_segments(linear.times, linear.rows)
         # Where experiments have noise of their own, one process is that of all, each in its own size.
         self.sizes = np.ones(linear.n_rows)
         if scores.own:
@@ -111,9 +118,11 @@ class Colouring:
                     )
         self.values = scores.values / self.sizes
         columns = self._laid(t.basis * self.sizes[:, None])
-        self.processes = fitted(self.grids, self.values, scores.weighted(t.basis) / self.sizes[:, None])
-        self.linked: Links = links(self.grids, self.processes, self.values)
-        spread = common(self.linked, self.processes, columns)
+        self.processes = restricted_autoregressions(
+            self.segments, self.values, scores.weighted(t.basis) / self.sizes[:, None]
+        )
+        self.linked: Links = cross_correlations(self.segments, self.processes, self.values)
+        spread = shared_covariance(self.linked, self.processes, columns)
         for process, laid in zip(self.processes, columns, strict=True):
             for a in laid:
                 spread += a.columns @ a.times(process).T
@@ -124,8 +133,8 @@ class Colouring:
         middle[:k, k:] = middle[k:, :k] = 0.0
         self.covariance = t.inverse @ middle @ t.inverse
 
-    def _laid(self, columns: _Array) -> list[list[Laid]]:
-        return [[Laid(g, columns) for g in line] for line in self.grids]
+    def _laid(self, columns: _Array) -> list[list[GridColumns]]:
+        return [[GridColumns(s, columns) for s in line] for line in self.segments]
 
     def spectral_root(self, members: Sequence[int], lags: int, size: int) -> NDArray[np.complex128]:
         """(size // 2 + 1, n, n) roots of the spectral matrix of some outputs' noise, at the frequencies of
@@ -152,7 +161,7 @@ class Colouring:
         mean over samples of sum_l rho_i(k - l) rho_j(k - l) (Bartlett 1946)."""
         total = count = 0.0
         for e in experiments:
-            g, h = self.grids[i][e], self.grids[j][e]
+            g, h = self.segments[i][e], self.segments[j][e]
             n = min(g.size, h.size)
             if not n:
                 continue
@@ -178,7 +187,7 @@ def coloured(fit: FitResult) -> Coloured:
 
 def _corrected(fit: FitResult) -> Coloured:
     try:
-        c = Colouring(Tangents(linearised(fit, "coloured")))
+        c = Colouring(Tangents.of(fit, "coloured"))
     except np.linalg.LinAlgError as error:
         raise EvaluationError(f"coloured: the fit cannot be linearised ({error})") from error
     names = list(fit.parameters)
@@ -192,7 +201,7 @@ def _corrected(fit: FitResult) -> Coloured:
     covariance[lost], covariance[:, lost] = np.nan, np.nan
     with np.errstate(invalid="ignore"):
         errors = np.where(np.isfinite(plain), np.sqrt(np.diag(covariance)), np.nan)
-    grid = [max(line, key=lambda g: g.size) for line in c.grids]
+    grid = [max(line, key=lambda g: g.size) for line in c.segments]
     correlations = {n: _memory(p, g.size) for n, p, g in zip(fit.model.output_names, c.processes, grid, strict=True)}
     steps = dict(zip(fit.model.output_names, (g.step for g in grid), strict=True))
     return Coloured(
@@ -207,10 +216,9 @@ def _corrected(fit: FitResult) -> Coloured:
     )
 
 
-def _memory(process: Process, most: int) -> _Array:
+def _memory(process: Autoregression, most: int) -> _Array:
     """Autocorrelation, as long as there is any."""
-    c = process.covariance(max(most, 1))
-    c = c / c[0] if c[0] > 0.0 else np.eye(1, c.size)[0]
+    c = process.autocorrelation(max(most, 1))
     return np.asarray(c[: int(np.flatnonzero(np.abs(c) >= 0.01)[-1]) + 2])
 
 

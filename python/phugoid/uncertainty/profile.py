@@ -18,8 +18,8 @@ from ..parameters import text_table
 from ..solvers.limits import limited
 from ..starts.outcome import Outcome
 from .coloured import coloured as corrected
+from .profile_search import End, Side, Sides
 from .runs import common_to, run_all
-from .walk import End, Side, Sides
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -135,7 +135,7 @@ class Profiles(Mapping[str, Profile]):
 
         Returns the figure and its axes by name. Raises UnknownName for a name without a profile.
         """
-        from .profile_figure import plot_profiles
+        from .figures import plot_profiles
 
         return plot_profiles([self[name] for name in (names or self.profiles)], self.level)
 

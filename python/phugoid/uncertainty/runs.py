@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..discrepancy.search.linearised import dataset
 from ..errors import OptionError
 from ..fit_result import FitResult
+from ..sensitivities.collocated import dataset
 from ..solvers import Newton
 from ..solvers.limits import Deadline
-from ..starts.gathered import Watch, check_progress, gathered
+from ..starts.collect import Watch, check_progress, collect
 from ..starts.outcome import Outcome, Problem
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription
@@ -68,5 +68,5 @@ def run_all(
     check_progress(caller, progress)
     crew = Crew(executor, problem)
     with deadline.in_force():
-        done = gathered(crew, enumerate(starts), progress, f"{problem.model.name}: {caller}", len(starts))
+        done = collect(crew, enumerate(starts), progress, f"{problem.model.name}: {caller}", len(starts))
     return Runs(done, "complete" if len(done) == len(starts) else deadline.ended(), crew.warnings)

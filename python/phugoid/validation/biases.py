@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from .._core import Expr
 from ..modelling.model import Model
 
@@ -31,19 +29,15 @@ def freed_by_default(model: Model) -> tuple[str, ...]:
 
 def _symbols_of_motion(model: Model, with_initial: bool) -> set[str]:
     """Symbols in state equations and conditions, quantities put in."""
-    core = model._core
-    known: dict[str, Any] = {}
-    for name, e, *_ in core.quantities:
-        known[name] = e.substitute(known)
-    found = [e for _, e, *_ in core.dynamics]
-    found += [e for end, _, e, _ in core.conditions if with_initial or end != "initial"]
-    return {symbol for e in found for symbol in Expr(e.substitute(known)).simplify().symbols}
+    found = [*model.state_expressions().values()]
+    found += [e for end, _, e in model.conditions if with_initial or end != "initial"]
+    return {symbol for e in found for symbol in e.simplify().symbols}
 
 
 def _entering_outputs_only(model: Model, motion: set[str]) -> tuple[str, ...]:
     parameters = {*model.parameter_names}
     outputs = [Expr(e).simplify() for e in model.output_expressions().values()]
-    initial = {s for end, _, e, _ in model._core.conditions if end == "initial" for s in e.symbols}
+    initial = {s for end, _, e in model.conditions if end == "initial" for s in e.symbols}
     coefficients: dict[str, set[str]] = {}
     for name in model.parameter_names:
         if name in motion or name in model.delays.parameters:

@@ -23,10 +23,10 @@ from ..solvers.limits import limited
 from ..tolerance import Tolerance, tolerances_by_output
 from ..transcription.filter_error import FilterError
 from .biases import freed_by_default
-from .held import estimates_of, held_model, held_noise, mesh_for
+from .frozen_model import estimates_of, freeze_model, freeze_noise, mesh_for
 from .result import Validation
 
-__all__ = ["found_anew", "shared", "validate"]
+__all__ = ["re_estimated", "shared", "validate"]
 
 # Records share samples where as many as this agree to the bit.
 _SHARED = 3
@@ -45,7 +45,7 @@ def validate(
     model, experiments = fit.model, as_experiments(other, "validate")
     limits = tolerances_by_output("validate", model.output_names, tolerances)
     with limited("validate", time_limit).in_force():
-        found, free, held, warnings = found_anew(fit, experiments, biases, {} if values is None else values)
+        found, free, held, warnings = re_estimated(fit, experiments, biases, {} if values is None else values)
     noise, filtered = found.noise, isinstance(found.transcription, FilterError)
     records = [_predicted(r) for r in found.records] if filtered else found.records
     if not found.feasible:
@@ -85,7 +85,7 @@ def validate(
     )
 
 
-def found_anew(
+def re_estimated(
     fit: FitResult, experiments: Sequence[Experiment], biases: Any, values: Any
 ) -> tuple[FitResult, tuple[str, ...], dict[str, float], tuple[str, ...]]:
     """The fit of initial states and biases alone to other experiments; which parameters are biases, the values of the
@@ -93,13 +93,13 @@ def found_anew(
     free = _free(fit, biases, values)
     held = _held(fit, free, values)
     mesh = mesh_for(fit, experiments)
-    noise, warnings = held_noise(fit)
+    noise, warnings = freeze_noise(fit)
     if not fit.converged:
         warnings = (f"the fit itself has not converged ({fit.status}): {fit.message or 'see its summary'}", *warnings)
     for e in experiments:
         warnings += _check(fit, e, free)
 
-    slim = held_model(fit.model, held, free)
+    slim = freeze_model(fit.model, held, free)
     # A regression on measured states is for parameters, and these are held.
     solver = None if isinstance(mesh, FilterError) else Newton(regression=False)
     begin = _start(fit, slim, held, free)
@@ -231,7 +231,7 @@ def _start(fit: FitResult, slim: Model, held: Mapping[str, float], free: Sequenc
 def _degrees(model: Model, free: Sequence[str], found: FitResult) -> int:
     """Measured values minus what was estimated."""
     values = sum(int(np.isfinite(r.residuals[name]).sum()) for r in found.records for name in model.output_names)
-    conditions = len({(end, state) for end, state, *_ in model._core.conditions})
+    conditions = len({(end, state) for end, state, _ in model.conditions})
     states = max(len(model.state_names) - conditions, 0) * len(found.records)
     return values - states - len(estimates_of(found.parameters, free))
 

@@ -5,24 +5,23 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
 from ..._core import Expr
 from ...errors import ModelError, did_you_mean
 from ...modelling.model import Model
-from ...modelling.rebuilt import Key, equations_of, rebuilt
+from ...modelling.rebuilt import Key
 from ...parameters import Parameter
-from .scales import Points, Scales, of
+from ...sensitivities.trajectory import Place, Points
+from .scales import Scales, of
 
 __all__ = [
     "Candidate",
     "Effect",
     "ExtensionBuilder",
-    "Place",
     "largest_coefficient",
     "place_range",
     "unused",
@@ -30,17 +29,6 @@ __all__ = [
 ]
 
 _Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a candidate acts: what its signal is added to.
-
-    An "input" stands for its symbol everywhere, an "equation" for the derivative of the state of that name.
-    """
-
-    kind: Literal["quantity", "equation", "output", "input"]
-    name: str
 
 
 class Candidate(ABC):
@@ -145,10 +133,9 @@ class ExtensionBuilder:
         if not isinstance(model, Model):
             raise ModelError(f"{effect.name}: extends a Model, not a {type(model).__name__}")
         self.old, self.effect, self.start = model, effect, dict(start or {})
-        self.equations: dict[Key, Expr] = dict(equations_of(model._core))
+        self.equations: dict[Key, Expr] = model._right_hand_sides()
         self.delays = model.delays
-        self._taken = {*model.state_names, *(n for n, _ in model._core.inputs), *model.parameter_names}
-        self._taken |= {name for name, *_ in model._core.quantities}
+        self._taken = {*model.state_names, *model.declared_inputs, *model.parameter_names, *model.quantity_names}
         own = effect.parameters
         for name in self.start:
             if name not in own:
@@ -158,15 +145,15 @@ class ExtensionBuilder:
                 raise ModelError(
                     f"{effect.name}: '{name}' is in the model already; has it been extended by this before?"
                 )
-        self._parameters: list[tuple[str, Parameter]] = []
-        self._states: list[tuple[str, str, Expr, Expr]] = []
-        self._inputs: list[tuple[str, str]] = []
+        self._parameters: dict[str, Parameter] = {}
+        self._states: dict[str, tuple[str, Expr, Expr]] = {}
+        self._inputs: dict[str, str] = {}
 
     def parameter(self, name: str, start: float = 0.0, **declared: Any) -> Expr:
         """One more parameter; a start that was given counts, moved into the bounds."""
         low, high = declared.get("bounds", (-np.inf, np.inf))
         value = min(max(float(self.start.get(name, start)), low), high)
-        self._parameters.append((name, Parameter(value, **declared)))
+        self._parameters[name] = Parameter(value, **declared)
         return Expr.symbol(name)
 
     def state(self, wanted: str, unit: str, right: Callable[[Expr], Any], initial: Any) -> Expr:
@@ -174,9 +161,9 @@ class ExtensionBuilder:
         name = self._unused(wanted)
         symbol = Expr.symbol(name)
         known: dict[str, Any] = {}  # at the ends of a record quantities have no name
-        for quantity, *_ in self.old._core.quantities:
+        for quantity in self.old.quantity_names:
             known[quantity] = self.equations["quantity", quantity].substitute(known)
-        self._states.append((name, unit, Expr(right(symbol)), Expr(Expr(initial).substitute(known))))
+        self._states[name] = (unit, Expr(right(symbol)), Expr(Expr(initial).substitute(known)))
         return symbol
 
     def late_input(self, of: str, tau: str) -> Expr:
@@ -184,7 +171,7 @@ class ExtensionBuilder:
         if of in self.delays.inputs:
             raise ModelError(f"{self.effect.name}: the input is late already, by '{self.delays.inputs[of][1]}'")
         name = self._unused(f"{of}_delayed")
-        self._inputs.append((name, self.old.units.get(of, "")))
+        self._inputs[name] = self.old.units.get(of, "")
         self.delays = self.delays.with_input(name, of, tau)
         return Expr.symbol(name)
 
@@ -210,7 +197,7 @@ class ExtensionBuilder:
 
     def replace_input(self, name: str, by: Any) -> None:
         """Puts an expression for an input wherever it stands."""
-        if name not in {n for n, _ in self.old._core.inputs}:
+        if name not in self.old.declared_inputs:
             hint = did_you_mean(name, self.old.input_names)
             raise ModelError(f"{self.effect.name}: the model has no input '{name}'.{hint}")
         if not any(name in e.symbols for e in self.equations.values()):
@@ -221,20 +208,13 @@ class ExtensionBuilder:
 
     def model(self) -> Model:
         """The model as extended."""
-        old = self.old._core
-
-        def declare(core: _core.Model, declared: Any) -> None:
-            core.parameter(*declared)
-
-        core = rebuilt(old, [*old.inputs, *self._inputs], declare, lambda key, _: self.equations[key])
-        for name, p in self._parameters:
-            log = p.transform == "log"
-            core.parameter(name, p.unit, p.start, *p.bounds, p.prior, p.fixed, p.per_experiment, log, p.scale)
-        for name, unit, right, initial in self._states:
-            core.state(name, unit)
-            core.equation(name, right, None)
-            core.condition("initial", name, initial, None)
-        return self.old._around(core, self.delays)
+        return self.old._changed(
+            parameters=self._parameters,
+            equations=self.equations,
+            inputs=self._inputs,
+            states=self._states,
+            delays=self.delays,
+        )
 
     def _unused(self, wanted: str) -> str:
         return unused(wanted, self._taken)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ..._core import Expr
 from ...modelling.model import Model
+from ...sensitivities.trajectory import Points
 from ...symbols import smooth_abs
 from .candidate import Effect, ExtensionBuilder, place_range
 from .scales import (
-    Points,
     delay_bounds,
     delay_grid,
     evaluated,

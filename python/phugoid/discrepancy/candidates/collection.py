@@ -10,8 +10,9 @@ from ..._core import Expr
 from ...errors import DataError, ModelError, UnknownName, did_you_mean
 from ...modelling.model import Model
 from ...parameters import text_table
-from .candidate import Candidate, Effect, Place
-from .scales import Points, Scales
+from ...sensitivities.trajectory import Place, Points
+from .candidate import Candidate, Effect
+from .scales import Scales
 
 __all__ = ["Candidates", "read_terms"]
 
@@ -163,7 +164,7 @@ def read_terms(model: Model, terms: Mapping[str, Any]) -> Iterator[tuple[Place, 
 
 def _place(model: Model, key: str) -> tuple[Place, str]:
     """Place and, where there is one, the user's name for the term: "Cm", "q'", "y:alpha", "Cm:my name"."""
-    quantities = [name for name, *_ in model._core.quantities]
+    quantities = list(model.quantity_names)
     head, _, what = key.partition(":")
     if head in quantities:
         return Place("quantity", head), what
@@ -185,12 +186,12 @@ def _checked(model: Model, place: Place, key: str, given: Any) -> Expr:
         e = Expr(given)
     except TypeError:
         raise ModelError(f"terms: '{key}' holds {given!r}, not an expression") from None
-    quantities = [n for n, *_ in model._core.quantities]
+    quantities = list(model.quantity_names)
     if place.kind == "quantity":  # it may hold only those above it
         later = quantities[quantities.index(place.name) :]
         for name in {*later}.intersection(e.symbols):
             raise ModelError(f"terms: {e} in '{key}' holds '{name}', which stands below {place.name} in the model")
-    known = {*model.state_names, "time", *(n for n, _ in model._core.inputs), *quantities}
+    known = {*model.state_names, "time", *model.declared_inputs, *quantities}
     for name in e.symbols:
         if name in model.parameter_names:
             raise ModelError(

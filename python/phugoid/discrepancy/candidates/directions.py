@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
 from ..._core import Expr
 from ...errors import ModelError
+from ...modelling.compiled import CompiledModel
 from ...modelling.model import Model
-from ...modelling.rebuilt import Key, rebuilt
+from ...modelling.rebuilt import Key
+from ...sensitivities.trajectory import Points
 from .candidate import Candidate
-from .scales import Points, Scales
+from .scales import Scales
 
 __all__ = ["Directions", "Verdict"]
 
@@ -44,11 +45,9 @@ class Directions:
 
     def __init__(self, model: Model, scales: Scales, seed: int = 0) -> None:
         free = [name for name, p in model.declared_parameters.items() if not p.fixed]
-        core = model._core
-        kinds = {"quantity": core.quantities, "equation": core.dynamics, "output": core.outputs}
-        self._keys: list[Key] = [(kind, name) for kind, group in kinds.items() for name, *_ in group]
-        equations = {(kind, name): e for kind, group in kinds.items() for name, e, *_ in group}
-        inputs = [name for name, _ in core.inputs]
+        equations = {k: e for k, e in model._right_hand_sides().items() if k[0] in ("quantity", "equation", "output")}
+        self._keys: list[Key] = list(equations)
+        inputs = list(model.declared_inputs)
         wanted = {(key, name): Expr(equations[key].diff(name)) for key in self._keys for name in (*free, *inputs)}
         wanted = {key: e for key, e in wanted.items() if e.constant != 0.0}
         n = 64 + 2 * len(free)
@@ -116,19 +115,12 @@ def _random(
     model: Model, scales: Scales, equations: dict[Key, Expr], wanted: Sequence[Expr], n: int, seed: int
 ) -> tuple[Points, list[_Array]]:
     """Random points, and values of expressions there; only points at which everything is finite."""
-    old, random = model._core, np.random.default_rng(seed)
-    names = [name for name, _ in old.inputs] + list(model.state_names)
-    quantities = [name for name, *_ in old.quantities]
-
-    def declare(core: _core.Model, declared: object) -> None:
-        core.parameter(*declared)  # type: ignore[misc]
-
-    core = rebuilt(old, old.inputs, declare)
+    random = np.random.default_rng(seed)
+    names, quantities = [*model.declared_inputs, *model.state_names], model.quantity_names
     every = [Expr.symbol(name) for name in quantities] + [equations["equation", name] for name in model.state_names]
     # A delay of an output stands in no equation, which an evaluator takes for a slip: here all stand in the last.
     every_parameter = [Expr(sum((Expr.symbol(name) for name in model.parameter_names), Expr(0.0)))]
-    for i, e in enumerate([*every, *wanted, *every_parameter]):
-        core.output(f"no_output__{i}", e, "", None)
+    added = {f"no_output__{i}": e for i, e in enumerate([*every, *wanted, *every_parameter])}
     # Half of them on the positive side: equations may hold a root or a logarithm.
     draws = random.uniform(-1.0, 1.0, (len(names), 4 * n))
     draws[:, ::2] = np.abs(draws[:, ::2])
@@ -137,7 +129,7 @@ def _random(
     columns = [scales.centre(name) + w * row for name, w, row in zip(names, widths, draws, strict=True)]
     t = scales.begin + scales.duration * np.sort(random.random(4 * n))
     theta = random.uniform(0.5, 1.5, len(model.parameter_names))
-    y = _core.Evaluator(core).outputs(theta, np.vstack([t, *columns]))
+    y = CompiledModel(model._changed(outputs=added)).outputs(theta, np.vstack([t, *columns]))
     good = np.flatnonzero(np.isfinite(y).all(axis=0))[-n:]
     if good.size < 16:
         raise ModelError(

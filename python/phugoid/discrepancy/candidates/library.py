@@ -9,8 +9,9 @@ from typing import Any, Literal
 
 from ...errors import ModelError, OptionError, did_you_mean
 from ...modelling.model import Model
+from ...sensitivities.trajectory import Place, Points
 from ..misfit.phrases import per_second
-from .candidate import Effect, Place, unused
+from .candidate import Effect, unused
 from .channel_effects import (
     DeadBand,
     InputBias,
@@ -24,8 +25,8 @@ from .channel_effects import (
 )
 from .collection import Candidates, read_terms
 from .directions import Directions
-from .places import Anatomy, Variable
-from .scales import Points, Scales, trim_of
+from .model_structure import ModelStructure, Variable
+from .scales import Scales, trim_of
 from .terms import FORMS, LaggedVariable, Periodic, Rate, Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
@@ -100,10 +101,10 @@ def candidates(
     trim = dict(trim or {})
     trim |= {late: trim[of] for late, (of, _) in model.delays.inputs.items() if of in trim}
     scales = Scales.of(points, trim) if points is not None else Scales(trim=trim)
-    anatomy = Anatomy(model, equations == "all", base)
+    structure = ModelStructure(model, equations == "all", base)
     names = _Names(model)
-    own = list(_own(model, anatomy, scales, terms or {}, names))
-    made = [c for c in _library(anatomy, scales, names) if c.family not in leave_out]
+    own = list(_own(model, structure, scales, terms or {}, names))
+    made = [c for c in _library(structure, scales, names) if c.family not in leave_out]
     kept = _distinct(own, made, Directions(model, scales))
     return Candidates(c for c in kept if points is None or c.worthwhile())
 
@@ -115,7 +116,7 @@ def _check(model: Any, trim: Any, leave_out: Any, equations: Any, base: Any) -> 
     if equations not in ("own", "all"):
         raise OptionError(f'candidates: equations is "own" or "all", not {equations!r}')
     for name in trim or {}:
-        known = [*model.state_names, *(n for n, _ in model._core.inputs)]
+        known = [*model.state_names, *model.declared_inputs]
         if name not in known:
             raise OptionError(f"candidates: trim names '{name}', no state or input.{did_you_mean(name, known)}")
     if isinstance(leave_out, str):
@@ -130,17 +131,18 @@ class _Names:
     """Names of new parameters: none twice, none of the model's."""
 
     def __init__(self, model: Model) -> None:
-        core = model._core
         self._taken = {*model.state_names, *model.parameter_names, *model.output_names, "time"}
-        self._taken |= {name for name, *_ in core.quantities} | {name for name, _ in core.inputs}
+        self._taken |= {*model.quantity_names, *model.declared_inputs}
 
     def __call__(self, wanted: str) -> str:
         return unused(re.sub(r"\W+", "_", wanted).strip("_"), self._taken)
 
 
-def _own(model: Model, anatomy: Anatomy, scales: Scales, terms: Mapping[str, Any], names: _Names) -> Iterator[Effect]:
+def _own(
+    model: Model, structure: ModelStructure, scales: Scales, terms: Mapping[str, Any], names: _Names
+) -> Iterator[Effect]:
     for place, what, e in read_terms(model, terms):
-        name = f"{anatomy.shown(place)}:{what}"
+        name = f"{structure.shown(place)}:{what}"
         words = f"{where(place)} has a part that goes with {str(e).replace('**', '^')}"
         coefficient = names(f"{_stem(place)}_{what}")
         yield Term(name, place, words, "own", scales, (coefficient,), variables=tuple(e.symbols), given=e)
@@ -151,25 +153,25 @@ def _stem(place: Place) -> str:
     return {"equation": f"{place.name}_dot", "output": f"y_{place.name}"}.get(place.kind, place.name)
 
 
-def _library(anatomy: Anatomy, scales: Scales, names: _Names) -> Iterator[Effect]:
-    for place in anatomy.places:
+def _library(structure: ModelStructure, scales: Scales, names: _Names) -> Iterator[Effect]:
+    for place in structure.places:
         if place.kind == "output":
-            yield from _in_output(anatomy, place, scales, names)
+            yield from _in_output(structure, place, scales, names)
         else:
-            yield from _in_equation(anatomy, place, scales, names)
-    for variable in anatomy.variables:
-        if variable.kind == "input" and anatomy.used(variable.symbol):
-            yield from _on_input(anatomy, variable, scales, names)
+            yield from _in_equation(structure, place, scales, names)
+    for variable in structure.variables:
+        if variable.kind == "input" and structure.used(variable.symbol):
+            yield from _on_input(structure, variable, scales, names)
 
 
 def _term(
-    anatomy: Anatomy, place: Place, form: str, factors: Sequence[Variable], scales: Scales, names: _Names
+    structure: ModelStructure, place: Place, form: str, factors: Sequence[Variable], scales: Scales, names: _Names
 ) -> Term:
     f, shown = FORMS[form], [v.shown for v in factors]
     coefficient = names(f"{_stem(place)}_{f.suffix.format(*shown)}")
-    name = f"{anatomy.shown(place)}:{f.what.format(*shown)}"
+    name = f"{structure.shown(place)}:{f.what.format(*shown)}"
     symbols = tuple(v.symbol for v in factors)
-    unit = anatomy.model.units.get(place.name, "") if place.kind == "output" else ""
+    unit = structure.model.units.get(place.name, "") if place.kind == "output" else ""
     if form == "drift" and unit:
         unit = per_second(unit)
     return Term(
@@ -186,11 +188,11 @@ def _term(
     )
 
 
-def _in_equation(anatomy: Anatomy, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
-    variables = anatomy.variables
+def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
+    variables = structure.variables
 
     def term(form: str, *factors: Variable) -> Term:
-        return _term(anatomy, place, form, factors, scales, names)
+        return _term(structure, place, form, factors, scales, names)
 
     yield term("bias")
     for form in ("linear", "square"):
@@ -202,7 +204,7 @@ def _in_equation(anatomy: Anatomy, place: Place, scales: Scales, names: _Names) 
     for form in ("cube", "quadratic", "absolute"):
         yield from (term(form, v) for v in variables)
     yield from (term("sign", v) for v in variables if v.speed or v.kind == "input")
-    shown, stem, words = anatomy.shown(place), _stem(place), where(place)
+    shown, stem, words = structure.shown(place), _stem(place), where(place)
     for v in variables:
         yield LaggedVariable(
             f"{shown}:lag_{v.shown}",
@@ -226,28 +228,28 @@ def _in_equation(anatomy: Anatomy, place: Place, scales: Scales, names: _Names) 
     )
 
 
-def _in_output(anatomy: Anatomy, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
-    shown, y = anatomy.shown(place), place.name
-    rates = [v for v in anatomy.variables if v.rate]
+def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
+    shown, y = structure.shown(place), place.name
+    rates = [v for v in structure.variables if v.rate]
 
     def term(form: str, *factors: Variable) -> Term:
-        return _term(anatomy, place, form, factors, scales, names)
+        return _term(structure, place, form, factors, scales, names)
 
     yield term("bias")
     words = f"the measurement of {y} is scaled wrongly"
     yield SensorScale(f"{shown}:scale", place, words, "scale", scales, (names(f"k_{y}"),))
     yield term("drift")
-    yield from (term("linear", v) for v in anatomy.variables)
+    yield from (term("linear", v) for v in structure.variables)
     yield from (term("square", v) for v in rates)
     yield from (term("product", v, w) for v, w in combinations(rates, 2))
     yield from (Rate.of(place, shown, v.symbol, names(f"y_{y}_{v.shown}_dot"), scales) for v in rates)
     words = f"the measurement of {y} follows with a lag (sensor or filter)"
     yield SensorLag(f"{shown}:lag", place, words, "lag", scales, (), (names(f"lag_{y}"),))
-    if y not in anatomy.model.delays.outputs:
+    if y not in structure.model.delays.outputs:
         yield SensorDelay(f"{shown}:delay", place, f"{y} is measured late", "delay", scales, (), (names(f"tau_{y}"),))
 
 
-def _on_input(anatomy: Anatomy, variable: Variable, scales: Scales, names: _Names) -> Iterator[Effect]:
+def _on_input(structure: ModelStructure, variable: Variable, scales: Scales, names: _Names) -> Iterator[Effect]:
     u, symbol = variable.shown, variable.symbol
     place, variables = Place("input", symbol), (symbol,)
     yield InputScale(
@@ -261,7 +263,7 @@ def _on_input(anatomy: Anatomy, variable: Variable, scales: Scales, names: _Name
         (Saturation, "saturation", f"saturation_{u}", f"large deflections of {u} are cut off (saturation)"),
         (InputLag, "lag", f"lag_{u}", f"{u} acts with a lag (first-order actuator)"),
     ]
-    if symbol not in anatomy.model.delays.inputs:
+    if symbol not in structure.model.delays.inputs:
         shaped.append((InputDelay, "delay", f"tau_{u}", f"{u} acts late (transport delay)"))
     for make, family, parameter, words in shaped:
         yield make(f"{u}:{family}", place, words, family, scales, (), (names(parameter),), variables=variables)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
 from ..._core import Expr
 from ...errors import DataError
+from ...modelling.compiled import CompiledExpressions
+from ...sensitivities.trajectory import Points
 
 __all__ = [
-    "Points",
     "Scales",
     "delay_bounds",
     "delay_grid",
@@ -33,31 +33,6 @@ __all__ = [
 ]
 
 _Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Points:
-    """One experiment along the fitted path, at n times: the mesh points, or the samples.
-
-    experiment  name of the experiment.
-    t           (n,) time, s.
-    values      name -> (n,): states, inputs and quantities.
-    rates       name -> (n,): time derivatives of states and inputs, per second.
-    outputs     name -> (n,): outputs of the model.
-    output_rates  name -> (n,): their time derivatives, per second.
-    """
-
-    experiment: str
-    t: _Array
-    values: Mapping[str, _Array]
-    rates: Mapping[str, _Array]
-    outputs: Mapping[str, _Array]
-    output_rates: Mapping[str, _Array]
-
-    @property
-    def n(self) -> int:
-        """Number of points."""
-        return int(self.t.size)
 
 
 # A variable hovers about zero where its median is less than this part of its standard deviation.
@@ -209,16 +184,9 @@ def of(group: Mapping[str, _Array], name: str, points: Points, what: str) -> _Ar
 
 def evaluated(e: Expr, points: Points) -> _Array:
     """(n,) values of an expression in states, inputs, quantities and time."""
-    core = _core.Model("")
     names = [name for name in e.symbols if name != "time"]
-    for name in names:
-        core.input(name, "")
-    core.state("no_state__", "")  # a model has one
-    core.equation("no_state__", 0.0, None)
-    core.output("value", e, "", None)
     columns = [points.t, *(of(points.values, name, points, "state, input or quantity") for name in names)]
-    empty = np.zeros(0)
-    return np.asarray(_core.Evaluator(core).outputs(empty, np.vstack([*columns, np.zeros(points.n)]))[0])
+    return np.asarray(CompiledExpressions([e], inputs=names)(np.zeros(0), np.vstack(columns))[0])
 
 
 def lagged(t: _Array, u: _Array, tau: float) -> _Array:

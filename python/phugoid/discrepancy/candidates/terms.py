@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from ..._core import Expr
 from ...modelling.model import Model
+from ...sensitivities.trajectory import Place, Points
 from ...symbols import cos, sin, smooth_abs, smooth_sign
-from .candidate import Effect, ExtensionBuilder, Place, largest_coefficient, place_range
-from .scales import Points, Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
+from .candidate import Effect, ExtensionBuilder, largest_coefficient, place_range
+from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
 
 __all__ = ["FORMS", "LaggedVariable", "Periodic", "Rate", "Term", "where"]
 

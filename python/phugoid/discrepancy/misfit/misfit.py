@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ...errors import DataError
 from ...fit_result import FitResult
-from ..colour.colour import Colour, Memory, colour_of
-from ..colour.series import Series, autocorrelation_of, channel_series, same_rate
-from ..colour.spectrum import Spectrum, Tone, spectrum_of, tones_of
+from ...residual_noise.autoregression import Autoregression, Memory, burg
+from ...residual_noise.residual_series import Series, autocorrelation_of, channel_series, same_rate
+from ...residual_noise.spectrum import Spectrum, Tone, spectrum_of, tones_of
 from .phrases import channel_phrases
 from .regimes import Dependence, Regime, Running, Span, correlations_of, regimes_of, spans_of
 
@@ -229,12 +229,14 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
         f"{name} is sampled at another rate in '{s.experiment}', which only its spans of large residuals look at"
         for s in others
     ]
-    colour = colour_of([s.on_grid(s.r) for s in series])
+    colour = burg([s.r[run] for s in series for run in s.segment.runs])
     own = np.concatenate([s.r for s in series])
     own_rms = float(np.sqrt(np.mean(own**2)))
-    longest = max(int(s.at[-1]) + 1 for s in series)
+    longest = max(s.segment.size for s in series)
     memory = Memory(colour.autocorrelation(longest))
-    mean_error = own_rms * memory.spread([np.nan_to_num(s.on_grid(np.full(s.r.size, 1.0 / own.size))) for s in series])
+    mean_error = own_rms * memory.spread(
+        [np.nan_to_num(s.segment.on_grid(np.full(s.r.size, 1.0 / own.size))) for s in series]
+    )
     lags, correlation, scatter = autocorrelation_of(series)
     running, usual, spans = spans_of(every, _ALPHA)
     regimes: list[Regime] = []
@@ -249,7 +251,7 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
         unit,
         n,
         rms,
-        noise=_noise(colour, rms, own_rms),
+        noise=_noise(colour, series, rms, own_rms),
         order=colour.order,
         mean=float(own.mean()),
         mean_error=mean_error,
@@ -278,11 +280,11 @@ def _on_outliers(name: str, every: Sequence[Series]) -> str:
     return f"{name} has {count} outliers, the first at {where}, which are left out here"
 
 
-def _noise(colour: Colour, rms: float, own_rms: float) -> float:
+def _noise(colour: Autoregression, series: Sequence[Series], rms: float, own_rms: float) -> float:
     """Of white residuals all is noise, but for the degrees of freedom."""
     if colour.order == 0:
         return rms
-    noise = min(rms, colour.noise * rms / own_rms)
+    noise = min(rms, colour.deviation([s.segment.on_grid(s.r) for s in series]) * rms / own_rms)
     return noise if noise > _ROUNDING * rms else 0.0
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..colour.colour import Colour, Memory
-from ..colour.series import Series
+from ...residual_noise.autoregression import Autoregression, Memory
+from ...residual_noise.residual_series import Series
 
 __all__ = ["Bin", "Dependence", "Regime", "Running", "Span", "correlations_of", "regimes_of", "spans_of"]
 
@@ -60,7 +60,7 @@ def spans_of(series: Sequence[Series], alpha: float) -> tuple[dict[str, Running]
     running: dict[str, Running] = {}
     for s in series:
         short = min(width, s.r.size)
-        running[s.experiment] = Running(s.t, np.sqrt(_moving_mean(s.r**2, short)), float(short * s.dt))
+        running[s.experiment] = Running(s.t, np.sqrt(_moving_mean(s.r**2, short)), float(short * s.segment.step))
     clipped = _clipped(series)
     squares = {name: _moving_mean(x**2, min(width, x.size)) for name, x in clipped.items()}
     freedom = width / _clumping(clipped, width)
@@ -194,7 +194,9 @@ class Dependence:
     p_value: float
 
 
-def regimes_of(series: Sequence[Series], colour: Colour, memory: Memory, rms: float, alpha: float) -> list[Regime]:
+def regimes_of(
+    series: Sequence[Series], colour: Autoregression, memory: Memory, rms: float, alpha: float
+) -> list[Regime]:
     """One for each variable, the least likely chance first; ``memory`` is that of the residuals, ``rms`` their size."""
     from scipy.special import stdtr
 
@@ -216,10 +218,12 @@ def regimes_of(series: Sequence[Series], colour: Colour, memory: Memory, rms: fl
             inside = [w == b for w in which]
             within = r[np.concatenate(inside)]
             m, mean = within.size, float(within.mean())
-            error = rms * memory.spread([np.nan_to_num(s.on_grid(i / m)) for s, i in zip(series, inside, strict=True)])
+            error = rms * memory.spread(
+                [np.nan_to_num(s.segment.on_grid(i / m)) for s, i in zip(series, inside, strict=True)]
+            )
             # A bias of the whole record is no matter of regimes.
-            beside = [s.on_grid(i / m - 1.0 / r.size) for s, i in zip(series, inside, strict=True)]
-            of_difference = rms * memory.spread([np.nan_to_num(w) for w in beside])
+            beside = [s.segment.on_grid(i / m - 1.0 / r.size, 0.0) for s, i in zip(series, inside, strict=True)]
+            of_difference = rms * memory.spread(beside)
             off = abs(mean - float(r.mean())) / of_difference if of_difference > 0.0 else 0.0
             chance = 2.0 * float(stdtr(freedom, -off)) * count * several
             # Regression sees what jumps between regimes, means what lasts in one.
@@ -230,7 +234,7 @@ def regimes_of(series: Sequence[Series], colour: Colour, memory: Memory, rms: fl
     return sorted(found, key=lambda regime: (regime.p_value, -regime.share))
 
 
-def correlations_of(series: Sequence[Series], colour: Colour, memory: Memory) -> list[Dependence]:
+def correlations_of(series: Sequence[Series], colour: Autoregression, memory: Memory) -> list[Dependence]:
     """One for each variable, the least likely chance first."""
     names = _shared(series)
     r = np.concatenate([s.r for s in series])
@@ -242,14 +246,14 @@ def correlations_of(series: Sequence[Series], colour: Colour, memory: Memory) ->
         if size == 0.0 or np.std(r) == 0.0:
             continue
         both = float(np.mean((x - mean) * (r - r.mean()))) / (size * float(np.std(r)))
-        total = memory.spread([np.nan_to_num(s.on_grid((s.regressors[name] - mean) / size)) for s in series]) ** 2
+        total = memory.spread([s.segment.on_grid((s.regressors[name] - mean) / size, 0.0) for s in series]) ** 2
         effective = float(np.clip(n * n / total, 1.0, n)) if total > 0.0 else float(n)
         p_value = _chance(series, colour, [s.regressors[name][:, None] for s in series])
         found.append(Dependence(name, both, effective, min(1.0, p_value * len(names))))
     return sorted(found, key=lambda c: (c.p_value, -abs(c.r)))
 
 
-def _chance(series: Sequence[Series], colour: Colour, columns: Sequence[_Array]) -> float:
+def _chance(series: Sequence[Series], colour: Autoregression, columns: Sequence[_Array]) -> float:
     """P-value of the regression of the residuals on columns, (n, m) each, beyond a constant.
 
     Both sides pass through the filter that whitens the residuals (generalised least squares, Cochrane and Orcutt 1949),
@@ -261,7 +265,7 @@ def _chance(series: Sequence[Series], colour: Colour, columns: Sequence[_Array])
     for s, c in zip(series, columns, strict=True):
         # In units of the columns, for rates and angles differ by orders of magnitude.
         together = np.column_stack([np.ones(s.r.size), c, s.r])
-        white = colour.whitened(s.on_grid(together))
+        white = colour.innovations(s.segment.on_grid(together))
         rows.append(white[np.isfinite(white).all(axis=1)])
     stacked = np.vstack(rows)
     size = np.linalg.norm(stacked, axis=0)

@@ -27,8 +27,8 @@ from ...figures.style import (
 )
 from ...fit_result import FitResult
 from ...records import Record
-from ..colour.series import Series, autocorrelation_of, channel_series
-from ..colour.spectrum import spectrum_of
+from ...residual_noise.residual_series import Series, autocorrelation_of, channel_series
+from ...residual_noise.spectrum import spectrum_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -206,7 +206,7 @@ def _draw_spectrum(axis: Axes, series: Series, unit: str) -> None:
 
 
 def _uneven(series: Series) -> bool:
-    steps = np.diff(series.t) / series.dt
+    steps = np.diff(series.t) / series.segment.step
     return bool(np.mean(np.abs(steps - np.rint(steps)) > _UNEVEN) > _MANY)
 
 

@@ -15,14 +15,15 @@ from ...errors import DataError, ModelError, PhugoidError
 from ...estimation.estimate import estimate
 from ...fit_result import FitResult
 from ...parameters import Estimates
+from ...residual_noise.whitening import Filter
+from ...sensitivities.collocated import dataset
+from ...sensitivities.linearised import Linearised
+from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
 from ...solvers import Newton
 from ...solvers.limits import TimeUp
 from ...validation.biases import freed_by_default
-from ...validation.held import estimates_of, held_model, held_noise, mesh_for
+from ...validation.frozen_model import estimates_of, freeze_model, freeze_noise, mesh_for
 from ..candidates.candidate import Candidate
-from ..colour.whitening import Filter
-from .least_squares import Whitened, joint_whitening, own_whitening
-from .linearised import Linearised, dataset
 
 __all__ = ["HeldOut", "Refit", "across_blocks", "gain_on_other_data", "on_other_data", "refit"]
 
@@ -102,7 +103,7 @@ def refit(
             own = {n: starts[n] for n in candidate.parameters if n in starts}
             model = candidate.extended(model, own)
         if model.delays:
-            model = model._around(model._core, replace(model.delays, settled=_SETTLED, passes=_PASSES))
+            model = model._changed(delays=replace(model.delays, settled=_SETTLED, passes=_PASSES))
         fit = estimate(
             model,
             dataset(base),
@@ -208,7 +209,7 @@ def on_other_data(
             f"diagnose: each experiment of the fit has its own {listed}, and which value the validation record has is "
             f"not known: name what is to be estimated there, biases=[{listed}], or leave validation out"
         )
-    model, noise = held_model(fit.model, values, free), held_noise(fit)[0]
+    model, noise = freeze_model(fit.model, values, free), freeze_noise(fit)[0]
     known = {n: [e.value for e in estimates_of(fit.parameters, [n]).values()] for n in free}
     start = started_from(near.fit, ()) if near else {n: float(np.mean(v)) for n, v in known.items() if v}
     mesh = mesh_for(fit, data)

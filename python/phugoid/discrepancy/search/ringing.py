@@ -23,9 +23,9 @@ from ...errors import PhugoidError
 from ...fit_result import FitResult
 from ...linear.jacobians import Jacobians
 from ...linear.linearise import numbers_of
-from ..colour.colour import Channel
-from ..colour.whitening import Whitening
-from .linearised import Linearised
+from ...residual_noise.autoregression import Autoregression
+from ...residual_noise.whitening import Whitening
+from ...sensitivities.linearised import Linearised
 
 __all__ = ["Ringing", "is_near", "light_modes", "ringing_of"]
 
@@ -78,10 +78,10 @@ def light_modes(fit: FitResult) -> _Complex:
 
 def ringing_of(filter: Whitening, residuals: _Array, linear: Linearised, modes: _Complex) -> Ringing | None:
     """What is ringing in a model of the noise in residuals (n_rows,), or None."""
-    channels: list[Channel] = []
+    channels: list[Autoregression] = []
     found: set[float] = set()
-    for channel, line in zip(filter.channels, filter.rows.strands, strict=True):
-        times = [linear.times[strand.rows] for strand in line]
+    for channel, line in zip(filter.channels, filter.rows.segments, strict=True):
+        times = [linear.times[segment.rows] for segment in line]
         lasting = max((float(np.ptp(t)) for t in times), default=0.0)
         if lasting == 0.0:
             channels.append(channel)
@@ -94,10 +94,10 @@ def ringing_of(filter: Whitening, residuals: _Array, linear: Linearised, modes: 
     if not found:
         return None
     errors = Whitening(channels, filter.rows)(residuals)
-    for i, line in enumerate(filter.rows.strands):
-        e = np.concatenate([errors[strand.rows] for strand in line])
+    for i, line in enumerate(filter.rows.segments):
+        e = np.concatenate([errors[segment.rows] for segment in line])
         size = max(float(np.sqrt(np.mean(e**2))), float(np.sqrt(np.finfo(float).tiny)))
-        channels[i] = Channel(channels[i].predictors, channels[i].sigmas * size)
+        channels[i] = Autoregression(channels[i].predictors, channels[i].powers * size**2)
     return Ringing(Whitening(channels, filter.rows), tuple(sorted(found)))
 
 
@@ -120,7 +120,7 @@ def _damped(a: _Array, step: float, modes: Sequence[complex]) -> tuple[_Array, s
     return (-np.real(np.poly(poles))[1:] if moved else a), found
 
 
-def _predicting(a: _Array) -> Channel:
+def _predicting(a: _Array) -> Autoregression:
     """The model with coefficients (p,), of innovations of size 1, with its predictors from fewer samples, by Levinson's
     recursion backwards."""
     predictors, powers = [a], [1.0]
@@ -129,4 +129,4 @@ def _predicting(a: _Array) -> Channel:
         a = (rest + k * rest[::-1]) / (1.0 - k * k)
         predictors.append(a)
         powers.append(powers[-1] / (1.0 - k * k))
-    return Channel(tuple(predictors[::-1]), np.sqrt(powers[::-1]))
+    return Autoregression(tuple(predictors[::-1]), np.array(powers[::-1]))

@@ -14,12 +14,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ...residual_noise.autoregression import Autoregression
+from ...residual_noise.whitening import Filter, Whitening
+from ...sensitivities.linearised import Linearised
+from ...sensitivities.whitened import Whitened
 from ...solvers.limits import check_time
 from ..candidates.candidate import Candidate
-from ..colour.colour import Channel
-from ..colour.whitening import Filter, Whitening
-from .least_squares import Whitened
-from .linearised import Linearised
 
 __all__ = ["CONFOUNDED", "NEARLY", "Groups", "Scan", "Statistics"]
 
@@ -291,5 +291,5 @@ class Scan:
 
 def _white(linear: Linearised) -> Whitening:
     """The noise as the fit has it: white."""
-    channels = [Channel((np.empty(0),), np.array([sigma])) for sigma in linear.sigmas]
+    channels = [Autoregression((np.empty(0),), np.array([sigma**2])) for sigma in linear.sigmas]
     return Whitening(channels, linear.structure)

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...fit_result import FitResult
+from ...residual_noise.whitening import Whitening
+from ...sensitivities.linearised import Linearised
 from ...solvers.limits import check_time
 from ...validation.biases import freed_by_default
 from ..candidates.candidate import Candidate, with_other_centres
-from ..colour.whitening import Whitening
-from .linearised import Linearised
 from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, on_other_data, refit
 from .ringing import Ringing, is_near, light_modes, ringing_of
 from .scan import Scan

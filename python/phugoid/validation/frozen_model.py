@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
 from ..data.experiment import Experiment
 from ..errors import OptionError
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..modelling.rebuilt import rebuilt
 from ..noise.densities import Density, Huber, Laplace, StudentT
 from ..noise.kinds import PerExperiment, PerOutput
 from ..noise.noise import Gaussian, Noise
@@ -24,26 +22,23 @@ from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import SingleShooting, Transcription
 
-__all__ = ["estimates_of", "held_model", "held_noise", "mesh_for"]
+__all__ = ["estimates_of", "freeze_model", "freeze_noise", "mesh_for"]
 
 _Array = NDArray[np.float64]
 
 
-def held_model(model: Model, values: Mapping[str, float], free: Collection[str]) -> Model:
+def freeze_model(model: Model, values: Mapping[str, float], free: Collection[str]) -> Model:
     """The model with all parameters fixed at ``values`` but those in ``free``, which stay as declared."""
-
-    def declare(core: _core.Model, declared: Any) -> None:
-        name, unit, start, low, high, prior, _, local, log, scale = declared
-        if name in free:
-            core.parameter(name, unit, start, low, high, prior, False, local, log, scale)
-        else:
-            # Without bounds: a value at one may lie outside by rounding.
-            core.parameter(name, unit, values[name], -math.inf, math.inf, None, True, False, False, None)
-
-    return model._around(rebuilt(model._core, model._core.inputs, declare), model.delays)
+    # Without bounds: a value at one may lie outside by rounding.
+    return model.with_parameters(
+        {
+            name: replace(p, fixed=False) if name in free else Parameter(values[name], unit=p.unit, fixed=True)
+            for name, p in model.declared_parameters.items()
+        }
+    )
 
 
-def held_noise(fit: FitResult) -> tuple[Noise, tuple[str, ...]]:
+def freeze_noise(fit: FitResult) -> tuple[Noise, tuple[str, ...]]:
     """The fit's noise with every number known, and what to say of that.
 
     Where each experiment of the fit has noise of its own, another experiment gets its mean: of variances and

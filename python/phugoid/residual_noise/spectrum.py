@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from .series import Series
+from .residual_series import Series
 
 __all__ = ["Band", "Spectrum", "Tone", "spectrum_of", "tones_of"]
 
@@ -70,17 +70,17 @@ def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
     """
     from scipy.special import chdtri
 
-    longest = max(int(s.at[-1]) + 1 for s in series)
+    longest = max(s.segment.size for s in series)
     size = int(np.clip(longest, 8, _SEGMENT))
     if size > 64:  # four segments at least, so that bands differ from chance
-        size = max(64, min(size, (sum(int(s.at[-1]) + 1 for s in series) * 2) // 9))
+        size = max(64, min(size, (sum(s.segment.size for s in series) * 2) // 9))
     density: _Array = np.zeros(size // 2 + 1)
     segments = 0
     window = np.hanning(size + 1)[:-1]
-    scale = 2.0 * series[0].dt / float(window @ window)
-    frequency = np.asarray(np.fft.rfftfreq(size, series[0].dt), dtype=np.float64)
+    scale = 2.0 * series[0].segment.step / float(window @ window)
+    frequency = np.asarray(np.fft.rfftfreq(size, series[0].segment.step), dtype=np.float64)
     for s in series:
-        grid = np.nan_to_num(s.on_grid(s.r))
+        grid = s.segment.on_grid(s.r, 0.0)
         if grid.size < size // 2 and grid.size < longest:
             continue  # too short to tell frequencies apart
         grid = np.pad(grid, (0, max(size - grid.size, 0)))
@@ -116,7 +116,7 @@ def tones_of(series: Sequence[Series], alpha: float) -> list[Tone]:
     """
     found: list[Tone] = []
     for s in series:
-        grid = np.nan_to_num(s.on_grid(s.r - s.r.mean()))
+        grid = s.segment.on_grid(s.r - s.r.mean(), 0.0)
         power = float(grid @ grid)
         if grid.size < _LEAST or power == 0.0:
             continue
@@ -126,7 +126,7 @@ def tones_of(series: Sequence[Series], alpha: float) -> list[Tone]:
         edge = np.hanning(2 * (flat.size // 10) + 1)[: flat.size // 10]
         flat[: edge.size] *= edge
         flat[flat.size - edge.size :] *= edge[::-1]
-        step = 1.0 / (flat.size * s.dt)
+        step = 1.0 / (flat.size * s.segment.step)
         chance = alpha / (flat.size * len(series))
         peaks = [peak for shift in (0.0, 0.5) for peak in _peaks(flat, shift, chance)]
         kept: list[float] = []

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from ..._core import Expr
 from ...modelling.model import Model
-from .candidate import Place
+from ...sensitivities.trajectory import Place
 
-__all__ = ["Anatomy", "Variable"]
+__all__ = ["ModelStructure", "Variable"]
 
 _ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
 
@@ -24,7 +24,7 @@ class Variable:
     speed: bool = False  # what friction may turn with
 
 
-class Anatomy:
+class ModelStructure:
     """Variables and places of a model.
 
     A quantity is a place where parameters stand in it; others define something exactly. A state equation is one where
@@ -36,13 +36,14 @@ class Anatomy:
     """
 
     def __init__(self, model: Model, every_equation: bool = False, base: Model | None = None) -> None:
-        self.model, core = model, model._core
-        self.quantities = {name: e for name, e, *_ in core.quantities}
-        self.dynamics = {name: e for name, e, *_ in core.dynamics}
-        self.outputs = {name: e for name, e, *_ in core.outputs}
+        self.model, right = model, model._right_hand_sides()
+        self.quantities, self.dynamics, self.outputs = (
+            {name: e for (kind, name), e in right.items() if kind == wanted}
+            for wanted in ("quantity", "equation", "output")
+        )
         self._parameters = {*model.parameter_names}
         first = base or model
-        known = {*first.state_names, *(name for name, *_ in first._core.quantities)}
+        known = {*first.state_names, *first.quantity_names}
         uncertain = {n for n, e in self.quantities.items() if self._parameters.intersection(e.symbols)}
         derived: set[str] = set()  # from parameters, by whatever way
         for name, e in self.quantities.items():
@@ -78,7 +79,7 @@ class Anatomy:
         self.variables += self._inputs()
 
     def _varies(self, quantity: str) -> bool:
-        names = {*self.model.state_names, *(n for n, _ in self.model._core.inputs), "time"}
+        names = {*self.model.state_names, *self.model.declared_inputs, "time"}
         symbols = {*self.quantities[quantity].symbols}
         return bool(symbols & names) or any(self._varies(n) for n in symbols.intersection(self.quantities))
 
@@ -93,7 +94,7 @@ class Anatomy:
         """Inputs as they stand in the equations: a late one for the plain one where only that is used."""
         late = {name: of for name, (of, _) in self.model.delays.inputs.items()}
         found = []
-        for name, _ in self.model._core.inputs:
+        for name in self.model.declared_inputs:
             if name in late:
                 shown = name if self.used(late[name]) else late[name]
                 found.append(Variable(name, shown, "input"))
@@ -115,6 +116,6 @@ class Anatomy:
         """First part of a candidate's name."""
         if place.kind == "equation":
             return f"{place.name}'"
-        inputs = (name for name, _ in self.model._core.inputs)
+        inputs = self.model.declared_inputs
         clash = place.kind == "output" and (place.name in self.quantities or place.name in inputs)
         return f"y:{place.name}" if clash else place.name

@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
-from ...data.experiment import Experiment
-from ...data.interpolation import interpolated, kinds_for
-from ...errors import EvaluationError
-from ...estimation.estimate import estimate
-from ...fit_result import FitResult
-from ...guess import spread
-from ...solvers.limits import check_time
-from ...transcription.collocation import Collocation
-from ..candidates.candidate import Candidate, Place
-from ..candidates.scales import Points
-from ..colour.whitening import Rows, strands_of
+from .. import _core
+from ..data.experiment import Experiment
+from ..data.interpolation import interpolated
+from ..errors import EvaluationError
+from ..fit_result import FitResult
+from ..guess import spread
+from ..residual_noise.uniform_segments import uniform_segments
+from ..residual_noise.whitening import RowStructure
+from ..solvers.limits import check_time
+from ..transcription.collocation import Collocation
+from .collocated import dataset
 from .derivatives import Derivatives
+from .trajectory import AddedTerm, Place, Points
 
-__all__ = ["Linearised", "collocated", "dataset"]
+__all__ = ["Linearised", "parameter_sensitivities"]
 
 _Array = NDArray[np.float64]
 _Indices = NDArray[np.intp]
@@ -34,26 +34,6 @@ _NUMBERS = 1_000_000
 # Tangents whose singular value, in units of the noise, is below this part of the greatest are rounding.
 _NOTHING = 1e-9
 _DEPENDENT = "diagnose: the fit cannot be linearised: its equations depend on each other"
-
-
-def dataset(fit: FitResult) -> Sequence[Experiment]:
-    """The data of a fit; of one from a file what its records hold."""
-    if fit.experiments:
-        return fit.experiments
-    return [
-        Experiment(r.t, dict(r.inputs), dict(r.measured), r.name, kinds_for(r.interpolation, r.inputs))._sampled(
-            {name: (*own, 0.0, 0) for name, own in r.input_samples.items()}, None
-        )
-        for r in fit.records
-    ]
-
-
-def collocated(fit: FitResult) -> FitResult:
-    """The fit by collocation, with its solution at hand: estimated again from it where it is another."""
-    inner = fit._moved or fit
-    if isinstance(inner.transcription, Collocation) and inner.solution is not None:
-        return fit
-    return estimate(fit.model, dataset(fit), noise=fit.noise, start=fit)
 
 
 class Linearised:
@@ -150,7 +130,7 @@ class Linearised:
             at = place_of[problem.sample_points(e)]
             seen = derivatives(theta, self._at_samples(experiment, columns[:, at]))
             for of, name in late.items():  # what acts on an input, acts on it late
-                by_place, inputs = found.by_place, [n for n, _ in model._core.inputs]
+                by_place, inputs = found.by_place, list(model.declared_inputs)
                 for each in (by_place, seen.by_place):
                     (f, g), (more_f, more_g) = each[Place("input", of)], each[Place("input", name)]
                     each[Place("input", of)] = f + more_f, g + more_g
@@ -171,7 +151,7 @@ class Linearised:
     def _at_samples(self, experiment: Experiment, columns: _Array) -> _Array:
         """Columns at the samples, with inputs that are held as the outputs see them: from the sample's time on."""
         columns = columns.copy()
-        for row, (name, _) in enumerate(self.model._core.inputs, start=1):
+        for row, name in enumerate(self.model.declared_inputs, start=1):
             own, values, delay, order = experiment.signal(name) or (experiment.t, experiment.input(name), 0.0, 0)
             if experiment.interpolation_of(name) == "hold" and order == 0:
                 columns[row] = interpolated("hold", own, values, columns[0] - delay)
@@ -184,11 +164,11 @@ class Linearised:
         def rate(v: _Array) -> _Array:
             return np.gradient(v, t)
 
-        inputs = [n for n, _ in model._core.inputs]
+        inputs = list(model.declared_inputs)
         values = dict(zip([*inputs, *model.state_names], columns[1:], strict=True))
         rates = {n: rate(values[n]) for n in inputs} | dict(zip(model.state_names, found.f, strict=True))
         outputs = dict(zip(model.output_names, found.g, strict=True))
-        values |= dict(zip((n for n, *_ in model._core.quantities), found.quantities, strict=True))
+        values |= dict(zip(model.quantity_names, found.quantities, strict=True))
         return Points(name, t, values, rates, outputs, {n: rate(v) for n, v in outputs.items()})
 
     @cached_property
@@ -238,9 +218,9 @@ class Linearised:
         return np.asarray(basis[:, values > _NOTHING * values[:1]] * self.scale()[:, None])
 
     @cached_property
-    def structure(self) -> Rows:
+    def structure(self) -> RowStructure:
         """How the rows hang together."""
-        strands = [[s.from_row(r.start) for r in line for s in strands_of(self.times[r])] for line in self.rows]
+        segments = [[s.from_row(r.start) for r in line for s in uniform_segments(self.times[r])] for line in self.rows]
         # What a late sensor measured together with others it measured at their time, not at its own.
         measured = np.concatenate(
             [e.t[np.isfinite(e.output(name))] for name in self.model.output_names for e in dataset(self.fit)]
@@ -254,15 +234,15 @@ class Linearised:
             for i, rows in enumerate(lines):
                 table[np.searchsorted(times, measured[rows]), i] = np.arange(rows.start, rows.stop)
             whole = np.flatnonzero((table >= 0).all(axis=1))
-            for strand in strands_of(times[whole]):
-                complete += [table[whole[strand.rows][run]] for run in strand.runs]
+            for segment in uniform_segments(times[whole]):
+                complete += [table[whole[segment.rows][run]] for run in segment.runs]
             patterns, which = np.unique(table >= 0, axis=0, return_inverse=True)
             for k, pattern in enumerate(patterns):
                 there = np.flatnonzero(pattern)
                 some = table[which.ravel() == k]
                 groups.setdefault(tuple(there.tolist()), []).append(some[:, there])
         together = [(outputs, np.vstack(at)) for outputs, at in groups.items()]
-        return Rows(strands, together, complete)
+        return RowStructure(segments, together, complete)
 
     def over_time(self, rows: _Array) -> list[_Array]:
         """Sums of rows (n_rows,) of the same time, in the order of time, for each experiment."""
@@ -366,7 +346,7 @@ class Linearised:
         out[:, rows[rows >= 0]] = changes[rows >= 0].T
         return out
 
-    def columns(self, effects: Sequence[tuple[Candidate, Mapping[str, float]]]) -> tuple[_Array, _Array, list[slice]]:
+    def columns(self, effects: Sequence[tuple[AddedTerm, Mapping[str, float]]]) -> tuple[_Array, _Array, list[slice]]:
         """The outputs' answers to the coefficients of candidates at a shape.
 
         (k, n_rows) answers, (k, n_theta) how parameters took part in them, and which of the k are each effect's. What
@@ -405,7 +385,35 @@ class Linearised:
         return found
 
 
-def _signals(candidate: Candidate, shape: Mapping[str, float], points: Points) -> _Array:
+def _signals(candidate: AddedTerm, shape: Mapping[str, float], points: Points) -> _Array:
     """Return the signals of a candidate along the path, (k, points), within the limit in force."""
     check_time()
     return candidate.signals(points, shape)
+
+
+def parameter_sensitivities(linear: Linearised) -> tuple[list[str], _Array]:
+    """Names of the free parameters (n) and J (rows, n): changes of the outputs by them, in units of the noise, less
+    what first states could make up for.
+
+    In a form that has an answer where the information is singular too:
+
+        J = (1 - Q Q') D P^+,    information = J' J,
+
+    with D (rows, k) changes of the outputs in units of the noise, P (n, k) the changes of the parameters that go with
+    them, and Q a basis of those changes that first states make alone.
+    """
+    columns, moves = linear.moves
+    names = [name for name, *_ in linear._problem.estimands]
+    free = np.flatnonzero([not (p.fixed or p.bounds_active) for p in (linear.fit.parameters[n] for n in names)])
+    slopes = np.array([slope for _, slope in linear._problem.values(linear._xi[: len(names)].tolist())])
+    by_parameter = (slopes[:, None] * moves[: len(names)])[free]  # of the parameter, not of its logarithm
+    size = np.linalg.norm(by_parameter, axis=1, keepdims=True)
+    size[size == 0.0] = 1.0
+    u, values, vt = np.linalg.svd(by_parameter / size)
+    rank = int((values > _NOTHING * values.max(initial=0.0)).sum())
+    alone = columns @ vt[rank:].T
+    basis, sizes, _ = np.linalg.svd(alone, full_matrices=False)
+    basis = basis[:, sizes > _NOTHING * sizes.max(initial=0.0)]
+    left = columns - basis @ (basis.T @ columns)
+    inverse = (vt[:rank].T / values[:rank]) @ u[:, :rank].T
+    return [names[i] for i in free], np.asarray(left @ inverse / size.ravel())

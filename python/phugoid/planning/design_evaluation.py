@@ -12,15 +12,15 @@ from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, listing
 from ..fit_result import FitResult
 from ..modelling.model import Model
+from ..noise.noise import Gaussian
 from ..parameters import Estimate, Estimates
 from ..records import Record
+from ..sensitivities.linearised import Linearised, parameter_sensitivities
 from ..transcription.collocation import Collocation
-from .assumed import first_states, own_values, sigmas_of, source_of, value_of, values_of
-from .information import Information
-from .plan import Criterion, Excursion, Plan, Plans
-from .tangents import predicted, sensitivities
+from .plan import Criterion, Excursion, Information, Plan, Plans
+from .predicted_record import predicted
 
-__all__ = ["plan", "plans"]
+__all__ = ["first_states", "own_values", "plan", "plans", "sigmas_of", "source_of", "value_of", "values_of"]
 
 _Array = NDArray[np.float64]
 Limits = Mapping[str, float | tuple[float, float]]
@@ -43,8 +43,7 @@ def plan(
     """The standard errors that parameters would have after a manoeuvre that was not flown yet.
 
     They are the Cramér-Rao bounds at the assumed values: of the information of the samples, with the first states of
-    each record free (see `tangents`). For a manoeuvre that is flown, and a model that is right, `estimate` gives the
-    same.
+    each record free. For a manoeuvre that is flown, and a model that is right, `estimate` gives the same.
 
     source     a model, with its ``values``; or a fit, whose values and noise are taken where not given.
     manoeuvre  inputs over the times of the samples, ``Experiment(t, inputs={...})``, see `phugoid.inputs`; a list is
@@ -138,7 +137,7 @@ def _together(model: Model, fits: Sequence[FitResult]) -> tuple[list[str], _Arra
     local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
     parts = []
     for fit in fits:
-        names, J = sensitivities(fit)
+        names, J = parameter_sensitivities(Linearised(fit))
         run = fit.records[0].name
         several = len(fits) > 1
         parts.append(([f"{n}[{run}]" if several and n in local else n for n in names], J.T @ J))
@@ -234,4 +233,80 @@ def _excursions(record: Record, limits: Limits) -> dict[str, Excursion]:
         beyond = np.zeros(v.size, dtype=bool) if limit is None else (v < limit[0] - slack) | (v > limit[1] + slack)
         when = float(record.t[np.argmax(beyond)]) if beyond.any() else None
         found[n] = Excursion(float(v.min()), float(v.max()), record.units.get(n, ""), limit, when)
+    return found
+
+
+def source_of(source: Any) -> tuple[Model, FitResult | None]:
+    if isinstance(source, FitResult):
+        return source.model, source
+    if isinstance(source, Model):
+        source.check()
+        return source, None
+    raise ModelError(f"plan: the first argument is a Model or a Fit, not a {type(source).__name__}")
+
+
+def values_of(
+    model: Model, fit: FitResult | None, runs: Sequence[Experiment], values: Mapping[str, Any] | None
+) -> dict[str, float]:
+    """Values for all parameters; those that each experiment has its own of also as name[experiment]."""
+    found = {n: p.start for n, p in model.declared_parameters.items()}
+    if fit is not None:
+        # Of what differs from record to record, the first record's.
+        own = {n: f"{n}[{fit.records[0].name}]" for n in found}
+        found |= {n: fit.parameters[k].value for n in found for k in (own[n], n) if k in fit.parameters}
+    local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
+    for n, v in (values or {}).items():
+        base = str(n).partition("[")[0]
+        if n not in found and not (base in local and n in {f"{base}[{run.name}]" for run in runs}):
+            raise ModelError(f"plan: '{n}' is no parameter.{listing(str(n), list(found))}")
+        try:
+            found[str(n)] = float(v)
+        except (TypeError, ValueError):
+            raise ModelError(f"plan: the value of '{n}' is a number, not {v!r}") from None
+    return found
+
+
+def value_of(values: Mapping[str, float], name: str) -> float:
+    return values[name] if name in values else values[name.partition("[")[0]]
+
+
+def own_values(model: Model, values: Mapping[str, float], run: Experiment) -> dict[str, float]:
+    return {n: values.get(f"{n}[{run.name}]", values[n]) for n in model.parameter_names}
+
+
+def sigmas_of(model: Model, fit: FitResult | None, noise: Mapping[str, float] | None) -> dict[str, float]:
+    names = model.output_names
+    found: dict[str, float] = {}
+    if isinstance(noise, Gaussian):
+        noise = noise.known
+    for n, s in (noise or {}).items():
+        if n not in names:
+            raise ModelError(f"plan: noise: '{n}' is not an output.{listing(str(n), names)}")
+        if not isinstance(s, (int, float, np.number)) or not 0.0 < float(s) < np.inf:
+            raise OptionError(f"plan: noise of '{n}' is a positive standard deviation, not {s!r}")
+        found[n] = float(s)
+    assumed = model.noise_model if fit is None else fit.noise
+    plain = isinstance(assumed, Gaussian) and not assumed.correlated and assumed.covariance is None
+    for n in [n for n in names if n not in found]:
+        if plain and n in assumed.known_sigmas(names):
+            found[n] = float(assumed.known_sigmas(names)[n])
+        elif plain and fit is not None and f"sigma_{n}" in fit.parameters:
+            found[n] = fit.parameters[f"sigma_{n}"].value
+        else:
+            raise OptionError(
+                f"plan: the standard deviation of the noise of '{n}' is not known: give noise={{'{n}': ...}}"
+                + ("" if plain else f" (that of the model is {assumed.description or assumed.kind})")
+            )
+    return {n: found[n] for n in names}
+
+
+def first_states(model: Model, fit: FitResult | None, initial: Mapping[str, float] | None) -> dict[str, float]:
+    found = {} if fit is None else {n: e.value for n, e in fit.initial_states[fit.records[0].name].items()}
+    # What the model's conditions say follows from the values.
+    held = {state for end, state, _ in model.conditions if end == "initial"}
+    found = {n: v for n, v in found.items() if n not in held}
+    for n, v in (initial or {}).items():
+        if n not in model.state_names:
+            raise ModelError(f"plan: initial '{n}' is no state.{listing(str(n), model.state_names)}")
+        found[n] = float(v)
     return found

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
+from ...modelling.compiled import CompiledModel
 from ...modelling.model import Model
-from ...modelling.rebuilt import rebuilt
 from ..search.refit import Refit
 
-__all__ = ["Flown", "Lanes"]
+__all__ = ["BatchSimulation", "ManoeuvreResponse"]
 
 _Array = NDArray[np.float64]
 _Indices = NDArray[np.intp]
@@ -20,11 +17,11 @@ _Indices = NDArray[np.intp]
 # Steps are shorter than the fastest time constant, within reason, and then at least stable: the limit of the method
 # is 2.7 of them.
 _STEP, _REASON, _STABLE = 1.0, 3, 2.0
-# Lanes that are integrated together: they stay in the cache.
+# BatchSimulation that are integrated together: they stay in the cache.
 _AT_ONCE = 1024
 
 
-class Lanes:
+class BatchSimulation:
     """The classical method of Runge and Kutta, in steps of equal length between the times ``t`` (N,), equally spaced.
 
     Delays are those of each lane: inputs are taken from before, outputs put between the steps.
@@ -35,14 +32,8 @@ class Lanes:
 
     def __init__(self, model: Model, t: _Array, values: _Array, first: _Array, trim: _Array, sizes: _Array) -> None:
         self.model, self.t = model, t
-        core = model._core
-        self._inputs = [name for name, _ in core.inputs]
-
-        def declare(new: _core.Model, declared: Any) -> None:
-            new.input(declared[0], declared[1])  # an input: then each lane has its own
-
-        slim = rebuilt(core, core.inputs, declare)
-        self._evaluator = _core.Evaluator(slim)
+        self._inputs = list(model.declared_inputs)
+        self._evaluator = CompiledModel(model, own_parameters=True)
         self._none = np.empty(0)
         self._values = slice(1 + len(self._inputs), 1 + len(self._inputs) + len(model.parameter_names))
         self._states = slice(self._values.stop, self._values.stop + len(model.state_names))
@@ -171,7 +162,7 @@ _LOOSE = 10.0
 _DIFFERENCE, _MOST = 0.01, 1e-3
 
 
-class Flown:
+class ManoeuvreResponse:
     """From the state in which its first record begins, at times ``t`` (N,) with inputs about ``trim`` (n_u,).
 
     units   (k,) by which free parameters, then first states, move: ten standard errors; the range of the state.
@@ -185,17 +176,17 @@ class Flown:
         self._t0, self._experiment = float(t[0]), fit.records[0].name
         model, record = fit.model, fit.records[0]
         labels = [n if n in fit.parameters else f"{n}[{record.name}]" for n in model.parameter_names]
-        declared = model._core.parameters
+        declared = model.declared_parameters.values()
         estimates = [fit.parameters.get(label) for label in labels]
-        self._values = np.array([d[2] if e is None else e.value for d, e in zip(declared, estimates, strict=True)])
-        self._low, self._high = (np.array([d[k] for d in declared], dtype=np.float64) for k in (3, 4))
+        self._values = np.array([p.start if e is None else e.value for p, e in zip(declared, estimates, strict=True)])
+        self._low, self._high = np.array([p.bounds for p in declared]).reshape(-1, 2).T
         first = fit.initial_states[record.name]
         self._first = np.array([float(first[n]) for n in model.state_names])
-        held = {state for end, state, *_ in model._core.conditions if end == "initial"}
+        held = {state for end, state, _ in model.conditions if end == "initial"}
         self._free = [
             i
-            for i, (d, e) in enumerate(zip(declared, estimates, strict=True))
-            if e is not None and not d[6] and not e.bounds_active
+            for i, (p, e) in enumerate(zip(declared, estimates, strict=True))
+            if e is not None and not p.fixed and not e.bounds_active
         ]
         self._states = [i for i, n in enumerate(model.state_names) if n not in held]
         errors = np.array([refit.own.parameter(labels[i])[1] for i in self._free])
@@ -211,7 +202,7 @@ class Flown:
         delays = dict(zip(model.parameter_names, self._values, strict=True))
         self.late = np.array([delays.get(model.delays.outputs.get(n, ""), 0.0) for n in model.output_names])
         sizes = np.array([np.abs(record.states[name]).max() for name in model.state_names])
-        self._lanes = Lanes(model, t, self._values, self._first, trim, np.where(sizes > 0.0, sizes, 1.0))
+        self._lanes = BatchSimulation(model, t, self._values, self._first, trim, np.where(sizes > 0.0, sizes, 1.0))
 
     def fly(
         self, inputs: _Array, moves: _Array | None = None, which: NDArray[np.intp] | None = None
@@ -231,7 +222,7 @@ class Flown:
 
     def _conditioned(self, values: _Array, first: _Array) -> _Array:
         """First states (L, n_x) that the model's initial conditions ask for."""
-        conditions = [(state, e) for end, state, e, _ in self.model._core.conditions if end == "initial"]
+        conditions = [(state, e) for end, state, e in self.model.conditions if end == "initial"]
         if not conditions:
             return first
         known = dict(zip(self.model.input_names, self.trim.tolist(), strict=True)) | {"time": self._t0}

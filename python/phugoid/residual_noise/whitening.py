@@ -4,87 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
-from .colour import Channel, autoregressive
+from .. import _core
+from .autoregression import Autoregression, burg
+from .uniform_segments import UniformSegment
 
-__all__ = ["Filter", "JointWhitening", "Rows", "Strand", "Whitening", "strands_of"]
+__all__ = ["Filter", "MultivariateWhitening", "RowStructure", "Whitening"]
 
 _Array = NDArray[np.float64]
 
-# Part of the spacing by which a sample may be off its place.
-_OFF = 0.1
-
 
 @dataclass(frozen=True, eq=False)
-class Strand:
-    """Samples of a channel, equally spaced but for those that are missing.
-
-    rows    where they are among the rows.
-    places  (n,) their numbers on the grid, increasing from 0: more than 1 between two is a gap.
-    """
-
-    rows: slice
-    places: NDArray[np.intp]
-
-    @property
-    def runs(self) -> list[slice]:
-        """Runs without a gap, of its own samples."""
-        breaks = np.flatnonzero(np.diff(self.places) > 1) + 1
-        return [slice(a, b) for a, b in pairwise([0, *breaks.tolist(), self.places.size])]
-
-    def from_row(self, first: int) -> Strand:
-        """The same where rows are counted from another."""
-        return Strand(slice(self.rows.start + first, self.rows.stop + first), self.places)
-
-
-def strands_of(times: _Array) -> Sequence[Strand]:
-    """The strands of increasing times (n,): where a step is no multiple of the usual one, another begins.
-
-    The usual step is the median; where more samples are missing than that tells, a lesser one that leaves fewer
-    strands.
-    """
-    if times.size < 2:
-        return [Strand(slice(0, 1), np.zeros(1, dtype=np.intp))] if times.size else []
-    steps = np.diff(times)
-    # Steps that there are: of two that alternate the median is the mean.
-    typical = np.quantile(steps, [0.5, 0.1], method="lower")
-    return min((_strands(steps, float(step)) for step in typical), key=len)
-
-
-def _strands(steps: _Array, usual: float) -> list[Strand]:
-    usual = float(np.median(steps[np.abs(steps - usual) <= 2.0 * _OFF * usual]))  # where times are rounded
-    numbers = np.maximum(np.rint(steps / usual), 1.0)
-    # After a long gap a part of a step does not matter.
-    breaks = np.flatnonzero(np.abs(steps / numbers - usual) > _OFF * usual) + 1
-    places = np.r_[0, np.cumsum(numbers)].astype(np.intp)
-    edges = [0, *breaks.tolist(), places.size]
-    return [Strand(slice(a, b), places[a:b] - places[a]) for a, b in pairwise(edges)]
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
+class RowStructure:
     """How rows of residuals hang together.
 
-    strands   strands[i] those of output i.
+    segments  segments[i] those of output i.
     together  rows of the same time: for each set of outputs that are measured at the same times, these outputs and
               their rows, (times, outputs).
     complete  runs of equally spaced times at which all outputs are measured: their rows, (times, n_y).
     """
 
-    strands: Sequence[Sequence[Strand]]
+    segments: Sequence[Sequence[UniformSegment]]
     together: Sequence[tuple[tuple[int, ...], NDArray[np.intp]]]
     complete: Sequence[NDArray[np.intp]] = ()
 
     @property
     def n(self) -> int:
         """Number of rows."""
-        return sum(strand.places.size for line in self.strands for strand in line)
+        return sum(segment.places.size for line in self.segments for segment in line)
 
 
 class Whitening:
@@ -96,11 +47,13 @@ class Whitening:
     rows         what it is applied to.
     """
 
-    def __init__(self, channels: Sequence[Channel], rows: Rows, correlation: _Array | None = None) -> None:
+    def __init__(
+        self, channels: Sequence[Autoregression], rows: RowStructure, correlation: _Array | None = None
+    ) -> None:
         self.channels, self.rows, self.correlation = tuple(channels), rows, correlation
         models = [
-            (c.predictors, c.sigmas, [(strand.rows.start, strand.places) for strand in line])
-            for c, line in zip(self.channels, rows.strands, strict=True)
+            (c.predictors, c.sigmas, [(segment.rows.start, segment.places) for segment in line])
+            for c, line in zip(self.channels, rows.segments, strict=True)
         ]
         mixings = []
         if correlation is not None:
@@ -109,11 +62,10 @@ class Whitening:
         self._core = _core.Whitening(models, mixings)
 
     @classmethod
-    def of(cls, residuals: _Array, rows: Rows) -> Whitening:
+    def of(cls, residuals: _Array, rows: RowStructure) -> Whitening:
         """The models of residuals (n_rows,)."""
         channels = [
-            autoregressive([residuals[strand.rows][run] for strand in line for run in strand.runs])
-            for line in rows.strands
+            burg([residuals[segment.rows][run] for segment in line for run in segment.runs]) for line in rows.segments
         ]
         alone = cls(channels, rows)
         return cls(channels, rows, _correlation(alone(residuals), rows, len(channels)))
@@ -124,7 +76,7 @@ class Whitening:
         n = len(self.channels)
         return sum(c.order for c in self.channels) + (n * (n - 1) // 2 if self.correlation is not None else 0)
 
-    def on(self, rows: Rows) -> Whitening:
+    def on(self, rows: RowStructure) -> Whitening:
         """The same models on other rows."""
         return Whitening(self.channels, rows, self.correlation)
 
@@ -144,7 +96,7 @@ class Whitening:
         return np.asarray(-0.5 * errors**2 - self._core.log_scales())
 
 
-def _correlation(errors: _Array, rows: Rows, n: int) -> _Array | None:
+def _correlation(errors: _Array, rows: RowStructure, n: int) -> _Array | None:
     """Of the errors of n channels at the same times, or None where their independence is the better model."""
     products, counts = np.zeros((n, n)), np.zeros((n, n))
     for which, at in rows.together:
@@ -174,20 +126,20 @@ class _Order:
     root: _Array
 
 
-class JointWhitening:
+class MultivariateWhitening:
     """What makes rows of residuals and sensitivities white and independent of each other.
 
     orders  predictors from 0, 1, ..., p samples: the first samples of a run have none before them.
     rows    what it is applied to. Rows at times at which a channel is missing are only scaled.
     """
 
-    def __init__(self, orders: tuple[_Order, ...], scale: _Array, rows: Rows) -> None:
+    def __init__(self, orders: tuple[_Order, ...], scale: _Array, rows: RowStructure) -> None:
         self.orders, self.scale, self.rows = orders, scale, rows
 
     @classmethod
-    def fitted(cls, residuals: _Array, rows: Rows) -> list[JointWhitening]:
+    def fitted(cls, residuals: _Array, rows: RowStructure) -> list[MultivariateWhitening]:
         """Models of order 1, 2, ... of residuals (n_rows,), as many as the samples allow."""
-        n_y = len(rows.strands)
+        n_y = len(rows.segments)
         runs = [residuals[run] for run in rows.complete]
         total = sum(run.shape[0] for run in runs)
         if n_y < 2 or total * n_y < 0.9 * rows.n:
@@ -212,17 +164,17 @@ class JointWhitening:
         n_y, p = len(self.scale), len(self.orders) - 1
         return n_y * n_y * p + n_y * (n_y - 1) // 2
 
-    def on(self, rows: Rows) -> JointWhitening:
+    def on(self, rows: RowStructure) -> MultivariateWhitening:
         """The same model on other rows."""
-        return JointWhitening(self.orders, self.scale, rows)
+        return MultivariateWhitening(self.orders, self.scale, rows)
 
     def __call__(self, rows: _Array) -> _Array:
         """Rows (..., n_rows) as independent prediction errors of unit size."""
         flat = rows.reshape(-1, rows.shape[-1])
         out = np.empty(flat.shape)
-        for channel, line in enumerate(self.rows.strands):
-            for strand in line:
-                out[:, strand.rows] = flat[:, strand.rows] / self.scale[channel]
+        for channel, line in enumerate(self.rows.segments):
+            for segment in line:
+                out[:, segment.rows] = flat[:, segment.rows] / self.scale[channel]
         whitened = out.copy()
         n_y, p = len(self.scale), len(self.orders) - 1
         inverses = [np.linalg.inv(order.root) for order in self.orders]
@@ -246,9 +198,9 @@ class JointWhitening:
         """(n_rows,) log-likelihood of each row, given those before it, of errors (n_rows,) that were whitened; without
         the constant of the normal density."""
         out = -0.5 * errors**2
-        for channel, line in enumerate(self.rows.strands):
-            for strand in line:
-                out[strand.rows] -= np.log(self.scale[channel])
+        for channel, line in enumerate(self.rows.segments):
+            for segment in line:
+                out[segment.rows] -= np.log(self.scale[channel])
         p, logs = len(self.orders) - 1, [np.log(np.diag(order.root)) for order in self.orders]
         for run in self.rows.complete:
             for t in range(run.shape[0]):
@@ -256,7 +208,7 @@ class JointWhitening:
         return out
 
 
-Filter: TypeAlias = Whitening | JointWhitening
+Filter: TypeAlias = Whitening | MultivariateWhitening
 
 
 def _regression(runs: list[_Array], p: int) -> tuple[_Array, _Array]:

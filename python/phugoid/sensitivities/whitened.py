@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..colour.whitening import Filter, JointWhitening, Whitening
+from ..residual_noise.whitening import Filter, MultivariateWhitening, Whitening
 from .linearised import Linearised
 
 __all__ = ["Whitened", "joint_whitening", "own_whitening"]
@@ -144,7 +144,7 @@ def joint_whitening(own: Whitened) -> Whitened | None:
     """
     best = own
     for _ in range(_ROUNDS):
-        filters = JointWhitening.fitted(best.residuals, own.linear.structure)
+        filters = MultivariateWhitening.fitted(best.residuals, own.linear.structure)
         following = max((Whitened(own.linear, f) for f in filters), key=lambda w: w.lenient_merit, default=best)
         if following.lenient_merit <= best.lenient_merit:
             break

@@ -13,7 +13,7 @@ from .outcome import Outcome
 if TYPE_CHECKING:
     from .workers import Crew
 
-__all__ = ["Watch", "check_progress", "gathered"]
+__all__ = ["Watch", "check_progress", "collect"]
 
 Watch: TypeAlias = Callable[[Outcome], None]
 
@@ -24,7 +24,7 @@ def check_progress(caller: str, progress: Any) -> None:
         raise OptionError(f"{caller}: progress is True, False or a function, not {progress!r}")
 
 
-def gathered(
+def collect(
     crew: Crew,
     work: Iterable[tuple[int, Mapping[str, Any]]],
     progress: bool | Watch,

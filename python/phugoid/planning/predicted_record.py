@@ -1,13 +1,7 @@
-"""What one planned record would tell of the parameters: the information of its samples, first states free.
+"""The record that a model predicts for planned inputs, and the fit to it.
 
-The record that the model predicts, without noise, is fitted from the very parameters that it was made with; there the
-Hessian of the log-likelihood is the Fisher information. The fit is linearised as for `phugoid.diagnose`, by the same
-kernels, in the form that has an answer where the information is singular too:
-
-    J = (1 - Q Q') D P^+,    information = J' J,
-
-with D (rows, k) changes of the outputs in units of the noise, P (n, k) the changes of the parameters that go with them,
-and Q a basis of those changes that first states make alone.
+It is fitted, without noise, from the very parameters that it was made with; there the Hessian of the log-likelihood is
+the Fisher information, which `parameter_sensitivities` gives with the first states free.
 """
 
 from __future__ import annotations
@@ -19,7 +13,6 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
-from ..discrepancy.search.linearised import Linearised
 from ..errors import EvaluationError
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult
@@ -31,12 +24,10 @@ from ..solvers import Newton
 from ..transcription.collocation import Collocation
 from ..transcription.shooting import SingleShooting
 
-__all__ = ["predicted", "sensitivities"]
+__all__ = ["predicted"]
 
 _Array = NDArray[np.float64]
 
-# Singular values below this part of the greatest are rounding.
-_NOTHING = 1e-9
 # The fit must lie on the simulation, in units of the noise: else the mesh is too coarse for this manoeuvre.
 _ON_PATH = 0.05
 # Steps in an interval between samples.
@@ -114,24 +105,3 @@ def _fitted(
                 "give a finer mesh, transcription=Collocation(substeps=4), or smaller inputs"
             )
     return fit
-
-
-def sensitivities(fit: FitResult, linear: Linearised | None = None) -> tuple[list[str], _Array]:
-    """Names of the free parameters (n) and J (rows, n): changes of the outputs by them, in units of the noise, less
-    what first states could make up for."""
-    linear = linear or Linearised(fit)
-    columns, moves = linear.moves
-    names = [name for name, *_ in linear._problem.estimands]
-    free = np.flatnonzero([not (p.fixed or p.bounds_active) for p in (fit.parameters[n] for n in names)])
-    slopes = np.array([slope for _, slope in linear._problem.values(linear._xi[: len(names)].tolist())])
-    by_parameter = (slopes[:, None] * moves[: len(names)])[free]  # of the parameter, not of its logarithm
-    size = np.linalg.norm(by_parameter, axis=1, keepdims=True)
-    size[size == 0.0] = 1.0
-    u, values, vt = np.linalg.svd(by_parameter / size)
-    rank = int((values > _NOTHING * values.max(initial=0.0)).sum())
-    alone = columns @ vt[rank:].T
-    basis, sizes, _ = np.linalg.svd(alone, full_matrices=False)
-    basis = basis[:, sizes > _NOTHING * sizes.max(initial=0.0)]
-    left = columns - basis @ (basis.T @ columns)
-    inverse = (vt[:rank].T / values[:rank]) @ u[:, :rank].T
-    return [names[i] for i in free], np.asarray(left @ inverse / size.ravel())

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Autoregression", "Channel", "Colour", "Memory", "autoregressive", "burg", "colour_of"]
+__all__ = ["Autoregression", "Memory", "burg"]
 
 _Array = NDArray[np.float64]
 
@@ -27,6 +28,8 @@ _TATTERS = 4
 _EDGE = 1.0 - 1e-6
 # What is left of the variance where the next sample is known from those before it: rounding.
 _EXACT = 1e-14
+# Steps of a recursion that are taken at once.
+_BLOCK = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +45,94 @@ class Autoregression:
 
     @property
     def order(self) -> int:
-        """p."""
+        """Number of coefficients, p."""
         return len(self.predictors) - 1
+
+    @property
+    def coefficients(self) -> _Array:
+        """(p,) a_1 ... a_p, of a stable model; none where the residuals are white."""
+        return self.predictors[-1]
+
+    @property
+    def sigmas(self) -> _Array:
+        """(p + 1,) standard deviations of the errors of the predictors, greater than zero."""
+        return np.asarray(np.sqrt(np.maximum(self.powers, np.finfo(float).tiny)))
+
+    @property
+    def power(self) -> float:
+        """Variance of the innovations: of what cannot be predicted."""
+        return float(self.powers[-1])
+
+    @cached_property
+    def covariances(self) -> _Array:
+        """(p + 1,) autocovariances of lags 0 to p, which the predictors imply from lag to lag."""
+        c = [float(self.powers[0])]
+        for before, after, power in zip(self.predictors[:-1], self.predictors[1:], self.powers[:-1], strict=True):
+            c.append(float(before @ np.array(c[:0:-1]) + after[-1] * power))
+        return np.array(c)
+
+    def covariance(self, lags: int) -> _Array:
+        """(lags,) autocovariance from lag 0 on, in the unit of the residuals squared."""
+        return _continued(self.covariances, self.coefficients, lags)
+
+    def autocorrelation(self, lags: int) -> _Array:
+        """(lags,) of the model, from lag 0, where it is 1."""
+        c = self.covariance(lags)
+        return np.asarray(c / c[0] if c[0] > 0.0 else np.eye(1, lags)[0])
+
+    def response(self, lags: int) -> _Array:
+        """(lags,) what becomes of an innovation of 1: weights of innovations now and before in r."""
+        p = self.order
+        first = np.zeros(p + 1)
+        first[0] = 1.0
+        for i in range(1, p + 1):
+            first[i] = self.coefficients[:i] @ first[i - 1 :: -1][:i]
+        return _continued(first, self.coefficients, lags)
+
+    def spectrum(self, lags: int, size: int) -> _Array:
+        """Of the autocovariance up to so many lags, for `numpy.fft.rfft` of a size that is at least twice that."""
+        c = self.covariance(lags)
+        both = np.zeros(size)
+        both[:lags] = c
+        both[size - lags + 1 :] = c[:0:-1]
+        return np.asarray(np.fft.rfft(both).real)
+
+    def innovations(self, grid: _Array) -> _Array:
+        """(G,) or (G, m) values on a grid passed through the filter 1 - a_1 z^-1 - ...; NaN where a lag is missing."""
+        p = self.order
+        if p == 0:
+            return grid
+        out = np.full_like(grid, np.nan)
+        out[p:] = grid[p:]
+        for k, a in enumerate(self.coefficients, start=1):
+            out[p:] -= a * grid[p - k : grid.shape[0] - k]
+        return out
+
+    def deviation(self, grids: Sequence[_Array]) -> float:
+        """Standard deviation of the innovations of series on grids, NaN where missing, less degrees of freedom."""
+        found = np.concatenate([self.innovations(grid) for grid in grids])
+        found = found[np.isfinite(found)]
+        return math.sqrt(float(found @ found) / max(found.size - self.order, 1))
+
+
+def _continued(first: _Array, a: _Array, n: int) -> _Array:
+    """(n,) a sequence that goes on from its first values as x[t] = a_1 x[t-1] + ...: in blocks."""
+    p = a.size
+    out = np.zeros(n)
+    out[: first.size] = first[:n]
+    if not p or n <= first.size:
+        return out
+    block = np.zeros((p + min(_BLOCK, n), p))  # from the last p values to those that follow
+    block[:p] = np.eye(p)
+    for i in range(p, len(block)):
+        block[i] = a[::-1] @ block[i - p : i]
+    step = block[p:]
+    at = first.size
+    while at < n:
+        size = min(len(step), n - at)
+        out[at : at + size] = step[:size] @ out[at - p : at]
+        at += size
+    return out
 
 
 def burg(runs: Sequence[_Array]) -> Autoregression:
@@ -81,70 +170,6 @@ def burg(runs: Sequence[_Array]) -> Autoregression:
 
 def _product(a: _Array, b: _Array) -> float:
     return float(a @ b) if a.ndim == 1 else float(np.einsum("ij,ij->", a, b))
-
-
-@dataclass(frozen=True, eq=False)
-class Channel:
-    """The autoregressive model of one channel.
-
-    predictors  predictors[k] (k,) is the best predictor from k samples: r_t is about sum_i predictors[k][i] r_{t-1-i}.
-    sigmas      (p + 1,) standard deviations of their errors.
-    """
-
-    predictors: tuple[_Array, ...]
-    sigmas: _Array
-
-    @property
-    def order(self) -> int:
-        """p."""
-        return len(self.predictors) - 1
-
-
-def autoregressive(runs: Sequence[_Array]) -> Channel:
-    """The model of residuals, runs of equally spaced samples."""
-    model = burg(runs)
-    return Channel(model.predictors, np.sqrt(np.maximum(model.powers, np.finfo(float).tiny)))
-
-
-_MEMORY = 8  # times the lags asked for
-
-
-@dataclass(frozen=True, eq=False)
-class Colour:
-    """An AR model.
-
-    coefficients  (p,) a_1 ... a_p, of a stable model; none where the residuals are white.
-    noise         standard deviation of the innovations.
-    """
-
-    coefficients: _Array
-    noise: float
-
-    @property
-    def order(self) -> int:
-        """Number of lags, p."""
-        return int(self.coefficients.size)
-
-    def whitened(self, grid: _Array) -> _Array:
-        """(G,) or (G, m) passed through the filter 1 - a_1 z^-1 - ...; NaN where a lag is missing."""
-        p = self.order
-        if p == 0:
-            return grid
-        out = np.full_like(grid, np.nan)
-        out[p:] = grid[p:]
-        for k, a in enumerate(self.coefficients, start=1):
-            out[p:] -= a * grid[p - k : grid.shape[0] - k]
-        return out
-
-    def autocorrelation(self, lags: int) -> _Array:
-        """(lags,) of the model, from lag 0, where it is 1."""
-        if self.order == 0:
-            return np.concatenate([[1.0], np.zeros(lags - 1)])
-        # The transform of its spectrum, over a time so long that what is left there of the memory does not matter.
-        size = 1 << (_MEMORY * max(lags, 128)).bit_length()
-        spectrum = np.abs(np.fft.rfft(np.concatenate([[1.0], -self.coefficients]), size)) ** -2.0
-        full = np.fft.irfft(spectrum)[:lags]
-        return np.asarray(full / full[0])
 
 
 class Memory:
@@ -185,18 +210,3 @@ class Memory:
             spectrum[1:-1] *= 2.0
             self._spectra[size] = spectrum
         return self._spectra[size]
-
-
-def colour_of(grids: Sequence[_Array]) -> Colour:
-    """The AR model of residuals on grids, NaN where missing, none of them all zero."""
-    a = burg([run for grid in grids for run in _runs(grid)]).predictors[-1]
-    innovations = np.concatenate([Colour(a, math.nan).whitened(grid) for grid in grids])
-    innovations = innovations[np.isfinite(innovations)]
-    freedom = max(innovations.size - a.size, 1)
-    return Colour(a, math.sqrt(float(innovations @ innovations) / freedom))
-
-
-def _runs(grid: _Array) -> list[_Array]:
-    there = np.isfinite(grid)
-    edges = np.flatnonzero(np.diff(there.astype(np.int8)))
-    return [run for run in np.split(grid, edges + 1) if np.isfinite(run[0])]

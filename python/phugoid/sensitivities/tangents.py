@@ -8,51 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..discrepancy.search.linearised import Linearised, collocated
-from ..errors import EvaluationError, OptionError
+from ..errors import EvaluationError
 from ..fit_result import FitResult
-from ..transcription.collocation import Collocation
-from ..transcription.filter_error import FilterError
+from .collocated import collocated_for
+from .linearised import Linearised
 from .scores import Scores
 
-__all__ = ["Tangents", "cheap", "linearised"]
+__all__ = ["Tangents"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
 # Tangents whose singular value, in units of the noise, is below this part of the greatest are rounding.
 _NOTHING = 1e-9
-# Numbers in tangents that take about as long as an estimation, and that fill some 400 MB.
-_SOME, _MANY = 3_000_000, 50_000_000
-# Elsewhere curvature says nothing about the data.
-_ENDS = ("converged", "acceptable", "unidentifiable")
 # Where variables tell of the space to less than this, others are taken.
 _TOLD = 1e-5
 # A variable is at a bound within this fraction of its size, as `make_fit` has it.
 _AT_BOUND = 1e-6
-
-
-def cheap(fit: FitResult, again: bool = False) -> bool:
-    """Whether a fit can be linearised in about the time of an estimation, and without an estimation unless ``again``:
-    the tangents of large systems are large."""
-    inner = fit._moved or fit
-    at_hand = bool(fit.experiments) and isinstance(inner.transcription, Collocation) and inner.solution is not None
-    samples, n_x = sum(r.n for r in fit.records), len(fit.model.state_names)
-    columns = len(fit.parameters) + 2 * n_x * len(fit.records)
-    small = samples * (n_x + len(fit.model.output_names)) * columns <= (_MANY if again else _SOME)
-    return small and (at_hand or again)
-
-
-def linearised(fit: FitResult, caller: str) -> Linearised:
-    """About a fit; one by shooting, or from a file, is estimated again by collocation, from where it is. Raises
-    OptionError for one with process noise, or that has not come to an end."""
-    if isinstance(fit.transcription, FilterError):
-        raise OptionError(
-            f"{caller}: is not offered for fits with process noise (FilterError): their innovations are white where "
-            "the model is right, and their standard errors hold as they are"
-        )
-    if fit.status not in _ENDS:
-        raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")
-    return Linearised(collocated(fit))
 
 
 class Tangents:
@@ -66,6 +37,12 @@ class Tangents:
     inverse      (k + j, k + j) of the second derivatives of minus the log-likelihood, exact, with priors.
     priors       (k + j, k + j) the part that priors have in the second derivatives.
     """
+
+    @classmethod
+    def of(cls, fit: FitResult, caller: str) -> Tangents:
+        """Those of a fit; one by shooting, or from a file, is estimated again by collocation, from where it is. Raises
+        OptionError for one with process noise, or that has not come to an end."""
+        return cls(Linearised(collocated_for(fit, caller)))
 
     def __init__(self, linear: Linearised) -> None:
         self.linear = linear

@@ -1,4 +1,4 @@
-"""The figure of profiles: the likelihood over each parameter, and the parabola that a standard error stands for."""
+"""Figures of profile likelihoods and of prediction bands."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..figures.style import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
+from ..figures.style import BAND, GREY, MEASURED, MODEL, ORANGE, SPAN, STYLE, WIDTH, labelled, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 
     from .profile import Profile
 
-__all__ = ["plot_profiles"]
+__all__ = ["plot_bands", "plot_profiles"]
 
+# Columns of panels, and the height of each in inches, of profiles and of bands.
 _COLUMNS, _HEIGHT = 3, 1.95
+_BAND_COLUMNS, _BAND_HEIGHT = 2, 1.8
 # How far an interval without end is shown, in halves of one.
 _BEYOND = 4.0
 
@@ -41,7 +43,7 @@ def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, di
         for axis in panels[len(profiles) :]:
             axis.set_visible(False)
         for i, p in enumerate(profiles):
-            _draw(axes[p.name], p)
+            _draw_profile(axes[p.name], p)
             if i % columns == 0:
                 axes[p.name].set_ylabel("Δ log-likelihood")
         handles = [
@@ -55,7 +57,7 @@ def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, di
     return figure, axes
 
 
-def _draw(axis: Any, p: Profile) -> None:
+def _draw_profile(axis: Any, p: Profile) -> None:
     at, roots = p.values, np.sign(p.values - p.value) * np.sqrt(2.0 * np.maximum(p.drops, 0.0))
     reach = 1.35 * math.sqrt(2.0 * p.threshold)
     shown = np.abs(roots) <= 2.0 * reach
@@ -85,3 +87,59 @@ def _draw(axis: Any, p: Profile) -> None:
     axis.locator_params(axis="x", nbins=4)
     axis.tick_params(labelsize=7)
     axis.set_xlabel(plain(labelled(p.name, {p.name: p.unit})))
+
+
+def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
+    """A panel an output: measured points, the model's line, and the bands of both."""
+    import matplotlib.pyplot as plt
+    from matplotlib import rc_context
+
+    names = list(bands.model)
+    columns = min(_BAND_COLUMNS, len(names)) if len(names) > 2 else 1
+    rows = math.ceil(len(names) / columns)
+    with rc_context(STYLE):
+        figure, grid = plt.subplots(
+            rows, columns, figsize=(WIDTH, _BAND_HEIGHT * rows + 0.7), squeeze=False, sharex=True
+        )
+        panels = list(grid.T.ravel())
+        for axis in panels[len(names) :]:
+            axis.set_visible(False)
+        axes: dict[str, Axes] = dict(zip(names, panels, strict=False))
+        for name, axis in axes.items():
+            _draw_bands(axis, bands, name)
+        for axis in grid[-1]:
+            axis.set_xlabel("time, s")
+        if len(names) < len(panels):  # the panel above an empty one has the axis of time
+            last = axes[names[-1]]
+            last.tick_params(labelbottom=True)
+            last.set_xlabel("time, s")
+        handles, labels = axes[names[0]].get_legend_handles_labels()
+        height = figure.get_figheight()
+        figure.legend(handles, labels, loc="upper right", ncols=4, frameon=False, fontsize=8, columnspacing=1.2)
+        what = "coloured" if bands.coloured else "white"
+        figure.suptitle(
+            plain(f"{title}, {100 * bands.level:g} % for {what} noise"),
+            x=0.01,
+            y=1 - 0.3 / height,
+            ha="left",
+            fontsize=9,
+        )
+        figure.tight_layout(rect=(0, 0, 1, 1 - 0.42 / height), h_pad=0.4)
+        figure.align_ylabels()
+    return figure, axes
+
+
+def _draw_bands(axis: Any, bands: Any, name: str) -> None:
+    record = bands.record
+    t = record.t
+    axis.fill_between(t, *bands.measurement[name], color=BAND, linewidth=0, label="measurement")
+    axis.fill_between(t, *bands.model[name], color=SPAN, linewidth=0, label="model")
+    axis.plot(t, record.outputs[name], color=MODEL, linewidth=0.9, label="estimate")
+    if name in record.measured:
+        there = np.isfinite(record.measured[name])
+        size = 2.0 if t.size <= 1000 else 1.0
+        axis.plot(
+            t[there], record.measured[name][there], ".", color=MEASURED, markersize=size, label="measured", zorder=1.5
+        )
+    axis.set_ylabel(plain(labelled(name, record.units)))
+    axis.margins(x=0.01)

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...records import Record
+from ..records import Record
+from .uniform_segments import UniformSegment, sampled_segment
 
 __all__ = ["Series", "autocorrelation_of", "channel_series", "residual_of", "same_rate"]
 
 _Array = NDArray[np.float64]
 
-# A gap counts at most so many samples on the grid: nothing is remembered across a longer one.
-_LONGEST_GAP = 64
 _FAR = 8.0  # robust standard deviations of an outlier
 _ALONE = 11  # samples of which two at most are outliers
 _SAME = 0.9999  # correlation from which on two variables are one
@@ -29,8 +28,7 @@ class Series:
     outliers    times of samples far off their neighbours, s, which are left out of the others.
     t           (n,) times of the samples that are there, s.
     r           (n,) residuals, as `residual_of` gives them.
-    at          (n,) place of each on the grid of step dt.
-    dt          s, median spacing of the samples: of a channel slower than others, its own.
+    segment     their places on a grid, whose step is the median spacing: of a channel slower than others, its own.
     regressors  name -> (n,): states (with process noise those predicted from the samples before), inputs, and their
                 rates (with a prime: ``q'``), which change in this experiment; and ``time`` since its first sample.
     """
@@ -39,15 +37,8 @@ class Series:
     outliers: _Array
     t: _Array
     r: _Array
-    at: NDArray[np.int64]
-    dt: float
+    segment: UniformSegment
     regressors: Mapping[str, _Array]
-
-    def on_grid(self, values: _Array) -> _Array:
-        """(G,) or (G, m): values at the samples, (n,) or (n, m), NaN where none is."""
-        grid = np.full((int(self.at[-1]) + 1, *values.shape[1:]), np.nan)
-        grid[self.at] = values
-        return grid
 
 
 def channel_series(records: Sequence[Record], channel: str) -> list[Series]:
@@ -63,12 +54,7 @@ def channel_series(records: Sequence[Record], channel: str) -> list[Series]:
         out = _outliers(r[there])
         outliers, there = record.t[there[out]], there[~out]
         t = record.t[there]
-        steps = np.diff(t)
-        dt = float(np.median(steps))
-        # Jitter of the stamps is left aside: a sample is so many steps after the one before.
-        places = np.clip(np.rint(steps / dt), 1, _LONGEST_GAP).astype(np.int64)
-        at = np.concatenate([np.zeros(1, np.int64), np.cumsum(places)])
-        found.append(Series(record.name, outliers, t, r[there], at, dt, _regressors(record, there)))
+        found.append(Series(record.name, outliers, t, r[there], sampled_segment(t), _regressors(record, there)))
     return found
 
 
@@ -91,8 +77,11 @@ def residual_of(record: Record, channel: str) -> _Array | None:
 
 def same_rate(series: Sequence[Series]) -> tuple[list[Series], list[Series]]:
     """Those sampled at the rate that most samples have, and the others."""
-    main = max(series, key=lambda s: sum(o.r.size for o in series if _same(o.dt, s.dt)))
-    return [s for s in series if _same(s.dt, main.dt)], [s for s in series if not _same(s.dt, main.dt)]
+    steps = np.array([s.segment.step for s in series])
+    alike = np.abs(steps[:, None] - steps) < 0.01 * steps  # [i, j]: as the step of j has it
+    most = int(np.argmax(np.array([s.r.size for s in series]) @ alike))
+    pairs = list(zip(series, alike[:, most].tolist(), strict=True))
+    return [s for s, same in pairs if same], [s for s, same in pairs if not same]
 
 
 def _outliers(r: _Array) -> NDArray[np.bool_]:
@@ -108,10 +97,6 @@ def _outliers(r: _Array) -> NDArray[np.bool_]:
         return none
     far = off > _FAR * scale
     return np.asarray(far & (np.convolve(far, np.ones(_ALONE), "same") < 2.5))
-
-
-def _same(one: float, other: float) -> bool:
-    return abs(one - other) < 0.01 * other
 
 
 def _regressors(record: Record, there: NDArray[np.int64]) -> dict[str, _Array]:
@@ -152,7 +137,7 @@ def autocorrelation_of(series: Sequence[Series]) -> tuple[_Array, _Array, _Array
 
     The variance is that of residuals of which the size may change (Diebold 1986): a noisy stretch is no colour.
     """
-    grids = [s.on_grid(s.r) for s in series]
+    grids = [s.segment.on_grid(s.r) for s in series]
     n = sum(s.r.size for s in series)
     power = sum(float(s.r @ s.r) for s in series) / n
     lags = range(min(_LAGS, n // 4) + 1)
@@ -163,4 +148,4 @@ def autocorrelation_of(series: Sequence[Series]) -> tuple[_Array, _Array, _Array
         rho.append(float(products.mean()) / power if products.size else 0.0)
         squares = float(np.mean(products**2)) if products.size else 0.0
         scatter.append(squares / power**2 / products.size if squares > 0.0 else np.inf)
-    return np.array(lags) * series[0].dt, np.array(rho), np.array(scatter)
+    return np.array(lags) * series[0].segment.step, np.array(rho), np.array(scatter)

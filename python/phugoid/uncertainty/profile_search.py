@@ -8,14 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
-from .. import _core
 from ..data.experiment import Experiment
 from ..errors import PhugoidError
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..modelling.rebuilt import rebuilt
-from ..parameters import Estimates
+from ..parameters import Estimates, Parameter
 from ..process_noise.separate import Separated
 from ..solvers.limits import check_time
 from ..starts.outcome import Outcome, Problem
@@ -58,7 +56,7 @@ class Sides(Problem):
         """One side."""
         begin = time.perf_counter()
         assert self.base is not None
-        walk = _Walk(self, self.base, start["name"])
+        walk = _ProfileSearch(self, self.base, start["name"])
         try:
             end, kind = walk.to_end(start["side"], start["root"])
         except KeyboardInterrupt:
@@ -76,7 +74,7 @@ class Sides(Problem):
         )
 
 
-class _Walk:
+class _ProfileSearch:
     """Estimations with one parameter held at value after value, each from the nearest before."""
 
     def __init__(self, problem: Sides, base: FitResult, name: str) -> None:
@@ -92,6 +90,7 @@ class _Walk:
             self.key = next(new for new, old in separated.names.items() if old == name)
             self.base = separated.fit(base)
         declared = self.model.declared_parameters[self.key]
+        self.unit = declared.unit
         self.low, self.high = declared.bounds
         self.log = declared.transform == "log"
         self.top = _merit(self.base, self.model, self.key)
@@ -106,7 +105,7 @@ class _Walk:
         self.runs += 1
         try:
             fit = estimate(
-                _held(self.model, self.key, value),
+                self.model.with_parameters({self.key: Parameter(value, unit=self.unit, fixed=True)}),
                 self.experiments,
                 transcription=self.problem.transcription,
                 noise=self.problem.noise,
@@ -198,16 +197,3 @@ def _merit(fit: FitResult, model: Model, without: str) -> float:
         if declared is not None and declared.prior is not None and name != without:
             total -= 0.5 * ((e.value - declared.prior[0]) / declared.prior[1]) ** 2
     return total
-
-
-def _held(model: Model, name: str, value: float) -> Model:
-    """The model with one parameter held at a value."""
-
-    def declare(core: _core.Model, declared: Any) -> None:
-        own, unit, start, low, high, prior, fixed, local, log, scale = declared
-        if own == name:
-            core.parameter(own, unit, value, -math.inf, math.inf, None, True, False, False, None)
-        else:
-            core.parameter(own, unit, start, low, high, prior, fixed, local, log, scale)
-
-    return model._around(rebuilt(model._core, model._core.inputs, declare), model.delays)

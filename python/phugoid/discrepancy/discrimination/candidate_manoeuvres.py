@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
-from ..colour.whitening import Filter, Rows, strands_of
-from ..search.linearised import dataset
+from ...residual_noise.uniform_segments import uniform_segments
+from ...residual_noise.whitening import Filter, RowStructure
+from ...sensitivities.collocated import dataset
 from ..search.refit import Refit
-from .flown import Flown
+from .manoeuvre_response import ManoeuvreResponse
 from .manoeuvres import SLOW, Manoeuvre, planned
 
-__all__ = ["GREATEST", "Flights"]
+__all__ = ["GREATEST", "CandidateManoeuvres"]
 
 _Array = NDArray[np.float64]
 _Mask = NDArray[np.bool_]
@@ -24,7 +25,7 @@ _Mask = NDArray[np.bool_]
 _NOTHING = 1e-12
 
 
-class Imitation:
+class Accommodation:
     """``moved`` (k, n_y, N): how the rival's outputs move with what is free in it, by units; ``tied`` (k,) is how
     firmly each is held to its estimate, in units too. ``present`` (n_y, N) tells which samples there are."""
 
@@ -59,13 +60,13 @@ class Imitation:
             return 0.5 * float(whitened @ whitened) + 0.5 * float(np.sum((self._tied * at) ** 2))
 
 
-def rows_of(present: _Mask) -> Rows:
+def rows_of(present: _Mask) -> RowStructure:
     """How rows of equally spaced samples hang together, those of one output after those of another."""
     table = np.full(present.shape, -1)
     table[present] = np.arange(int(present.sum()))
     ends = np.cumsum([0, *present.sum(axis=1)]).tolist()
-    strands = [
-        [s.from_row(a) for s in strands_of(np.flatnonzero(line).astype(float))]
+    segments = [
+        [s.from_row(a) for s in uniform_segments(np.flatnonzero(line).astype(float))]
         for (a, _), line in zip(pairwise(ends), present, strict=True)
     ]
     pattern = 2.0 ** np.arange(present.shape[0]) @ present
@@ -74,8 +75,8 @@ def rows_of(present: _Mask) -> Rows:
         there = np.flatnonzero(present[:, np.argmax(pattern == number)])
         together.append((tuple(there.tolist()), np.ascontiguousarray(table[there][:, pattern == number].T)))
     whole = np.flatnonzero(present.all(axis=0))
-    complete = [table[:, whole[s.rows][run]].T for s in strands_of(whole.astype(float)) for run in s.runs]
-    return Rows(strands, together, complete)
+    complete = [table[:, whole[s.rows][run]].T for s in uniform_segments(whole.astype(float)) for run in s.runs]
+    return RowStructure(segments, together, complete)
 
 
 # Samples of a planned record: what tells in more tells in these, and what takes longer is for another day.
@@ -100,7 +101,7 @@ _ROUNDING = 1e-9
 _MARGIN = 1.5
 
 
-class Flights:
+class CandidateManoeuvres:
     """The manoeuvres that the model with the cause flies within the envelope."""
 
     def __init__(self, final: Refit) -> None:
@@ -112,7 +113,7 @@ class Flights:
         model = final.fit.model
         self.trim = np.array([data.input(name)[0] for name in model.input_names])
         self.every = [_spacing(self._data, name, step) for name in model.output_names]
-        self.cause = Flown(final, self.t, self.trim)
+        self.cause = ManoeuvreResponse(final, self.t, self.trim)
         listed = self._listed()
         if not listed:
             self.manoeuvres: list[Manoeuvre] = []
@@ -185,7 +186,7 @@ class Flights:
         The rival takes a few steps with the derivatives at its estimates towards the outputs of the cause: what then
         counts is the difference itself, less what another step would still take, to first order.
         """
-        flown = Flown(rival, self.t, self.trim)
+        flown = ManoeuvreResponse(rival, self.t, self.trim)
         found = np.zeros(len(self.manoeuvres))
         late = np.vstack([self.cause.late, flown.late])
         y, _ = flown.fly(self.inputs)
@@ -201,11 +202,11 @@ class Flights:
         room = max(int(_ROOM / (flown.units.size * y[0].size)), 1)
         some = some[np.argsort(-sizes[some], kind="stable")[:room]]
         moved = flown.tangents(self.inputs[some])
-        views: dict[int, Imitation] = {}
+        views: dict[int, Accommodation] = {}
         for i, m in zip(some.tolist(), moved, strict=True):
             found[i] = np.nan
             if np.isfinite(m[:, present[i]]).all():
-                view = Imitation(present[i], channels, m, flown.tied)
+                view = Accommodation(present[i], channels, m, flown.tied)
                 found[i] = view.gain(whitened[i], np.zeros(flown.units.size))
                 if found[i] >= _HOPELESS * least:
                     views[i] = view

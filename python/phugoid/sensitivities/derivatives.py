@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import _core
-from ..._core import Expr
-from ..candidates.candidate import Place
+from .._core import Expr
+from ..modelling.compiled import CompiledExpressions
+from .trajectory import Place
 
 __all__ = ["Derivatives", "Values"]
 
@@ -23,25 +23,23 @@ class Derivatives:
     """
 
     def __init__(self, model: Any, whole: Any) -> None:
-        core = model._core
+        equations = model._right_hand_sides()
         self.states, self.outputs = list(model.state_names), list(model.output_names)
         self.parameters = list(model.parameter_names)
-        inputs = [name for name, _ in core.inputs]
-        quantities = [name for name, *_ in core.quantities]
+        inputs = list(model.declared_inputs)
+        quantities = model.quantity_names
         # What is added to a quantity is a symbol of its own, nothing in the end.
         extra = {name: f"added to {name}" for name in quantities}
         known: dict[str, Any] = {}
-        for name, e, *_ in core.quantities:
-            known[name] = e.substitute(known) + Expr.symbol(extra[name])
+        for name in quantities:
+            known[name] = equations["quantity", name].substitute(known) + Expr.symbol(extra[name])
         none: dict[str, float] = dict.fromkeys(extra.values(), 0.0)
-        f = [Expr(e.substitute(known)) for _, e, *_ in core.dynamics]
-        g = [Expr(e.substitute(known)) for _, e, *_ in core.outputs]
+        f = [Expr(equations["equation", name].substitute(known)) for name in self.states]
+        g = [Expr(equations["output", name].substitute(known)) for name in self.outputs]
         # In a late output, written out for an earlier time, quantities have no name: where its delay is as fitted, it
         # is the output of the whole model at its own time.
-        by_name = {name: Expr(e.substitute(known)) for name, e, *_ in whole._core.outputs}
-        g_of_quantities = [by_name[name] for name in self.outputs]
-        order = [name for name, *_ in core.dynamics]
-        f = [f[order.index(name)] for name in self.states]
+        late = whole._right_hand_sides()
+        g_of_quantities = [Expr(late["output", name].substitute(known)) for name in self.outputs]
         self._entries: list[tuple[str, Any, int, int]] = []  # what, which, row, output of the evaluator
         asked: list[Expr] = []
 
@@ -72,24 +70,11 @@ class Derivatives:
                 if symbol in e.symbols:
                     ask("place g", place, k, e.diff(symbol))
         self.n_quantities = len(quantities)
-        used = {symbol for e in asked for symbol in e.symbols}
-        # Those of conditions on the ends of records stand in no equation.
-        self._used = [i for i, name in enumerate(self.parameters) if name in used]
-        aux = _core.Model("derivatives")
-        for i in self._used:
-            aux.parameter(self.parameters[i], "", 0.0, -np.inf, np.inf, None, False, False, False, None)
-        for name in inputs:
-            aux.input(name, "")
-        for name in self.states:
-            aux.state(name, "")
-            aux.equation(name, 0.0, None)
-        for k, e in enumerate(asked):
-            aux.output(f"e{k} of phugoid", e, "", None)
-        self._evaluator = _core.Evaluator(aux)
+        self._compiled = CompiledExpressions(asked, self.parameters, inputs, self.states)
 
     def __call__(self, theta: _Array, columns: _Array) -> Values:
         n = columns.shape[1]
-        rows = self._evaluator.outputs(theta[self._used], columns) if self._entries else np.empty((0, n))
+        rows = self._compiled(theta, columns)
         n_x, n_y = len(self.states), len(self.outputs)
         v = Values(
             np.zeros((n_x, n)),

@@ -17,17 +17,17 @@ import numpy as np
 from ...data.experiment import Experiment
 from ..misfit.phrases import number
 from ..search.refit import Refit
-from .flights import GREATEST, Flights
+from .candidate_manoeuvres import GREATEST, CandidateManoeuvres
 from .manoeuvres import KINDS, Manoeuvre
 
-__all__ = ["TELLS", "Advice", "Telling", "advised", "telling_manoeuvre"]
+__all__ = ["TELLS", "Advice", "DiscriminatingManoeuvre", "advised", "discrimination_advice"]
 
 # An expected gain in log-likelihood that tells two models apart nearly for sure.
 TELLS = 6.0
 
 
 @dataclass(frozen=True)
-class Telling:
+class DiscriminatingManoeuvre:
     """A manoeuvre that tells a cause from rivals.
 
     manoeuvre  what to fly.
@@ -60,7 +60,7 @@ class Advice:
     length   of a manoeuvre and what follows at most, s.
     """
 
-    telling: tuple[Telling, ...]
+    telling: tuple[DiscriminatingManoeuvre, ...]
     alike: tuple[str, ...]
     tried: tuple[str, ...]
     length: float
@@ -77,7 +77,7 @@ class Advice:
         return " ".join(sentences)
 
 
-def telling_manoeuvre(final: Refit, rivals: Sequence[Refit]) -> str:
+def discrimination_advice(final: Refit, rivals: Sequence[Refit]) -> str:
     """`advised` in words; "" where no manoeuvre could be flown."""
     return str(advised(final, rivals))
 
@@ -95,11 +95,11 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
     nothing = Advice((), tuple(names), (), 0.0)
     if any(not c.transferable for r in rivals for c in final.candidates if c.name not in r.names):
         return nothing
-    flights = Flights(final)
-    if not flights.manoeuvres:
+    flyable = CandidateManoeuvres(final)
+    if not flyable.manoeuvres:
         return nothing
-    with np.errstate(over="ignore", invalid="ignore"):  # flights that ran away
-        found = np.array([flights.gains(r, TELLS) for r in rivals]).reshape(len(rivals), -1)  # (rivals, manoeuvres)
+    with np.errstate(over="ignore", invalid="ignore"):  # manoeuvres that ran away
+        found = np.array([flyable.gains(r, TELLS) for r in rivals]).reshape(len(rivals), -1)  # (rivals, manoeuvres)
     gains = np.nan_to_num(found)
     here = [final.own.log_likelihood - r.own.log_likelihood for r in rivals]
     open_ = [k for k in range(len(rivals)) if gains[k].max() >= TELLS]
@@ -112,10 +112,12 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
         best = int(np.lexsort((least, told.sum(axis=0)))[-1])
         mine = [k for k in open_ if gains[k, best] >= TELLS]
         over = {names[k]: float(gains[k, best]) for k in mine}
-        telling.append(Telling(flights.manoeuvres[best], flights.record(best), over, min(here[k] for k in mine)))
+        telling.append(
+            DiscriminatingManoeuvre(flyable.manoeuvres[best], flyable.record(best), over, min(here[k] for k in mine))
+        )
         open_ = [k for k in open_ if k not in mine]
-    tried = tuple(dict.fromkeys(m.input for m in flights.manoeuvres))
-    return Advice(tuple(telling), alike, tried, float(flights.t[-1] - flights.t[0]))
+    tried = tuple(dict.fromkeys(m.input for m in flyable.manoeuvres))
+    return Advice(tuple(telling), alike, tried, float(flyable.t[-1] - flyable.t[0]))
 
 
 def _listed(names: Sequence[str], last: str) -> str:

@@ -15,7 +15,7 @@ from ..transcription.filter_error import FilterError
 from .filtered import of_fit
 from .resample import Resampler
 
-__all__ = ["Disturbed"]
+__all__ = ["ProcessNoiseResampler"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ _TRIED, _FAR = 5, 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Disturbed(Resampler):
+class ProcessNoiseResampler(Resampler):
     """The model driven by inputs as recorded and by process noise as the fit has it, and sensors with their noise.
 
     First states are those of the fit, and drawn where they have a prior.
@@ -33,7 +33,7 @@ class Disturbed(Resampler):
     fit: FitResult | None = None
 
     @classmethod
-    def of(cls, fit: FitResult) -> Disturbed:
+    def of(cls, fit: FitResult) -> ProcessNoiseResampler:
         """With the noise of a fit. Raises OptionError where other noise would carry the vehicle far away."""
         found = cls(**cls.parts(fit), fit=fit)
         far = float(np.median([found._reach(stream(0, i)) for i in range(_TRIED)]))

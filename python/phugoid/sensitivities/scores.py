@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._core import Expr
-from ..discrepancy.search.linearised import Linearised
 from ..noise.densities import Density, Huber, Laplace, StudentT
 from ..noise.kinds import PerExperiment, PerOutput
 from ..noise.noise import Gaussian, Noise
+from .linearised import Linearised
 
 __all__ = ["Scores"]
 

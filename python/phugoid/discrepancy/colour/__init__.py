@@ -1,1 +1,0 @@
-"""Coloured residuals: their spectrum, and how they are made white."""

@@ -1,0 +1,1 @@
+"""Residual noise: autoregressive models of it, evenly sampled segments, whitening and spectra."""

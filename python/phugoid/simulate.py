@@ -14,7 +14,6 @@ from .data.experiment import Experiment
 from .data.interpolation import kinds_for
 from .data.units import check_units
 from .errors import DataError, ModelError, OptionError, did_you_mean
-from .estimation.late import simulated_late
 from .fit_result import FitResult
 from .guess import measured_states
 from .modelling.model import Model
@@ -66,12 +65,9 @@ def simulate(
     check_units(model, [data], "simulate")
     values = _values(model, parameters, data.name)
     x0 = first_values(model, values, parameters, data, initial or {})
-    if model.delays:
-        first = dict(zip(model.state_names, x0, strict=True))
-        options = {"method": method, "rtol": rtol, "time_limit": deadline.left()}
-        return simulated_late(simulate, model, values, data, initial=first, **options)
     states, y = _core.simulate(
         model._core,
+        model.delays.spec,
         _record(model, data),
         list(values.items()),
         list(zip(model.state_names, x0.tolist(), strict=True)),

@@ -10,11 +10,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..data.experiment import Experiment, FloatArray, Signal
+from ..data.experiment import Experiment, Signal
 from ..data.interpolation import Interpolation, interpolated, kinds_for
-from ..data.multirate import distinct, together
+from ..data.multirate import together
 from ..errors import DataError
 from ..fit_result import FitResult
 from ..guess import parameter_start
@@ -25,7 +24,7 @@ from ..records import Record
 from ..solvers import HINTS, Ipopt, Newton
 from ..solvers.limits import Deadline
 
-__all__ = ["estimate_late", "simulated_late"]
+__all__ = ["estimate_late"]
 
 # A delay moves by no more than this many sample intervals before its base follows.
 _REACH = 2.0
@@ -164,57 +163,3 @@ def _restored(model: Model, record: Record, experiment: Experiment, base: Mappin
         measured=measured,
         residuals={name: z - outputs[name] for name, z in measured.items()},
     )
-
-
-def simulated_late(
-    simulate: Callable[..., Record], model: Model, values: Mapping[str, float], data: Experiment, **options: Any
-) -> Record:
-    """`simulate` for a model with delays: over all times at which an input bends or an output is taken."""
-    delays = {name: values[name] for name in model.delays.parameters}
-    slim = at_delays(model, delays)
-    t = data.t
-    later = [data.samples(name)[0] for name in model.input_names]
-    later += [data.samples(of)[0] + delays[tau] for of, tau in model.delays.inputs.values()]
-    earlier = {name: t - delays[tau] for name, tau in model.delays.outputs.items()}
-    everything = np.concatenate([t, *later, *earlier.values()])
-    times = distinct(everything, 1e-9 * float(np.median(np.diff(t))))
-    kinds = {n: data.interpolation_of(model.delays.inputs.get(n, (n, ""))[0]) for n in slim.input_names}
-    if "cubic" in kinds.values():
-        # A spline through samples of a spline that was moved is another: on a finer grid hardly so.
-        share = np.arange(4 * (times.size - 1) + 1) / 4
-        times = np.interp(share, np.arange(times.size), times)
-    times = times[(times >= t[0]) & (times <= t[-1])]
-    inputs: dict[str, FloatArray] = {}
-    for name in slim.input_names:
-        of, tau = model.delays.inputs.get(name, (name, ""))
-        if of in model.input_names:
-            inputs[name] = interpolated(kinds[name], *data.samples(of), times - delays.get(tau, 0.0))
-        else:  # a rate, which counts for nothing at the delay itself
-            inputs[name] = np.zeros(times.size)
-    fine = Experiment(times, inputs, name=data.name, interpolation=kinds_for(kinds, inputs), units=data.units)
-    path = simulate(slim, dict(values), fine, **options)
-    there = {*data.outputs, *data.channels}
-    measured = {n: data.output(n) for n in model.output_names if n in there}
-    outputs = {}
-    for name in model.output_names:
-        own = earlier.get(name, t)
-        at_own = _nearest(times, np.clip(own, t[0], t[-1]))
-        outputs[name] = np.where((own >= t[0]) & (own <= t[-1]), path.outputs[name][at_own], np.nan)
-    at_samples = _nearest(times, t)
-    return replace(
-        path,
-        t=t,
-        inputs={name: data.input(name) for name in model.input_names},
-        outputs=outputs,
-        states={name: x[at_samples] for name, x in path.states.items()},
-        measured=measured,
-        residuals={n: z - outputs[n] for n, z in measured.items()},
-        units=model.units,
-        input_samples=data.own_samples(model.input_names),
-    )
-
-
-def _nearest(times: FloatArray, t: FloatArray) -> NDArray[np.intp]:
-    """Indices of the times nearest to some."""
-    after = np.clip(np.searchsorted(times, t), 1, times.size - 1)
-    return np.where(t - times[after - 1] < times[after] - t, after - 1, after)

@@ -10,15 +10,11 @@ delayed model itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-
-from .. import _core
-from .._core import Expr
-from .rebuilt import equations_of, rebuilt
 
 __all__ = ["Delays", "at_delays"]
 
@@ -44,6 +40,11 @@ class Delays:
         """The parameters that are delays (s), each once."""
         return tuple(dict.fromkeys([*(tau for _, tau in self.inputs.values()), *self.outputs.values()]))
 
+    @property
+    def spec(self) -> tuple[list[tuple[str, str, str]], list[tuple[str, str]]]:
+        """As the core takes them."""
+        return [(late, of, tau) for late, (of, tau) in self.inputs.items()], list(self.outputs.items())
+
     def with_input(self, late: str, of: str, tau: str) -> Delays:
         """One more late input."""
         return replace(self, inputs={**self.inputs, late: (of, tau)})
@@ -67,62 +68,4 @@ class Delays:
 
 def at_delays(model: Any, base: Mapping[str, float], reach: float = np.inf) -> Any:
     """The model without delays, for data that were moved by ``base`` (s): parameters are the same."""
-    old, delays = model._core, model.delays
-    rest: dict[str, Any] = {tau: Expr.symbol(tau) - value for tau, value in base.items()}
-
-    def moved(name: str, by: Any) -> Expr:
-        rate, bend = Expr.symbol(f"{name}_rate"), Expr.symbol(f"{name}_bend")
-        return Expr(Expr.symbol(name) - by * rate + 0.5 * by * by * bend)
-
-    late = {name: moved(name, rest[tau]) for name, (_, tau) in delays.inputs.items()}
-    whole = model.output_expressions()
-
-    def changed(kind: str, name: str, e: Expr) -> Expr:
-        if kind == "output" and name in delays.outputs:
-            return _earlier(model, whole[name], rest[delays.outputs[name]], late, rest, moved)
-        return e.substitute(late)
-
-    def declare(core: _core.Model, declared: Any) -> None:
-        name, unit, start, low, high, *others = declared
-        if name in base:
-            low, high = max(low, base[name] - reach), min(high, base[name] + reach)
-            start = min(max(base[name], low), high)
-        core.parameter(name, unit, start, low, high, *others)
-
-    equations = {key: changed(*key, e) for key, e in equations_of(old)}
-    used = {symbol for e in equations.values() for symbol in e.symbols}
-    inputs = list(old.inputs)
-    for name, unit in old.inputs:
-        rates = (f"{name}_rate", f"{unit}/s"), (f"{name}_bend", f"{unit}/s**2")
-        inputs += [(rate, of) for rate, of in rates if rate in used]
-    core = rebuilt(old, inputs, declare, lambda key, _: equations[key])
-    return model._around(core, Delays())
-
-
-def _earlier(
-    model: Any,
-    g: Expr,
-    by: Any,
-    late: Mapping[str, Expr],
-    rest: Mapping[str, Any],
-    moved: Callable[[str, Any], Expr],
-) -> Expr:
-    """An output, quantities put in, as it was a little earlier: states by the equations, inputs by their rates."""
-    f = model.state_expressions()
-    at: dict[str, Any] = {"time": Expr.symbol("time") - by}
-    inputs = list(model.declared_inputs)
-    for name in inputs:
-        own = rest[model.delays.inputs[name][1]] if name in model.delays.inputs else 0.0
-        at[name] = moved(name, by + own)
-    for state, right in f.items():
-        slope = right.substitute(late)
-        bend: Any = right.diff("time").substitute(late)
-        for name in {*right.symbols}.intersection(f):
-            bend = bend + right.diff(name).substitute(late) * f[name].substitute(late)
-        for name in {*right.symbols}.intersection(inputs):
-            rate: Any = Expr.symbol(f"{name}_rate")
-            if name in late:
-                rate = rate - rest[model.delays.inputs[name][1]] * Expr.symbol(f"{name}_bend")
-            bend = bend + right.diff(name).substitute(late) * rate
-        at[state] = Expr.symbol(state) - by * slope + 0.5 * by * by * bend
-    return Expr(g.substitute(at))
+    return model._around(model._core.at_delays(model.delays.spec, list(base.items()), reach), Delays())

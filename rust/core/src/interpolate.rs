@@ -23,6 +23,8 @@ pub enum Interpolation {
 /// A time this part of a sampling interval before a sample counts as that of the sample where the sample is held:
 /// delays and divisions of time carry rounding.
 const SAME: f64 = 1e-9;
+/// So many samples after the last one used are looked at one by one.
+const NEAR: usize = 4;
 
 /// Values at the times `at` of a signal sampled as `values` at the times `t`.
 ///
@@ -47,7 +49,13 @@ const SAME: f64 = 1e-9;
 /// ```
 pub fn interpolate(kind: Interpolation, t: &[f64], values: &[f64], at: &[f64]) -> Vec<f64> {
     let signal = Interpolant::new(kind, t, values);
-    at.iter().map(|&s| signal.at(s)).collect()
+    let mut n = 0;
+    at.iter()
+        .map(|&s| {
+            n = signal.before(s, n);
+            signal.between(s, n)
+        })
+        .collect()
 }
 
 /// A sampled signal at any time, one time after the other: as [`interpolate`], prepared once.
@@ -80,12 +88,27 @@ impl<'a> Interpolant<'a> {
 
     /// Its value at a time; before the first sample and after the last one it is theirs.
     pub fn at(&self, s: f64) -> f64 {
+        self.between(s, self.t.partition_point(|&sample| sample <= s))
+    }
+
+    /// Number of samples at or before `s`, looked for from a number on: times mostly come in order.
+    fn before(&self, s: f64, from: usize) -> usize {
+        let t = self.t;
+        if from > 0 && t[from - 1] > s || s.is_nan() {
+            return t.partition_point(|&sample| sample <= s);
+        }
+        match t[from..].iter().take(NEAR).position(|&sample| sample > s) {
+            Some(more) => from + more,
+            None => from + t[from..].partition_point(|&sample| sample <= s),
+        }
+    }
+
+    /// Its value at a time that follows so many samples.
+    fn between(&self, s: f64, n: usize) -> f64 {
         let (t, values) = (self.t, self.values);
         if s.is_nan() {
             return f64::NAN;
         }
-        // Number of samples at or before `s`.
-        let n = t.partition_point(|&sample| sample <= s);
         if n == 0 {
             return values[0];
         }

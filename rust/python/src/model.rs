@@ -1,7 +1,7 @@
 //! Models.
 
 use phugoid::condition::{Condition, End};
-use phugoid::model::{Model, Parameter, Variable};
+use phugoid::model::{Delays, LateInput, LateOutput, Model, Parameter, Variable};
 use phugoid::transform::Transform;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -14,6 +14,9 @@ use crate::expr::{Operand, PyExpr};
 #[derive(Clone)]
 pub struct PyModel(pub Model);
 
+/// Late inputs (name, the input, the parameter) and late outputs (name, the parameter).
+pub type DelaySpec = (Vec<(String, String, String)>, Vec<(String, String)>);
+
 type Named = (String, PyExpr, String, Option<String>);
 
 fn named(equations: &[phugoid::model::Equation]) -> Vec<Named> {
@@ -21,6 +24,15 @@ fn named(equations: &[phugoid::model::Equation]) -> Vec<Named> {
         (e.name.clone(), PyExpr(e.expr.clone()), e.unit.clone(), e.source.clone())
     };
     equations.iter().map(one).collect()
+}
+
+impl PyModel {
+    /// The model with these delays.
+    pub fn late(&self, (inputs, outputs): DelaySpec) -> Model {
+        let inputs = inputs.into_iter().map(|(name, of, by)| LateInput { name, of, by }).collect();
+        let outputs = outputs.into_iter().map(|(output, by)| LateOutput { output, by }).collect();
+        Model { delays: Delays { inputs, outputs }, ..self.0.clone() }
+    }
 }
 
 #[pymethods]
@@ -136,6 +148,13 @@ impl PyModel {
     /// what is zero at the kink.
     fn kinks(&self) -> Vec<(String, &'static str, String, PyExpr)> {
         self.0.kinks().into_iter().map(|k| (k.place, k.name, k.text, PyExpr(k.argument))).collect()
+    }
+
+    /// The model without these delays, for data that were moved by the base (s) of each.
+    #[allow(clippy::needless_pass_by_value)]
+    fn at_delays(&self, delays: DelaySpec, base: Vec<(String, f64)>, reach: f64) -> PyModel {
+        let base = base.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        PyModel(self.late(delays).at_delays(&base, reach))
     }
 
     /// The model with each kink made smooth over its width.

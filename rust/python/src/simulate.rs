@@ -8,18 +8,19 @@ use pyo3::prelude::*;
 
 use crate::errors::raise;
 use crate::interrupt::{interruptible, seconds};
-use crate::model::PyModel;
+use crate::model::{DelaySpec, PyModel};
 use crate::problem::{Record, experiment};
 
 type Channels<'py> = Vec<Bound<'py, PyArray1<f64>>>;
 
-/// States and outputs at the samples of a record, from values of all parameters and states by name. `time_limit` in s.
-/// Ctrl-C raises KeyboardInterrupt.
+/// States and outputs at the samples of a record, from values of all parameters and states by name, of a model with these
+/// delays. `time_limit` in s. Ctrl-C raises KeyboardInterrupt.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // as Python gives them
 pub fn simulate<'py>(
     py: Python<'py>,
     model: &PyModel,
+    delays: DelaySpec,
     record: Record<'py>,
     parameters: Vec<(String, f64)>,
     initial: Vec<(String, f64)>,
@@ -34,7 +35,8 @@ pub fn simulate<'py>(
         "Radau" => Method::Implicit,
         _ => return Err(PyValueError::new_err(format!("unknown method '{method}'"))),
     };
-    let mut simulation = Simulation::new(&model.0, &run).tolerance(tolerance).method(method);
+    let model = model.late(delays);
+    let mut simulation = Simulation::new(&model, &run).tolerance(tolerance).method(method);
     for (name, value) in &parameters {
         simulation = simulation.parameter(name, *value);
     }

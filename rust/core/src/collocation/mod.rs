@@ -185,7 +185,13 @@ impl Collocation {
 
     /// Lays out the sparse entries of the Jacobian and the Hessian.
     fn place_derivatives(&mut self) {
-        for chunk in &mut self.chunks {
+        let chunks = self.chunks.len();
+        for (number, chunk) in self.chunks.iter_mut().enumerate() {
+            if number == 1 {
+                // Most chunks are as large as the first.
+                self.jacobian_structure.reserve(chunks * self.jacobian_structure.len());
+                self.hessian_structure.reserve(chunks * self.hessian_structure.len());
+            }
             chunk.jacobian = self.jacobian_structure.len();
             let map = &self.posed.estimands.maps[chunk.experiment];
             self.dynamics.jacobian_structure(chunk, &self.layout, map, &mut self.jacobian_structure);

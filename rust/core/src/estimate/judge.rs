@@ -43,7 +43,7 @@ pub(super) fn judge(
     warnings: &mut Vec<String>,
 ) {
     // Elsewhere than at an end, curvature says nothing about the data.
-    if !matches!(status, Status::Converged | Status::Acceptable | Status::Unidentifiable) {
+    if !status.is_end() {
         return;
     }
     let k = wanted.len();

@@ -141,9 +141,7 @@ fn assessed(
         }
         warnings.push(scaling.advice(model));
     }
-    if !end.scalings.is_empty()
-        && matches!(status, Status::Converged | Status::Acceptable | Status::Unidentifiable)
-    {
+    if !end.scalings.is_empty() && status.is_end() {
         let said = if status == Status::Unidentifiable { &message } else { Status::Unidentifiable.hint() };
         let each = end.scalings.iter().map(|s| {
             let names: Vec<&str> = s.exponents.iter().map(|e| e.0.as_str()).collect();
@@ -236,6 +234,7 @@ impl Fit {
         experiments: &[Experiment],
         problem: &dyn Transcribed,
         solution: Solution,
+        scalings: &[Scaling],
         limit: &Interrupt,
     ) -> Self {
         let end = End {
@@ -244,7 +243,7 @@ impl Fit {
             status: solution.status,
             message: solution.message.clone(),
             interior: false,
-            scalings: &[],
+            scalings,
         };
         let mut found = Assessment::new(model, experiments, problem, &end, limit);
         let noise = &problem.posed().noise;

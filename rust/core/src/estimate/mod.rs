@@ -13,22 +13,24 @@ pub use make::{Assessment, End};
 pub use measured::Measured;
 pub use start::{Given, Start, point};
 
+use std::time::Duration;
+
 use crate::collocation::{self, Collocation};
 use crate::error::{Error, did_you_mean};
 use crate::experiment::Experiment;
 use crate::interrupt::{Interrupt, current};
 use crate::mesh::Grid;
-use crate::model::Model;
+use crate::model::{Model, Scaling};
 use crate::noise::{Density, Noise, NoiseModel, Scale};
 use crate::problem::Transcribed;
 use crate::shooting::{Shooting, Shots};
-use crate::solver::{Control, Iteration, Settings, solve};
+use crate::solver::{Control, Iteration, Settings, Solution, Status, solve};
 
 /// The maximum-likelihood estimate of a model's parameters from records (Eq. ml_loglike), as it is put
 /// together: what is not said has a default.
 ///
-/// Parameters start as declared, standard deviations at the spread of the measurements, states as
-/// measured where an output measures them and else at 0. Nothing is checked before [`Estimation::solve`].
+/// Parameters start as declared, standard deviations at the spread of the measurements, states as measured where an
+/// output measures them, else as declared, else at 0, or at other values where the model has no finite derivative at 0. Nothing is checked before [`Estimation::solve`].
 ///
 /// ```
 /// use phugoid::{Estimation, Experiment, Model, Parameter, Sigma};
@@ -215,27 +217,119 @@ impl<'a> Estimation<'a> {
 
     /// The estimate of a model in which nothing is late.
     fn solve_now(&self, watch: &mut dyn FnMut(&Iteration) -> Control) -> Result<Fit, Error> {
+        self.model.check()?;
+        let scalings = self.model.scalings(&self.parameters()?)?;
+        if scalings.is_empty() {
+            return self.solve_scaled(&[], watch);
+        }
+        // A scale that no output can tell would let the solver drift without end.
+        let mut model = self.model.clone();
+        for p in &mut model.parameters {
+            if let Some(scaling) = scalings.iter().find(|s| s.held == p.name) {
+                (p.start, p.fixed) = (scaling.at, true);
+            }
+        }
+        let is_held = |name: &str| scalings.iter().any(|s| s.held == name.split('[').next().unwrap_or(name));
+        let start = self.start.iter().filter(|s| !is_held(&s.0)).cloned().collect();
+        let fit = Estimation { model: &model, start, ..self.clone() }.solve_scaled(&scalings, watch)?;
+        Ok(Fit { model: self.model.clone(), ..fit })
+    }
+
+    /// The same with these scalings held.
+    fn solve_scaled(
+        &self,
+        scalings: &[Scaling],
+        watch: &mut dyn FnMut(&Iteration) -> Control,
+    ) -> Result<Fit, Error> {
         let (problem, xi): (Box<dyn Transcribed>, Vec<f64>) = match &self.shots {
             None => self.transcribe().map(|(p, xi)| (Box::new(p) as _, xi))?,
             Some(shots) => self.transcribe_shooting(shots).map(|(p, xi)| (Box::new(p) as _, xi))?,
         };
         let problem = &*problem;
+        let further = match self.warm {
+            Some(_) => Vec::new(),
+            None => self.given().elsewhere(problem, &xi, &self.parameters()?),
+        };
+        if !further.is_empty() && self.shots.is_some() {
+            // A path that follows the measurements is found by collocation; an integration from poor values is none.
+            let first = Estimation { shots: None, regression: None, ..self.clone() };
+            let first = first.solve_scaled(scalings, watch)?;
+            if first.status.is_end() {
+                let mut fit = Estimation { warm: Some(&first), start: Vec::new(), ..self.clone() }
+                    .solve_scaled(scalings, watch)?;
+                fit.iterations += first.iterations;
+                fit.solution.time += first.solution.time;
+                return Ok(fit);
+            }
+        }
+        let known = self
+            .regression
+            .unwrap_or_else(|| self.warm.is_none() && self.shots.is_none() && self.states_known());
+        let solution = if further.is_empty() {
+            self.solve_from(problem, &xi, known, watch)?
+        } else {
+            self.best_of(problem, &further, watch)?
+        };
+        Ok(Fit::new(self.model, self.experiments, problem, solution, scalings, &current()))
+    }
+
+    fn solve_from(
+        &self,
+        problem: &dyn Transcribed,
+        xi: &[f64],
+        regression: bool,
+        watch: &mut dyn FnMut(&Iteration) -> Control,
+    ) -> Result<Solution, Error> {
         let multipliers = self.same(problem).map(|fit| &fit.solution.multipliers[..]);
-        let known = || self.states_known();
-        let regression =
-            self.regression.unwrap_or_else(|| self.warm.is_none() && self.shots.is_none() && known());
         let settings = Settings { regression, ..self.solver.clone() };
-        let solution = solve(problem, &xi, multipliers, &settings, watch).map_err(|_| {
-            let what = problem.explain(&xi).map_or_else(
+        solve(problem, xi, multipliers, &settings, watch).map_err(|_| {
+            let what = problem.explain(xi).map_or_else(
                 || "near the starting point, a derivative of the model is not finite".into(),
                 |what| format!("at the starting point, {what}"),
             );
             Error::Evaluation(format!(
                 "{what}; give other start values, or bounds that keep functions finite"
             ))
-        })?;
-        let limit = current();
-        Ok(Fit::new(self.model, self.experiments, problem, solution, &limit))
+        })
+    }
+
+    /// The best of the solutions from several points: at an end if possible, and of the greatest likelihood. Where none of
+    /// them is at an end, a regression on the states as they start goes before each.
+    fn best_of(
+        &self,
+        problem: &dyn Transcribed,
+        starts: &[Vec<f64>],
+        watch: &mut dyn FnMut(&Iteration) -> Control,
+    ) -> Result<Solution, Error> {
+        let (mut best, mut iterations, mut time): (Option<Solution>, _, _) = (None, 0, Duration::ZERO);
+        let mut error = None;
+        for regression in [false, true] {
+            for xi in starts {
+                let found = match self.solve_from(problem, xi, regression, watch) {
+                    Ok(found) => found,
+                    Err(e) => {
+                        error = Some(e);
+                        continue;
+                    }
+                };
+                iterations += found.iterations;
+                time += found.time;
+                let (status, message) = (found.status, found.message.clone());
+                let rank = |s: &Solution| (!s.status.is_end(), s.objective);
+                if best.as_ref().is_none_or(|b| rank(&found) < rank(b)) {
+                    best = Some(found);
+                }
+                if let Some(best) = best.as_mut().filter(|_| status == Status::Interrupted) {
+                    (best.status, best.message) = (status, message);
+                    break;
+                }
+            }
+            if best.as_ref().is_some_and(|b| b.status.is_end() || b.status == Status::Interrupted) {
+                break;
+            }
+        }
+        let Some(best) = best else { return Err(error.expect("without a solution there was an error")) };
+        Ok(Solution { iterations, time, ..best })
     }
 
     /// The nonlinear program of collocation and the point to start from: for a solver of one's own.

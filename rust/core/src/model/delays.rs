@@ -145,7 +145,7 @@ impl Model {
     /// The model without delays, for data that were moved by a base (s) of each parameter that is one: parameters
     /// are the same, but delays stay within `reach` of their base. Inputs are followed by their derivatives
     /// ([`rates`]), where these occur.
-    pub(crate) fn at_delays(&self, base: &HashMap<&str, f64>, reach: f64) -> Model {
+    pub fn at_delays(&self, base: &HashMap<&str, f64>, reach: f64) -> Model {
         let rest = |tau: &str| Expr::symbol(tau) - base[tau];
         let late: HashMap<Arc<str>, Expr> = self
             .delays

@@ -30,6 +30,12 @@ impl Structure {
         self.rows.is_empty()
     }
 
+    /// Makes room for so many more entries.
+    pub(crate) fn reserve(&mut self, more: usize) {
+        self.rows.reserve(more);
+        self.columns.reserve(more);
+    }
+
     pub(crate) fn push(&mut self, row: usize, column: usize) {
         self.rows.push(row as u32);
         self.columns.push(column as u32);

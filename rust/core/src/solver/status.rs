@@ -44,6 +44,11 @@ impl Status {
         matches!(self, Status::Failed | Status::Diverging | Status::Infeasible)
     }
 
+    /// Whether it is at an optimum, told apart from others or not.
+    pub fn is_end(self) -> bool {
+        matches!(self, Status::Converged | Status::Acceptable | Status::Unidentifiable)
+    }
+
     /// Whether something stopped the run before its end.
     pub(super) fn unfinished(self) -> bool {
         matches!(self, Status::IterationLimit | Status::TimeLimit | Status::Interrupted)

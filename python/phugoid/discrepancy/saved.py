@@ -69,7 +69,7 @@ def load_diagnosis(path: str | os.PathLike[str]) -> DiagnosisResult:
             notes=_texts(saved["notes"]),
             interrupted=bool(saved["interrupted"]),
             seconds=io.to_float(saved["seconds"]),
-            _saved=extension,
+            _extension=extension,
         )
 
 

@@ -30,8 +30,8 @@ def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     figures = [misfit_figure(diagnosis.misfit, diagnosis.fit)[0]]
     if diagnosis.ranking:
         figures.append(ranking_figure(diagnosis.ranking, diagnosis.threshold)[0])
-    if diagnosis._saved is not None or (diagnosis._final is not None and diagnosis._final.candidates):
-        extension = diagnosis.extend()
+    extension = diagnosis._extension
+    if extension is not None and extension.added:
         figures.append(findings_figure(diagnosis.fit, extension)[0])
         figures.append(gain_figure(extension.gain, diagnosis.fit.model.units)[0])
     return figures

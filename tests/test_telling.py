@@ -9,9 +9,8 @@ import pytest
 
 import phugoid as ph
 from phugoid.discrepancy.discrimination.advice import TELLS, advised, discrimination_advice
-from phugoid.discrepancy.discrimination.candidate_manoeuvres import CandidateManoeuvres
+from phugoid.discrepancy.discrimination.candidate_manoeuvres import CandidateManoeuvres, planned
 from phugoid.discrepancy.discrimination.manoeuvre_response import BatchSimulation, ManoeuvreResponse
-from phugoid.discrepancy.discrimination.manoeuvres import planned
 from phugoid.discrepancy.search.refit import Refit, refit
 
 TRUTH = {"k": 4.0, "d": 0.8, "b": 1.0}

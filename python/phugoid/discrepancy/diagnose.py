@@ -21,12 +21,11 @@ from ..validation.validate import shared
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
 from .candidates.library import candidates as library
-from .diagnosis_result import DiagnosisResult
 from .discrimination.advice import discrimination_advice
 from .misfit.misfit import misfit
 from .search.confirmation import Found
 from .search.evidence import is_physical
-from .search.finding import Finding, Scored
+from .search.finding import DiagnosisResult, Finding, Scored
 from .search.refit import Refit
 from .search.scan import NEARLY, Scan
 from .search.search import Search, SearchResult

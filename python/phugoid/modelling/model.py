@@ -16,10 +16,9 @@ from ..noise.kinds import PerOutput, noise_from_dict
 from ..noise.noise import KINDS, Gaussian, Noise, Sigma
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
-from .declared import Declared, check_units, read_names, source_line
+from .declared import Declared, State, check_units, read_names, source_line
 from .delayed import Delays, at_delays
 from .rebuilt import Key, changed, declare_parameter, equations_of
-from .state import State
 
 __all__ = ["Model"]
 

@@ -17,8 +17,7 @@ import numpy as np
 from ...data.experiment import Experiment
 from ..misfit.phrases import number
 from ..search.refit import Refit
-from .candidate_manoeuvres import GREATEST, CandidateManoeuvres
-from .manoeuvres import KINDS, Manoeuvre
+from .candidate_manoeuvres import GREATEST, KINDS, CandidateManoeuvres, Manoeuvre
 
 __all__ = ["TELLS", "Advice", "DiscriminatingManoeuvre", "advised", "discrimination_advice"]
 

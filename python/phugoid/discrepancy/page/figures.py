@@ -11,10 +11,9 @@ from ...errors import DataError, UnknownName, listing
 from ...figures.style import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, STYLE, WIDTH, labelled, plain
 from ...fit_result import FitResult
 from ...records import Record
-from ..diagnosis_result import DiagnosisResult
 from ..misfit.figure import misfit_figure
 from ..misfit.phrases import number
-from ..search.finding import ExtensionResult, Gain, Scored
+from ..search.finding import DiagnosisResult, ExtensionResult, Gain, Scored
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,7 +18,7 @@ from ..noise.noise import Gaussian, Noise
 from .collocated import collocated_for
 from .linearised import Linearised
 
-__all__ = ["Scores", "Tangents"]
+__all__ = ["Scores", "Tangents", "noise_values"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -158,6 +157,16 @@ class Tangents:
         return np.split(changes, ends, axis=1)
 
 
+def noise_values(fit: FitResult, experiment: str) -> dict[str, float]:
+    """Return the numbers of a fit's noise as they are in an experiment: ``sigma_<output>``, ..."""
+    found = {}
+    for name in fit.noise_parameters:
+        base, _, own = name.partition("[")
+        if not own or own[:-1] == experiment:
+            found[base] = fit.parameters[name].value
+    return found
+
+
 class Scores:
     """Scores of a linearised fit's rows, in units of its noise.
 
@@ -169,6 +178,7 @@ class Scores:
         self.linear = linear
         self._noise = linear.inner.noise
         self._scale = linear.scale()
+        self._numbers = [noise_values(linear.inner, e.name) for e in linear.experiments]
         self._joint: list[tuple[NDArray[np.intp], _Array]] = []  # rows (times, outputs) and their weights
         self._curvature = np.ones(linear.n_rows)
         noise = self._noise.noise if isinstance(self._noise, PerExperiment) else self._noise
@@ -200,35 +210,19 @@ class Scores:
             out[rows] = np.einsum("ij,tjk->tik", weight, columns[rows])
         return out
 
-    def _value(self, name: str, experiment: int) -> float:
-        """A number of the noise, as it is in an experiment."""
-        parameters = self.linear.inner.parameters
-        label = f"{name}[{self.linear.experiments[experiment].name}]"
-        return parameters[label if label in parameters else name].value
-
     def _jointly(self, noise: Gaussian) -> None:
         """The weights of correlated noise: inverses of its covariance, of those outputs that are measured."""
         linear = self.linear
         outputs = linear.model.output_names
         first = np.concatenate([np.full(r.stop - r.start, e) for line in linear.rows for e, r in enumerate(line)])
         for e in range(len(linear.experiments)):
-            covariance = self._covariance(noise, outputs, e)
+            covariance = noise.matrix(outputs, self._numbers[e])
             for which, at in linear.structure.together:
                 mine = at[first[at[:, 0]] == e]
                 sizes = self._scale[[linear.rows[i][e].start for i in which]] if mine.size else np.empty(0)
                 if mine.size:
                     inverse = np.linalg.inv(covariance[np.ix_(which, which)])
                     self._joint.append((mine, inverse * np.outer(sizes, sizes)))
-
-    def _covariance(self, noise: Gaussian, outputs: Sequence[str], experiment: int) -> _Array:
-        if noise.covariance is not None:
-            return noise.matrix(outputs)
-        sigmas = np.array([self._value(f"sigma_{name}", experiment) for name in outputs])
-        found = np.diag(sigmas**2)
-        for i, a in enumerate(outputs):
-            for j, b in enumerate(outputs[i + 1 :], i + 1):
-                found[i, j] = found[j, i] = self._value(f"corr_{a}_{b}", experiment) * sigmas[i] * sigmas[j]
-        return found
 
     def _each(self, noise: Noise) -> None:
         """Of independent noise, output by output."""
@@ -237,7 +231,7 @@ class Scores:
             kind = noise._of(name) if isinstance(noise, PerOutput) else noise
             known = noise.known_sigmas(linear.model.output_names)
             for e, rows in enumerate(linear.rows[i]):
-                sigma = known[name] if name in known else self._value(f"sigma_{name}", e)
+                sigma = known[name] if name in known else self._numbers[e][f"sigma_{name}"]
                 r, scale = linear.residuals[rows] / sigma, self._scale[rows] / sigma
                 psi, slope = self._influence(kind, name, e, r, sigma)
                 self.values[rows], self._curvature[rows] = scale * psi, scale**2 * slope
@@ -246,7 +240,7 @@ class Scores:
         """Minus the first and second derivative of the log-density by residuals in units of sigma."""
         if isinstance(kind, StudentT):
             known = kind._dof(output)
-            dof = self._value(f"dof_{output}", e) if known is None else known
+            dof = self._numbers[e][f"dof_{output}"] if known is None else known
             below = dof + r**2
             return (dof + 1) * r / below, (dof + 1) * (dof - r**2) / below**2
         if isinstance(kind, Huber):
@@ -262,7 +256,7 @@ class Scores:
         numbers: dict[str, Any] = {"sigma": sigma}
         for name, p in kind.parameters.items():
             fixed = float(getattr(p, "start", math.nan))
-            numbers[name] = self._value(f"{name}_{output}", e) if name in kind._free() else fixed
+            numbers[name] = self._numbers[e][f"{name}_{output}"] if name in kind._free() else fixed
         first = Expr(kind.log_density).diff("residual")
 
         def at(e: Expr) -> _Array:

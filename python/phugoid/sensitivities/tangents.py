@@ -18,7 +18,7 @@ from ..noise.noise import Gaussian, Noise
 from .collocated import collocated_for
 from .linearised import Linearised
 
-__all__ = ["Scores", "Tangents", "noise_values"]
+__all__ = ["Scores", "Tangents", "noise_values", "parameter_sensitivities"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -155,6 +155,34 @@ class Tangents:
         changes = (by_state @ states + by_variable @ self.moves).transpose(1, 0, 2)
         ends = np.cumsum([at.size for at in self.linear.sample_points])[:-1]
         return np.split(changes, ends, axis=1)
+
+
+def parameter_sensitivities(linear: Linearised) -> tuple[list[str], _Array]:
+    """Names of the free parameters (n) and J (rows, n): changes of the outputs by them, in units of the noise, less
+    what first states could make up for.
+
+    In a form that has an answer where the information is singular too:
+
+        J = (1 - Q Q') D P^+,    information = J' J,
+
+    with D (rows, k) changes of the outputs in units of the noise, P (n, k) the changes of the parameters that go with
+    them, and Q a basis of those changes that first states make alone.
+    """
+    columns, moves = linear.moves
+    names = [name for name, *_ in linear._problem.estimands]
+    free = np.flatnonzero([not (p.fixed or p.bounds_active) for p in (linear.fit.parameters[n] for n in names)])
+    slopes = np.array([slope for _, slope in linear._problem.values(linear._xi[: len(names)].tolist())])
+    by_parameter = (slopes[:, None] * moves[: len(names)])[free]  # of the parameter, not of its logarithm
+    size = np.linalg.norm(by_parameter, axis=1, keepdims=True)
+    size[size == 0.0] = 1.0
+    u, values, vt = np.linalg.svd(by_parameter / size)
+    rank = int((values > _NOTHING * values.max(initial=0.0)).sum())
+    alone = columns @ vt[rank:].T
+    basis, sizes, _ = np.linalg.svd(alone, full_matrices=False)
+    basis = basis[:, sizes > _NOTHING * sizes.max(initial=0.0)]
+    left = columns - basis @ (basis.T @ columns)
+    inverse = (vt[:rank].T / values[:rank]) @ u[:, :rank].T
+    return [names[i] for i in free], np.asarray(left @ inverse / size.ravel())
 
 
 def noise_values(fit: FitResult, experiment: str) -> dict[str, float]:

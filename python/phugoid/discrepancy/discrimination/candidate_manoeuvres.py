@@ -28,7 +28,7 @@ _Mask = NDArray[np.bool_]
 _NOTHING = 1e-12
 
 
-class Accommodation:
+class RivalAdjustment:
     """``moved`` (k, n_y, N): how the rival's outputs move with what is free in it, by units; ``tied`` (k,) is how
     firmly each is held to its estimate, in units too. ``present`` (n_y, N) tells which samples there are."""
 
@@ -205,11 +205,11 @@ class CandidateManoeuvres:
         room = max(int(_ROOM / (flown.units.size * y[0].size)), 1)
         some = some[np.argsort(-sizes[some], kind="stable")[:room]]
         moved = flown.tangents(self.inputs[some])
-        views: dict[int, Accommodation] = {}
+        views: dict[int, RivalAdjustment] = {}
         for i, m in zip(some.tolist(), moved, strict=True):
             found[i] = np.nan
             if np.isfinite(m[:, present[i]]).all():
-                view = Accommodation(present[i], channels, m, flown.tied)
+                view = RivalAdjustment(present[i], channels, m, flown.tied)
                 found[i] = view.gain(whitened[i], np.zeros(flown.units.size))
                 if found[i] >= _HOPELESS * least:
                     views[i] = view

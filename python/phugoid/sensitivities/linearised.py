@@ -303,16 +303,23 @@ class Linearised:
         ``parameters`` (k, n_theta) is how parameters took part.
         """
         outputs, moves = self.moves
-        unit = np.linalg.norm(moves, axis=1)
-        moves = moves[unit > 0] / unit[unit > 0, None]
-        u, values, vt = np.linalg.svd(moves)
-        rank = int((values > _NOTHING * values[:1]).sum())
-        basis, sizes, _ = np.linalg.svd(outputs @ vt[rank:].T, full_matrices=False)
-        basis = basis[:, sizes > _NOTHING * sizes[:1]]
-        if parameters.any():
-            part = (parameters[:, unit > 0] / unit[unit > 0]) @ u[:, :rank] / values[:rank]
-            columns = columns - part @ (outputs @ vt[:rank].T).T
+        inverse, basis = self.beside_states(moves)
+        columns = columns - parameters @ (outputs @ inverse).T
         return np.asarray(columns - (columns @ basis) @ basis.T)
+
+    def beside_states(self, moves: _Array) -> tuple[_Array, _Array]:
+        """What tangents with changes ``moves`` (n, k) of n parameters are of these, and of first states.
+
+        (k, n) combinations of tangents in the least way for a change of each parameter, and (n_rows, m) an orthonormal
+        basis of the outputs' changes, in units of the noise, that first states make alone.
+        """
+        size = np.linalg.norm(moves, axis=1, keepdims=True)
+        size[size == 0.0] = 1.0
+        u, values, vt = np.linalg.svd(moves / size)
+        rank = int((values > _NOTHING * values[:1]).sum())
+        basis, sizes, _ = np.linalg.svd(self.moves[0] @ vt[rank:].T, full_matrices=False)
+        inverse = (vt[:rank].T / values[:rank]) @ u[:, :rank].T
+        return np.asarray(inverse / size.ravel()), np.asarray(basis[:, sizes > _NOTHING * sizes[:1]])
 
     def _held(self) -> list[int]:
         """Variables that do not move: the noise's, and parameters fixed or at a bound."""

@@ -173,16 +173,8 @@ def parameter_sensitivities(linear: Linearised) -> tuple[list[str], _Array]:
     free = np.flatnonzero([not (p.fixed or p.bounds_active) for p in (linear.fit.parameters[n] for n in names)])
     slopes = np.array([slope for _, slope in linear._problem.values(linear._xi[: len(names)].tolist())])
     by_parameter = (slopes[:, None] * moves[: len(names)])[free]  # of the parameter, not of its logarithm
-    size = np.linalg.norm(by_parameter, axis=1, keepdims=True)
-    size[size == 0.0] = 1.0
-    u, values, vt = np.linalg.svd(by_parameter / size)
-    rank = int((values > _NOTHING * values.max(initial=0.0)).sum())
-    alone = columns @ vt[rank:].T
-    basis, sizes, _ = np.linalg.svd(alone, full_matrices=False)
-    basis = basis[:, sizes > _NOTHING * sizes.max(initial=0.0)]
-    left = columns - basis @ (basis.T @ columns)
-    inverse = (vt[:rank].T / values[:rank]) @ u[:, :rank].T
-    return [names[i] for i in free], np.asarray(left @ inverse / size.ravel())
+    inverse, basis = linear.beside_states(by_parameter)
+    return [names[i] for i in free], np.asarray((columns - basis @ (basis.T @ columns)) @ inverse)
 
 
 def noise_values(fit: FitResult, experiment: str) -> dict[str, float]:

@@ -19,7 +19,7 @@ from ..misfit.phrases import number, with_unit
 from ..search.refit import Refit
 from .manoeuvre_response import ManoeuvreResponse
 
-__all__ = ["GREATEST", "KINDS", "SLOW", "CandidateManoeuvres", "Manoeuvre", "planned"]
+__all__ = ["GREATEST", "KINDS", "SLOW", "CandidateManoeuvres", "Manoeuvre", "manoeuvres_of_size"]
 
 _Array = NDArray[np.float64]
 _Mask = NDArray[np.bool_]
@@ -121,7 +121,7 @@ class CandidateManoeuvres:
         if not listed:
             self.manoeuvres: list[Manoeuvre] = []
             return
-        y, x = self.cause.fly(self._inputs(listed))
+        y, x = self.cause.simulate(self._inputs(listed))
         ends = self._within(y, x)
         kept: dict[tuple[str, str, str, float], int] = {}
         for i, m in enumerate(listed):
@@ -144,7 +144,7 @@ class CandidateManoeuvres:
             if abs(farthest) <= 1e-9 * float(np.abs(data[0].input(name)).max()):
                 continue
             for size in _SIZES:
-                some = list(planned(name, model.units.get(name, ""), self.t, size * farthest))
+                some = list(manoeuvres_of_size(name, model.units.get(name, ""), self.t, size * farthest))
                 if size in _SMALL:
                     some = [m for m in some if m.kind in SLOW]
                 listed += some
@@ -189,10 +189,10 @@ class CandidateManoeuvres:
         The rival takes a few steps with the derivatives at its estimates towards the outputs of the cause: what then
         counts is the difference itself, less what another step would still take, to first order.
         """
-        flown = ManoeuvreResponse(rival, self.t, self.trim)
+        response = ManoeuvreResponse(rival, self.t, self.trim)
         found = np.zeros(len(self.manoeuvres))
-        late = np.vstack([self.cause.late, flown.late])
-        y, _ = flown.fly(self.inputs)
+        late = np.vstack([self.cause.late, response.late])
+        y, _ = response.simulate(self.inputs)
         present = [self._present(i, late) for i in range(found.size)]
         # Where the difference is small as it stands, nothing has to follow.
         channels = self.final.own.filter
@@ -202,24 +202,24 @@ class CandidateManoeuvres:
         some = np.flatnonzero(sizes >= least)
         if not some.size:
             return found
-        room = max(int(_ROOM / (flown.units.size * y[0].size)), 1)
+        room = max(int(_ROOM / (response.units.size * y[0].size)), 1)
         some = some[np.argsort(-sizes[some], kind="stable")[:room]]
-        moved = flown.tangents(self.inputs[some])
+        moved = response.tangents(self.inputs[some])
         views: dict[int, RivalAdjustment] = {}
         for i, m in zip(some.tolist(), moved, strict=True):
             found[i] = np.nan
             if np.isfinite(m[:, present[i]]).all():
-                view = RivalAdjustment(present[i], channels, m, flown.tied)
-                found[i] = view.gain(whitened[i], np.zeros(flown.units.size))
+                view = RivalAdjustment(present[i], channels, m, response.tied)
+                found[i] = view.gain(whitened[i], np.zeros(response.units.size))
                 if found[i] >= _HOPELESS * least:
                     views[i] = view
-        at = {i: np.zeros(flown.units.size) for i in views}
+        at = {i: np.zeros(response.units.size) for i in views}
         errors = {i: whitened[i] for i in views}
         for _ in range(_ROUNDS):
             if not views:
                 break
             tries = [(i, at[i] + part * view.step(errors[i], at[i])) for i, view in views.items() for part in _PARTS]
-            y, _ = flown.fly(self.inputs, np.array([to for _, to in tries]), np.array([i for i, _ in tries]))
+            y, _ = response.simulate(self.inputs, np.array([to for _, to in tries]), np.array([i for i, _ in tries]))
             for (i, to), outputs in zip(tries, y, strict=True):
                 e = views[i].whitened(self.y[i] - outputs)
                 if np.isfinite(e).all() and views[i].cost(e, to) < views[i].cost(errors[i], at[i]):
@@ -307,7 +307,7 @@ class Manoeuvre:
         return f"{self.kind} on {self.input} of {sign}{with_unit(size, self.unit)}{self.pace}"
 
 
-def planned(name: str, unit: str, t: _Array, size: float) -> Iterator[Manoeuvre]:
+def manoeuvres_of_size(name: str, unit: str, t: _Array, size: float) -> Iterator[Manoeuvre]:
     """Manoeuvres of one size, (N,) equally spaced times ``t`` (s) long."""
     n, step = t.size, float(t[1] - t[0])
     lead = max(int(_LEAD * n), 1)

@@ -183,13 +183,13 @@ def test_many_runs_keep_what_is_done(here: Path, call: str, count: str) -> None:
 def test_a_diagnosis_tells_what_is_known(here: Path) -> None:
     script = """
     from phugoid.discrepancy import diagnose as module
-    from phugoid.discrepancy.search import trials
+    from phugoid.discrepancy.search import refit_cache
     fit = ph.estimate(model, data)
-    real = trials.Scan
+    real = refit_cache.Scan
     def scan(*rest):
         press()
         return real(*rest)
-    trials.Scan = scan
+    refit_cache.Scan = scan
     look = module.misfit
     def misfit(fit):
         press()

@@ -9,6 +9,8 @@ import pytest
 from scipy.signal import lfilter
 
 import phugoid as ph
+from phugoid.discrepancy.search.refit import Refit
+from phugoid.discrepancy.search.refit_cache import RefitCache
 from phugoid.discrepancy.search.ringing import light_modes, ringing_of
 from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities.linearised import Linearised
@@ -100,7 +102,7 @@ def test_sensor_noise_is_nothing(noise: str, seed: int) -> None:
 def test_nothing_is_named_where_the_mass_is_shaken(seed: int) -> None:
     """A mode that is shaken looks like a tone for as long as it remembers, and that is half of the record here."""
     d = diagnosed(0.0, "shaken", seed)
-    assert d._search.ringing(d._search.base) is not None
+    assert RefitCache(Refit((), d.fit), ()).ringing(Refit((), d.fit)) is not None
     assert all(f.status == "unexplained" for f in d.findings), d
 
 

@@ -35,8 +35,8 @@ from .linear.state_space import StateSpace
 from .linear.subspace import subspace
 from .linear.trim import trim
 from .match import match
+from .modelling.declared import State
 from .modelling.model import Model
-from .modelling.state import State
 from .multistart.multistart import multistart
 from .noise.densities import Density, Huber, Laplace, StudentT
 from .noise.kinds import PerExperiment, PerOutput

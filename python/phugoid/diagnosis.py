@@ -6,12 +6,11 @@ import os
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from .discrepancy.diagnosis_result import DiagnosisResult
 from .discrepancy.page.figures import diagnosis_figures
 from .discrepancy.page.page import report
 from .discrepancy.page.words import diagnosis_summary
 from .discrepancy.saved import save_diagnosis
-from .discrepancy.search.finding import ExtensionResult
+from .discrepancy.search.finding import DiagnosisResult, ExtensionResult
 from .result import Fit
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from .figures.parameters import plot_parameters
 from .fit_result import FitResult
 from .match import Match, match
 from .pages.mathml import equation
-from .pages.page import Picture, Table, picture, render, sources
+from .pages.page import PageTable, Picture, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .summary import corrected
 from .uncertainty.correlation import correlation
@@ -203,18 +203,18 @@ def _parameters(fit: FitResult) -> dict[str, Any]:
     return {
         "own": _estimates("parameter", own, coloured),
         "noise": _estimates("noise", of_noise, coloured),
-        "initial": Table(heads, first, "llrlrl"),
+        "initial": PageTable(heads, first, "llrlrl"),
         "intervals": intervals,
         "correlation": correlation,
     }
 
 
-def _estimates(head: str, estimates: list[Estimate], coloured: Estimates | None) -> Table:
+def _estimates(head: str, estimates: list[Estimate], coloured: Estimates | None) -> PageTable:
     rows = []
     for e in estimates:
         error = coloured[e.name].std_error if coloured else math.nan
         rows.append([e.name, *_cells(e)[:3], f"{error:.2g}" if math.isfinite(error) else "", *_cells(e)[3:]])
-    return Table([head, "estimate ± std error", "unit", "in %", "coloured", ""], rows, "lrlrrl")
+    return PageTable([head, "estimate ± std error", "unit", "in %", "coloured", ""], rows, "lrlrrl")
 
 
 def _cells(e: Estimate) -> list[str]:
@@ -230,7 +230,7 @@ def _percent(relative: float) -> str:
     return f"{relative:.3g}" if relative < 999.5 else "> 1000"
 
 
-def _match(fit: FitResult, filtered: bool) -> Table:
+def _match(fit: FitResult, filtered: bool) -> PageTable:
     rows = []
     for name in fit.model.output_names:
         m = match(fit.records, name)
@@ -241,7 +241,7 @@ def _match(fit: FitResult, filtered: bool) -> Table:
         ]
         rows.append([name, m.unit, *numbers, str(m.samples)])
     heads = ["output", "unit", "RMS innovation" if filtered else "RMS residual", "R²", "Theil's U", "lag-1", "samples"]
-    return Table(heads, rows, "llrrrrr")
+    return PageTable(heads, rows, "llrrrrr")
 
 
 def _residuals(fit: FitResult) -> list[tuple[str, Picture]]:
@@ -268,7 +268,7 @@ def _validation(v: Validation) -> dict[str, Any]:
     heads = ["output", "unit", "RMS", "σ of fit", "Theil's U", "bias/var/cov, %", "lag-1", "tolerance", "inside, %"]
     return {
         "text": text,
-        "table": Table([*heads, "samples"], rows, "llrrrrrrrr"),
+        "table": PageTable([*heads, "samples"], rows, "llrrrrrrrr"),
         "said": [*v.warnings, *v.in_words()],
         "pictures": [(r.name, picture(plot.plot_validation(v, i)[0])) for i, r in enumerate(v.records[:_FIGURES])],
         "tolerances": v.tolerances,
@@ -317,4 +317,4 @@ def _solver(fit: FitResult) -> dict[str, Any]:
         for x in fit.history
     ]
     heads = ["iteration", "log-likelihood", "largest defect", "distance", "step", "trials"]
-    return {"picture": picture(plot_convergence(fit)[0]), "table": Table(heads, rows, "rrrrrr")}
+    return {"picture": picture(plot_convergence(fit)[0]), "table": PageTable(heads, rows, "rrrrrr")}

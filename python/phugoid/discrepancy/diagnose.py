@@ -21,13 +21,14 @@ from ..validation.validate import shared
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
 from .candidates.library import candidates as library
-from .diagnosis_result import DiagnosisResult
 from .discrimination.advice import discrimination_advice
 from .misfit.misfit import misfit
-from .search.finding import Finding, Scored
+from .search.confirmation import Found
+from .search.evidence import is_physical
+from .search.finding import DiagnosisResult, Finding, Scored
 from .search.refit import Refit
 from .search.scan import NEARLY, Scan
-from .search.search import MOST, Found, Search, is_physical
+from .search.search import Search, SearchResult
 
 __all__ = ["diagnose"]
 
@@ -41,7 +42,7 @@ _AGAIN = (
 )
 
 
-def finding_of(search: Search, final: Refit, found: Found) -> Finding:
+def finding_of(final: Refit, found: Found) -> Finding:
     """What a search found, as it is told: with the estimate in the final model, and how to tell it from its aliases."""
     aliases = tuple(found.rivals)[:_ALIASES]
     if found.candidate is None:
@@ -106,18 +107,18 @@ def advice_of(search: Search, final: Refit, candidate: Candidate | None, aliases
 
 def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequence[str]) -> str:
     others = [c for c in final.candidates if c is not candidate]
-    named = {c.name: c for c in reversed(search.candidates)}
-    refits = [search.refit([*others, named[name]], final.fit) for name in aliases]
+    named = {c.name: c for c in reversed(search.cache.candidates)}
+    refits = [search.cache.refit([*others, named[name]], final.fit) for name in aliases]
     rivals = [r for r in refits if r is not None]
     if not rivals:
         return ""
-    search.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")
+    search.cache.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")
     return discrimination_advice(final, rivals)
 
 
 def ranking_of(search: Search, scan: Scan) -> list[Scored]:
     """All candidates, each at its best shape."""
-    through = {"base": search.base.own.filter, "clean": scan.clean(), "white": scan.white.filter}
+    through = {"base": search.cache.base.own.filter, "clean": scan.clean(), "white": scan.white.filter}
     values = {which: scan.through(filter) for which, filter in through.items()}
     best: dict[str, int] = {}
     for i in np.argsort(-values["clean"].values):
@@ -131,7 +132,7 @@ def ranking_of(search: Search, scan: Scan) -> list[Scored]:
         estimate = {**dict(zip(candidate.coefficients, amplitude, strict=False)), **shape}
         base, clean, white = (float(v.values[i]) for v in values.values())
         found.append(Scored(name, candidate.explanation, estimate, base, clean, white, distinct, remark))
-    by_name = {c.name: c for c in search.candidates}
+    by_name = {c.name: c for c in search.cache.candidates}
     for name in scan.lost:
         remark = "cannot be told from the parameters already there"
         found.append(Scored(name, by_name[name].explanation, {}, 0.0, 0.0, 0.0, 0.0, remark))
@@ -193,15 +194,18 @@ def diagnose(
             watch(text)
 
         search = Search(base, listed, others, step, free)
-        final, found = base, list[Found]()
+        result = SearchResult(base)
         with deadline.in_force():
             # Now, while what the search needs next is at hand.
             ranking, interrupted = _ranked(search, base)
             if not interrupted:
-                final, found, interrupted = search.run()
+                result = search.run()
+                interrupted = result.interrupted
         ended = deadline.ended() if interrupted else ""
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
-            findings = [finding_of(search, final, f) for f in found]
+            final, found = result.final, result.found
+            findings = [finding_of(final, f) for f in found]
+            extension = search.extension(final, known=interrupted)
             interrupted = interrupted or pressed() > 0
         ended = ended or ("interrupted" if interrupted else "")
         if not interrupted:
@@ -213,27 +217,26 @@ def diagnose(
         elif not ranking and not deadline.passed():
             ranking, _ = _ranked(search, base)
     with interrupts():
-        scan = search.scan(base) if ranking or not ended else None
-        notes = (*_notes(scan, final, listed, others, free, ended), *search.remarks)
+        scan = search.cache.scan(base) if ranking or not ended else None
+        notes = (*_notes(scan, final, listed, others, free, ended, search.settings.most), *result.remarks)
         return DiagnosisResult(
             fit=fit,
             misfit=misfit(fit),
             findings=tuple(findings),
             ranking=ranking,
-            threshold=search.threshold(),
+            threshold=search.assessment.threshold(),
             notes=notes,
             interrupted=interrupted,
             seconds=time.perf_counter() - started,
-            _search=search,
-            _final=final,
+            _extension=extension,
         )
 
 
 def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:
     """The first scan, and whether it was interrupted: then there is none."""
     try:
-        search.try_validation()
-        return tuple(ranking_of(search, search.scan(base))), False
+        search.cache.try_validation()
+        return tuple(ranking_of(search, search.cache.scan(base))), False
     except KeyboardInterrupt:
         return (), True
 
@@ -361,6 +364,7 @@ def _notes(
     others: Sequence[Experiment],
     free: Sequence[str] | None,
     ended: str,
+    most: int,
 ) -> tuple[str, ...]:
     if scan is None:
         return (f"{_EARLY[ended]} before the {len(listed)} candidates were scanned: only the misfit is told.",)
@@ -374,8 +378,8 @@ def _notes(
         notes.append(f"Gains were measured on {', '.join(e.name for e in others)}, with first states and {what} free.")
     else:
         notes.append("Gains were measured on a quarter of the record at a time, predicted from the others.")
-    if len(final.candidates) >= MOST:
-        notes.append(f"The search ends after {MOST} findings: diagnose the extended fit for what is left.")
+    if len(final.candidates) >= most:
+        notes.append(f"The search ends after {most} findings: diagnose the extended fit for what is left.")
     if ended:
         notes.append(f"{_EARLY[ended]}: what it had found until then is here.")
     return tuple(notes)

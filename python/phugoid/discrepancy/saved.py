@@ -10,9 +10,8 @@ from typing import Any, TypeVar
 from ..errors import DataError
 from ..saving import json_file as io
 from ..saving.fit_file import damage, fit_from, fit_payload, fit_unit
-from .diagnosis_result import DiagnosisResult
 from .misfit.misfit import misfit
-from .search.finding import ExtensionResult, Finding, Gain, Scored
+from .search.finding import DiagnosisResult, ExtensionResult, Finding, Gain, Scored
 
 __all__ = ["load_diagnosis", "save_diagnosis"]
 
@@ -69,7 +68,7 @@ def load_diagnosis(path: str | os.PathLike[str]) -> DiagnosisResult:
             notes=_texts(saved["notes"]),
             interrupted=bool(saved["interrupted"]),
             seconds=io.to_float(saved["seconds"]),
-            _saved=extension,
+            _extension=extension,
         )
 
 

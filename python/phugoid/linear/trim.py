@@ -108,7 +108,7 @@ def trim(
     """
     model, values = numbers_of("trim", fit, parameters, experiment)
     begin = _start(model, fit if isinstance(fit, FitResult) else None, experiment, dict(start or {}))
-    problem = _Problem(model, values, dict(at or {}), dict(rates or {}), dict(outputs or {}))
+    problem = _TrimEquations(model, values, dict(at or {}), dict(rates or {}), dict(outputs or {}))
     if isinstance(fit, FitResult) and experiment is None and parameters is None and len(fit.records) > 1:
         own = [n for n in sorted(problem.used) if f"{n}[{fit.records[0].name}]" in fit.parameters]
         if own:
@@ -118,7 +118,7 @@ def trim(
     return problem.solve(np.array([begin[n] for n in problem.unknown]), _bounds(problem.unknown, dict(bounds or {})))
 
 
-class _Problem:
+class _TrimEquations:
     """Equations and unknowns. Late inputs are what the inputs are: nothing moves."""
 
     def __init__(

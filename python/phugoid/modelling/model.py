@@ -12,14 +12,13 @@ from typing import Any
 from .. import _core
 from .._core import Expr
 from ..errors import DataError, ModelError, did_you_mean, listing, refuse_attribute
-from ..noise.kinds import PerOutput, noise_from_dict
-from ..noise.noise import KINDS, Gaussian, Noise, Sigma
+from ..noise.kinds import noise_from_dict, stated_noise
+from ..noise.noise import Gaussian, Noise, Sigma
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
-from .declared import Declared, check_units, read_names, source_line
+from .declared import Declared, State, check_units, read_names, source_line
 from .delayed import Delays, at_delays
-from .rebuilt import Key, changed, declare_parameter, equations_of
-from .state import State
+from .rebuilt import Key, added_parameters, changed, changed_parameters, declare_parameter, equations_of
 
 __all__ = ["Model"]
 
@@ -184,24 +183,7 @@ class Model:
         """States what is known of the noise: ``noise(alpha=0.002)`` for a known standard deviation of an output,
         ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, ``noise(az=StudentT())`` for the
         density of an output, or a whole noise model, ``noise(Gaussian(correlated=True))``."""
-        if (args and sigma) or len(args) > 1:
-            raise ModelError("noise: give a noise model or standard deviations by output, not both")
-        if args and not isinstance(args[0], Noise):
-            raise ModelError(f"noise: a noise model is {KINDS}, not {args[0]!r}; name outputs, as in noise(q=0.01)")
-        if args:
-            self._noise = args[0]
-            return
-        before = self._noise
-        densities = dict(before.outputs) if isinstance(before, PerOutput) else {}
-        densities |= {name: noise for name, noise in sigma.items() if isinstance(noise, Noise)}
-        scales = {name: s for name, s in sigma.items() if not isinstance(s, Noise)}
-        joint = isinstance(before, Gaussian) and (before.correlated or before.covariance is not None)
-        if joint or not isinstance(before, (Gaussian, PerOutput)):
-            raise ModelError(
-                f"noise: the model has {before.kind} noise for all outputs; give the whole noise model anew, with sigma"
-            )
-        scales = {**before.sigma, **scales}
-        self._noise = PerOutput(densities, scales) if densities else Gaussian(scales)
+        self._noise = stated_noise(self._noise, args, sigma)
 
     @property
     def noise_model(self) -> Noise:
@@ -352,15 +334,8 @@ class Model:
         >>> m.with_parameters(T=2.0).declared_parameters["T"].bounds
         (0.1, 10.0)
         """
-        declared, found = self.declared_parameters, {}
-        for name, value in {**(changes or {}), **parameters}.items():
-            if name not in declared:
-                raise ModelError(f"with_parameters: '{name}' is no parameter.{listing(str(name), list(declared))}")
-            try:
-                found[name] = value if isinstance(value, Parameter) else replace(declared[name], start=value)
-            except (ModelError, TypeError) as error:
-                raise ModelError(f"with_parameters: '{name}': {error}") from None
-        return self._changed(parameters=found)
+        changes = {**(changes or {}), **parameters}
+        return self._changed(parameters=changed_parameters(self.declared_parameters, changes))
 
     def with_terms(self, terms: Mapping[str, Any], parameters: Mapping[str, Parameter | float] | None = None) -> Model:
         """Return a model with terms added to its equations; this one stays as it is.
@@ -383,7 +358,7 @@ class Model:
         keys = {name: ("quantity", name) for name in self.quantity_names}
         keys |= {f"{name}'": ("equation", name) for name, *_ in self._core.dynamics}
         keys |= {f"y:{name}": ("output", name) for name in self.output_names}
-        old, equations, declared = self.equations, {}, {}
+        old, equations = self.equations, {}
         for name, term in terms.items():
             if name not in keys:
                 raise ModelError(f"with_terms: '{name}' is no equation.{listing(str(name), list(keys))}")
@@ -391,14 +366,8 @@ class Model:
                 equations[keys[name]] = Expr(old[name] + Expr(term))
             except TypeError as error:
                 raise ModelError(f"with_terms: the term of '{name}': {error}") from None
-        for name, value in (parameters or {}).items():
-            if name in self.parameter_names:
-                raise ModelError(f"with_terms: the model has a parameter '{name}' already: give another name")
-            try:
-                declared[name] = value if isinstance(value, Parameter) else Parameter(value)
-            except (ModelError, TypeError) as error:
-                raise ModelError(f"with_terms: '{name}': {error}") from None
-        return self._changed(parameters=declared, equations=equations)
+        new = added_parameters(self.declared_parameters, parameters or {})
+        return self._changed(parameters=new, equations=equations)
 
     def with_noise(self, *args: Noise, **sigma: float | Sigma | Noise) -> Model:
         """Return a model with other noise, stated as by `noise`; this one stays as it is."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from .. import _core
 from .._core import Expr
+from ..errors import ModelError, listing
 from ..parameters import Parameter
 
-__all__ = ["Key", "changed", "declare_parameter", "equations_of", "rebuilt"]
+__all__ = ["Key", "added_parameters", "changed", "changed_parameters", "declare_parameter", "equations_of", "rebuilt"]
 
 Key = tuple[str, str]
 
@@ -28,6 +30,36 @@ def declare_parameter(core: _core.Model, name: str, p: Parameter) -> Expr:
     """Declare a parameter in a core model."""
     log = p.transform == "log"
     return core.parameter(name, p.unit, p.start, *p.bounds, p.prior, p.fixed, p.per_experiment, log, p.scale)
+
+
+def changed_parameters(
+    declared: Mapping[str, Parameter], changes: Mapping[str, Parameter | float]
+) -> dict[str, Parameter]:
+    """What `Model.with_parameters` declares in place of what it had; raises as that does."""
+    found = {}
+    for name, value in changes.items():
+        if name not in declared:
+            raise ModelError(f"with_parameters: '{name}' is no parameter.{listing(str(name), list(declared))}")
+        try:
+            found[name] = value if isinstance(value, Parameter) else replace(declared[name], start=value)
+        except (ModelError, TypeError) as error:
+            raise ModelError(f"with_parameters: '{name}': {error}") from None
+    return found
+
+
+def added_parameters(
+    declared: Mapping[str, Parameter], parameters: Mapping[str, Parameter | float]
+) -> dict[str, Parameter]:
+    """What `Model.with_terms` declares beside what it had; raises as that does."""
+    found = {}
+    for name, value in parameters.items():
+        if name in declared:
+            raise ModelError(f"with_terms: the model has a parameter '{name}' already: give another name")
+        try:
+            found[name] = value if isinstance(value, Parameter) else Parameter(value)
+        except (ModelError, TypeError) as error:
+            raise ModelError(f"with_terms: '{name}': {error}") from None
+    return found
 
 
 def rebuilt(

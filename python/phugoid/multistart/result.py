@@ -15,8 +15,7 @@ from ..parameters import text_table
 from ..result import Fit
 from ..starts.outcome import Outcome, Problem
 from ..summary import _duration
-from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, same
-from .waterfall import plot_waterfall
+from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, plot_waterfall, same
 
 if TYPE_CHECKING:
     import pandas

@@ -10,9 +10,9 @@ from .. import _core
 from ..errors import ModelError, did_you_mean
 from ..parameters import Parameter
 from .densities import Density, Huber, Laplace, StudentT
-from .noise import Gaussian, Noise, Sigma, saved_sigma
+from .noise import KINDS, Gaussian, Noise, Sigma, saved_sigma
 
-__all__ = ["PerExperiment", "PerOutput", "noise_from_dict"]
+__all__ = ["PerExperiment", "PerOutput", "noise_from_dict", "stated_noise"]
 
 
 @dataclass(frozen=True, init=False)
@@ -112,6 +112,26 @@ class PerExperiment(Noise):
     def to_dict(self) -> dict[str, Any]:
         """As JSON takes it."""
         return {"kind": self.kind, "noise": self.noise.to_dict()}
+
+
+def stated_noise(before: Noise, args: Sequence[Noise], sigma: Mapping[str, float | Sigma | Noise]) -> Noise:
+    """Return the noise of a model that had ``before``, for what `Model.noise` is given."""
+    if (args and sigma) or len(args) > 1:
+        raise ModelError("noise: give a noise model or standard deviations by output, not both")
+    if args and not isinstance(args[0], Noise):
+        raise ModelError(f"noise: a noise model is {KINDS}, not {args[0]!r}; name outputs, as in noise(q=0.01)")
+    if args:
+        return args[0]
+    densities = dict(before.outputs) if isinstance(before, PerOutput) else {}
+    densities |= {name: noise for name, noise in sigma.items() if isinstance(noise, Noise)}
+    scales = {name: s for name, s in sigma.items() if not isinstance(s, Noise)}
+    joint = isinstance(before, Gaussian) and (before.correlated or before.covariance is not None)
+    if joint or not isinstance(before, (Gaussian, PerOutput)):
+        raise ModelError(
+            f"noise: the model has {before.kind} noise for all outputs; give the whole noise model anew, with sigma"
+        )
+    scales = {**before.sigma, **scales}
+    return PerOutput(densities, scales) if densities else Gaussian(scales)
 
 
 def noise_from_dict(saved: Mapping[str, Any]) -> Noise:

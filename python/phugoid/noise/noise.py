@@ -215,9 +215,19 @@ class Gaussian(Noise):
         """Nothing beside the scale."""
         return ("gaussian", [], None, [])
 
-    def matrix(self, outputs: Sequence[str]) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """The known covariance, (n_y, n_y) in the order of the outputs. Raises ModelError where it does not fit."""
+    def matrix(
+        self, outputs: Sequence[str], values: Mapping[str, float] | None = None
+    ) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """The covariance, (n_y, n_y) in the order of the outputs: the known one, or that of correlated noise with
+        ``values`` of its parameters. Raises ModelError where it does not fit."""
         n = len(outputs)
+        if self.covariance is None and values is not None:
+            sigmas = np.array([values[f"sigma_{name}"] for name in outputs])
+            found = np.diag(sigmas**2)
+            for i, a in enumerate(outputs):
+                for j, b in enumerate(outputs[i + 1 :], i + 1):
+                    found[i, j] = found[j, i] = values[f"corr_{a}_{b}"] * sigmas[i] * sigmas[j]
+            return found
         if not isinstance(self.covariance, Mapping):
             matrix = np.array(self.covariance, dtype=np.float64)
             if matrix.shape != (n, n):

@@ -21,7 +21,7 @@ from ..records import Record
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Picture", "Table", "picture", "render", "sources"]
+__all__ = ["PageTable", "Picture", "picture", "render", "sources"]
 
 _DPI = 200  # sharp on a page of paper, and on a phone held close
 _COLOURS = 128  # a palette of so many shades takes a third of the bytes, and looks the same
@@ -41,7 +41,7 @@ def render(template: str, **names: Any) -> str:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """A table of texts; ``align`` holds l or r for each column, t for one of sentences."""
 
     heads: Sequence[str]
@@ -104,7 +104,7 @@ def sources(
     versions = f"phugoid {_core.__version__}, Python {platform.python_version()}, numpy {numpy.__version__}, "
     versions += f"scipy {scipy.__version__}, matplotlib {matplotlib.__version__}"
     return {
-        "records": Table(["experiment", "samples", "time", "missing values", "inputs", "outputs"], rows, "lrrrlt"),
+        "records": PageTable(["experiment", "samples", "time", "missing values", "inputs", "outputs"], rows, "lrrrlt"),
         "steps": [f"{e.name}: {'; '.join(e.history)}" for e in experiments if e.history],
         "facts": {**known, "versions": versions, "written": datetime.date.today().isoformat()},
         "files": [_file(Path(path)) for path in files],

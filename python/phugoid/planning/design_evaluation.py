@@ -15,7 +15,8 @@ from ..modelling.model import Model
 from ..noise.noise import Gaussian
 from ..parameters import Estimate, Estimates
 from ..records import Record
-from ..sensitivities.linearised import Linearised, parameter_sensitivities
+from ..sensitivities.linearised import Linearised
+from ..sensitivities.tangents import parameter_sensitivities
 from ..transcription.collocation import Collocation
 from .plan import Criterion, Excursion, Information, Plan, Plans
 from .predicted_record import predicted

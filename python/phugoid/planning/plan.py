@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Criterion", "Excursion", "Information", "Plan", "Plans", "WeakDirection", "criterion_of"]
+__all__ = ["Criterion", "Excursion", "Information", "ParameterDirection", "Plan", "Plans", "criterion_of"]
 
 _Array = NDArray[np.float64]
 Criterion: TypeAlias = Literal["D", "A", "worst"]
@@ -88,7 +88,7 @@ class Plan:
     warnings: tuple[str, ...] = ()
 
     @property
-    def weak(self) -> tuple[WeakDirection, ...]:
+    def weak(self) -> tuple[ParameterDirection, ...]:
         """The three combinations of parameters that are told least, worst first."""
         return self.information.weak(np.where(np.isfinite(self.sizes), self.sizes, 1.0))
 
@@ -247,7 +247,7 @@ _PART = 0.1
 
 
 @dataclass(frozen=True)
-class WeakDirection:
+class ParameterDirection:
     """A combination of parameters.
 
     parts      name -> share of the unit vector, each parameter in units of its size; those above 0.1.
@@ -303,7 +303,7 @@ class Information:
         """(n, n), NaN for what is not told."""
         return correlation_matrix(self.covariance)
 
-    def weak(self, sizes: _Array, n: int = 3) -> tuple[WeakDirection, ...]:
+    def weak(self, sizes: _Array, n: int = 3) -> tuple[ParameterDirection, ...]:
         """The directions that are told least, worst first, parameters in units of ``sizes`` (n,)."""
         values, vectors = np.linalg.eigh(self.matrix * np.outer(sizes, sizes))
         scale, eigen, own = self._directions
@@ -315,10 +315,10 @@ class Information:
             found.append(self._named(vector, float(1.0 / np.sqrt(value)) if value > 0.0 else np.inf))
         return tuple(found[:n])
 
-    def _named(self, vector: _Array, error: float) -> WeakDirection:
+    def _named(self, vector: _Array, error: float) -> ParameterDirection:
         order = np.argsort(-np.abs(vector))
         vector = vector * np.sign(vector[order[0]])
-        return WeakDirection({self.names[i]: float(vector[i]) for i in order if abs(vector[i]) > _PART}, error)
+        return ParameterDirection({self.names[i]: float(vector[i]) for i in order if abs(vector[i]) > _PART}, error)
 
     def log_determinant(self) -> float:
         """Natural logarithm of the determinant; -inf where it is singular."""

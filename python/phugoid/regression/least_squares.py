@@ -69,7 +69,7 @@ def regress(
     equations explain. Undetermined directions stay at ``start``.
     """
     counts = np.maximum(sum(mask.sum(axis=1) for mask in masks), 1)
-    problem = _Problem(rows, priors, bounds, linear)
+    problem = _WeightedLeastSquares(rows, priors, bounds, linear)
     theta, sigmas, settled = start, scales, False
     for _ in range(_PASSES):
         theta, success = problem.solve(theta, 1.0 / sigmas)
@@ -81,7 +81,7 @@ def regress(
     return problem.judge(theta, sigmas, masks, settled)
 
 
-class _Problem:
+class _WeightedLeastSquares:
     def __init__(
         self,
         rows: Callable[[_Array], list[_Rows]],

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Autoregression", "Memory", "burg"]
+__all__ = ["Autoregression", "CorrelatedNoise", "burg"]
 
 _Array = NDArray[np.float64]
 
@@ -172,7 +172,7 @@ def _product(a: _Array, b: _Array) -> float:
     return float(a @ b) if a.ndim == 1 else float(np.einsum("ij,ij->", a, b))
 
 
-class Memory:
+class CorrelatedNoise:
     """Residuals of size 1 with an autocorrelation: how far their weighted sums scatter.
 
     rho  (L,) autocorrelation, from lag 0, for as many lags as the longest grid has places.

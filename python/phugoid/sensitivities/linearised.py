@@ -24,7 +24,7 @@ from .collocated import dataset
 from .derivatives import Derivatives
 from .trajectory import AddedTerm, Place, Points
 
-__all__ = ["Linearised", "parameter_sensitivities"]
+__all__ = ["Linearised"]
 
 _Array = NDArray[np.float64]
 _Indices = NDArray[np.intp]
@@ -303,16 +303,23 @@ class Linearised:
         ``parameters`` (k, n_theta) is how parameters took part.
         """
         outputs, moves = self.moves
-        unit = np.linalg.norm(moves, axis=1)
-        moves = moves[unit > 0] / unit[unit > 0, None]
-        u, values, vt = np.linalg.svd(moves)
-        rank = int((values > _NOTHING * values[:1]).sum())
-        basis, sizes, _ = np.linalg.svd(outputs @ vt[rank:].T, full_matrices=False)
-        basis = basis[:, sizes > _NOTHING * sizes[:1]]
-        if parameters.any():
-            part = (parameters[:, unit > 0] / unit[unit > 0]) @ u[:, :rank] / values[:rank]
-            columns = columns - part @ (outputs @ vt[:rank].T).T
+        inverse, basis = self.beside_states(moves)
+        columns = columns - parameters @ (outputs @ inverse).T
         return np.asarray(columns - (columns @ basis) @ basis.T)
+
+    def beside_states(self, moves: _Array) -> tuple[_Array, _Array]:
+        """What tangents with changes ``moves`` (n, k) of n parameters are of these, and of first states.
+
+        (k, n) combinations of tangents in the least way for a change of each parameter, and (n_rows, m) an orthonormal
+        basis of the outputs' changes, in units of the noise, that first states make alone.
+        """
+        size = np.linalg.norm(moves, axis=1, keepdims=True)
+        size[size == 0.0] = 1.0
+        u, values, vt = np.linalg.svd(moves / size)
+        rank = int((values > _NOTHING * values[:1]).sum())
+        basis, sizes, _ = np.linalg.svd(self.moves[0] @ vt[rank:].T, full_matrices=False)
+        inverse = (vt[:rank].T / values[:rank]) @ u[:, :rank].T
+        return np.asarray(inverse / size.ravel()), np.asarray(basis[:, sizes > _NOTHING * sizes[:1]])
 
     def _held(self) -> list[int]:
         """Variables that do not move: the noise's, and parameters fixed or at a bound."""
@@ -389,31 +396,3 @@ def _signals(candidate: AddedTerm, shape: Mapping[str, float], points: Points) -
     """Return the signals of a candidate along the path, (k, points), within the limit in force."""
     check_time()
     return candidate.signals(points, shape)
-
-
-def parameter_sensitivities(linear: Linearised) -> tuple[list[str], _Array]:
-    """Names of the free parameters (n) and J (rows, n): changes of the outputs by them, in units of the noise, less
-    what first states could make up for.
-
-    In a form that has an answer where the information is singular too:
-
-        J = (1 - Q Q') D P^+,    information = J' J,
-
-    with D (rows, k) changes of the outputs in units of the noise, P (n, k) the changes of the parameters that go with
-    them, and Q a basis of those changes that first states make alone.
-    """
-    columns, moves = linear.moves
-    names = [name for name, *_ in linear._problem.estimands]
-    free = np.flatnonzero([not (p.fixed or p.bounds_active) for p in (linear.fit.parameters[n] for n in names)])
-    slopes = np.array([slope for _, slope in linear._problem.values(linear._xi[: len(names)].tolist())])
-    by_parameter = (slopes[:, None] * moves[: len(names)])[free]  # of the parameter, not of its logarithm
-    size = np.linalg.norm(by_parameter, axis=1, keepdims=True)
-    size[size == 0.0] = 1.0
-    u, values, vt = np.linalg.svd(by_parameter / size)
-    rank = int((values > _NOTHING * values.max(initial=0.0)).sum())
-    alone = columns @ vt[rank:].T
-    basis, sizes, _ = np.linalg.svd(alone, full_matrices=False)
-    basis = basis[:, sizes > _NOTHING * sizes.max(initial=0.0)]
-    left = columns - basis @ (basis.T @ columns)
-    inverse = (vt[:rank].T / values[:rank]) @ u[:, :rank].T
-    return [names[i] for i in free], np.asarray(left @ inverse / size.ravel())

@@ -1,19 +1,26 @@
-"""Outcomes of many runs as they come in: shown, kept, and there after Ctrl-C."""
+"""Outcomes of many runs as they come in, here or on an executor: shown, kept, and there after Ctrl-C."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..errors import OptionError
+from ..fit_result import FitResult
 from ..interrupts import interrupts
-from .outcome import Outcome
+from ..sensitivities.collocated import dataset
+from ..solvers import Newton
+from ..solvers.limits import Deadline
+from ..transcription.filter_error import FilterError
+from ..transcription.shooting import Transcription
+from .outcome import Outcome, Problem
 
 if TYPE_CHECKING:
     from .workers import Crew
 
-__all__ = ["Watch", "check_progress", "collect"]
+__all__ = ["NEAR", "Runs", "Watch", "check_progress", "collect", "common_to", "run_all"]
 
 Watch: TypeAlias = Callable[[Outcome], None]
 
@@ -77,3 +84,56 @@ def _watching(progress: bool | Watch, title: str, total: int, done: tuple[Outcom
             bar.update(task, advance=1, best=f"best logL {reached[0]:.3f}" if best and reached else "")
 
         yield advance
+
+
+NEAR = Newton(regression=False)
+"""The solver: the path is known, so there is no need of a regression on measured states."""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """What came of the runs: outcomes by number, "complete" where all are there or else why not, and what went wrong
+    with workers."""
+
+    outcomes: Mapping[int, Outcome]
+    status: str
+    warnings: tuple[str, ...]
+
+
+def common_to(fit: FitResult, caller: str) -> dict[str, Any]:
+    """What all runs share, as `Problem` takes it. Raises OptionError where that cannot be."""
+    if fit.status not in ("converged", "acceptable"):
+        raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")
+    if all(e.fixed for e in fit.parameters.values()):
+        raise OptionError(f"{caller}: the fit has no free parameters")
+    return {
+        "model": fit.model,
+        "experiments": tuple(dataset(fit)),
+        "transcription": _without_limit(fit.transcription),
+        "noise": fit.noise,
+        "solver": None if isinstance(fit.transcription, FilterError) else NEAR,  # which has its own
+        "base": replace(fit, history=()),
+    }
+
+
+def _without_limit(transcription: Transcription | FilterError) -> Transcription | FilterError:
+    """A limit was that of the fit itself."""
+    return replace(transcription, time_limit=None) if isinstance(transcription, FilterError) else transcription
+
+
+def run_all(
+    problem: Problem,
+    starts: Sequence[Mapping[str, Any]],
+    executor: Any,
+    progress: bool | Watch,
+    caller: str,
+    deadline: Deadline,
+) -> Runs:
+    """Runs all starts; Ctrl-C and the deadline end it with what is there."""
+    from .workers import Crew  # executors are loaded by whoever runs something
+
+    check_progress(caller, progress)
+    crew = Crew(executor, problem)
+    with deadline.in_force():
+        done = collect(crew, enumerate(starts), progress, f"{problem.model.name}: {caller}", len(starts))
+    return Runs(done, "complete" if len(done) == len(starts) else deadline.ended(), crew.warnings)

@@ -18,12 +18,12 @@ from ..estimation.estimate import estimate
 from ..fit_result import FitResult
 from ..parameters import Estimates, text_table
 from ..solvers.limits import limited
+from ..starts.collect import common_to, run_all
 from ..starts.outcome import Outcome, Problem
 from ..starts.starts import stream
 from ..transcription.filter_error import FilterError
 from .process_noise_bootstrap import ProcessNoiseResampler
 from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length
-from .runs import common_to, run_all
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

@@ -16,10 +16,10 @@ from ..errors import OptionError, UnknownName, did_you_mean, listing
 from ..fit_result import FitResult
 from ..parameters import text_table
 from ..solvers.limits import limited
+from ..starts.collect import common_to, run_all
 from ..starts.outcome import Outcome
 from .coloured import coloured as corrected
 from .profile_search import End, Side, Sides
-from .runs import common_to, run_all
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

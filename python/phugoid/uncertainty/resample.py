@@ -18,7 +18,7 @@ from ..noise.densities import Density, Huber, Laplace, StudentT
 from ..noise.kinds import PerExperiment, PerOutput
 from ..noise.noise import Gaussian, Noise
 from ..sensitivities.collocated import dataset
-from ..sensitivities.tangents import Tangents
+from ..sensitivities.tangents import Tangents, noise_values
 from .coloured import Colouring, coloured
 
 __all__ = ["Blocks", "ColouredNoise", "Parametric", "Resampler", "block_length"]
@@ -80,9 +80,9 @@ class Parametric(Resampler):
         noise = fit.noise.noise if isinstance(fit.noise, PerExperiment) else fit.noise
         names, covariances, tables = fit.model.output_names, [], []
         for record in fit.records:
-            value = _values(fit, record.name)
+            value = noise_values(fit, record.name)
             joint = isinstance(noise, Gaussian) and (noise.correlated or noise.covariance is not None)
-            covariances.append(_covariance(noise, names, value) if joint else None)
+            covariances.append(noise.matrix(names, value) if isinstance(noise, Gaussian) and joint else None)
             known = noise.known_sigmas(names)
             tables.append(
                 {}
@@ -127,28 +127,6 @@ class Parametric(Resampler):
             sigma = math.sqrt(float(np.diag(covariance)[list(self.model[e]).index(output)]))
         reach = sigma * NormalDist().inv_cdf(1.0 - p)
         return reach, reach
-
-
-def _values(fit: FitResult, experiment: str) -> dict[str, float]:
-    """Numbers of the noise, as they are in an experiment."""
-    found = {}
-    for name in fit.noise_parameters:
-        base, _, own = name.partition("[")
-        if not own or own[:-1] == experiment:
-            found[base] = fit.parameters[name].value
-    return found
-
-
-def _covariance(noise: Noise, names: Sequence[str], value: Mapping[str, float]) -> _Array:
-    assert isinstance(noise, Gaussian)
-    if noise.covariance is not None:
-        return noise.matrix(names)
-    sigma = np.array([value[f"sigma_{n}"] for n in names])
-    found = np.diag(sigma**2)
-    for i, a in enumerate(names):
-        for j, b in enumerate(names[i + 1 :], i + 1):
-            found[i, j] = found[j, i] = value[f"corr_{a}_{b}"] * sigma[i] * sigma[j]
-    return found
 
 
 def _table(kind: Noise, output: str, sigma: float, value: Mapping[str, float]) -> tuple[_Array, _Array]:

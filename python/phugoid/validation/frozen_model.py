@@ -78,12 +78,7 @@ def _known(noise: Noise, outputs: Sequence[str], values: Mapping[str, float]) ->
             return noise
         if not noise.correlated:
             return Gaussian(sigma)
-        correlation = np.eye(len(outputs))
-        for i, a in enumerate(outputs):
-            for j, b in enumerate(outputs[i + 1 :], i + 1):
-                correlation[i, j] = correlation[j, i] = values[f"corr_{a}_{b}"]
-        scale = np.array([sigma[name] for name in outputs])
-        return Gaussian(covariance=correlation * np.outer(scale, scale))
+        return Gaussian(covariance=noise.matrix(outputs, values))
     if isinstance(noise, StudentT):
         return replace(noise, sigma=sigma, dof={n: values.get(f"dof_{n}", noise._dof(n)) for n in outputs})
     if isinstance(noise, (Huber, Laplace)):

@@ -17,13 +17,12 @@ import numpy as np
 from ...data.experiment import Experiment
 from ..misfit.phrases import number
 from ..search.refit import Refit
-from .candidate_manoeuvres import GREATEST, CandidateManoeuvres
-from .manoeuvres import KINDS, Manoeuvre
+from .candidate_manoeuvres import GREATEST, KINDS, CandidateManoeuvres, Manoeuvre
 
-__all__ = ["TELLS", "Advice", "DiscriminatingManoeuvre", "advised", "discrimination_advice"]
+__all__ = ["DISCRIMINATES", "Advice", "DiscriminatingManoeuvre", "advised", "discrimination_advice"]
 
 # An expected gain in log-likelihood that tells two models apart nearly for sure.
-TELLS = 6.0
+DISCRIMINATES = 6.0
 
 
 @dataclass(frozen=True)
@@ -54,20 +53,20 @@ class DiscriminatingManoeuvre:
 class Advice:
     """What to fly.
 
-    telling  manoeuvres, each for the rivals that those before do not tell from the cause.
-    alike    rivals that none tells from it.
-    tried    inputs that were moved; none where no manoeuvre could be flown.
-    length   of a manoeuvre and what follows at most, s.
+    manoeuvres  each for the rivals that those before do not tell from the cause.
+    alike       rivals that none tells from it.
+    tried       inputs that were moved; none where no manoeuvre could be flown.
+    length      of a manoeuvre and what follows at most, s.
     """
 
-    telling: tuple[DiscriminatingManoeuvre, ...]
+    manoeuvres: tuple[DiscriminatingManoeuvre, ...]
     alike: tuple[str, ...]
     tried: tuple[str, ...]
     length: float
 
     def __str__(self) -> str:
         """ "" where no manoeuvre could be flown."""
-        sentences = [str(t) for t in self.telling]
+        sentences = [str(t) for t in self.manoeuvres]
         if self.alike and self.tried:
             sentences.append(
                 f"No manoeuvre of {_listed(self.tried, 'or')} tried here ({KINDS}; {number(self.length)} s, up to "
@@ -99,25 +98,27 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
     if not flyable.manoeuvres:
         return nothing
     with np.errstate(over="ignore", invalid="ignore"):  # manoeuvres that ran away
-        found = np.array([flyable.gains(r, TELLS) for r in rivals]).reshape(len(rivals), -1)  # (rivals, manoeuvres)
+        found = np.array([flyable.gains(r, DISCRIMINATES) for r in rivals]).reshape(
+            len(rivals), -1
+        )  # (rivals, manoeuvres)
     gains = np.nan_to_num(found)
     here = [final.own.log_likelihood - r.own.log_likelihood for r in rivals]
-    open_ = [k for k in range(len(rivals)) if gains[k].max() >= TELLS]
+    open_ = [k for k in range(len(rivals)) if gains[k].max() >= DISCRIMINATES]
     # Of a rival that has no solution anywhere there is nothing to say.
     alike = tuple(n for k, n in enumerate(names) if k not in open_ and np.isfinite(found[k]).any())
-    telling = []
+    chosen = []
     while open_:
-        told = gains[open_] >= TELLS
+        told = gains[open_] >= DISCRIMINATES
         least = np.where(told, gains[open_], np.inf).min(axis=0)
         best = int(np.lexsort((least, told.sum(axis=0)))[-1])
-        mine = [k for k in open_ if gains[k, best] >= TELLS]
+        mine = [k for k in open_ if gains[k, best] >= DISCRIMINATES]
         over = {names[k]: float(gains[k, best]) for k in mine}
-        telling.append(
+        chosen.append(
             DiscriminatingManoeuvre(flyable.manoeuvres[best], flyable.record(best), over, min(here[k] for k in mine))
         )
         open_ = [k for k in open_ if k not in mine]
     tried = tuple(dict.fromkeys(m.input for m in flyable.manoeuvres))
-    return Advice(tuple(telling), alike, tried, float(flyable.t[-1] - flyable.t[0]))
+    return Advice(tuple(chosen), alike, tried, float(flyable.t[-1] - flyable.t[0]))
 
 
 def _listed(names: Sequence[str], last: str) -> str:

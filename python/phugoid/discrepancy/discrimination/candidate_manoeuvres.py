@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
+from ...inputs.manoeuvres import PATTERNS, multistep, sweep
+from ...inputs.manoeuvres import step as step_input
 from ...residual_noise.uniform_segments import uniform_segments
 from ...residual_noise.whitening import Filter, RowStructure
 from ...sensitivities.collocated import dataset
+from ..misfit.phrases import number, with_unit
 from ..search.refit import Refit
 from .manoeuvre_response import ManoeuvreResponse
-from .manoeuvres import SLOW, Manoeuvre, planned
 
-__all__ = ["GREATEST", "CandidateManoeuvres"]
+__all__ = ["GREATEST", "KINDS", "SLOW", "CandidateManoeuvres", "Manoeuvre", "manoeuvres_of_size"]
 
 _Array = NDArray[np.float64]
 _Mask = NDArray[np.bool_]
@@ -25,7 +28,7 @@ _Mask = NDArray[np.bool_]
 _NOTHING = 1e-12
 
 
-class Accommodation:
+class RivalAdjustment:
     """``moved`` (k, n_y, N): how the rival's outputs move with what is free in it, by units; ``tied`` (k,) is how
     firmly each is held to its estimate, in units too. ``present`` (n_y, N) tells which samples there are."""
 
@@ -71,9 +74,9 @@ def rows_of(present: _Mask) -> RowStructure:
     ]
     pattern = 2.0 ** np.arange(present.shape[0]) @ present
     together = []
-    for number in np.unique(pattern[pattern > 0.0]).tolist():
-        there = np.flatnonzero(present[:, np.argmax(pattern == number)])
-        together.append((tuple(there.tolist()), np.ascontiguousarray(table[there][:, pattern == number].T)))
+    for which in np.unique(pattern[pattern > 0.0]).tolist():
+        there = np.flatnonzero(present[:, np.argmax(pattern == which)])
+        together.append((tuple(there.tolist()), np.ascontiguousarray(table[there][:, pattern == which].T)))
     whole = np.flatnonzero(present.all(axis=0))
     complete = [table[:, whole[s.rows][run]].T for s in uniform_segments(whole.astype(float)) for run in s.runs]
     return RowStructure(segments, together, complete)
@@ -118,7 +121,7 @@ class CandidateManoeuvres:
         if not listed:
             self.manoeuvres: list[Manoeuvre] = []
             return
-        y, x = self.cause.fly(self._inputs(listed))
+        y, x = self.cause.simulate(self._inputs(listed))
         ends = self._within(y, x)
         kept: dict[tuple[str, str, str, float], int] = {}
         for i, m in enumerate(listed):
@@ -141,7 +144,7 @@ class CandidateManoeuvres:
             if abs(farthest) <= 1e-9 * float(np.abs(data[0].input(name)).max()):
                 continue
             for size in _SIZES:
-                some = list(planned(name, model.units.get(name, ""), self.t, size * farthest))
+                some = list(manoeuvres_of_size(name, model.units.get(name, ""), self.t, size * farthest))
                 if size in _SMALL:
                     some = [m for m in some if m.kind in SLOW]
                 listed += some
@@ -186,10 +189,10 @@ class CandidateManoeuvres:
         The rival takes a few steps with the derivatives at its estimates towards the outputs of the cause: what then
         counts is the difference itself, less what another step would still take, to first order.
         """
-        flown = ManoeuvreResponse(rival, self.t, self.trim)
+        response = ManoeuvreResponse(rival, self.t, self.trim)
         found = np.zeros(len(self.manoeuvres))
-        late = np.vstack([self.cause.late, flown.late])
-        y, _ = flown.fly(self.inputs)
+        late = np.vstack([self.cause.late, response.late])
+        y, _ = response.simulate(self.inputs)
         present = [self._present(i, late) for i in range(found.size)]
         # Where the difference is small as it stands, nothing has to follow.
         channels = self.final.own.filter
@@ -199,24 +202,24 @@ class CandidateManoeuvres:
         some = np.flatnonzero(sizes >= least)
         if not some.size:
             return found
-        room = max(int(_ROOM / (flown.units.size * y[0].size)), 1)
+        room = max(int(_ROOM / (response.units.size * y[0].size)), 1)
         some = some[np.argsort(-sizes[some], kind="stable")[:room]]
-        moved = flown.tangents(self.inputs[some])
-        views: dict[int, Accommodation] = {}
+        moved = response.tangents(self.inputs[some])
+        views: dict[int, RivalAdjustment] = {}
         for i, m in zip(some.tolist(), moved, strict=True):
             found[i] = np.nan
             if np.isfinite(m[:, present[i]]).all():
-                view = Accommodation(present[i], channels, m, flown.tied)
-                found[i] = view.gain(whitened[i], np.zeros(flown.units.size))
+                view = RivalAdjustment(present[i], channels, m, response.tied)
+                found[i] = view.gain(whitened[i], np.zeros(response.units.size))
                 if found[i] >= _HOPELESS * least:
                     views[i] = view
-        at = {i: np.zeros(flown.units.size) for i in views}
+        at = {i: np.zeros(response.units.size) for i in views}
         errors = {i: whitened[i] for i in views}
         for _ in range(_ROUNDS):
             if not views:
                 break
             tries = [(i, at[i] + part * view.step(errors[i], at[i])) for i, view in views.items() for part in _PARTS]
-            y, _ = flown.fly(self.inputs, np.array([to for _, to in tries]), np.array([i for i, _ in tries]))
+            y, _ = response.simulate(self.inputs, np.array([to for _, to in tries]), np.array([i for i, _ in tries]))
             for (i, to), outputs in zip(tries, y, strict=True):
                 e = views[i].whitened(self.y[i] - outputs)
                 if np.isfinite(e).all() and views[i].cost(e, to) < views[i].cost(errors[i], at[i]):
@@ -252,3 +255,86 @@ def _spacing(data: Sequence[Experiment], name: str, step: float) -> int:
         if t.size > 1:
             return max(round(float(np.median(np.diff(t))) / step), 1)
     return 1
+
+
+KINDS = "doublets, also growing, 3-2-1-1s, steps, sine sweeps, slow ramps"
+
+SLOW = ("sine sweep", "slow ramp")
+"""Kinds that pass all distances from the trim."""
+
+# Steps: their lengths in units, and their heights.
+_THIRD = 1.0 / 3.0
+_PATTERNS = {
+    **{kind: PATTERNS[kind] for kind in ("doublet", "3-2-1-1")},
+    # Small and large in one record: of nonlinear effects of which each has its own size.
+    "row of growing doublets": ((1,) * 8, (_THIRD, -_THIRD, 0.0, 2 * _THIRD, -2 * _THIRD, 0.0, 1.0, -1.0)),
+}
+# Of the time that there is: trim before anything moves, and the longest unit of a pattern.
+_LEAD, _LONGEST = 0.05, 0.1
+# Samples in the shortest unit of a pattern, and in the shortest period of a sweep.
+_FEWEST, _PERIOD = 4, 12
+# How many lengths of a unit are tried.
+_LENGTHS = 3
+# Ramps rise, and fall again, within these parts of the time; sweeps end at these parts (in logarithm) of their range.
+_RISES, _ENDS = (0.2, 0.45), (0.6, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Manoeuvre:
+    """An input over time.
+
+    kind     "doublet", "3-2-1-1", "row of growing doublets", "step", "sine sweep" or "slow ramp".
+    input    that moves.
+    size     how far from its trim at most, in its unit; with a sign where it goes to one side only.
+    unit     of the input.
+    pace     how fast, in words.
+    moves    (N,) distance from the trim at the samples, in its unit.
+    done     number of samples until it is over, or has been seen whole.
+    """
+
+    kind: str
+    input: str
+    size: float
+    unit: str
+    pace: str
+    moves: _Array
+    done: int
+
+    def __str__(self) -> str:
+        one_sided = self.kind in ("step", "slow ramp")
+        sign = "" if one_sided else "±"
+        size = self.size if one_sided else abs(self.size)
+        return f"{self.kind} on {self.input} of {sign}{with_unit(size, self.unit)}{self.pace}"
+
+
+def manoeuvres_of_size(name: str, unit: str, t: _Array, size: float) -> Iterator[Manoeuvre]:
+    """Manoeuvres of one size, (N,) equally spaced times ``t`` (s) long."""
+    n, step = t.size, float(t[1] - t[0])
+    lead = max(int(_LEAD * n), 1)
+
+    def made(kind: str, pace: str, moves: _Array, done: int) -> Manoeuvre:
+        return Manoeuvre(kind, name, size, unit, pace, size * moves, min(done, n))
+
+    longest = max(int(_LONGEST * n), _FEWEST)
+    shortest = min(max(_FEWEST, n // 100), longest)
+    units = sorted({round(k) for k in np.geomspace(shortest, longest, _LENGTHS).tolist()})
+    begin = float(t[lead])
+    for kind, (lengths, heights) in _PATTERNS.items():
+        for samples in units:
+            end, width = lead + samples * sum(lengths), samples * step
+            if end < n:
+                moves = multistep(t, 1.0, lengths, width=width, heights=heights, start=begin)
+                yield made(kind, f" with steps of {number(width)} s", moves, end + samples)
+    yield made("step", "", step_input(t, 1.0, start=begin), lead + longest)
+    length = (n - 1 - lead) * step
+    slowest, fastest = 2.0 / length, 1.0 / (_PERIOD * step)
+    for part in _ENDS if fastest > 2.0 * slowest else ():
+        # Each octave takes as long as the others.
+        highest = slowest * (fastest / slowest) ** part
+        pace = f" from {number(slowest)} to {number(highest)} Hz within {number(length)} s"
+        yield made("sine sweep", pace, sweep(t, 1.0, band=(slowest, highest), start=begin), n)
+    for part in _RISES:
+        rise = max(int(part * n), 1)
+        since_lead = np.arange(n) - lead
+        moves = np.clip(np.minimum(since_lead, 2 * rise - since_lead) / rise, 0.0, 1.0)
+        yield made("slow ramp", f" within {number(rise * step)} s and back", moves, lead + 2 * rise)

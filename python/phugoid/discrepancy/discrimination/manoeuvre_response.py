@@ -202,9 +202,9 @@ class ManoeuvreResponse:
         delays = dict(zip(model.parameter_names, self._values, strict=True))
         self.late = np.array([delays.get(model.delays.outputs.get(n, ""), 0.0) for n in model.output_names])
         sizes = np.array([np.abs(record.states[name]).max() for name in model.state_names])
-        self._lanes = BatchSimulation(model, t, self._values, self._first, trim, np.where(sizes > 0.0, sizes, 1.0))
+        self._simulation = BatchSimulation(model, t, self._values, self._first, trim, np.where(sizes > 0.0, sizes, 1.0))
 
-    def fly(
+    def simulate(
         self, inputs: _Array, moves: _Array | None = None, which: NDArray[np.intp] | None = None
     ) -> tuple[_Array, _Array]:
         """Outputs (L, n_y, N) and states (L, n_x, N) with parameters and first states ``moves`` (L, k) units from the
@@ -218,7 +218,7 @@ class ManoeuvreResponse:
         values[:, self._free] += by[:, : len(self._free)]
         first[:, self._states] += by[:, len(self._free) :]
         np.clip(values, self._low, self._high, out=values)
-        return self._lanes.outputs(values, self._conditioned(values, first), inputs, which)
+        return self._simulation.outputs(values, self._conditioned(values, first), inputs, which)
 
     def _conditioned(self, values: _Array, first: _Array) -> _Array:
         """First states (L, n_x) that the model's initial conditions ask for."""
@@ -244,7 +244,7 @@ class ManoeuvreResponse:
         """(M, k, n_y, N) changes of the outputs with each free parameter and first state, by its unit."""
         n, k = inputs.shape[0], self.units.size
         moves = np.vstack([np.zeros(k), np.diag(self._small)])
-        y, _ = self.fly(inputs, np.tile(moves, (n, 1)), np.repeat(np.arange(n), k + 1))
+        y, _ = self.simulate(inputs, np.tile(moves, (n, 1)), np.repeat(np.arange(n), k + 1))
         y = y.reshape(n, k + 1, *y.shape[1:])
         with np.errstate(invalid="ignore"):
             return np.asarray((y[:, 1:] - y[:, :1]) / self._small[:, None, None])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...errors import DataError
 from ...fit_result import FitResult
-from ...residual_noise.autoregression import Autoregression, Memory, burg
+from ...residual_noise.autoregression import Autoregression, CorrelatedNoise, burg
 from ...residual_noise.residual_series import Series, autocorrelation_of, channel_series, same_rate
 from ...residual_noise.spectrum import Spectrum, Tone, spectrum_of, tones_of
 from .phrases import channel_phrases
@@ -233,7 +233,7 @@ def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) ->
     own = np.concatenate([s.r for s in series])
     own_rms = float(np.sqrt(np.mean(own**2)))
     longest = max(s.segment.size for s in series)
-    memory = Memory(colour.autocorrelation(longest))
+    memory = CorrelatedNoise(colour.autocorrelation(longest))
     mean_error = own_rms * memory.spread(
         [np.nan_to_num(s.segment.on_grid(np.full(s.r.size, 1.0 / own.size))) for s in series]
     )

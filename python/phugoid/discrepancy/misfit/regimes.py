@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...residual_noise.autoregression import Autoregression, Memory
+from ...residual_noise.autoregression import Autoregression, CorrelatedNoise
 from ...residual_noise.residual_series import Series
 
 __all__ = ["Bin", "Dependence", "Regime", "Running", "Span", "correlations_of", "regimes_of", "spans_of"]
@@ -195,7 +195,7 @@ class Dependence:
 
 
 def regimes_of(
-    series: Sequence[Series], colour: Autoregression, memory: Memory, rms: float, alpha: float
+    series: Sequence[Series], colour: Autoregression, memory: CorrelatedNoise, rms: float, alpha: float
 ) -> list[Regime]:
     """One for each variable, the least likely chance first; ``memory`` is that of the residuals, ``rms`` their size."""
     from scipy.special import stdtr
@@ -234,7 +234,7 @@ def regimes_of(
     return sorted(found, key=lambda regime: (regime.p_value, -regime.share))
 
 
-def correlations_of(series: Sequence[Series], colour: Autoregression, memory: Memory) -> list[Dependence]:
+def correlations_of(series: Sequence[Series], colour: Autoregression, memory: CorrelatedNoise) -> list[Dependence]:
     """One for each variable, the least likely chance first."""
     names = _shared(series)
     r = np.concatenate([s.r for s in series])

@@ -11,10 +11,9 @@ from ...errors import DataError, UnknownName, listing
 from ...figures.style import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, STYLE, WIDTH, labelled, plain
 from ...fit_result import FitResult
 from ...records import Record
-from ..diagnosis_result import DiagnosisResult
 from ..misfit.figure import misfit_figure
 from ..misfit.phrases import number
-from ..search.finding import ExtensionResult, Gain, Scored
+from ..search.finding import DiagnosisResult, ExtensionResult, Gain, Scored
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,8 +29,8 @@ def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     figures = [misfit_figure(diagnosis.misfit, diagnosis.fit)[0]]
     if diagnosis.ranking:
         figures.append(ranking_figure(diagnosis.ranking, diagnosis.threshold)[0])
-    if diagnosis._saved is not None or (diagnosis._final is not None and diagnosis._final.candidates):
-        extension = diagnosis.extend()
+    extension = diagnosis._extension
+    if extension is not None and extension.added:
         figures.append(findings_figure(diagnosis.fit, extension)[0])
         figures.append(gain_figure(extension.gain, diagnosis.fit.model.units)[0])
     return figures

@@ -7,13 +7,12 @@ from typing import Any
 
 from ...modelling.model import Model
 from ...pages.mathml import equation
-from ...pages.page import Table, picture, render, sources
+from ...pages.page import PageTable, picture, render, sources
 from ...parameters import Estimate
 from ...writing import check_folder, write
-from ..diagnosis_result import DiagnosisResult
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
-from ..search.finding import ExtensionResult, Finding
+from ..search.finding import DiagnosisResult, ExtensionResult, Finding
 from .figures import findings_figure, gain_figure, misfit_figure, ranking_figure
 from .words import alias_set, finding_lines, headline, outcome, with_sign
 
@@ -82,7 +81,7 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     ]
     heads = ["channel", "what stands out", "RMS", "noise", "ratio", "predictable"]
     notes = list(dict.fromkeys(n for c in found.channels.values() for n in c.notes))
-    return {"table": Table(heads, rows, "ltrrrr"), "notes": notes, "pictures": pictures}
+    return {"table": PageTable(heads, rows, "ltrrrr"), "notes": notes, "pictures": pictures}
 
 
 def _cause(finding: Finding) -> dict[str, Any]:
@@ -92,7 +91,7 @@ def _cause(finding: Finding) -> dict[str, Any]:
         "name": alias_set(finding),
         "status": finding.status,
         "lines": finding_lines(finding),
-        "rivals": Table(["cause or rival", "gain in log-likelihood"], rows, "lr"),
+        "rivals": PageTable(["cause or rival", "gain in log-likelihood"], rows, "lr"),
     }
 
 
@@ -103,7 +102,10 @@ def _evidence(diagnosis: DiagnosisResult) -> dict[str, Any]:
         numbers = [f"{s.statistic:.1f}", f"{s.ranking:.1f}", f"{s.white:.1f}", f"{s.distinct:.2g}"]
         rows.append([s.name, *numbers, s.explanation, s.remark])
     heads = ["candidate", "statistic", "ranking", "white", "distinct", "explanation", "remark"]
-    return {"picture": picture(ranking_figure(ranking, diagnosis.threshold)[0]), "table": Table(heads, rows, "lrrrrtt")}
+    return {
+        "picture": picture(ranking_figure(ranking, diagnosis.threshold)[0]),
+        "table": PageTable(heads, rows, "lrrrrtt"),
+    }
 
 
 def _equations(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, Any]:
@@ -128,8 +130,8 @@ def _equations(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[s
         "changed": changed,
         "late": [f"{n}(t) = {of}(t − {tau})" for n, (of, tau) in inputs]
         + [f"{n} is measured late, by {tau}" for n, tau in outputs],
-        "parameters": Table(["parameter", "before", "after", "unit", ""], rows, "lrrll"),
-        "added": Table(["new parameter", "estimate ± std error", "unit", ""], added, "lrll"),
+        "parameters": PageTable(["parameter", "before", "after", "unit", ""], rows, "lrrll"),
+        "added": PageTable(["new parameter", "estimate ± std error", "unit", ""], added, "lrll"),
     }
 
 
@@ -156,8 +158,8 @@ def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, A
         "added": ", ".join(extension.added),
         "held_out": gain.held_out == gain.held_out,
         "grown": ", ".join(name for name in gain.channels if gain.change(name, held_out=True) > _GROWN),
-        "totals": Table(["total", "gain"], totals, "lr"),
-        "channels": Table(heads, rows, "llrrrrrr"),
+        "totals": PageTable(["total", "gain"], totals, "lr"),
+        "channels": PageTable(heads, rows, "llrrrrrr"),
         "overview": picture(gain_figure(gain, diagnosis.fit.model.units)[0]),
         "histories": picture(findings_figure(diagnosis.fit, extension)[0]),
     }

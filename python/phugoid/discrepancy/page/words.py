@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 from ...parameters import Estimate
-from ..diagnosis_result import DiagnosisResult
 from ..misfit.phrases import number, percent
-from ..search.finding import Finding
+from ..search.finding import DiagnosisResult, Finding
 
 __all__ = ["Outcome", "alias_set", "diagnosis_summary", "finding_lines", "headline", "outcome", "value_of", "with_sign"]
 

@@ -1,4 +1,4 @@
-"""What was found to be missing, the model with it, and what that gains."""
+"""What was found to be missing, the model with it, what that gains, and the diagnosis that holds them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from ...errors import OptionError
 from ...fit_result import FitResult
 from ...modelling.model import Model
 from ...parameters import text_table
+from ..misfit.misfit import Misfit
 
-__all__ = ["ExtensionResult", "Finding", "Gain", "Scored"]
+__all__ = ["DiagnosisResult", "ExtensionResult", "Finding", "Gain", "Scored"]
 
 
 @dataclass(frozen=True)
@@ -165,3 +167,33 @@ def _number(value: float | None) -> str:
 
 def _percent(change: float) -> str:
     return "" if change != change else f"{round(100.0 * change):+d} %"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnosisResult:
+    """The data of a `Diagnosis`, which says what each attribute is."""
+
+    fit: FitResult
+    misfit: Misfit
+    findings: tuple[Finding, ...]
+    ranking: tuple[Scored, ...]
+    threshold: float
+    notes: tuple[str, ...]
+    interrupted: bool
+    seconds: float
+    _extension: ExtensionResult | None = None  # None where it comes from a file, and nothing was named
+
+    @property
+    def found(self) -> bool:
+        """Whether anything significant is missing."""
+        return bool(self.findings)
+
+    def extend(self) -> ExtensionResult:
+        """Return the model with all terms that were found, its fit, and the gain over the base model."""
+        if self._extension is None:
+            raise OptionError("extend: nothing was named when this diagnosis was saved, so there is no extended model")
+        return self._extension
+
+    def __repr__(self) -> str:
+        what = ", ".join(f.cause or f.status for f in self.findings) or "nothing"
+        return f"<Diagnosis of '{self.fit.model.name}': {what}>"

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.discrepancy.discrimination.advice import TELLS, advised, discrimination_advice
-from phugoid.discrepancy.discrimination.candidate_manoeuvres import CandidateManoeuvres
+from phugoid.discrepancy.discrimination.advice import DISCRIMINATES, advised, discrimination_advice
+from phugoid.discrepancy.discrimination.candidate_manoeuvres import CandidateManoeuvres, manoeuvres_of_size
 from phugoid.discrepancy.discrimination.manoeuvre_response import BatchSimulation, ManoeuvreResponse
-from phugoid.discrepancy.discrimination.manoeuvres import planned
 from phugoid.discrepancy.search.refit import Refit, refit
 
 TRUTH = {"k": 4.0, "d": 0.8, "b": 1.0}
@@ -72,8 +71,8 @@ def pace(u: np.ndarray) -> float:
 def test_a_faster_input_tells_a_late_sensor_from_a_slow_one() -> None:
     final, rival = late()
     advice = advised(final, [rival])
-    (told,) = advice.telling
-    assert told.gains["x:lag"] > TELLS > 2 * told.here
+    (told,) = advice.manoeuvres
+    assert told.gains["x:lag"] > DISCRIMINATES > 2 * told.here
     assert not advice.alike
     assert pace(told.record.input("u")) > 1.5 * pace(final.fit.records[0].inputs["u"])
     assert "tell it from x:lag (expected gain in log-likelihood" in str(advice)
@@ -89,9 +88,9 @@ def test_a_larger_motion_tells_two_nonlinear_springs_apart() -> None:
     for sizes in by.values():
         ordered = [g for _, g in sorted(sizes)]
         assert ordered == sorted(ordered) or max(ordered) < 1.0
-    (told,) = advised(final, [rival]).telling
+    (told,) = advised(final, [rival]).manoeuvres
     assert told.gains == {"f:x|x|": pytest.approx(gains.max())}
-    assert told.gains["f:x|x|"] > TELLS > told.here
+    assert told.gains["f:x|x|"] > DISCRIMINATES > told.here
 
 
 def test_nothing_tells_one_effect_by_two_names() -> None:
@@ -102,14 +101,14 @@ def test_nothing_tells_one_effect_by_two_names() -> None:
     assert text.endswith("would tell it from drive:x^3: they act alike.")
     # Beside a rival that can be told, both are said.
     both = advised(final, [same, other])
-    assert [list(t.gains) for t in both.telling] == [["f:x|x|"]]
+    assert [list(t.gains) for t in both.manoeuvres] == [["f:x|x|"]]
     assert both.alike == ("drive:x^3",)
 
 
 @pytest.mark.parametrize("pair", [stiff, late], ids=["springs", "sensors"])
 def test_data_of_the_manoeuvre_give_what_was_expected(pair: functools._lru_cache_wrapper[list[Refit]]) -> None:
     final, rival = pair()[:2]
-    (told,) = advised(final, [rival]).telling
+    (told,) = advised(final, [rival]).manoeuvres
     first = {n: float(x) for n, x in final.fit.initial_states["experiment"].items()}
     values = {n: e.value for n, e in final.fit.parameters.items()}
     gains = []
@@ -188,7 +187,7 @@ def test_on_a_disturbance_there_is_no_advice() -> None:
     assert discrimination_advice(final, [rival]) != ""
 
 
-def test_lanes_integrate_as_simulate_does() -> None:
+def test_batches_integrate_as_simulate_does() -> None:
     """Inputs and sensors that are late, a lag from a steady start, other values in each lane."""
     m = ph.Model("late")
     x, z = m.states(x="m", z="m")
@@ -201,9 +200,9 @@ def test_lanes_integrate_as_simulate_does() -> None:
     u0 = 0.5 + np.array([np.sin(T), np.where(T > 3, 1.0, 0.0)])[:, None]
     values = np.array([[1.0, 0.3, 0.12, 0.07], [2.0, 0.02, 0.03, 0.13]])
     first = np.array([[0.3, 0.3], [0.2, 0.2]])
-    lanes = BatchSimulation(m, T, values[1], first[1], np.array([0.5]), np.ones(first.shape[1]))
-    assert lanes.steps > 1  # of the lag of 0.02 s
-    y, states = lanes.outputs(values, first, u0, np.array([0, 1]))
+    batch = BatchSimulation(m, T, values[1], first[1], np.array([0.5]), np.ones(first.shape[1]))
+    assert batch.steps > 1  # of the lag of 0.02 s
+    y, states = batch.outputs(values, first, u0, np.array([0, 1]))
     for i in range(2):
         data = ph.Experiment(T, {"u": u0[i, 0]})
         r = ph.simulate(m, dict(zip(m.parameter_names, values[i], strict=True)), data, initial={"x": first[i, 0]})
@@ -218,17 +217,17 @@ def test_tangents_are_differences_of_flights() -> None:
     final, *_ = late()
     u = np.zeros((1, 1, T.size))
     u[0, 0, 40:80] = 1.0
-    flown = ManoeuvreResponse(final, T, np.zeros(1))
-    moved = flown.tangents(u)[0]
-    for k in range(flown.units.size):
-        to = np.zeros((2, flown.units.size))
+    response = ManoeuvreResponse(final, T, np.zeros(1))
+    moved = response.tangents(u)[0]
+    for k in range(response.units.size):
+        to = np.zeros((2, response.units.size))
         to[:, k] = 0.02, -0.02
-        y, _ = flown.fly(u, to, np.zeros(2, dtype=np.intp))
+        y, _ = response.simulate(u, to, np.zeros(2, dtype=np.intp))
         np.testing.assert_allclose(moved[k], (y[0] - y[1]) / 0.04, atol=0.03 * np.abs(moved[k]).max())
 
 
 def test_manoeuvres_are_what_they_are_called() -> None:
-    for m in planned("de", "rad", T, -0.05):
+    for m in manoeuvres_of_size("de", "rad", T, -0.05):
         assert np.abs(m.moves).max() <= 0.05 * (1 + 1e-12)
         assert not m.moves[:20].any()  # trim first
         assert 20 < m.done <= T.size

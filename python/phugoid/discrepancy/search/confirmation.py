@@ -1,0 +1,154 @@
+"""The third stage of the search: which refit is confirmed by data held out, and what the data do not tell from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..candidates.candidate import Candidate
+from .evidence import Assessment, is_physical
+from .refit import HeldOut, Refit
+from .refit_cache import RefitCache
+from .refitting import Refitting
+from .screen import Screen
+
+__all__ = ["Confirmation", "ConfirmationSettings", "Found"]
+
+
+@dataclass(frozen=True)
+class ConfirmationSettings:
+    """How far the confirmation goes.
+
+    chances  next best candidates that are tried when the best gains nothing on held-out data.
+    ringing  candidates that are refitted where residuals ring.
+    vuong    a rival is an alias unless Vuong's test tells them apart by this.
+    """
+
+    chances: int = 3
+    ringing: int = 2
+    vuong: float = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A candidate that was accepted, or a misfit that none explains (``candidate`` None).
+
+    ringing   Hz, of modes of the model at which the residuals ring, where that is what none explains beyond doubt.
+    gain      in log-likelihood over the model with the other candidates.
+    threshold that it had to pass.
+    rivals    those that the data do not tell from it: name -> gain they would have instead, the likeliest first.
+    """
+
+    candidate: Candidate | None
+    gain: float
+    threshold: float
+    rivals: Mapping[str, float]
+    held_out: HeldOut
+    ringing: tuple[float, ...] = ()
+
+
+class Confirmation:
+    """Confirms refits, one candidate after the other."""
+
+    def __init__(
+        self,
+        cache: RefitCache,
+        screen: Screen,
+        refitting: Refitting,
+        assessment: Assessment,
+        settings: ConfirmationSettings,
+    ) -> None:
+        self._cache, self._screen, self._refitting = cache, screen, refitting
+        self._assessment, self.settings = assessment, settings
+
+    def accepted(self, current: Refit, tries: Sequence[Refit]) -> tuple[Refit | None, Found | None]:
+        """Of refits with one more term that of which the new term is named, settled; else what remains unexplained, if
+        anything does."""
+        assess = self._assessment
+        margins = {t.names: assess.margin(current, t) for t in tries}
+
+        def urgency(t: Refit) -> float:
+            # What is outside of what is physical stands in for something else: that is tried first.
+            last = t.candidates[-1]
+            return margins[t.names] - (0.0 if is_physical(t, last) else assess.needed(t, last))
+
+        significant = sorted((t for t in tries if margins[t.names] > 0), key=lambda t: -urgency(t))
+        unexplained, chances = None, self.settings.chances
+        rejected: set[str] = set()
+        known: set[str] = set()
+        for t in significant:
+            if not chances:
+                break
+            if t.candidates[-1].name in rejected:
+                continue
+            settled = self._refitting.settled(t, rejected)
+            new = settled.beside(current.candidates)
+            kept = [c for c in settled.candidates if c.name in current.names]
+            below = self._cache.refit(kept, settled.fit)
+            # With the new term an earlier one may have become needless: then the two sets compete.
+            fewer = len(kept) < len(current.candidates) and settled.own.merit <= current.own.merit
+            if not new or below is None or fewer:
+                continue
+            evidence = assess.weigh(below, settled, new[0])
+            if evidence.named:
+                return settled, None
+            if evidence.held_out is None:  # it is not even significant
+                continue
+            rejected |= {c.name for c in new}
+            # What acts as another did is no further chance: of two that are alike one may still predict.
+            chances -= not known.issuperset(c.name for c in new)
+            known |= {a.name for c in new for a in self._screen.alike(current, c, settled.own.filter)}
+            if unexplained is None and evidence.gain > evidence.clear:
+                rivals = {c.name: evidence.gain / 2 for c in new}
+                unexplained = Found(None, evidence.gain / 2, evidence.threshold / 2, rivals, evidence.held_out)
+        return None, unexplained
+
+    def ringing(self, current: Refit) -> Found | None:
+        """A misfit that noise as coloured as the residuals would swallow: they ring, and candidates that explain them
+        by noise that does not halve them on validation data."""
+        ringing, assess = self._cache.ringing(current), self._assessment
+        if ringing is None or not self._cache.validation:
+            return None
+        chosen = self._screen.lasting(current, ringing.filter, self.settings.ringing)
+        self._cache.refits([[*current.candidates, c] for c in chosen], current.fit)
+        margins = {}
+        for t in self._cache.with_one_more(current.candidates):
+            (new,) = t.beside(current.candidates)
+            if new.transferable:
+                margins[t] = assess.steady_gain(current, t) - assess.penalty(t, current.candidates)
+        likely = [t for t in sorted(margins, key=lambda t: -margins[t])[: self.settings.chances] if margins[t] > 0.0]
+        better = [t for t in likely if assess.halves(current, t) and assess.predicts(assess.held_out(current, t))]
+        if not better:
+            return None
+        gains = {t.beside(current.candidates)[0].name: assess.steady_gain(current, t) / 2 for t in better}
+        gain, held = next(iter(gains.values())), assess.held_out(current, better[0])
+        return Found(None, gain, assess.threshold() / 2, gains, held, ringing.frequencies)
+
+    def found(self, at: Refit, candidate: Candidate) -> Found:
+        """What is to be said of a term in the end."""
+        assess = self._assessment
+        others = [c for c in at.candidates if c is not candidate]
+        without = self._cache.refit(others, at.fit) or self._cache.base
+        filter = at.own.filter
+        mine = at.through(filter).log_densities
+        alike = {c.name for c in self._screen.alike(without, candidate, filter)}
+        rivals = {}
+        for r, _ in self._refitting.rivals(at, candidate):
+            if r.names == at.names:
+                continue
+            (other,) = r.beside(others)
+            d = mine - r.through(filter).log_densities
+            d = d[np.isfinite(d)]
+            gain = assess.gain(without, r) / 2
+            like = other.name in alike and gain > 0.5 * assess.gain(without, at) / 2
+            if like or float(d.sum()) < self.settings.vuong * float(np.sqrt(d.size) * d.std()):
+                rivals[other.name] = gain
+        return Found(
+            candidate,
+            assess.gain(without, at) / 2,
+            assess.needed(at, candidate) / 2,
+            rivals,
+            assess.held_out(without, at),
+        )

@@ -1,0 +1,179 @@
+"""The decision whether a cause is named: the evidence for it, and what that must be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from ..candidates.candidate import Candidate
+from .refit import HeldOut, Refit, across_blocks, gain_on_other_data
+from .refit_cache import RefitCache
+from .ringing import is_near
+
+__all__ = ["Assessment", "AssessmentSettings", "Evidence", "is_physical"]
+
+
+@dataclass(frozen=True)
+class AssessmentSettings:
+    """What evidence must be.
+
+    false_alarm  probability that anything at all is found where there is nothing.
+    doubtful     factor of a threshold where channels go together: simulated turbulence passes less than one in twenty
+                 times.
+    unphysical   twice the gain in log-likelihood by which a cause outside of what is physical must be ahead.
+    held_out     what the gain on held-out data must be above, and ``sure`` the part of its standard deviation.
+    clear        a misfit that no candidate explains is reported when twice the gain of the best is this often its
+                 threshold.
+    half         part of a mean square that is left where a candidate explains the better part of a misfit.
+    """
+
+    false_alarm: float = 0.01
+    doubtful: float = 1.5
+    unphysical: float = 6.0
+    held_out: float = 1.0
+    sure: float = 0.5
+    clear: float = 1.5
+    half: float = 0.5
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The evidence for what one model has and another has not.
+
+    gain       twice the gain in log-likelihood, with coloured noise.
+    threshold  that it must pass.
+    clear      that it must pass where nothing is named.
+    held_out   the gain on held-out data; None where the other gain is no more than chance gives.
+    predicts   whether that is a gain.
+    rings      whether it is a disturbance at a mode at which the residuals ring.
+    """
+
+    gain: float
+    threshold: float
+    clear: float
+    held_out: HeldOut | None = None
+    predicts: bool = False
+    rings: bool = False
+
+    @property
+    def significant(self) -> bool:
+        """Whether the gain is more than chance gives."""
+        return self.gain > self.threshold
+
+    @property
+    def named(self) -> bool:
+        """Whether the cause is named."""
+        return self.significant and self.predicts and not self.rings
+
+
+class Assessment:
+    """Assesses refits: their gains, in the records and in held-out data, and what these must be."""
+
+    def __init__(self, cache: RefitCache, settings: AssessmentSettings) -> None:
+        self._cache, self.settings = cache, settings
+        self._tries = max(cache.tries, 1)
+
+    def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
+        """The evidence for what ``more`` has and ``base`` has not: a candidate, with others that came in its place."""
+        gain, threshold = self.gain(base, more), self.needed(more, candidate)
+        clear = self.settings.clear * threshold
+        if gain <= threshold:
+            return Evidence(gain, threshold, clear)
+        held = self.held_out(base, more)
+        predicts = self.predicts(held)
+        rings = predicts and any(self._rings_too(more, c) for c in more.beside(base.candidates))
+        return Evidence(gain, threshold, clear, held, predicts, rings)
+
+    def threshold(self, candidate: Candidate | None = None) -> float:
+        """Twice the gain in log-likelihood that chance reaches with none of all candidates; without a candidate that
+        for those with one unknown."""
+        unknowns = len(candidate.parameters) if candidate else 1
+        return _quantile(max(unknowns, 1), self.settings.false_alarm / self._tries)
+
+    def needed(self, more: Refit, candidate: Candidate) -> float:
+        """Twice the gain that a candidate must have: its threshold, and more where the noise goes through the vehicle
+        itself, for then its model is no more than an approximation."""
+        return self.threshold(candidate) * (1.0 if more.together is None else self.settings.doubtful)
+
+    def margin(self, base: Refit, more: Refit) -> float:
+        """How far the gain by the last candidate of a refit is above what it must be."""
+        return self.gain(base, more) - self.needed(more, more.candidates[-1])
+
+    def penalty(self, at: Refit, others: Sequence[Candidate]) -> float:
+        """What counts against a refit's new term: the chances that it had, and to be out of what is physical."""
+        (new,) = at.beside(others)
+        return self.threshold(new) + (0.0 if is_physical(at, new) else self.settings.unphysical)
+
+    def gain(self, base: Refit, more: Refit) -> float:
+        """Twice the gain in log-likelihood, each with its likeliest noise and less what that costs.
+
+        The less of two: with noise channel by channel, as much less as the estimates of the new terms are less certain
+        than that noise has them; and with noise of all channels together, where that is the better model. One gust
+        moves all channels, and is no evidence for each of them.
+        """
+        inflation = max((more.inflation(c) for c in more.beside(base.candidates)), default=1.0)
+        return 2.0 * min((more.own.merit - base.own.merit) / inflation, more.merit - base.merit)
+
+    def held_out(self, base: Refit, more: Refit) -> HeldOut:
+        """Gain on held-out data; none where the model cannot be fitted there."""
+        new = more.beside(base.candidates)
+        others = self._cache.on_validation(base)
+        if others is None or not all(c.transferable for c in new):
+            return across_blocks(base, more, new)
+        mine = self._cache.on_validation(more, others)
+        return HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
+
+    def predicts(self, held: HeldOut) -> bool:
+        """Whether a gain on held-out data is one."""
+        s = self.settings
+        return held.gain > max(s.held_out, s.sure * held.deviation) and held.elsewhere > 0.0
+
+    def held_out_rms(self, at: Refit, known: bool = False) -> dict[str, float]:
+        """Output -> RMS on the validation data, first states and biases as they fit best; empty without such data.
+        With ``known`` only of what was fitted to them before."""
+        linear = self._cache.on_validation(at, known=known)
+        if linear is None:
+            return {}
+        found = {}
+        for name, line in zip(linear.model.output_names, linear.rows, strict=True):
+            r = linear.residuals[line[0].start : line[-1].stop]
+            found[name] = float(np.sqrt(np.mean(r**2)))
+        return found
+
+    def halves(self, base: Refit, more: Refit) -> bool:
+        """Whether the mean square of the residuals on the validation data is halved, in the mean of the outputs."""
+        before, after = self.held_out_rms(base), self.held_out_rms(more)
+        ratios = [(after[n] / before[n]) ** 2 for n in before] if after else []
+        return bool(ratios) and float(np.mean(ratios)) < self.settings.half
+
+    def steady_gain(self, base: Refit, more: Refit) -> float:
+        """Twice the gain in log-likelihood by noise as large as the residuals of the base, that does not ring."""
+        ringing = self._cache.ringing(base)
+        filter = ringing.filter if ringing else base.own.filter
+        return 2.0 * (more.through(filter).log_likelihood - base.through(filter).log_likelihood)
+
+    def _rings_too(self, at: Refit, candidate: Candidate) -> bool:
+        """Whether a candidate is a disturbance at the frequency of a mode at which the residuals of the base ring: a
+        tone there, and noise that came through the mode, are too much alike."""
+        ringing = self._cache.ringing(self._cache.base)
+        if candidate.transferable or ringing is None:
+            return False
+        tones = [at.fit.parameters[n].value / (2.0 * np.pi) for n in candidate.shape_names]
+        return any(is_near(tone, f) for tone in tones for f in ringing.frequencies)
+
+
+def is_physical(at: Refit, candidate: Candidate) -> bool:
+    """Whether all parameters of a candidate lie within what is physical."""
+    limits = candidate.physical(at.linear.points)
+    return all(low <= at.own.parameter(n)[0] <= high for n, (low, high) in limits.items())
+
+
+@cache
+def _quantile(freedom: int, probability: float) -> float:
+    """Return the upper quantile of the chi-square distribution."""
+    from scipy.special import chdtri  # not at import: it takes its time
+
+    return float(chdtri(freedom, probability))

@@ -1,0 +1,159 @@
+"""Refits and scans of sets of candidates at a base fit, each worked out once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextvars import copy_context
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...data.experiment import Experiment
+from ...errors import PhugoidError
+from ...fit_result import FitResult
+from ...residual_noise.whitening import Whitening
+from ...sensitivities.linearised import Linearised
+from ...solvers.limits import check_time
+from ...validation.biases import freed_by_default
+from ..candidates.candidate import Candidate, with_other_centres
+from .refit import Refit, on_other_data, refit
+from .ringing import Ringing, light_modes, ringing_of
+from .scan import Scan
+
+__all__ = ["RefitCache"]
+
+_Array = NDArray[np.float64]
+
+# Refits side by side: the solver works without the interpreter's lock.
+_WORKERS = 4
+
+
+@dataclass
+class RefitCache:
+    """What is known of sets of candidates at a base fit.
+
+    ``validation`` is data for held-out gains. ``biases`` are the parameters of the base that are estimated anew there;
+    None: those of sensors. ``watch`` is called with what is done.
+    """
+
+    base: Refit
+    candidates: Sequence[Candidate]
+    validation: Sequence[Experiment] = ()
+    watch: Callable[[str], None] = lambda _: None
+    biases: Sequence[str] | None = None
+
+    def __post_init__(self) -> None:
+        self._refits: dict[frozenset[str], Refit | None] = {frozenset(): self.base}
+        self._scans: dict[frozenset[str], Scan] = {}
+        self._others: dict[frozenset[str], Linearised | None] = {}
+        self._starts: dict[str, Mapping[str, float]] = {}
+        self._modes = light_modes(self.base.fit)
+        self._ringing: dict[frozenset[str], Ringing | None] = {}
+        self.candidates = with_other_centres(self.candidates, self.base.linear.points)
+
+    @property
+    def tries(self) -> int:
+        """Number of candidates, each shape counted."""
+        return sum(len(c.shapes) for c in self.candidates)
+
+    def refit(self, candidates: Sequence[Candidate], near: FitResult | None = None) -> Refit | None:
+        """The refit of a set."""
+        return self.refits([candidates], near)[0]
+
+    def refits(self, sets: Sequence[Sequence[Candidate]], near: FitResult | None = None) -> list[Refit | None]:
+        """The refits of several sets, side by side."""
+        check_time()
+        keys = [frozenset(c.name for c in candidates) for candidates in sets]
+        new = {key: candidates for key, candidates in zip(keys, sets, strict=True) if key not in self._refits}
+
+        def one(candidates: Sequence[Candidate]) -> Refit | None:
+            starts: dict[str, float] = {}
+            for c in candidates:
+                starts |= self._starts.get(c.name, {})
+            found = refit(self.base.fit, candidates, starts, near)
+            if found is not None:
+                _ = found.merit  # here, for it takes as long
+            return found
+
+        for candidates in new.values():
+            self.watch("fitting with " + ", ".join(c.name for c in candidates))
+        if len(new) == 1:
+            self._refits |= {key: one(candidates) for key, candidates in new.items()}
+        elif new:
+            from concurrent.futures import ThreadPoolExecutor  # not at import
+
+            executor = ThreadPoolExecutor(min(len(new), _WORKERS))
+            try:
+                # Each thread works within the limit in force here.
+                tasks = [executor.submit(copy_context().run, one, candidates) for candidates in new.values()]
+                self._refits |= {key: task.result() for key, task in zip(new, tasks, strict=True)}
+            finally:
+                executor.shutdown(cancel_futures=True)
+        return [self._refits[key] for key in keys]
+
+    def scan(self, at: Refit) -> Scan:
+        """The scan of all others at a set."""
+        key = frozenset(at.names)
+        for other, scan in self._scans.items():
+            if other != key:
+                scan.forget()
+        if key not in self._scans:
+            self.watch("scanning all candidates" + (" beside " + ", ".join(at.names) if at.names else ""))
+            self._scans[key] = Scan(at.linear, [c for c in self.candidates if c.name not in key])
+        return self._scans[key]
+
+    def with_one_more(self, others: Sequence[Candidate]) -> list[Refit]:
+        """The refits that are known of some candidates and one more."""
+        base = frozenset(c.name for c in others)
+        return [r for key, r in self._refits.items() if r and len(key) == len(base) + 1 and key > base]
+
+    def ringing(self, at: Refit) -> Ringing | None:
+        """What rings in the residuals of a set at lightly damped modes of the base; None where nothing does."""
+        key = frozenset(at.names)
+        if key not in self._ringing:
+            filter = at.own.filter
+            assert isinstance(filter, Whitening)  # channel by channel
+            found = ringing_of(filter, at.own.residuals, at.linear, self._modes) if self._modes.size else None
+            self._ringing[key] = found
+        return self._ringing[key]
+
+    def try_validation(self) -> None:
+        """Fits the base to the validation data, where there are any. Raises ModelError or DataError where they cannot
+        serve: the user is to know before the search."""
+        if self.validation:
+            self.watch("fitting the validation data")
+            self.on_validation(self.base)
+
+    def on_validation(self, at: Refit, near: Linearised | None = None, known: bool = False) -> Linearised | None:
+        """The refit's model on the validation data, linearised, from another's path there; None without such data, and
+        where it cannot be fitted to them. With ``known`` only what was worked out before."""
+        if not self.validation or (known and frozenset(at.names) not in self._others):
+            return None
+        key = frozenset(at.names)
+        if key not in self._others:
+            try:
+                self._others[key] = on_other_data(at, self.validation, near, self._free(at))
+            except PhugoidError:
+                if not key:
+                    raise
+                self._others[key] = None
+        return self._others[key]
+
+    def _free(self, at: Refit) -> Sequence[str] | None:
+        """What is estimated anew on other data: of the base what was asked for, and biases that were found."""
+        if self.biases is None:
+            return None
+        base = self.base.fit.model.parameter_names
+        return [*self.biases, *(n for n in freed_by_default(at.fit.model) if n not in base)]
+
+    def remember(self, candidate: Candidate, shape: Mapping[str, float], amplitude: _Array) -> None:
+        """Where a refit starts."""
+        self._starts[candidate.name] = {
+            **dict(zip(candidate.coefficients, amplitude.tolist(), strict=False)),
+            **shape,
+        }
+
+    def has_start(self, name: str) -> bool:
+        """Whether it is known where a refit with a candidate starts."""
+        return name in self._starts

@@ -1,0 +1,150 @@
+"""The first stage of the search: which candidates are worth a refit, by one linearisation of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...residual_noise.whitening import Filter
+from ..candidates.candidate import Candidate
+from .refit import Refit
+from .refit_cache import RefitCache
+from .scan import Scan, Statistics
+
+__all__ = ["Screen", "ScreenSettings"]
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ScreenSettings:
+    """What is refitted.
+
+    clean, base, white  how many of the best by ranking, by the filter of the fit, and with residuals taken as white.
+    different           those that explain what the best ones leave.
+    hopeless            what is this far below its threshold, by the filter of the fit and by the clean one, is not
+                        refitted.
+    same                two effects on the outputs are the same beyond this cosine: one stands for both.
+    alias               beyond this one they are aliases, whatever their refits say.
+    """
+
+    clean: int = 6
+    base: int = 4
+    white: int = 2
+    different: int = 4
+    hopeless: tuple[float, float] = (0.4, 0.8)
+    same: float = 0.995
+    alias: float = 0.95
+
+
+class Screen:
+    """Screens candidates at a fit. ``threshold`` gives what twice their gain must be."""
+
+    def __init__(self, cache: RefitCache, threshold: Callable[[Candidate], float], settings: ScreenSettings) -> None:
+        self._cache, self._threshold, self.settings = cache, threshold, settings
+
+    def shortlist(self, at: Refit) -> list[Candidate]:
+        """Candidates that are worth a refit with those of ``at``."""
+        scan, s = self._cache.scan(at), self.settings
+        if not scan.effects:
+            return []
+        filters = {"white": scan.white.filter, "base": at.own.filter, "clean": scan.clean()}
+        statistics = {which: scan.through(filter) for which, filter in filters.items()}
+        thresholds = self._thresholds(scan)
+        hopeless = (statistics["base"].values < s.hopeless[0] * thresholds) & (
+            statistics["clean"].values < s.hopeless[1] * thresholds
+        )
+        names: dict[str, Candidate] = {}
+        for which, count in (("white", s.white), ("base", s.base), ("clean", s.clean)):
+            for c in self._best(scan, statistics[which], count, ~hopeless):
+                names[c.name] = c
+        for i in scan.different(statistics["base"], s.different):
+            candidate, shape = scan.effects[i]
+            if candidate.name not in names and not hopeless[i]:
+                names[candidate.name] = candidate
+                self._cache.remember(candidate, shape, statistics["base"].amplitudes[i])
+        return list(names.values())
+
+    def rivals(self, at: Refit, candidate: Candidate, filter: Filter, best: int, alike: int) -> list[Candidate]:
+        """Candidates that may stand in a candidate's place beside those of ``at``: some of the best through a filter,
+        and some whose effect is nearly the same."""
+        scan = self._cache.scan(at)
+        statistics = scan.through(filter)
+        return [*self._best(scan, statistics, best), *self._alike(scan, statistics, candidate)[:alike]]
+
+    def alike(self, at: Refit, candidate: Candidate, filter: Filter) -> list[Candidate]:
+        """Candidates whose effect on the outputs through a filter is nearly the same, the nearest first."""
+        scan = self._cache.scan(at)
+        return self._alike(scan, scan.through(filter), candidate)
+
+    def lasting(self, at: Refit, filter: Filter, count: int) -> list[Candidate]:
+        """The best candidates through a filter, of those that another record has too: the phase of a disturbance is for
+        no other data to tell."""
+        scan = self._cache.scan(at)
+        lasting = np.array([c.transferable for c, _ in scan.effects])
+        return self._best(scan, scan.through(filter), count, lasting)
+
+    def _thresholds(self, scan: Scan) -> _Array:
+        return np.array([self._threshold(c) for c, _ in scan.effects])
+
+    def _best(
+        self, scan: Scan, statistics: Statistics, count: int, among: NDArray[np.bool_] | None = None
+    ) -> list[Candidate]:
+        """The best candidates, one of each group that has the same effect on the outputs."""
+        chosen: list[tuple[Candidate, _Array]] = []
+        # Of two that act alike that with fewer unknowns comes first.
+        margins = statistics.values - self._thresholds(scan)
+        for i in np.argsort(-margins):
+            candidate, shape = scan.effects[i]
+            if any(candidate.name == c.name for c, _ in chosen) or not (among is None or among[i]):
+                continue
+            q = scan.basis(statistics, int(i))
+            if any(_cosine(q, other) > self.settings.same for _, other in chosen):
+                continue
+            chosen.append((candidate, q))
+            if candidate.unit_amplitude:
+                shape = scan.effects[_whole(scan, statistics, candidate)][1]
+            self._cache.remember(candidate, shape, statistics.amplitudes[i])
+            if len(chosen) == count:
+                break
+        return [c for c, _ in chosen]
+
+    def _alike(self, scan: Scan, statistics: Statistics, candidate: Candidate) -> list[Candidate]:
+        mine = [i for i, (c, _) in enumerate(scan.effects) if c.name == candidate.name]
+        if not mine:
+            return []
+        best = max(mine, key=lambda i: statistics.values[i])
+        found: dict[str, tuple[float, int]] = {}
+        for i, cosine in enumerate(scan.cosines(statistics, scan.basis(statistics, best)).tolist()):
+            name = scan.effects[i][0].name
+            if name != candidate.name and cosine > max(self.settings.alias, found.get(name, (0.0, 0))[0]):
+                found[name] = cosine, i
+        order = sorted(found, key=lambda n: -found[n][0])
+        for name in order:
+            if not self._cache.has_start(name):
+                i = found[name][1]
+                self._cache.remember(scan.effects[i][0], scan.effects[i][1], statistics.amplitudes[i])
+        return [scan.effects[found[n][1]][0] for n in order]
+
+
+def _whole(scan: Scan, statistics: Statistics, candidate: Candidate) -> int:
+    """Of a candidate whose shape is all that is unknown: the one that gains most as it stands.
+
+    With an amplitude c a delay of 0.2 s may pass for one of 0.2 c s. At c the gain is v, at 1 it is v (2 c - 1) / c^2.
+    """
+
+    def gain(i: int) -> float:
+        c = float(statistics.amplitudes[i][0])
+        return float(statistics.values[i]) * (2.0 * c - 1.0) / c**2 if c else 0.0
+
+    return max((i for i, (c, _) in enumerate(scan.effects) if c is candidate), key=gain)
+
+
+def _cosine(a: _Array, b: _Array) -> float:
+    """Of the angle between the spaces of two bases: the smaller within the other."""
+    if a.shape[1] == b.shape[1] == 1:
+        return abs(float(a[:, 0] @ b[:, 0]))
+    return float(np.linalg.svd(a.T @ b, compute_uv=False).min())

@@ -80,7 +80,7 @@ impl Filter {
                 outputs,
                 innovations: innovations(&at, &found),
                 first_covariance: w[..n * n].to_vec(),
-                first_follows: self.border(&at, &found).1,
+                first_follows: self.border(&at, &found)?.1,
             });
         }
         Ok(out)

@@ -2,7 +2,8 @@
 //! curvatures go to their places.
 
 use super::Shooting;
-use crate::integrate::flow::{Memory, congruence};
+use crate::integrate::adjoint::congruence;
+use crate::integrate::flow::Memory;
 use crate::integrate::group::Group;
 use crate::interrupt::current;
 use crate::problem::disjoint::Disjoint;
@@ -36,7 +37,7 @@ pub(super) fn integrate_group<const W: usize>(
     uniforms: &Uniforms,
     m: &mut Memory,
 ) -> bool {
-    p.flow(group).forward::<W>(p.start(group, xi), of(uniforms, group), m)
+    p.flow(group).forward::<W>(p.start(group, xi), &[], of(uniforms, group), m)
 }
 
 /// Integrates, and writes the states at the samples.
@@ -72,7 +73,7 @@ pub(super) fn defects_of<const W: usize>(
         let next = p.layout.state(group.node + lane + 1);
         // SAFETY: the rows of groups do not overlap.
         let c = unsafe { out.part((group.node + lane - group.experiment) * n_x, n_x) };
-        (0..n_x).for_each(|r| c[r] = xi[next + r] - m.x[end + r * W + lane]);
+        (0..n_x).for_each(|r| c[r] = xi[next + r] - m.points.x[end + r * W + lane]);
     }
     finite
 }

@@ -314,7 +314,7 @@ impl Filter {
         let (chain, factor, path) = (&found.chain, &found.factor, &found.path);
         let w = chain.random_covariances(factor)?;
         let half: Vec<f64> = w.x.iter().map(|w| 0.5 * w).collect();
-        let mut by_b = chain.passage_slopes(factor, &w);
+        let mut by_b = chain.passage_slopes(factor, &w)?;
         let half_lambda: Vec<f64> = path.lambda.iter().map(|l| 0.5 * l).collect();
 
         // How ½ ln det changes with states, noises and multipliers, and what their motion brings.
@@ -332,7 +332,7 @@ impl Filter {
         self.samples.pull_back(at.theta, &run.data, &path.x, &weights, &mut by_x, &mut unused);
         let minus = |v: &[f64]| -> Vec<f64> { v.iter().map(|v| -v).collect() };
         let gaps: Vec<f64> = s.iter().map(|s| -0.5 * s).collect();
-        let nu = chain.solve(factor, &minus(&by_x), &minus(&by_e), &gaps);
+        let nu = chain.solve(factor, &minus(&by_x), &minus(&by_e), &gaps)?;
 
         // The parameters themselves.
         for (k, by_b) in by_b.chunks_exact_mut(n * width).enumerate() {
@@ -394,6 +394,6 @@ impl Filter {
                 }
             }
         }
-        Ok(found.chain.border(&found.factor, &linear.by_p, &cross, &own, p))
+        Ok(found.chain.border(&found.factor, &linear.by_p, &cross, &own, p)?)
     }
 }

@@ -1,6 +1,6 @@
 //! The most probable path of one record at given parameters: Newton's method on states, noises and multipliers.
 
-use super::chain::{Chain, Factor, NotPositive};
+use super::chain::{Chain, Factor, Fault};
 use super::dense::{add_transposed_product, dot};
 use super::flow::{Beside, Flow, Linear};
 use super::sample::{Costs, Samples};
@@ -81,11 +81,12 @@ impl Lost {
     }
 }
 
-impl From<NotPositive> for Lost {
-    fn from(fault: NotPositive) -> Lost {
+impl From<Fault> for Lost {
+    fn from(fault: Fault) -> Lost {
         match fault {
-            NotPositive::Noise => Lost::Curvature,
-            NotPositive::First(state) => Lost::First(state),
+            Fault::Noise => Lost::Curvature,
+            Fault::First(state) => Lost::First(state),
+            Fault::Stopped => Lost::Stopped,
         }
     }
 }
@@ -168,13 +169,14 @@ impl At<'_> {
             let exact = self.chain(&linear, &costs, &path, true);
             let (chain, factor, is_exact) = match exact.factor() {
                 Ok(factor) => (exact, factor, true),
+                Err(Fault::Stopped) => return Err(Lost::Stopped),
                 Err(_) => {
                     let chain = self.chain(&linear, &costs, &path, false);
                     let factor = chain.factor()?;
                     (chain, factor, false)
                 }
             };
-            let step = chain.solve(&factor, &costs.slope, &path.e, &gaps);
+            let step = chain.solve(&factor, &costs.slope, &path.e, &gaps)?;
             let decrement = step.decrement;
             if !decrement.is_finite() {
                 return Err(Lost::NotFinite);

@@ -62,7 +62,7 @@ class Objective:
 
     def prior(self, z: _Array) -> float:
         """Return minus the logarithm of the parameters' priors, without constants."""
-        return sum(0.5 * ((z[i] - mean) / std) ** 2 for i, mean, std in self.priors)
+        return float(sum(0.5 * ((z[i] - mean) / std) ** 2 for i, mean, std in self.priors))
 
     def __call__(self, z: _Array) -> tuple[float, _Array] | None:
         """Value and gradient; None where there is none, and ``reason`` says why.

@@ -4,7 +4,7 @@
 use super::noises::{Driven, LANES};
 use crate::error::Error;
 use crate::integrate::flow::{self, Memory};
-use crate::integrate::group::Group;
+use crate::integrate::group::{Group, Lane};
 use crate::integrate::tableau::Tableau;
 use crate::interrupt::current;
 use crate::tape::{Function, Pairs, Tape};
@@ -92,7 +92,7 @@ impl Flow {
     /// Appends the states at the ends of a group's intervals, rows of n.
     fn add_ends<const W: usize>(&self, flow: &flow::Flow<'_>, memory: &Memory, out: &mut Vec<f64>) {
         let end = &memory.points.x[flow.at_step(flow.group.steps) * W..];
-        for lane in 0..flow.group.n {
+        for Lane(lane) in flow.group.lanes() {
             out.extend(end.iter().skip(lane).step_by(W));
         }
     }
@@ -102,7 +102,7 @@ impl Flow {
     pub(super) fn along(&self, theta: &[f64], groups: &[Group], first: &[f64], e: &[f64]) -> Vec<f64> {
         let (mut out, mut memory) = (first.to_vec(), Memory::default());
         let uniforms = self.uniforms(&self.f.value, theta);
-        for (group, lane) in groups.iter().flat_map(|g| (0..g.n).map(move |lane| (g, lane))) {
+        for (group, lane) in groups.iter().flat_map(|g| g.lanes().map(move |lane| (g, lane))) {
             let alone = group.alone(lane);
             let (flow, (x, e)) = (self.of(&alone, 0), self.own(&alone, &out, e));
             flow.forward::<1>(x, e, &uniforms, &mut memory);
@@ -137,7 +137,7 @@ impl Flow {
                 return None;
             }
             self.add_ends::<LANES>(&flow, &memory, &mut out.end);
-            for lane in 0..group.n {
+            for lane in group.lanes() {
                 let slope = flow.end::<LANES>(lane, &memory);
                 for r in 0..n {
                     out.b.extend((0..width).map(|c| slope(r, c)));
@@ -148,14 +148,14 @@ impl Flow {
             memory.sums.clear();
             memory.sums.resize(width * width * LANES, 0.0);
             if !self.f.hessian_pattern.is_empty() {
-                let end = |lane: usize, r: usize| lambda[(group.node + lane) * n + r];
+                let end = |lane: Lane, r: usize| lambda[group.node_of(lane) * n + r];
                 let done = flow.backward::<LANES>(&mut memory, |_, _| 0.0, end)
                     && flow.curvature::<LANES>(&uniforms[2], width, &mut memory);
                 if !done {
                     return None;
                 }
             }
-            for lane in 0..group.n {
+            for Lane(lane) in group.lanes() {
                 let entry = |i: usize, j: usize| memory.sums[(i.max(j) * width + i.min(j)) * LANES + lane];
                 out.curvature.extend((0..width * width).map(|at| entry(at / width, at % width)));
             }

@@ -15,7 +15,7 @@ use crate::expr::derive::Sparse;
 use crate::expr::graph::{Graph, Id};
 use crate::integrate::adjoint::Adjoint;
 use crate::integrate::flow::{Flow, Memory, Points};
-use crate::integrate::group::Group;
+use crate::integrate::group::{Group, Lane};
 use crate::integrate::tableau::Tableau;
 use crate::interrupt::current;
 use crate::tape::{Arguments, Function};
@@ -131,8 +131,8 @@ impl Jets {
         let uniforms = self.back.uniforms(theta);
         let interrupt = current();
         for (group, points) in groups.iter().zip(points) {
-            let end = |lane: usize, r: usize| {
-                let k = group.node + lane;
+            let end = |lane: Lane, r: usize| {
+                let k = group.node_of(lane);
                 match r.checked_sub(n) {
                     None => weights.end[k * n + r],
                     Some(r) if r < n * width => weights.b[k * n * width + r],

@@ -12,7 +12,7 @@
 
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
-use crate::integrate::group::{Group, Origin};
+use crate::integrate::group::{Group, Lane, Origin};
 use crate::integrate::steps::Track;
 use crate::integrate::tableau::Tableau;
 use crate::model::Compiled;
@@ -81,7 +81,7 @@ pub(super) fn intervals(
         let roots: Vec<f64> = (0..LANES).map(root).collect();
         let column = |j: usize| {
             let (values, roots) = (&values, &roots);
-            move |point: usize, lane: usize| values[point][j] / roots[lane]
+            move |point: usize, lane: Lane| values[point][j] / roots[lane.0]
         };
         group.append(stages, &(0..terms).map(column).collect::<Vec<_>>());
     }

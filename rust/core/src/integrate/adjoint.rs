@@ -6,7 +6,7 @@
 //! better where f is large and no sensitivities are wanted.
 
 use super::flow::{Flow, Memory, Points, add, fill, lanes, weighted, zeroed};
-use super::group::Sampled;
+use super::group::{Lane, Sampled};
 use crate::error::Error;
 use crate::expr::graph::{Graph, Id};
 use crate::interrupt::current;
@@ -94,14 +94,14 @@ impl Flow<'_> {
         &self,
         m: &mut Memory,
         gradient: impl Fn(&Sampled, usize) -> f64,
-        end: impl Fn(usize, usize) -> f64,
+        end: impl Fn(Lane, usize) -> f64,
     ) -> bool {
         let (n_x, s, steps) = (self.n_x(), self.stages(), self.group.steps);
         let size = n_x * W;
         self.seed::<W>(m, end);
         for sample in &self.group.samples {
             for r in 0..n_x {
-                let (g, at) = (gradient(sample, r), r * W + sample.lane);
+                let (g, at) = (gradient(sample, r), r * W + sample.lane.0);
                 match sample.weights {
                     None => m.ax[sample.step * size + at] += g,
                     Some(w) => {
@@ -127,12 +127,12 @@ impl Flow<'_> {
     }
 
     /// No adjoints but those of the ends, `end(lane, state)`.
-    fn seed<const W: usize>(&self, m: &mut Memory, end: impl Fn(usize, usize) -> f64) {
+    fn seed<const W: usize>(&self, m: &mut Memory, end: impl Fn(Lane, usize) -> f64) {
         let (steps, size) = (self.group.steps, self.n_x() * W);
         zeroed(&mut m.ax, (steps + 1) * size);
         zeroed(&mut m.kappa, (steps * self.stages() + 1) * size);
         for (at, ax) in m.ax[steps * size..].iter_mut().enumerate().filter(|(at, _)| at % W < self.group.n) {
-            *ax = end(at % W, at / W);
+            *ax = end(Lane(at % W), at / W);
         }
     }
 
@@ -144,7 +144,7 @@ impl Flow<'_> {
         (adjoint, uniforms): (&Adjoint, &[f64]),
         points: &Points,
         m: &mut Memory,
-        end: impl Fn(usize, usize) -> f64,
+        end: impl Fn(Lane, usize) -> f64,
         out: &mut [f64],
     ) -> bool {
         self.seed::<W>(m, end);
@@ -196,7 +196,7 @@ impl Flow<'_> {
         let mut finite = done && second.iter().all(|v| v.is_finite());
         if finite && !pattern.is_empty() {
             let mut turns = current().turns(n_x * n_q * (n_q + n_x) * W);
-            let size = n_x * n_q * W;
+            let (size, sizes) = (n_x * n_q * W, Sizes { x: n_x, q: n_q, all: n_all });
             for point in 0..self.group.points {
                 if turns.stop() {
                     finite = false;
@@ -205,7 +205,7 @@ impl Flow<'_> {
                 let entries = &second[point * pattern.len() * W..][..pattern.len() * W];
                 let terms = pattern.iter().zip(entries.as_chunks::<W>().0).map(|(at, v)| (at, *v));
                 let s = &m.sx[point * size..][..size];
-                congruence::<W>(terms, (n_x, n_q, n_all), s, &mut m.product, &mut m.sums);
+                congruence::<W>(terms, sizes, s, &mut m.product, &mut m.sums);
             }
         }
         m.second = second;
@@ -213,10 +213,18 @@ impl Flow<'_> {
     }
 }
 
+/// Numbers of states, of variables q, and of all that a second derivative is by: the noise's parameters too.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sizes {
+    pub(crate) x: usize,
+    pub(crate) q: usize,
+    pub(crate) all: usize,
+}
+
 /// sums += Zᵀ H Z for a ≥ b, Z = [S; I]: H over (x, θ) is given by its entries in the lower triangle.
 pub(crate) fn congruence<const W: usize>(
     terms: impl Iterator<Item = ((usize, usize), [f64; W])>,
-    (n_x, n_q, n_all): (usize, usize, usize),
+    Sizes { x: n_x, q: n_q, all: n_all }: Sizes,
     s: &[f64],
     product: &mut Vec<f64>,
     sums: &mut [f64],

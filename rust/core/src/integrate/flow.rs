@@ -7,7 +7,7 @@
 //! Arrays have the lanes last: `x[(point·n_x + state)·W + lane]`. The dense algebra is in plain loops over arrays of
 //! W lanes, or for W = 1 over q: short, and few beside the tapes.
 
-use super::group::{Group, Sampled};
+use super::group::{Group, Lane, Sampled};
 use super::tableau::Tableau;
 use crate::interrupt::current;
 use crate::tape::{BLOCK, Function, LANE_MULTIPLE, Tape, Workspace};
@@ -270,9 +270,9 @@ impl Flow<'_> {
     }
 
     /// ∂x/∂q at the end of a lane: `(state, q)`.
-    pub(crate) fn end<const W: usize>(&self, lane: usize, m: &Memory) -> impl Fn(usize, usize) -> f64 {
+    pub(crate) fn end<const W: usize>(&self, lane: Lane, m: &Memory) -> impl Fn(usize, usize) -> f64 {
         let (n_q, at) = (self.n_q(), self.at_step(self.group.steps) * self.n_q() * W);
-        move |r, q| m.sx[at + (r * n_q + q) * W + lane]
+        move |r, q| m.sx[at + (r * n_q + q) * W + lane.0]
     }
 
     /// A combination at a sample of an array over the points, of which `size` entries belong to a point, and of that
@@ -284,7 +284,7 @@ impl Flow<'_> {
         size: usize,
         mut put: impl FnMut(usize, f64),
     ) {
-        let begin = sample.step * self.stages() * size * W + sample.lane;
+        let begin = sample.step * self.stages() * size * W + sample.lane.0;
         match sample.weights {
             None => (0..size).for_each(|i| put(i, x[begin + i * W])),
             Some(w) => {

@@ -28,12 +28,16 @@ pub(crate) struct Group {
     pub(crate) points: usize,
 }
 
+/// One of the segments of a group, by its place among them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Lane(pub(crate) usize);
+
 /// A sample of a group.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sampled {
     /// Which, counted over all experiments.
     pub(crate) index: usize,
-    pub(crate) lane: usize,
+    pub(crate) lane: Lane,
     pub(crate) step: usize,
     /// Weights of x and ẋ at the beginning of the step and at its end; `None` for x at the beginning.
     pub(crate) weights: Option<[f64; 4]>,
@@ -94,7 +98,7 @@ impl Group {
                     [w[0], w[1] * h, w[2], w[3] * h]
                 };
                 let weights = place.share.map(scaled);
-                Sampled { index: origin.sample + k, lane, step: place.step, weights }
+                Sampled { index: origin.sample + k, lane: Lane(lane), step: place.step, weights }
             };
             let samples: Vec<Sampled> = own.map(sampled).collect();
             let times: Vec<f64> = (0..(steps * stages + 1) * width)
@@ -137,27 +141,37 @@ impl Group {
     }
 
     /// Appends a column for each function of point and lane, where steps have so many stages.
-    pub(crate) fn append(&mut self, stages: usize, columns: &[impl Fn(usize, usize) -> f64]) {
+    pub(crate) fn append(&mut self, stages: usize, columns: &[impl Fn(usize, Lane) -> f64]) {
         let points = self.steps * stages + 1;
         let own = self.data.len() / points;
         let mut data = Vec::with_capacity(self.data.len() + points * columns.len() * self.width);
         for (point, before) in self.data.chunks_exact(own).enumerate() {
             data.extend(before);
             for value in columns {
-                data.extend((0..self.width).map(|lane| value(point, lane)));
+                data.extend((0..self.width).map(|lane| value(point, Lane(lane))));
             }
         }
         self.data = data;
     }
 
+    /// Its lanes that have a segment of their own.
+    pub(crate) fn lanes(&self) -> impl Iterator<Item = Lane> + use<> {
+        (0..self.n).map(Lane)
+    }
+
+    /// The node at which a segment starts.
+    pub(crate) fn node_of(&self, lane: Lane) -> usize {
+        self.node + lane.0
+    }
+
     /// One of its segments, on a single lane, without samples.
-    pub(crate) fn alone(&self, lane: usize) -> Group {
-        let own = |v: &[f64]| v.iter().skip(lane).step_by(self.width).copied().collect();
+    pub(crate) fn alone(&self, lane: Lane) -> Group {
+        let own = |v: &[f64]| v.iter().skip(lane.0).step_by(self.width).copied().collect();
         Group {
             width: 1,
             n: 1,
-            node: self.node + lane,
-            last: self.last && lane + 1 == self.n,
+            node: self.node_of(lane),
+            last: self.last && lane.0 + 1 == self.n,
             h: own(&self.h),
             data: own(&self.data),
             samples: Vec::new(),

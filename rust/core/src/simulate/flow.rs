@@ -119,9 +119,7 @@ impl<'a> Flow<'a> {
         let shortest = self.knots.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
         let mut seen = self.sizes(first, shortest);
         self.field.bad = None;
-        let weigh = |seen: &[f64]| -> Vec<f64> {
-            first.iter().zip(seen).map(|(x, size)| tolerance * x.abs().max(SMALL * size)).collect()
-        };
+        let weigh = |seen: &[f64]| -> Vec<f64> { seen.iter().map(|size| tolerance * SMALL * size).collect() };
         let mut integrator = Adaptive::new(first, tolerance, weigh(&seen), method);
         let mut states = vec![first.to_vec()];
         for k in 1..self.knots.len() {

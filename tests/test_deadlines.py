@@ -112,6 +112,19 @@ def test_shooting_ends_in_time() -> None:
     assert fit.status == "time limit" and seconds < _SLACK
 
 
+@pytest.mark.parametrize("limit", [0.0, 0.3])
+def test_process_noise_ends_in_time(limit: float) -> None:
+    model, data = oscillator(60_001)
+    method = ph.FilterError(("x", "v"), time_limit=limit)
+    fit, seconds = overshoot(limit, lambda: ph.estimate(model, data, transcription=method))
+    assert fit.status == "time limit" and fit.iterations == 0 and seconds < _SLACK
+    assert {n: fit.parameters[n].value for n in "kdb"} == {"k": 2.0, "d": 0.3, "b": 1.0}
+    assert all(math.isnan(e.std_error) for e in fit.parameters.values())
+    if math.isnan(fit.log_likelihood):  # nothing was evaluated: the states are as measured
+        assert not fit.feasible and "do not satisfy the equations" in fit.warnings[0]
+        np.testing.assert_array_equal(fit.states["x"], data.output("x"))
+
+
 def test_ipopt_ends_in_time() -> None:
     pytest.importorskip("cyipopt")
     model, data = oscillator(2_001)

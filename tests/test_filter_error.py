@@ -14,6 +14,7 @@ from scipy.linalg import expm
 import phugoid as ph
 from phugoid import DataError, EvaluationError, Experiment, FilterError, Fit, Model, ModelError, OptionError, Parameter
 from phugoid.solvers import Iteration
+from phugoid.solvers.limits import Deadline
 from phugoid.transcription.filter_error import FEWEST
 
 U0 = 44.57  # m/s
@@ -536,6 +537,32 @@ def test_interrupt_gives_the_best_point_so_far() -> None:
     assert fit.status == "interrupted" and len(lines) == 3
     assert fit.log_likelihood == pytest.approx(lines[-1].log_likelihood, rel=1e-12)
     assert np.isnan(fit.parameters["Mq"].std_error) and any("no standard errors" in w for w in fit.warnings)
+
+
+def test_without_time_for_the_smoother_its_part_is_missing(
+    gust: tuple[Experiment, Fit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    e, smoothed = gust
+    monkeypatch.setattr(Deadline, "with_grace", lambda deadline: 0.0)
+    fit = ph.estimate(short_period(), e, transcription=BOTH)
+    assert fit.converged and any("no innovations" in w for w in fit.warnings)
+    assert fit.log_likelihood == pytest.approx(smoothed.log_likelihood, rel=1e-12)
+    for name in ("w", "q"):
+        np.testing.assert_allclose(fit.states[name], smoothed.states[name], atol=1e-4 * SIGMA[name])
+        assert np.isnan(fit.records[0].state_std[name]).all()
+        assert np.isnan(fit.initial_states["run"][name].std_error)
+    assert np.isnan(fit.records[0].innovations["az"]).all() and fit.parameters["Mq"].std_error > 0
+
+
+def test_all_that_takes_long_looks_at_the_clock() -> None:
+    e = turbulent(5, (1.0, 0.05))
+    problem = COARSE.problem(short_period(**TRUTH), [e], [(True, s, s, s) for s in SIGMA.values()])
+    theta, path = np.array([*TRUTH.values(), 1.0, 0.05]), problem.start(np.zeros(2 * e.n))
+    for work in (lambda: problem.evaluate(theta, path, True, 0.0), lambda: problem.information(theta, path, 0.0)):
+        with pytest.raises(TimeoutError):
+            work()
+    with pytest.raises(TimeoutError):
+        problem.smooth(theta, path, 0.0)
 
 
 @pytest.mark.parametrize(

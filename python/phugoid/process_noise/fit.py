@@ -20,7 +20,7 @@ from ..modelling.model import Model
 from ..noise.noise import Gaussian, Noise
 from ..progress import Progress
 from ..solvers import Iteration
-from ..solvers.limits import Deadline, shielded
+from ..solvers.limits import Deadline, TimeUp
 from ..solvers.quasi_newton import Minimum, bounded_step, minimise
 from ..transcription.filter_error import FilterError
 from .result import make_filter_fit
@@ -94,19 +94,25 @@ def filter_error(
     objective = Objective(model, problem, path, bounds, len(intensities))
     z = np.array([*parameters.values(), *np.log([s[1] for s in unknown]), *intensities])
 
-    with shielded():  # the start is always known: it may be all that is left
-        first = objective(z)
-    if first is None:
-        raise EvaluationError(
-            f"FilterError: at the starting point, {objective.reason}; give other start values, or output_error=True"
-        )
     counts = [
         sum(int(np.isfinite(e.output(name)).sum()) for e in experiments)
         for name, s in zip(model.output_names, sigmas, strict=True)
         if not s[0]
     ]
-    metric = objective.metric(z, counts, sum(e.n - 1 for e in experiments))
     at, *finer = options.meshes()
+    first: tuple[float, _Array] | None = math.nan, np.full(z.size, np.nan)
+    try:
+        first = objective(z)
+        if first is None:
+            raise EvaluationError(
+                f"FilterError: at the starting point, {objective.reason}; give other start values, or output_error=True"
+            )
+        metric = objective.metric(z, counts, sum(e.n - 1 for e in experiments))
+    except TimeUp:  # the start is all that is known, perhaps with its likelihood
+        value, gradient = first or (math.nan, np.full(z.size, np.nan))
+        end = Minimum(z, value, gradient, np.eye(z.size), Deadline(None).ended(), 0)
+        seconds = time.perf_counter() - begin
+        return make_filter_fit(model, experiments, noise, at, objective, end, None, seconds)
     moved = 0.0
     with Progress.of(progress, model.name) as watch:
         end, hessian = _maximise(objective, z, first, metric, options.max_iterations, watch)

@@ -18,6 +18,7 @@ from ..parameters import Estimate, Estimates
 from ..records import Record
 from ..repeated_outputs import repeated_outputs
 from ..solvers import HINTS
+from ..solvers.limits import Deadline
 from ..solvers.quasi_newton import Minimum
 from ..transcription.collocation import records_of
 from ..transcription.filter_error import FilterError
@@ -57,7 +58,15 @@ def make_filter_fit(
     status = end.status
     covariance = np.full((z.size, z.size), np.nan)
     free = np.flatnonzero([not f and s is None for f, s in zip(fixed, sides, strict=True)])
-    if hessian is None:
+    stopped = status in ("interrupted", "time limit")
+    if objective.best is None:
+        warnings.append(
+            "time limit: nothing was evaluated; the states are those of the start and do not satisfy the equations: "
+            "there is no log-likelihood and no standard error"
+        )
+    elif hessian is None and stopped:
+        warnings.append(f"{status}: there are no standard errors; go on with start=fit")
+    elif hessian is None:
         warnings.append("there are no standard errors: the curvature of the likelihood was not computed")
     else:
         status = _invert(hessian, free, names, covariance, warnings, status)
@@ -100,7 +109,9 @@ def make_filter_fit(
         estimates.append(Estimate(name, values[i], errors[i], unit, bounds=(0.0, np.inf), bounds_active=active))
 
     warnings += _core.gap_warnings(model.input_names, records_of(model, experiments))
-    records, initial = _records(model, experiments, objective, z, covariance)
+    smoothed, missing = _smoothed(objective, z)
+    warnings += missing
+    records, initial = _records(model, experiments, smoothed, covariance, feasible=objective.best is not None)
     warnings += repeated_outputs(records, model.output_names)
     message = HINTS.get(status, "")
     return FitResult(
@@ -110,7 +121,7 @@ def make_filter_fit(
         parameters=Estimates(estimates),
         initial_states=initial,
         covariance=covariance,
-        log_likelihood=objective.likelihood(z),
+        log_likelihood=objective.prior(z) - end.value,
         records=records,
         status=status,
         message=message,
@@ -147,16 +158,34 @@ def _invert(
     return status
 
 
+def _smoothed(objective: Objective, z: _Array) -> tuple[list[_core._Smoothed], list[str]]:
+    """Return the smoothed records, and a sentence where there is no time for them: the most probable path is then what
+    the last evaluation found, and what the smoother says of it is NaN."""
+    problem, theta = objective.problem, objective.theta(z)
+    if objective.best is None:
+        return problem.unsmoothed(theta, objective.path), []
+    try:
+        found = problem.smooth(theta, objective.path, Deadline(None).with_grace())
+        why = "not found"
+    except TimeoutError:
+        found, why = None, "time limit"
+    except KeyboardInterrupt:
+        found, why = None, "interrupted"
+    if found is not None:
+        return found, []
+    text = f"{why}: there are no innovations, and no standard deviations of states; go on with start=fit"
+    return problem.unsmoothed(theta, objective.best[1]), [text]
+
+
 def _records(
     model: Model,
     experiments: Sequence[Experiment],
-    objective: Objective,
-    z: _Array,
+    smoothed: Sequence[_core._Smoothed],
     covariance: _Array,
+    feasible: bool,
 ) -> tuple[list[Record], dict[str, Estimates]]:
     """Smoothed time histories, and the first states with their standard errors."""
-    n, p = len(model.state_names), objective.n_model
-    smoothed = objective.problem.smooth(objective.theta(z), objective.path) or []
+    n, p = len(model.state_names), len(model.parameter_names)
     of_model = np.nan_to_num(covariance[:p, :p])
     records, initial = [], {}
     for e, (pairs, first, follows) in zip(experiments, smoothed, strict=True):
@@ -178,6 +207,7 @@ def _records(
                 units=model.units,
                 interpolation=kinds_for(e.interpolation, model.input_names),
                 input_samples=e.own_samples(model.input_names),
+                feasible=feasible,
                 state_std=dict(zip(model.state_names, deviations, strict=True)),
                 innovations=dict(zip(model.output_names, innovations, strict=True)),
                 innovation_std=dict(zip(model.output_names, spreads, strict=True)),
@@ -187,7 +217,7 @@ def _records(
         moves = follows.reshape(n, p)
         variance = np.diag(first.reshape(n, n) + moves @ of_model @ moves.T)
         initial[e.name] = Estimates(
-            Estimate(name, by_state[name][0], np.sqrt(max(variance[i], 0.0)), model.units.get(name, ""))
+            Estimate(name, by_state[name][0], np.sqrt(np.maximum(variance[i], 0.0)), model.units.get(name, ""))
             for i, name in enumerate(model.state_names)
         )
     return records, initial

@@ -36,7 +36,8 @@ class Objective:
         self.n_sigma = len(problem.parameters) - self.n_model - n_q
         self.priors = [(i, *p.prior) for i, p in enumerate(model.declared_parameters.values()) if p.prior]
         self.reason = ""
-        self.evaluations = 0
+        # The least value so far, with the path there.
+        self.best: tuple[float, _Array] | None = None
 
     def on(self, problem: _core.Filter) -> Objective:
         """The same with another treatment of the noise between samples, from the path of this."""
@@ -59,10 +60,9 @@ class Objective:
         theta[self.sigmas] = np.exp(-z[self.sigmas])
         return theta
 
-    def likelihood(self, z: _Array) -> float:
-        """The marginal log-likelihood."""
-        found = self.problem.evaluate(self.theta(z), self.path, False)
-        return math.nan if isinstance(found, str) else found[0]
+    def prior(self, z: _Array) -> float:
+        """Return minus the logarithm of the parameters' priors, without constants."""
+        return float(sum(0.5 * ((z[i] - mean) / std) ** 2 for i, mean, std in self.priors))
 
     def __call__(self, z: _Array) -> tuple[float, _Array] | None:
         """Value and gradient; None where there is none, and ``reason`` says why.
@@ -74,26 +74,29 @@ class Objective:
             found = self.problem.evaluate(theta, self.path, True, Deadline(None).left())
         except TimeoutError:
             raise TimeUp from None
-        self.evaluations += 1
         if isinstance(found, str):
             self.reason = found
             return None
         likelihood, gradient, self.path, _ = found
         gradient = -gradient
         gradient[self.sigmas] *= -theta[self.sigmas]
-        value = -likelihood
+        value = float(self.prior(z) - likelihood)
         for i, mean, std in self.priors:
-            value += 0.5 * ((z[i] - mean) / std) ** 2
             gradient[i] += (z[i] - mean) / std**2
-        return float(value), gradient
+        if self.best is None or value <= self.best[0]:
+            self.best = value, self.path
+        return value, gradient
 
     def metric(self, z: _Array, measured: Sequence[int], intervals: int) -> _Array:
         """About the Hessian: the expected information of the model's parameters, and of noise levels what their
-        number of samples gives."""
+        number of samples gives. Raises TimeUp at the limit in force."""
         n = z.size
         metric = np.zeros((n, n))
         p = self.n_model
-        information = self.problem.information(self.theta(z), self.path)
+        try:
+            information = self.problem.information(self.theta(z), self.path, Deadline(None).left())
+        except TimeoutError:
+            raise TimeUp from None
         if information is not None:
             metric[:p, :p] = information.reshape(p, p)
         for i, _, std in self.priors:

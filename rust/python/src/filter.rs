@@ -1,7 +1,7 @@
 //! The marginal likelihood of the filter-error method.
 
 use numpy::{PyArray1, PyArray2, PyReadonlyArray1};
-use phugoid::filter::{Filter, Lost, Settings};
+use phugoid::filter::{Filter, Lost, Settings, Smoothed};
 use phugoid::interrupt::Interrupt;
 use phugoid::noise::Noise;
 use pyo3::exceptions::{PyTimeoutError, PyValueError};
@@ -113,28 +113,30 @@ impl PyFilter {
         time_limit: Option<f64>,
     ) -> PyResult<Outcome<'py>> {
         let (theta, path) = self.slices(&theta, &path)?;
-        let work = || Interrupt::within(seconds(time_limit)).run(|| self.0.evaluate(theta, path, gradient));
-        Ok(match interruptible(py, None, work)? {
+        Ok(match limited(py, time_limit, || self.0.evaluate(theta, path, gradient))? {
             Ok(m) => Outcome::Found((
                 m.log_likelihood,
                 PyArray1::from_vec(py, m.gradient),
                 PyArray1::from_vec(py, m.path),
                 m.iterations,
             )),
-            Err(Lost::Stopped) => return Err(PyTimeoutError::new_err("time limit")),
             Err(lost) => Outcome::Lost(self.0.explain(lost)),
         })
     }
 
-    /// Expected information of the model's parameters, one row after the other; None where there is none.
+    /// Expected information of the model's parameters, one row after the other; None where there is none. Ends early as
+    /// `evaluate` does.
+    #[pyo3(signature = (theta, path, time_limit = None))]
     fn information<'py>(
         &self,
         py: Python<'py>,
         theta: PyReadonlyArray1<'_, f64>,
         path: PyReadonlyArray1<'_, f64>,
+        time_limit: Option<f64>,
     ) -> PyResult<Option<Array<'py>>> {
         let (theta, path) = self.slices(&theta, &path)?;
-        Ok(py.detach(|| self.0.information(theta, path)).ok().map(|v| PyArray1::from_vec(py, v)))
+        let found = limited(py, time_limit, || self.0.information(theta, path))?;
+        Ok(found.ok().map(|v| PyArray1::from_vec(py, v)))
     }
 
     /// Number of noises of an interval.
@@ -166,28 +168,57 @@ impl PyFilter {
         found.iter().map(|[x, y]| Ok((matrix(py, x)?, matrix(py, y)?))).collect()
     }
 
-    /// Each record smoothed; None where there is no path.
+    /// Each record smoothed; None where there is no path. Ends early as `evaluate` does.
+    #[pyo3(signature = (theta, path, time_limit = None))]
     fn smooth<'py>(
         &self,
         py: Python<'py>,
         theta: PyReadonlyArray1<'_, f64>,
         path: PyReadonlyArray1<'_, f64>,
+        time_limit: Option<f64>,
     ) -> PyResult<Option<Vec<Smooth<'py>>>> {
         let (theta, path) = self.slices(&theta, &path)?;
-        let Ok(records) = py.detach(|| self.0.smooth(theta, path)) else { return Ok(None) };
-        let pair = |a: &[Vec<f64>], b: &[Vec<f64>]| Ok::<_, PyErr>((matrix(py, a)?, matrix(py, b)?));
-        let one = |s: &phugoid::filter::Smoothed| {
-            Ok((
-                [
-                    pair(&s.states, &s.deviations)?,
-                    pair(&s.outputs, &s.output_deviations)?,
-                    pair(&s.innovations.values, &s.innovations.deviations)?,
-                    pair(&s.innovations.states, &s.innovations.state_deviations)?,
-                ],
-                PyArray1::from_slice(py, &s.first_covariance),
-                PyArray1::from_slice(py, &s.first_follows),
-            ))
-        };
-        records.iter().map(one).collect::<PyResult<Vec<_>>>().map(Some)
+        let found = limited(py, time_limit, || self.0.smooth(theta, path))?;
+        found.ok().map(|records| histories(py, &records)).transpose()
     }
+
+    /// The states of a path as they are, and outputs there, as `smooth` gives them; NaN for what was not computed.
+    fn unsmoothed<'py>(
+        &self,
+        py: Python<'py>,
+        theta: PyReadonlyArray1<'_, f64>,
+        path: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Vec<Smooth<'py>>> {
+        let (theta, path) = self.slices(&theta, &path)?;
+        histories(py, &py.detach(|| self.0.unsmoothed(theta, path)))
+    }
+}
+
+/// Does work that Ctrl-C and a limit in seconds end: KeyboardInterrupt, TimeoutError.
+fn limited<T: Send>(
+    py: Python<'_>,
+    time_limit: Option<f64>,
+    work: impl FnOnce() -> Result<T, Lost> + Send,
+) -> PyResult<Result<T, Lost>> {
+    match interruptible(py, None, || Interrupt::within(seconds(time_limit)).run(work))? {
+        Err(Lost::Stopped) => Err(PyTimeoutError::new_err("time limit")),
+        found => Ok(found),
+    }
+}
+
+fn histories<'py>(py: Python<'py>, records: &[Smoothed]) -> PyResult<Vec<Smooth<'py>>> {
+    let pair = |a: &[Vec<f64>], b: &[Vec<f64>]| Ok::<_, PyErr>((matrix(py, a)?, matrix(py, b)?));
+    let one = |s: &Smoothed| {
+        Ok((
+            [
+                pair(&s.states, &s.deviations)?,
+                pair(&s.outputs, &s.output_deviations)?,
+                pair(&s.innovations.values, &s.innovations.deviations)?,
+                pair(&s.innovations.states, &s.innovations.state_deviations)?,
+            ],
+            PyArray1::from_slice(py, &s.first_covariance),
+            PyArray1::from_slice(py, &s.first_follows),
+        ))
+    };
+    records.iter().map(one).collect()
 }

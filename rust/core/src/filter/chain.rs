@@ -10,6 +10,8 @@
 //! on. The noises ε_k have unit variance: states that they do not reach are nothing special, and neither is q = 0, where
 //! a matrix Q⁻¹ would be infinite.
 
+use crate::interrupt::{Turns, current};
+
 use super::dense::{
     add_transposed_product, cholesky, dot, inverse, log_det, product, product_transposed, solve, symmetrise,
 };
@@ -55,13 +57,15 @@ pub(super) struct Spread {
     pub(super) z: Vec<f64>,
 }
 
-/// Where there is no factorisation: the Hessian has no positive pivot there.
+/// Why something of a chain was not computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum NotPositive {
-    /// In the noise of an interval.
+pub(super) enum Fault {
+    /// The Hessian has no positive pivot in the noise of an interval.
     Noise,
-    /// At a first state.
+    /// It has none at a first state.
     First(usize),
+    /// The interrupt in force ended the work.
+    Stopped,
 }
 
 /// The solution of the quadratic program.
@@ -87,6 +91,12 @@ impl Chain {
         &all[k * rows * columns..(k + 1) * rows * columns]
     }
 
+    /// For a loop over the intervals with so many products of square matrices of the size of z.
+    fn turns(&self, products: usize) -> impl FnMut() -> Result<(), Fault> {
+        let mut turns: Turns = current().turns(products * self.width().pow(3));
+        move || if turns.stop() { Err(Fault::Stopped) } else { Ok(()) }
+    }
+
     /// T = (I; −L): how z_k follows x_k, (n + m, n).
     fn closed(&self, gain: &[f64]) -> Vec<f64> {
         let n = self.n;
@@ -97,7 +107,7 @@ impl Chain {
     }
 
     /// Eliminates from the last sample to the first.
-    pub(super) fn factor(&self) -> Result<Factor, NotPositive> {
+    pub(super) fn factor(&self) -> Result<Factor, Fault> {
         let (n, m, width, last) = (self.n, self.m, self.width(), self.samples - 1);
         let nn = n * n;
         let mut f = Factor {
@@ -108,7 +118,9 @@ impl Chain {
         };
         let (mut pb, mut h) = (vec![0.0; n * width], vec![0.0; width * width]);
         let (mut bt, mut pbt, mut ct) = (vec![0.0; nn], vec![0.0; nn], vec![0.0; width * n]);
+        let mut turn = self.turns(6);
         for k in (0..last).rev() {
+            turn()?;
             let (before, after) = f.p.split_at_mut((k + 1) * nn);
             let (p, next) = (&mut before[k * nn..], &after[..nn]);
             let (b, c) = (self.of(&self.b, k, n, width), self.of(&self.c, k, width, width));
@@ -122,7 +134,7 @@ impl Chain {
                 s[i * m..(i + 1) * m].copy_from_slice(&row[n..]);
                 s[i * m + i] += 1.0;
             }
-            cholesky(s, m).map_err(|_| NotPositive::Noise)?;
+            cholesky(s, m).map_err(|_| Fault::Noise)?;
             solve(s, gain, m, n);
             // Tᵀ H T (Joseph's form): what is a sum of squares cannot lose its definiteness to rounding.
             let t = self.closed(gain);
@@ -135,7 +147,7 @@ impl Chain {
             symmetrise(p, n);
         }
         f.first = f.p[..nn].to_vec();
-        cholesky(&mut f.first, n).map_err(NotPositive::First)?;
+        cholesky(&mut f.first, n).map_err(Fault::First)?;
         Ok(f)
     }
 
@@ -147,31 +159,33 @@ impl Chain {
     }
 
     /// Cholesky factor of S P_0 S over the first states with a prior of standard deviations S.
-    fn random_first(&self, f: &Factor) -> Result<Vec<f64>, NotPositive> {
+    fn random_first(&self, f: &Factor) -> Result<Vec<f64>, Fault> {
         let random = self.random();
         let mut block = Vec::with_capacity(random.len() * random.len());
         for &(i, si) in &random {
             block.extend(random.iter().map(|&(j, sj)| si * f.p[i * self.n + j] * sj));
         }
-        cholesky(&mut block, random.len()).map_err(|j| NotPositive::First(random[j].0))?;
+        cholesky(&mut block, random.len()).map_err(|j| Fault::First(random[j].0))?;
         Ok(block)
     }
 
     /// ln det of the Hessian in what is random: the noises ε, and first states with a prior in units of its
     /// standard deviation.
-    pub(super) fn log_det(&self, f: &Factor) -> Result<f64, NotPositive> {
+    pub(super) fn log_det(&self, f: &Factor) -> Result<f64, Fault> {
         let m = self.m;
         let noise: f64 = f.s.chunks_exact(m * m).map(|s| log_det(s, m)).sum();
         Ok(noise + log_det(&self.random_first(f)?, self.random().len()))
     }
 
     /// Covariances, where that of the first state is `first`.
-    fn spread(&self, f: &Factor, first: Vec<f64>) -> Spread {
+    fn spread(&self, f: &Factor, first: Vec<f64>) -> Result<Spread, Fault> {
         let (n, m, width) = (self.n, self.m, self.width());
         let mut out = Spread { x: first.clone(), z: Vec::with_capacity((self.samples - 1) * width * width) };
         let mut now = first;
         let (mut tw, mut z, mut bz) = (vec![0.0; width * n], vec![0.0; width * width], vec![0.0; n * width]);
+        let mut turn = self.turns(5);
         for k in 0..self.samples - 1 {
+            turn()?;
             let t = self.closed(self.of(&f.gain, k, m, n));
             product(&mut tw, &t, &now, [width, n, n]);
             product_transposed(&mut z, &tw, &t, [width, n, width]);
@@ -188,11 +202,11 @@ impl Chain {
             out.x.extend(&now);
             out.z.extend(&z);
         }
-        out
+        Ok(out)
     }
 
     /// Covariances of what is random: half of them is the derivative of ½ ln det with respect to Q and C.
-    pub(super) fn random_covariances(&self, f: &Factor) -> Result<Spread, NotPositive> {
+    pub(super) fn random_covariances(&self, f: &Factor) -> Result<Spread, Fault> {
         let (n, random) = (self.n, self.random());
         let block = inverse(&self.random_first(f)?, random.len());
         let mut first = vec![0.0; n * n];
@@ -201,36 +215,40 @@ impl Chain {
                 first[row * n + column] = si * block[i * random.len() + j] * sj;
             }
         }
-        Ok(self.spread(f, first))
+        self.spread(f, first)
     }
 
     /// Covariances of the states given all data and the parameters, N of (n, n).
-    pub(super) fn covariances(&self, f: &Factor) -> Vec<f64> {
-        self.spread(f, inverse(&f.first, self.n)).x
+    pub(super) fn covariances(&self, f: &Factor) -> Result<Vec<f64>, Fault> {
+        Ok(self.spread(f, inverse(&f.first, self.n))?.x)
     }
 
     /// Derivatives of ½ ln det with respect to B_k, N−1 of (n, n + m): P_{k+1} B_k W with W the covariance of z_k, for
     /// the slope of all that comes after is P_{k+1} x_{k+1} once later noises have answered.
-    pub(super) fn passage_slopes(&self, f: &Factor, spread: &Spread) -> Vec<f64> {
+    pub(super) fn passage_slopes(&self, f: &Factor, spread: &Spread) -> Result<Vec<f64>, Fault> {
         let (n, width) = (self.n, self.width());
         let mut out = vec![0.0; (self.samples - 1) * n * width];
         let mut bw = vec![0.0; n * width];
+        let mut turn = self.turns(2);
         for (k, out) in out.chunks_exact_mut(n * width).enumerate() {
+            turn()?;
             let (b, w) = (self.of(&self.b, k, n, width), self.of(&spread.z, k, width, width));
             product(&mut bw, b, w, [n, width, width]);
             product(out, self.of(&f.p, k + 1, n, n), &bw, [n, n, width]);
         }
-        out
+        Ok(out)
     }
 
     /// Solves the quadratic program: `gx` N of n, `ge` N−1 of m, the gaps `d` N−1 of n.
-    pub(super) fn solve(&self, f: &Factor, gx: &[f64], ge: &[f64], d: &[f64]) -> Step {
+    pub(super) fn solve(&self, f: &Factor, gx: &[f64], ge: &[f64], d: &[f64]) -> Result<Step, Fault> {
         let (n, m, width, last) = (self.n, self.m, self.width(), self.samples - 1);
         let mut linear = gx.to_vec();
         let mut feed = vec![0.0; last * m];
         let mut decrement = 0.0;
         let (mut slope, mut along) = (vec![0.0; n], vec![0.0; width]);
+        let mut turn = self.turns(1);
         for k in (0..last).rev() {
+            turn()?;
             let next = self.of(&f.p, k + 1, n, n);
             for i in 0..n {
                 slope[i] = linear[(k + 1) * n + i] + dot(&next[i * n..(i + 1) * n], &d[k * n..(k + 1) * n]);
@@ -273,7 +291,7 @@ impl Chain {
             }
             step.x.extend(&next);
         }
-        step
+        Ok(step)
     }
 
     /// The Hessian in p parameters once path and noises are eliminated (the Schur complement), and how the first
@@ -286,13 +304,17 @@ impl Chain {
         cross: &[f64],
         own: &[f64],
         p: usize,
-    ) -> (Vec<f64>, Vec<f64>) {
+    ) -> Result<(Vec<f64>, Vec<f64>), Fault> {
         let (n, m, width, last) = (self.n, self.m, self.width(), self.samples - 1);
         let np = n * p;
         let mut schur = own.to_vec();
         let mut now = cross[last * np..].to_vec();
         let mut r = vec![0.0; np];
+        let mut turns = current().turns((self.width() + p).pow(3));
         for k in (0..last).rev() {
+            if turns.stop() {
+                return Err(Fault::Stopped);
+            }
             let by_p = &by_p[k * np..(k + 1) * np];
             product(&mut r, self.of(&f.p, k + 1, n, n), by_p, [n, n, p]);
             // bᵀ P b + bᵀ V + Vᵀ b, with V the block between x and θ.
@@ -315,6 +337,6 @@ impl Chain {
         solve(&f.first, &mut follows, n, p);
         add_transposed_product(&mut schur, &now, &follows, [p, n, p]);
         symmetrise(&mut schur, p);
-        (schur, follows)
+        Ok((schur, follows))
     }
 }

@@ -106,3 +106,14 @@ pub(super) fn inverse(c: &[f64], n: usize) -> Vec<f64> {
 pub(super) fn log_det(c: &[f64], n: usize) -> f64 {
     (0..n).map(|i| 2.0 * c[i * n + i].ln()).sum()
 }
+
+/// Place of an entry of a symmetric matrix among those of its lower triangle.
+pub(super) fn place(i: usize, j: usize) -> usize {
+    let (row, column) = (i.max(j), i.min(j));
+    row * (row + 1) / 2 + column
+}
+
+/// The lower triangle of a matrix, row by row.
+pub(super) fn lower(w: &[f64], n: usize) -> impl Iterator<Item = f64> + '_ {
+    (0..n).flat_map(move |i| w[i * n..=i * n + i].iter().copied())
+}

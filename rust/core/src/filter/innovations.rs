@@ -5,7 +5,8 @@
 //! right, which the residuals of a smoothed path are not.
 
 use super::dense::{cholesky, dot, product, product_transposed, solve, symmetrise};
-use super::path::{At, Found};
+use super::path::{At, Found, Lost};
+use crate::interrupt::current;
 
 /// Innovations, the states predicted with them, and the standard deviations of both.
 #[derive(Clone, Debug, Default)]
@@ -20,7 +21,7 @@ pub struct Innovations {
     pub state_deviations: Vec<Vec<f64>>,
 }
 
-pub(super) fn innovations(at: &At<'_>, found: &Found) -> Innovations {
+pub(super) fn innovations(at: &At<'_>, found: &Found) -> Result<Innovations, Lost> {
     let (n, samples) = (at.initial.len(), at.run.samples());
     let slopes = at.samples.residual_slopes(at.theta, &at.run.data, &found.path.x, 0);
     let residuals = at.samples.residuals(at.theta, &at.run.data, &found.path.x);
@@ -42,7 +43,11 @@ pub(super) fn innovations(at: &At<'_>, found: &Found) -> Innovations {
         states: of_states.clone(),
         state_deviations: of_states,
     };
+    let mut turns = current().turns((found.chain.width() + n_y).pow(3));
     for k in 0..samples {
+        if turns.stop() {
+            return Err(Lost::Stopped);
+        }
         for i in 0..n {
             out.states[i].push(found.path.x[k * n + i] + dx[i]);
             out.state_deviations[i].push(p[i * n + i].max(0.0).sqrt());
@@ -93,5 +98,5 @@ pub(super) fn innovations(at: &At<'_>, found: &Found) -> Innovations {
         symmetrise(&mut p, n);
         dx = next;
     }
-    out
+    Ok(out)
 }

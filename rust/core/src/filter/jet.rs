@@ -8,13 +8,17 @@
 //! ends in Φ, Φ_z and s = Σ_ab W_ab ∂²Φ/∂z_a∂z_b, and one reverse sweep through its Runge-Kutta steps gives the
 //! gradient of any weighted sum of the three.
 
-use super::block::{Block, Loaded, blocks, compile};
-use super::noises::Driven;
-use super::steps::{Intervals, REACH, WEIGHTS, add_scaled, forward};
+use super::dense::{lower, place};
+use super::noises::{Driven, LANES};
 use crate::error::Error;
 use crate::expr::derive::Sparse;
 use crate::expr::graph::{Graph, Id};
-use crate::tape::{Tape, Workspace};
+use crate::integrate::adjoint::Adjoint;
+use crate::integrate::flow::{Flow, Memory, Points};
+use crate::integrate::group::{Group, Lane};
+use crate::integrate::tableau::Tableau;
+use crate::interrupt::current;
+use crate::tape::{Arguments, Function};
 
 /// The system, compiled.
 #[derive(Clone, Debug)]
@@ -22,23 +26,11 @@ pub(super) struct Jets {
     n: usize,
     /// Noises of an interval.
     m: usize,
-    /// Slopes of x, X and, where f is curved, s.
-    slope: Tape,
-    /// Gradient of their weighted sum.
-    back: Tape,
-    /// What it is by: x, X, s, then ε, then θ.
-    back_places: Vec<usize>,
-    /// n + n (n + m) + n, without the last n where f is linear in x.
-    dimensions: usize,
-}
-
-/// The points of the stages of a forward run of the jet, kept for reverse sweeps.
-#[derive(Clone, Debug)]
-pub(super) struct Jet {
-    block: Block,
-    points: Vec<[Vec<f64>; 4]>,
-    /// Noises and covariances.
-    constants: Vec<f64>,
+    tableau: Tableau,
+    /// Slopes of x, X and, where f is curved, s; noises and covariances are constants.
+    slope: Function,
+    /// The gradient of their weighted sum by x, X, s, then ε, then θ.
+    back: Adjoint,
 }
 
 /// Weights of Φ, Φ_z and s, all intervals.
@@ -48,116 +40,118 @@ pub(super) struct Weights<'a> {
     pub(super) s: &'a [f64],
 }
 
+/// Where gradients are added: those by x_k, rows of n, by ε_k, rows of m, and by the parameters.
+pub(super) struct Gradients<'a> {
+    pub(super) x: &'a mut [f64],
+    pub(super) e: &'a mut [f64],
+    pub(super) theta: &'a mut [f64],
+}
+
 impl Jets {
-    pub(super) fn new(driven: &Driven) -> Result<Jets, Error> {
+    pub(super) fn new(driven: &Driven, tableau: Tableau) -> Result<Jets, Error> {
         let mut graph = driven.graph.clone();
-        let (x, theta, f) = (driven.x(), &driven.theta, &driven.f);
-        let (n, width) = (driven.n, driven.z.len());
-        let first = graph.jacobian(f, &driven.z);
+        let (x, f) = (driven.x(), &driven.f);
+        let (n, width) = (f.len(), driven.arguments.states.len());
+        let first = graph.jacobian(f, &driven.arguments.states);
         let curved = f.iter().any(|&f| !graph.hessian(f, x).values.is_empty());
         let jet = JetSystem {
             width,
-            sensitivity: symbols(&mut graph, "sensitivity", n * width),
-            curvature: symbols(&mut graph, "curvature", if curved { n } else { 0 }),
-            w: symbols(&mut graph, "covariance", width * (width + 1) / 2),
+            sensitivity: graph.symbols("sensitivity", n * width),
+            curvature: graph.symbols("curvature", if curved { n } else { 0 }),
+            w: graph.symbols("covariance", width * (width + 1) / 2),
         };
         let slopes = jet.slopes(&mut graph, f, x, &first);
-        let state = [x, &jet.sensitivity, &jet.curvature].concat();
-        let constants = [driven.noises(), &jet.w].concat();
-        let slope = compile(&graph, &[&driven.data, &state, &constants], theta, &slopes)?;
-        let weights = symbols(&mut graph, "weight of jet", slopes.len());
-        let sum = weighted(&mut graph, &weights, &slopes);
-        let gradient = graph.gradient(sum, &[&state, driven.noises(), theta].concat());
-        let (places, nodes): (Vec<usize>, Vec<Id>) =
-            gradient.iter().enumerate().filter_map(|(i, d)| d.map(|d| (i, d))).unzip();
-        let back = compile(&graph, &[&driven.data, &state, &constants, &weights], theta, &nodes)?;
-        Ok(Jets { n, m: width - n, slope, back, back_places: places, dimensions: slopes.len() })
+        let varied = [x, &jet.sensitivity, &jet.curvature, driven.noises()].concat();
+        let arguments = Arguments {
+            data: driven.arguments.data.clone(),
+            states: [&varied[..], &jet.w].concat(),
+            parameters: driven.arguments.parameters.clone(),
+        };
+        let back = Adjoint::new(graph.clone(), &arguments, &slopes, varied.len())?;
+        let slope = Function::of_values(graph, &arguments, slopes)?;
+        Ok(Jets { n, m: width - n, tableau, slope, back })
+    }
+
+    fn flow<'a>(&'a self, group: &'a Group) -> Flow<'a> {
+        Flow { f: &self.slope, tableau: &self.tableau, group, n_p: 0 }
     }
 
     /// Runs the jet forward with covariances `w` ((n + m, n + m) an interval): the points of its stages, and
-    /// s = Σ W_ab ∂²Φ/∂z_a∂z_b, rows of n.
+    /// s = Σ W_ab ∂²Φ/∂z_a∂z_b, rows of n. None where something is not finite, or the interrupt in force stops it.
     pub(super) fn run(
         &self,
         theta: &[f64],
-        intervals: &Intervals,
+        groups: &[Group],
         x: &[f64],
         e: &[f64],
         w: &[f64],
-    ) -> (Vec<Jet>, Vec<f64>) {
-        let (n, width, count) = (self.n, self.n + self.m, intervals.h.len());
-        let (mut s, mut workspace) = (vec![0.0; count * n], Workspace::default());
-        let tape = Loaded::new(&self.slope, theta);
-        let lower: Vec<f64> = w.chunks_exact(width * width).flat_map(|w| lower(w, width)).collect();
-        let mut jets = Vec::new();
-        for block in blocks(count) {
-            let mut start = block.gather(x, n);
-            start.resize(self.dimensions * block.lanes, 0.0);
-            (0..n).for_each(|i| start[(n + i * width + i) * block.lanes..][..block.lanes].fill(1.0));
-            let mut constants = block.gather(e, self.m);
-            constants.extend(block.gather(&lower, width * (width + 1) / 2));
-            let mut points = Vec::new();
-            let end =
-                forward(&tape, intervals, &block, start, &constants, &mut workspace, |p| points.push(p));
-            if self.dimensions > n + n * width {
-                block.scatter(&end[(n + n * width) * block.lanes..], &mut s, n);
+    ) -> Option<(Vec<Points>, Vec<f64>)> {
+        let (n, m, width) = (self.n, self.m, self.n + self.m);
+        let (all, flat) = (self.slope.roots.len(), n + n * width);
+        let (mut s, mut points, mut memory) = (Vec::new(), Vec::new(), Memory::default());
+        let mut uniforms = Vec::new();
+        self.slope.value.uniforms(theta, &mut uniforms);
+        let interrupt = current();
+        for group in groups {
+            if interrupt.stops() {
+                return None;
             }
-            jets.push(Jet { block, points, constants });
+            let (mut start, mut constants) = (Vec::new(), Vec::new());
+            for k in group.node..group.node + group.n {
+                start.extend(&x[k * n..(k + 1) * n]);
+                start.extend((0..n * width).map(|at| f64::from(u8::from(at / width == at % width))));
+                start.resize(start.len() + all - flat, 0.0);
+                constants.extend(&e[k * m..(k + 1) * m]);
+                constants.extend(lower(&w[k * width * width..(k + 1) * width * width], width));
+            }
+            let flow = self.flow(group);
+            if !flow.forward::<LANES>(&start, &constants, &uniforms, &mut memory) {
+                return None;
+            }
+            let end = &memory.points.x[flow.at_step(group.steps) * LANES..];
+            let curved = |l: usize, r: usize| if all > flat { end[(flat + r) * LANES + l] } else { 0.0 };
+            s.extend((0..group.n * n).map(|at| curved(at / n, at % n)));
+            points.push(std::mem::take(&mut memory.points));
         }
-        (jets, s)
+        Some((points, s))
     }
 
-    /// Gradient of the weighted sum of Φ, Φ_z and s: by x_k, added to rows of n, by ε_k, added to rows of m, and by the
-    /// parameters, added to `by_theta`.
+    /// Adds the gradient of the weighted sum of Φ, Φ_z and s, where the jet went through these points. None where the
+    /// interrupt in force stops it.
     pub(super) fn pull_back(
         &self,
         theta: &[f64],
-        intervals: &Intervals,
-        jets: &[Jet],
+        groups: &[Group],
+        points: &[Points],
         weights: &Weights<'_>,
-        [by_x, by_e, by_theta]: [&mut [f64]; 3],
-    ) {
-        let (n, m, all) = (self.n, self.m, self.dimensions);
-        let tape = Loaded::new(&self.back, theta);
-        let mut workspace = Workspace::default();
-        for Jet { block, points, constants } in jets {
-            let lanes = block.lanes;
-            let steps = intervals.steps(block);
-            let mut adjoint = block.gather(weights.end, n);
-            adjoint.extend(block.gather(weights.b, n * (n + m)));
-            adjoint.extend(block.gather(weights.s, n));
-            adjoint.truncate(all * lanes);
-            let mut out = vec![0.0; self.back_places.len() * lanes];
-            let mut of_noise = vec![0.0; m * lanes];
-            for (substep, points) in points.iter().enumerate().rev() {
-                let data = intervals.stages(block, substep);
-                let mut sum = adjoint.clone();
-                let mut later = vec![0.0; all * lanes];
-                for stage in (0..4).rev() {
-                    let mut weight = vec![0.0; all * lanes];
-                    add_scaled(&mut weight, &adjoint, &steps, WEIGHTS[stage]);
-                    if stage < 3 {
-                        add_scaled(&mut weight, &later, &steps, REACH[stage + 1]);
-                    }
-                    let inputs = [&data[stage][..], &points[stage], constants, &weight];
-                    tape.run(&mut workspace, lanes, &inputs, &mut out);
-                    later.fill(0.0);
-                    for (&place, column) in self.back_places.iter().zip(out.chunks_exact(lanes)) {
-                        if place < all {
-                            later[place * lanes..][..lanes].copy_from_slice(column);
-                        } else if place < all + m {
-                            let to = &mut of_noise[(place - all) * lanes..][..lanes];
-                            to.iter_mut().zip(column).for_each(|(t, v)| *t += v);
-                        } else {
-                            by_theta[place - all - m] += column[..block.count].iter().sum::<f64>();
-                        }
-                    }
-                    sum.iter_mut().zip(&later).for_each(|(s, v)| *s += v);
+        to: &mut Gradients<'_>,
+    ) -> Option<()> {
+        let (n, m, width) = (self.n, self.m, self.n + self.m);
+        let mut memory = Memory::default();
+        let uniforms = self.back.uniforms(theta);
+        let interrupt = current();
+        for (group, points) in groups.iter().zip(points) {
+            let end = |lane: Lane, r: usize| {
+                let k = group.node_of(lane);
+                match r.checked_sub(n) {
+                    None => weights.end[k * n + r],
+                    Some(r) if r < n * width => weights.b[k * n * width + r],
+                    Some(r) => weights.s[k * n + r - n * width],
                 }
-                adjoint = sum;
+            };
+            let back = (&self.back, &uniforms[..]);
+            let done = self.flow(group).pull_back::<LANES>(back, points, &mut memory, end, to.theta);
+            if !done || interrupt.stops() {
+                return None;
             }
-            block.scatter(&adjoint[..n * lanes], by_x, n);
-            block.scatter(&of_noise, by_e, m);
+            let add = |all: &mut [f64], from: &[f64], size: usize| {
+                let rows = &mut all[group.node * size..][..group.n * size];
+                rows.iter_mut().enumerate().for_each(|(at, v)| *v += from[at % size * LANES + at / size]);
+            };
+            add(to.x, &memory.ax, n);
+            add(to.e, &memory.sums, m);
         }
+        Some(())
     }
 }
 
@@ -230,30 +224,4 @@ fn directional(graph: &mut Graph, first: &Sparse, r: usize, v: &[Id]) -> Id {
         }
     }
     sum
-}
-
-/// Σ weights · nodes.
-pub(super) fn weighted(graph: &mut Graph, weights: &[Id], nodes: &[Id]) -> Id {
-    let mut sum = graph.zero();
-    for (&weight, &node) in weights.iter().zip(nodes) {
-        let term = graph.product(weight, node);
-        sum = graph.add(sum, term);
-    }
-    sum
-}
-
-/// New symbols; no name of a model holds a space.
-pub(super) fn symbols(graph: &mut Graph, name: &str, n: usize) -> Vec<Id> {
-    (0..n).map(|i| graph.symbol(&format!("{name} {i}"))).collect()
-}
-
-/// Place of an entry of a symmetric matrix among those of its lower triangle.
-pub(super) fn place(i: usize, j: usize) -> usize {
-    let (row, column) = (i.max(j), i.min(j));
-    row * (row + 1) / 2 + column
-}
-
-/// The lower triangle of a matrix, row by row.
-pub(super) fn lower(w: &[f64], n: usize) -> impl Iterator<Item = f64> + '_ {
-    (0..n).flat_map(move |i| w[i * n..=i * n + i].iter().copied())
 }

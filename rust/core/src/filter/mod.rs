@@ -49,19 +49,19 @@ mod path;
 mod sample;
 mod settings;
 mod smoothed;
-mod steps;
 
 use crate::error::Error;
 use crate::experiment::Experiment;
+use crate::integrate::Integrator;
 use crate::interrupt::current;
 use crate::model::Model;
 use crate::noise::Noise;
 
 use dense::add_transposed_product;
-use flow::Flow;
+use flow::{Beside, Flow};
 pub use innovations::Innovations;
-use jet::Jets;
-use noises::Driven;
+use jet::{Gradients, Jets};
+use noises::{Driven, intervals};
 pub use path::Lost;
 use path::{At, Found, Path, Run};
 use sample::Samples;
@@ -164,6 +164,11 @@ impl Filter {
         parameters.extend(settings.states.iter().map(|s| format!("q_{s}")));
         let samples = Samples::new(&compiled, &outputs, noise, experiments)?;
         let driven = Driven::new(&compiled, &noisy, settings.terms);
+        let tableau = Integrator::Rk4.tableau();
+        let run = |e: &Experiment| Run {
+            intervals: intervals(e, settings.substeps, settings.terms, &tableau),
+            data: samples.data(e),
+        };
         Ok(Filter {
             parameters,
             n_model: model.parameters.len(),
@@ -172,12 +177,9 @@ impl Filter {
             state_names,
             n_noise: noise_parameters.len(),
             n_data: compiled.data.len(),
-            flow: Flow::new(&driven, model.parameters.len())?,
-            jets: Jets::new(&driven)?,
-            runs: experiments
-                .iter()
-                .map(|e| Run::new(&samples, e, settings.substeps, settings.terms))
-                .collect(),
+            flow: Flow::new(&driven, model.parameters.len(), tableau.clone())?,
+            jets: Jets::new(&driven, tableau.clone())?,
+            runs: experiments.iter().map(run).collect(),
             samples,
         })
     }
@@ -312,22 +314,25 @@ impl Filter {
         let (chain, factor, path) = (&found.chain, &found.factor, &found.path);
         let w = chain.random_covariances(factor)?;
         let half: Vec<f64> = w.x.iter().map(|w| 0.5 * w).collect();
-        let mut by_b = chain.passage_slopes(factor, &w);
+        let mut by_b = chain.passage_slopes(factor, &w)?;
         let half_lambda: Vec<f64> = path.lambda.iter().map(|l| 0.5 * l).collect();
 
         // How ½ ln det changes with states, noises and multipliers, and what their motion brings.
-        let (jets, s) = self.jets.run(&at.driving, &run.intervals, &path.x, &path.e, &w.z);
+        let interrupt = current();
+        let jets = self.jets.run(&at.driving, &run.intervals, &path.x, &path.e, &w.z);
+        let (points, s) = jets.ok_or_else(|| Lost::without(&interrupt))?;
         let (mut by_x, mut by_e) = (vec![0.0; path.x.len()], vec![0.0; path.e.len()]);
         let mut unused = vec![0.0; gradient.len()];
         let none = vec![0.0; path.x.len()];
         let weights = jet::Weights { end: &none[n..], b: &by_b, s: &half_lambda };
-        let to = [&mut by_x[..], &mut by_e, &mut unused];
-        self.jets.pull_back(&at.driving, &run.intervals, &jets, &weights, to);
+        let mut to = Gradients { x: &mut by_x, e: &mut by_e, theta: &mut unused };
+        let done = self.jets.pull_back(&at.driving, &run.intervals, &points, &weights, &mut to);
+        done.ok_or(Lost::Stopped)?;
         let weights = sample::Weights { cost: 0.0, slope: &none, curvature: &half };
         self.samples.pull_back(at.theta, &run.data, &path.x, &weights, &mut by_x, &mut unused);
         let minus = |v: &[f64]| -> Vec<f64> { v.iter().map(|v| -v).collect() };
         let gaps: Vec<f64> = s.iter().map(|s| -0.5 * s).collect();
-        let nu = chain.solve(factor, &minus(&by_x), &minus(&by_e), &gaps);
+        let nu = chain.solve(factor, &minus(&by_x), &minus(&by_e), &gaps)?;
 
         // The parameters themselves.
         for (k, by_b) in by_b.chunks_exact_mut(n * width).enumerate() {
@@ -339,8 +344,9 @@ impl Filter {
         let end: Vec<f64> = path.lambda.iter().zip(&nu.lambda).map(|(l, v)| l - v).collect();
         let weights = jet::Weights { end: &end, b: &by_b, s: &half_lambda };
         let mut by_driving = vec![0.0; at.driving.len()];
-        let to = [&mut by_x[..], &mut by_e, &mut by_driving];
-        self.jets.pull_back(&at.driving, &run.intervals, &jets, &weights, to);
+        let mut to = Gradients { x: &mut by_x, e: &mut by_e, theta: &mut by_driving };
+        let done = self.jets.pull_back(&at.driving, &run.intervals, &points, &weights, &mut to);
+        done.ok_or(Lost::Stopped)?;
         let weights = sample::Weights { cost: 1.0, slope: &minus(&nu.x), curvature: &half };
         self.samples.pull_back(at.theta, &run.data, &path.x, &weights, &mut by_x, gradient);
         let (of_model, of_q) = by_driving.split_at(self.n_model);
@@ -359,17 +365,19 @@ impl Filter {
         for (run, start) in self.runs.iter().zip(self.paths(path)) {
             let at = self.at(theta, run);
             let found = at.path(start)?;
-            let (information, _) = self.border(&at, &found);
+            let (information, _) = self.border(&at, &found)?;
             sum.iter_mut().zip(information).for_each(|(s, v)| *s += v);
         }
         Ok(sum)
     }
 
-    fn border(&self, at: &At<'_>, found: &Found) -> (Vec<f64>, Vec<f64>) {
+    fn border(&self, at: &At<'_>, found: &Found) -> Result<(Vec<f64>, Vec<f64>), Lost> {
         let (n, p) = (self.n(), self.n_model);
         let columns = n + p;
         let x = &found.path.x;
-        let linear = self.flow.linearise(&at.driving, &at.run.intervals, x, &found.path.e, None, true);
+        let e = &found.path.e;
+        let linear = self.flow.linearise(&at.driving, &at.run.intervals, x, e, &Beside::Parameters);
+        let linear = linear.ok_or_else(|| Lost::without(&current()))?;
         let slopes = self.samples.residual_slopes(at.theta, &at.run.data, x, p);
         let each = slopes.len() / at.run.samples();
         let (mut cross, mut own) = (Vec::new(), vec![0.0; p * p]);
@@ -386,6 +394,6 @@ impl Filter {
                 }
             }
         }
-        found.chain.border(&found.factor, &linear.by_p, &cross, &own, p)
+        Ok(found.chain.border(&found.factor, &linear.by_p, &cross, &own, p)?)
     }
 }

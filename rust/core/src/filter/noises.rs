@@ -10,57 +10,82 @@
 //! agrees with the exact ∫ Φ Q Φᵀ ds to the order h^{2r}. (Loève's expansion by another basis; J. Foster, T. Lyons,
 //! H. Oberhauser, *An optimal polynomial approximation of Brownian motion*, SIAM J. Numer. Anal. 58, 2020.)
 
-use super::jet::symbols;
+use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
+use crate::integrate::group::{Group, Lane, Origin};
+use crate::integrate::steps::Track;
+use crate::integrate::tableau::Tableau;
 use crate::model::Compiled;
+use crate::tape::Arguments;
+
+/// Intervals side by side: a block of registers for the largest tapes still fits the second-level cache.
+pub(super) const LANES: usize = 32;
 
 /// The state equations with noise in them.
 #[derive(Clone, Debug)]
 pub(super) struct Driven {
     pub(super) graph: Graph,
-    /// Time and inputs, then the polynomials over √h.
-    pub(super) data: Vec<Id>,
-    /// States, then noises ε of the interval: the terms of the first noisy state, of the second, ...
-    pub(super) z: Vec<Id>,
-    /// Number of states, n.
-    pub(super) n: usize,
-    /// Parameters of the model, then intensities q.
-    pub(super) theta: Vec<Id>,
+    /// Data are time and inputs, then the polynomials over √h. States are followed by the noises ε of the interval: the
+    /// terms of the first noisy state, of the second, ... Parameters are those of the model, then intensities q.
+    pub(super) arguments: Arguments,
+    /// Slopes of the states.
     pub(super) f: Vec<Id>,
 }
 
 impl Driven {
     pub(super) fn new(model: &Compiled, noisy: &[usize], terms: usize) -> Driven {
-        let (mut graph, mut f, n) = (model.graph.clone(), model.dynamics.clone(), model.states.len());
-        let polynomials = symbols(&mut graph, "polynomial", terms);
-        let noises = symbols(&mut graph, "noise", noisy.len() * terms);
-        let q = symbols(&mut graph, "intensity", noisy.len());
-        for (i, &state) in noisy.iter().enumerate() {
-            let mut v = graph.zero();
-            for (j, &polynomial) in polynomials.iter().enumerate() {
-                let term = graph.product(polynomial, noises[i * terms + j]);
-                v = graph.add(v, term);
-            }
-            let v = graph.product(q[i], v);
+        let (mut graph, mut f) = (model.graph.clone(), model.dynamics.clone());
+        let polynomials = graph.symbols("polynomial", terms);
+        let noises = graph.symbols("noise", noisy.len() * terms);
+        let q = graph.symbols("intensity", noisy.len());
+        for ((&state, &q), noises) in noisy.iter().zip(&q).zip(noises.chunks_exact(terms)) {
+            let v = graph.weighted_sum(&polynomials, noises);
+            let v = graph.product(q, v);
             f[state] = graph.add(f[state], v);
         }
-        Driven {
-            graph,
-            data: [model.data.clone(), polynomials].concat(),
-            z: [model.states.clone(), noises].concat(),
-            n,
-            theta: [model.parameters.clone(), q].concat(),
-            f,
-        }
+        let arguments = Arguments {
+            data: [&model.data[..], &polynomials].concat(),
+            states: [&model.states[..], &noises].concat(),
+            parameters: [&model.parameters[..], &q].concat(),
+        };
+        Driven { graph, arguments, f }
     }
 
     pub(super) fn x(&self) -> &[Id] {
-        &self.z[..self.n]
+        &self.arguments.states[..self.f.len()]
     }
 
     pub(super) fn noises(&self) -> &[Id] {
-        &self.z[self.n..]
+        &self.arguments.states[self.f.len()..]
     }
+}
+
+/// The intervals of a record, each in so many steps, with the polynomials over √h among their data. An input that is
+/// held and jumps inside a step is its mean there.
+pub(super) fn intervals(
+    experiment: &Experiment,
+    substeps: usize,
+    terms: usize,
+    tableau: &Tableau,
+) -> Vec<Group> {
+    let track = Track::between(&experiment.t, substeps);
+    let mut groups = Group::cut(Origin::default(), experiment, &track, tableau, LANES);
+    let stages = tableau.b.len();
+    let share = |point: usize| ((point / stages) as f64 + tableau.c[point % stages]) / substeps as f64;
+    let values: Vec<Vec<f64>> = (0..=substeps * stages).map(|point| legendre(share(point), terms)).collect();
+    for group in &mut groups {
+        let root = |lane: usize| {
+            let first = group.node + lane.min(group.n - 1);
+            (experiment.t[first + 1] - experiment.t[first]).sqrt()
+        };
+        let roots: Vec<f64> = (0..LANES).map(root).collect();
+        let column = |j: usize| {
+            let (values, roots) = (&values, &roots);
+            move |point: usize, lane: Lane| values[point][j] / roots[lane.0]
+        };
+        group.append(stages, &(0..terms).map(column).collect::<Vec<_>>());
+    }
+    groups
 }
 
 /// ψ_j at `share` of the interval, for j below `terms`.

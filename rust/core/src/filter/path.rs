@@ -1,17 +1,16 @@
 //! The most probable path of one record at given parameters: Newton's method on states, noises and multipliers.
 
-use super::chain::{Chain, Factor, NotPositive};
+use super::chain::{Chain, Factor, Fault};
 use super::dense::{add_transposed_product, dot};
-use super::flow::{Flow, Linear};
+use super::flow::{Beside, Flow, Linear};
 use super::sample::{Costs, Samples};
-use super::steps::Intervals;
-use crate::experiment::Experiment;
+use crate::integrate::group::Group;
 use crate::interrupt::{Interrupt, current};
 
 /// A record with what its path is found by.
 #[derive(Clone, Debug)]
 pub(super) struct Run {
-    pub(super) intervals: Intervals,
+    pub(super) intervals: Vec<Group>,
     /// Data columns at the samples.
     pub(super) data: Vec<Vec<f64>>,
 }
@@ -75,20 +74,24 @@ const NEAR: f64 = 1e-8;
 const TRUSTED: f64 = 1e-4;
 const ITERATIONS: usize = 60;
 
-impl From<NotPositive> for Lost {
-    fn from(fault: NotPositive) -> Lost {
+impl Lost {
+    /// Why something was not computed: the interrupt stopped it, or it is not finite.
+    pub(super) fn without(interrupt: &Interrupt) -> Lost {
+        if interrupt.stops() { Lost::Stopped } else { Lost::NotFinite }
+    }
+}
+
+impl From<Fault> for Lost {
+    fn from(fault: Fault) -> Lost {
         match fault {
-            NotPositive::Noise => Lost::Curvature,
-            NotPositive::First(state) => Lost::First(state),
+            Fault::Noise => Lost::Curvature,
+            Fault::First(state) => Lost::First(state),
+            Fault::Stopped => Lost::Stopped,
         }
     }
 }
 
 impl Run {
-    pub(super) fn new(samples: &Samples, experiment: &Experiment, substeps: usize, terms: usize) -> Run {
-        Run { intervals: Intervals::new(experiment, substeps, terms), data: samples.data(experiment) }
-    }
-
     pub(super) fn samples(&self) -> usize {
         self.data[0].len()
     }
@@ -150,15 +153,15 @@ impl At<'_> {
             if interrupt.stops() {
                 return Err(Lost::Stopped);
             }
-            let lambda = Some(&path.lambda[..]);
-            let linear =
-                self.flow.linearise(&self.driving, &self.run.intervals, &path.x, &path.e, lambda, false);
+            let beside = Beside::Curvature(&path.lambda);
+            let linear = self.flow.linearise(&self.driving, &self.run.intervals, &path.x, &path.e, &beside);
+            let linear = linear.ok_or_else(|| Lost::without(&interrupt))?;
             let mut costs = self.samples.costs(self.theta, &self.run.data, &path.x);
             for (i, prior) in self.initial.iter().enumerate() {
                 costs.slope[i] += prior.map_or(0.0, |(mean, std)| (path.x[i] - mean) / (std * std));
             }
             let gaps = self.gaps(&linear.end, &path);
-            let finite = [&linear.end, &linear.b, &linear.curvature, &costs.slope, &costs.curvature];
+            let finite = [&linear.b, &linear.curvature, &costs.slope, &costs.curvature];
             if !costs.cost.is_finite() || !finite.iter().all(|v| v.iter().all(|v| v.is_finite())) {
                 return Err(Lost::NotFinite);
             }
@@ -166,13 +169,14 @@ impl At<'_> {
             let exact = self.chain(&linear, &costs, &path, true);
             let (chain, factor, is_exact) = match exact.factor() {
                 Ok(factor) => (exact, factor, true),
+                Err(Fault::Stopped) => return Err(Lost::Stopped),
                 Err(_) => {
                     let chain = self.chain(&linear, &costs, &path, false);
                     let factor = chain.factor()?;
                     (chain, factor, false)
                 }
             };
-            let step = chain.solve(&factor, &costs.slope, &path.e, &gaps);
+            let step = chain.solve(&factor, &costs.slope, &path.e, &gaps)?;
             let decrement = step.decrement;
             if !decrement.is_finite() {
                 return Err(Lost::NotFinite);
@@ -233,9 +237,10 @@ impl At<'_> {
             advance(&mut trial.x, &step.x, size);
             advance(&mut trial.e, &step.e, size);
             let ends = self.flow.ends(&self.driving, &self.run.intervals, &trial.x, &trial.e);
-            let there = self.samples.costs(self.theta, &self.run.data, &trial.x).cost
-                + self.rest(&trial)
-                + weigh(&self.gaps(&ends, &trial));
+            let there = ends.map_or(f64::NAN, |ends| {
+                let cost = self.samples.costs(self.theta, &self.run.data, &trial.x).cost;
+                cost + self.rest(&trial) + weigh(&self.gaps(&ends, &trial))
+            });
             if there <= merit + 1e-4 * size * slope.min(0.0) + 1e-12 * merit.abs() {
                 return Some(size);
             }

@@ -2,7 +2,7 @@
 //! third that the gradient of ln det needs.
 
 use super::block::{Loaded, blocks, compile, data_columns};
-use super::jet::{lower, place, symbols, weighted};
+use super::dense::{lower, place};
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::Id;
@@ -65,10 +65,10 @@ impl Samples {
         let roots: Vec<Id> =
             noise.parameters(names).iter().map(|p| graph.symbol(&format!("1/{}", p.name))).collect();
         let theta = [model.parameters.clone(), roots.clone()].concat();
-        let measured = symbols(&mut graph, "measured", n_y);
+        let measured = graph.symbols("measured", n_y);
         let missing = |c: usize| experiments.iter().any(|e| e.outputs[c].iter().any(|v| v.is_nan()));
         let gaps: Vec<usize> = (0..n_y).filter(|&c| missing(c)).collect();
-        let flags = symbols(&mut graph, "present", gaps.len());
+        let flags = graph.symbols("present", gaps.len());
         let present: Vec<Option<Id>> =
             (0..n_y).map(|c| gaps.iter().position(|&g| g == c).map(|i| flags[i])).collect();
         let sample =
@@ -106,10 +106,10 @@ impl Samples {
         }
         let scaled = compile(&graph, &[&data, x], &theta, &scaled)?;
 
-        let weight = symbols(&mut graph, "weight of cost", 1);
-        let along = symbols(&mut graph, "weight of slope", n);
-        let w = symbols(&mut graph, "covariance", n * (n + 1) / 2);
-        let mut sum = weighted(&mut graph, &[&weight[..], &along].concat(), &[&[cost][..], &slope].concat());
+        let weight = graph.symbols("weight of cost", 1);
+        let along = graph.symbols("weight of slope", n);
+        let w = graph.symbols("covariance", n * (n + 1) / 2);
+        let mut sum = graph.weighted_sum(&[&weight[..], &along].concat(), &[&[cost][..], &slope].concat());
         for (i, &entry) in second.values.iter().enumerate() {
             let (a, b) = (second.rows[i], second.columns[i]);
             let twice = graph.constant(if a == b { 1.0 } else { 2.0 });

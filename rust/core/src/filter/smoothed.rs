@@ -2,6 +2,7 @@
 
 use super::dense::dot;
 use super::innovations::{Innovations, innovations};
+use super::path::Path;
 use super::{Filter, Lost};
 
 /// The states of one record given all data and the parameters.
@@ -52,6 +53,35 @@ impl Filter {
         found
     }
 
+    /// The states of a path as they are, and outputs there; what [`Filter::smooth`] would compute beside is NaN.
+    ///
+    /// # Panics
+    /// When lengths are wrong.
+    pub fn unsmoothed(&self, theta: &[f64], path: &[f64]) -> Vec<Smoothed> {
+        assert_eq!(path.len(), self.path_length());
+        let n = self.n();
+        let each = self.runs.iter().zip(self.paths(path)).map(|(run, Path { x, .. })| {
+            let (outputs, _) = self.samples.outputs(&theta[..self.n_model], &run.data, self.n_data, &x);
+            let unknown = |columns: usize| vec![vec![f64::NAN; run.samples()]; columns];
+            let column = |i: usize| x.iter().skip(i).step_by(n).copied().collect();
+            Smoothed {
+                states: (0..n).map(column).collect(),
+                deviations: unknown(n),
+                output_deviations: unknown(outputs.len()),
+                innovations: Innovations {
+                    values: unknown(outputs.len()),
+                    deviations: unknown(outputs.len()),
+                    states: unknown(n),
+                    state_deviations: unknown(n),
+                },
+                outputs,
+                first_covariance: vec![f64::NAN; n * n],
+                first_follows: vec![f64::NAN; n * self.n_model],
+            }
+        });
+        each.collect()
+    }
+
     /// States, outputs and innovations of each record at given parameters.
     ///
     /// # Errors
@@ -63,7 +93,7 @@ impl Filter {
             let at = self.at(theta, run);
             let found = at.path(start)?;
             let x = &found.path.x;
-            let w = found.chain.covariances(&found.factor);
+            let w = found.chain.covariances(&found.factor)?;
             let column = |i: usize| x.iter().skip(i).step_by(n).copied().collect();
             let deviation = |i: usize| w.iter().skip(i * n + i).step_by(n * n).map(|v| v.sqrt()).collect();
             let (outputs, slopes) =
@@ -78,9 +108,9 @@ impl Filter {
                 deviations: (0..n).map(deviation).collect(),
                 output_deviations: (0..n_y).map(output_deviation).collect(),
                 outputs,
-                innovations: innovations(&at, &found),
+                innovations: innovations(&at, &found)?,
                 first_covariance: w[..n * n].to_vec(),
-                first_follows: self.border(&at, &found).1,
+                first_follows: self.border(&at, &found)?.1,
             });
         }
         Ok(out)

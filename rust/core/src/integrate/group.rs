@@ -1,10 +1,10 @@
 //! Segments that are integrated side by side, and the pieces of memory that it takes.
 
-use super::steps::{Track, hermite};
+use super::steps::{Place, Track, hermite};
 use super::tableau::Tableau;
 use crate::experiment::Experiment;
 
-/// Consecutive segments of an experiment, one a *lane*: W lanes, 1 or [`WIDE`]. Stages are the *points*, s a step,
+/// Consecutive segments of an experiment, one a *lane*: W lanes. Stages are the *points*, s a step,
 /// and one more where segments end. Where segments differ in steps, the shorter ones end with steps of no length.
 #[derive(Clone, Debug)]
 pub(crate) struct Group {
@@ -28,15 +28,32 @@ pub(crate) struct Group {
     pub(crate) points: usize,
 }
 
+/// One of the segments of a group, by its place among them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Lane(pub(crate) usize);
+
 /// A sample of a group.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sampled {
     /// Which, counted over all experiments.
     pub(crate) index: usize,
-    pub(crate) lane: usize,
+    pub(crate) lane: Lane,
     pub(crate) step: usize,
     /// Weights of x and ẋ at the beginning of the step and at its end; `None` for x at the beginning.
     pub(crate) weights: Option<[f64; 4]>,
+}
+
+/// Where the segments of an experiment stand among those of all.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Origin {
+    /// Number of the experiment.
+    pub(crate) experiment: usize,
+    /// Its first node.
+    pub(crate) node: usize,
+    /// Its first sample.
+    pub(crate) sample: usize,
+    /// Whether no node follows its last segment.
+    pub(crate) last: bool,
 }
 
 /// Lanes of a wide group: those of a vector.
@@ -45,17 +62,19 @@ pub(crate) const WIDE: usize = 8;
 const FEW: usize = 3;
 
 impl Group {
-    /// Groups of an experiment, whose first node and first sample are given; `last` where no node follows the last
-    /// segment.
+    /// Lanes for so many segments: 1 or [`WIDE`].
+    pub(crate) fn width(segments: usize) -> usize {
+        if segments < FEW { 1 } else { WIDE }
+    }
+
+    /// Groups of so many lanes of the segments of an experiment.
     pub(crate) fn cut(
-        e: usize,
+        origin: Origin,
         experiment: &Experiment,
         track: &Track,
         tableau: &Tableau,
-        (node, sample): (usize, usize),
-        last: bool,
+        width: usize,
     ) -> Vec<Group> {
-        let width = if track.segments.len() < FEW { 1 } else { WIDE };
         let stages = tableau.b.len();
         let mut groups = Vec::new();
         for (g, segments) in track.segments.chunks(width).enumerate() {
@@ -68,18 +87,20 @@ impl Group {
             let h: Vec<f64> = (0..steps * width)
                 .map(|at| ends(at % width, at / width + 1) - ends(at % width, at / width))
                 .collect();
-            let mut samples = Vec::new();
-            for (k, place) in track.samples.iter().enumerate() {
-                if (first..first + segments.len()).contains(&place.segment) {
-                    let lane = place.segment - first;
-                    let scaled = |share| {
-                        let (w, h) = (hermite(share), h[place.step * width + lane]);
-                        [w[0], w[1] * h, w[2], w[3] * h]
-                    };
-                    let weights = place.share.map(scaled);
-                    samples.push(Sampled { index: sample + k, lane, step: place.step, weights });
-                }
-            }
+            // Samples stand in the order of their segments.
+            let before = |segment: usize| track.samples.partition_point(|p: &Place| p.segment < segment);
+            let own = before(first)..before(first + segments.len());
+            let sampled = |k: usize| {
+                let place = &track.samples[k];
+                let lane = place.segment - first;
+                let scaled = |share| {
+                    let (w, h) = (hermite(share), h[place.step * width + lane]);
+                    [w[0], w[1] * h, w[2], w[3] * h]
+                };
+                let weights = place.share.map(scaled);
+                Sampled { index: origin.sample + k, lane: Lane(lane), step: place.step, weights }
+            };
+            let samples: Vec<Sampled> = own.map(sampled).collect();
             let times: Vec<f64> = (0..(steps * stages + 1) * width)
                 .map(|at| {
                     let (point, lane) = (at / width, at % width);
@@ -104,11 +125,11 @@ impl Group {
                 columns.iter().for_each(|c| data.extend(&c[point * width..(point + 1) * width]));
             }
             groups.push(Group {
-                experiment: e,
+                experiment: origin.experiment,
                 width,
                 n: segments.len(),
-                node: node + first,
-                last: last && first + segments.len() == track.segments.len(),
+                node: origin.node + first,
+                last: origin.last && first + segments.len() == track.segments.len(),
                 steps,
                 h,
                 data,
@@ -117,5 +138,44 @@ impl Group {
             });
         }
         groups
+    }
+
+    /// Appends a column for each function of point and lane, where steps have so many stages.
+    pub(crate) fn append(&mut self, stages: usize, columns: &[impl Fn(usize, Lane) -> f64]) {
+        let points = self.steps * stages + 1;
+        let own = self.data.len() / points;
+        let mut data = Vec::with_capacity(self.data.len() + points * columns.len() * self.width);
+        for (point, before) in self.data.chunks_exact(own).enumerate() {
+            data.extend(before);
+            for value in columns {
+                data.extend((0..self.width).map(|lane| value(point, Lane(lane))));
+            }
+        }
+        self.data = data;
+    }
+
+    /// Its lanes that have a segment of their own.
+    pub(crate) fn lanes(&self) -> impl Iterator<Item = Lane> + use<> {
+        (0..self.n).map(Lane)
+    }
+
+    /// The node at which a segment starts.
+    pub(crate) fn node_of(&self, lane: Lane) -> usize {
+        self.node + lane.0
+    }
+
+    /// One of its segments, on a single lane, without samples.
+    pub(crate) fn alone(&self, lane: Lane) -> Group {
+        let own = |v: &[f64]| v.iter().skip(lane.0).step_by(self.width).copied().collect();
+        Group {
+            width: 1,
+            n: 1,
+            node: self.node_of(lane),
+            last: self.last && lane.0 + 1 == self.n,
+            h: own(&self.h),
+            data: own(&self.data),
+            samples: Vec::new(),
+            ..*self
+        }
     }
 }

@@ -49,7 +49,8 @@ pub(crate) struct Adaptive {
     /// Time since the interval began.
     pub t: f64,
     relative: f64,
-    absolute: Vec<f64>,
+    /// Errors of the states that are allowed however small these are.
+    pub absolute: Vec<f64>,
     /// The length of the next step.
     step: f64,
     explicit: Dop853,

@@ -1,9 +1,10 @@
 //! Runge-Kutta methods, explicit and implicit.
 //!
 //! A transcription takes steps of fixed length, over segments side by side in lanes, with the exact derivatives of the
-//! steps ([`flow`]). A simulation takes steps of the length that its tolerance allows ([`interval`]), explicit ones
+//! steps ([`flow`], [`adjoint`]). A simulation takes steps of the length that its tolerance allows ([`interval`]), explicit ones
 //! ([`dop853`]) until the system is stiff, and implicit ones ([`radau`]) from then on.
 
+pub(crate) mod adjoint;
 mod dop853;
 pub(crate) mod field;
 pub(crate) mod flow;

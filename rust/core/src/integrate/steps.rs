@@ -95,6 +95,12 @@ impl Track {
         Ok(Track { segments, samples })
     }
 
+    /// A segment from each of these times to the next, in so many equal steps, without samples.
+    pub(crate) fn between(t: &[f64], steps: usize) -> Self {
+        let segment = |w: &[f64]| divide(w[0], w[1], 1.0, &Steps::Number(steps), &[]);
+        Track { segments: t.windows(2).map(segment).collect(), samples: Vec::new() }
+    }
+
     /// Times at which segments start.
     pub(crate) fn starts(&self) -> Vec<f64> {
         self.segments.iter().map(|s| s[0]).collect()

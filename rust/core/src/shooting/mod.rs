@@ -18,7 +18,7 @@ use crate::condition::End;
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::integrate::flow::{Flow, Memory};
-use crate::integrate::group::Group;
+use crate::integrate::group::{Group, Origin};
 use crate::integrate::steps::Track;
 use crate::integrate::tableau::Tableau;
 use crate::interrupt::current;
@@ -122,8 +122,10 @@ impl Shooting {
         let mut objective = Objective::default();
         let mut groups = Vec::new();
         for (e, (experiment, track)) in experiments.iter().zip(&tracks).enumerate() {
-            let firsts = (layout.first_point[e], sampled.first_point[e]);
-            groups.extend(Group::cut(e, experiment, track, &tableau, firsts, !ends));
+            let (node, sample) = (layout.first_point[e], sampled.first_point[e]);
+            let origin = Origin { experiment: e, node, sample, last: !ends };
+            let width = Group::width(track.segments.len());
+            groups.extend(Group::cut(origin, experiment, track, &tableau, width));
             let all: Vec<usize> = (0..experiment.t.len()).collect();
             objective.add(&posed, &sampled, e, &all);
         }

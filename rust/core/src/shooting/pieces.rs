@@ -2,8 +2,9 @@
 //! curvatures go to their places.
 
 use super::Shooting;
-use crate::integrate::flow::{Memory, congruence};
-use crate::integrate::group::Group;
+use crate::integrate::adjoint::{Sizes, congruence};
+use crate::integrate::flow::Memory;
+use crate::integrate::group::{Group, Lane};
 use crate::interrupt::current;
 use crate::problem::disjoint::Disjoint;
 use crate::tape::BLOCK;
@@ -36,7 +37,7 @@ pub(super) fn integrate_group<const W: usize>(
     uniforms: &Uniforms,
     m: &mut Memory,
 ) -> bool {
-    p.flow(group).forward::<W>(p.start(group, xi), of(uniforms, group), m)
+    p.flow(group).forward::<W>(p.start(group, xi), &[], of(uniforms, group), m)
 }
 
 /// Integrates, and writes the states at the samples.
@@ -72,7 +73,7 @@ pub(super) fn defects_of<const W: usize>(
         let next = p.layout.state(group.node + lane + 1);
         // SAFETY: the rows of groups do not overlap.
         let c = unsafe { out.part((group.node + lane - group.experiment) * n_x, n_x) };
-        (0..n_x).for_each(|r| c[r] = xi[next + r] - m.x[end + r * W + lane]);
+        (0..n_x).for_each(|r| c[r] = xi[next + r] - m.points.x[end + r * W + lane]);
     }
     finite
 }
@@ -111,7 +112,7 @@ pub(super) fn jacobian_of<const W: usize>(
         let size = n_x * (n_q + 1);
         // SAFETY: the rows of groups do not overlap.
         let entries = unsafe { out.part(row * size, size) };
-        let s = flow.end::<W>(lane, m);
+        let s = flow.end::<W>(Lane(lane), m);
         for r in 0..n_x {
             let own = &mut entries[r * (n_q + 1)..][..n_q + 1];
             own[0] = 1.0;
@@ -186,9 +187,9 @@ pub(super) fn hessian_of<const W: usize>(
     m.own.resize(n_all * n_all * W, 0.0);
     let mut finite = true;
     if let Some(lambda) = job.lambda {
-        let multiplier = |lane: usize, r: usize| {
-            let follows = !(group.last && lane + 1 == group.n);
-            if follows { -lambda[(group.node + lane - group.experiment) * n_x + r] } else { 0.0 }
+        let multiplier = |lane: Lane, r: usize| {
+            let follows = !(group.last && lane.0 + 1 == group.n);
+            if follows { -lambda[(group.node_of(lane) - group.experiment) * n_x + r] } else { 0.0 }
         };
         let done = flow.backward::<W>(m, |s, r| job.gradient[p.sampled.state(s.index) + r], multiplier);
         finite &= done && flow.curvature::<W>(of(&job.curvature, group), n_all, m);
@@ -209,8 +210,9 @@ pub(super) fn hessian_of<const W: usize>(
         let block = &p.objective.samples[first_block.unwrap_or(0) + k / BLOCK];
         let entry = |i: usize| job.sampled[block.hessian + i * block.n + k % BLOCK];
         let terms = pattern().enumerate().map(|(i, at)| (at, [entry(i)]));
-        let own = &mut m.own[sample.lane * n_all * n_all..][..n_all * n_all];
-        congruence::<1>(terms, (n_x, n_q, n_all), &m.sensitivity, &mut m.product, own);
+        let own = &mut m.own[sample.lane.0 * n_all * n_all..][..n_all * n_all];
+        let sizes = Sizes { x: n_x, q: n_q, all: n_all };
+        congruence::<1>(terms, sizes, &m.sensitivity, &mut m.product, own);
     }
 
     let node_entries = triangle(n_x) + n_x * n_seen;

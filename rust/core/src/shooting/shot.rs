@@ -42,7 +42,7 @@ impl Shooting {
             let (w, n_x, columns) = (group.width, self.layout.n_x, self.posed.f.n_data);
             for lane in 0..group.n {
                 let own = |v: &[f64]| v.iter().skip(lane).step_by(w).copied().collect::<Vec<f64>>();
-                let (x, data) = (own(&m.x), own(&group.data));
+                let (x, data) = (own(&m.points.x), own(&group.data));
                 see(segment, Shot { x, data, n_x, columns, stages: self.tableau.b.len() });
                 segment += 1;
             }

@@ -115,30 +115,38 @@ impl<'a> Flow<'a> {
 
     /// States at the knots.
     fn states(&mut self, first: &[f64], tolerance: f64, method: Method) -> Result<Vec<Vec<f64>>, Error> {
-        let sizes = self.sizes(first);
-        let weighed = first.iter().zip(&sizes);
-        let absolute = weighed.map(|(x, size)| tolerance * x.abs().max(SMALL * size)).collect();
-        let mut integrator = Adaptive::new(first, tolerance, absolute, method);
+        // Over a long record a fast state would be taken for a large one; it is as large as it has been so far.
+        let shortest = self.knots.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
+        let mut seen = self.sizes(first, shortest);
+        self.field.bad = None;
+        let weigh = |seen: &[f64]| -> Vec<f64> { seen.iter().map(|size| tolerance * SMALL * size).collect() };
+        let mut integrator = Adaptive::new(first, tolerance, weigh(&seen), method);
         let mut states = vec![first.to_vec()];
         for k in 1..self.knots.len() {
             let (begin, end) = (self.knots[k - 1], self.knots[k]);
             self.field.enter(begin, end);
             if let Err(lost) = integrator.interval(&mut self.field, end - begin) {
-                let mut largest = sizes;
+                let bad = self.field.bad.take();
+                let mut largest = self.sizes(first, self.knots[self.knots.len() - 1] - self.knots[0]);
                 for x in &states {
                     largest.iter_mut().zip(x).for_each(|(a, x)| *a = a.max(x.abs()));
                 }
+                self.field.bad = bad;
                 return Err(self.failure(begin, &integrator, lost, &largest));
             }
             states.push(integrator.x.clone());
+            if integrator.x.iter().zip(&seen).any(|(x, seen)| x.abs() > *seen) {
+                seen.iter_mut().zip(&integrator.x).for_each(|(seen, x)| *seen = seen.max(x.abs()));
+                integrator.absolute = weigh(&seen);
+            }
         }
         Ok(states)
     }
 
-    /// How large each state is, in its own unit: as it begins, or as far as its equation takes it in the time of the record
-    /// with the inputs that there are, the other states each away by its own size. 1 for a state that nothing moves.
-    fn sizes(&mut self, first: &[f64]) -> Vec<f64> {
-        let (n, duration) = (first.len(), self.knots[self.knots.len() - 1] - self.knots[0]);
+    /// How large each state is, in its own unit: as it begins, or as far as its equation takes it in this time with the
+    /// inputs that there are, the other states each away by its own size. 1 for a state that nothing moves.
+    fn sizes(&mut self, first: &[f64], duration: f64) -> Vec<f64> {
+        let n = first.len();
         let stride = self.knots.len().div_ceil(LOOKED_AT);
         let times: Vec<f64> = self.knots.iter().copied().step_by(stride).collect();
         let mut sizes: Vec<f64> = first.iter().map(|x| x.abs()).collect();
@@ -158,7 +166,6 @@ impl<'a> Flow<'a> {
                 }
             }
         }
-        self.field.bad = None;
         sizes.into_iter().map(|size| if size > 0.0 && size.is_finite() { size } else { 1.0 }).collect()
     }
 

@@ -34,7 +34,8 @@ impl Pattern {
     }
 }
 
-/// r functions of the *local variables* of a point, in order: the states x, then the parameters θ.
+/// r functions of the *local variables* of a point, in order: the states x, then the parameters θ. Where the functions
+/// are the slopes of states, there may be more states than functions: those beyond are constants.
 /// Lane inputs are the data columns, then the states, then (Hessian of [`Function::new`] only) one
 /// weight a function.
 #[derive(Clone, Debug)]
@@ -84,6 +85,8 @@ pub enum Pairs {
     Kept,
     /// They are summed over the lanes, each in a place of its own, in the order of the pattern.
     Summed,
+    /// There are none, nor any between a state and a parameter: second derivatives are by the states alone.
+    Absent,
 }
 
 impl Function {
@@ -106,7 +109,8 @@ impl Function {
             let term = graph.mul(weight, root);
             sum = graph.add(sum, term);
         }
-        let second = second_derivatives(&mut graph, sum, &arguments.variables())?;
+        let variables = if pairs == Pairs::Absent { arguments.states.clone() } else { arguments.variables() };
+        let second = second_derivatives(&mut graph, sum, &variables)?;
         let n_states = arguments.states.len();
         let mut places = 0..;
         let sink = |&column: &usize| match pairs {

@@ -286,6 +286,16 @@ impl Graph {
         self.intern_apply(Op::Mul, &[a, b])
     }
 
+    /// The sum of nodes times weights.
+    pub fn weighted_sum(&mut self, weights: &[Id], nodes: &[Id]) -> Id {
+        let mut sum = self.zero();
+        for (&weight, &node) in weights.iter().zip(nodes) {
+            let term = self.product(weight, node);
+            sum = self.add(sum, term);
+        }
+        sum
+    }
+
     /// a / b, as a · (1/b): the reciprocal is shared by all quotients and derivatives.
     pub fn div(&mut self, a: Id, b: Id) -> Id {
         if let Some(id) = self.fold2(Op::Div, a, b) {

@@ -163,6 +163,11 @@ impl Graph {
         self.intern(Item::Symbol(index))
     }
 
+    /// So many symbols, the name and a number each. No name of a model holds a space.
+    pub fn symbols(&mut self, name: &str, n: usize) -> Vec<Id> {
+        (0..n).map(|i| self.symbol(&format!("{name} {i}"))).collect()
+    }
+
     /// A table lookup, or one of its partial derivatives.
     pub fn lookup(&mut self, lookup: &Lookup, args: &[Id]) -> Id {
         if let Some(values) = self.all_constant(args) {

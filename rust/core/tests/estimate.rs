@@ -151,7 +151,7 @@ fn wrong_names_and_values_give_clear_errors() {
     assert_error(estimation().start("gian", 1.0).solve(), &["'gian'", "Did you mean 'gain'?"]);
     assert_error(estimation().noise("x", Sigma::Known(1.0)).solve(), &["noise: 'x' is not an output"]);
     assert_error(estimation().noise("y", Sigma::Known(-1.0)).solve(), &["output 'y'", "positive"]);
-    assert_error(estimation().start("tau", -1.0).solve(), &["'tau' = -1 lies outside its bounds"]);
+    assert_error(estimation().start("tau", -1.0).solve(), &["'tau' = -1.0 lies outside its bounds"]);
     assert_error(estimation().start("tau", f64::NAN).solve(), &["'tau' is NaN"]);
     assert_error(estimation().start("tau", vec![1.0]).solve(), &["'tau' is a parameter"]);
     assert_error(estimation().start("x", vec![1.0; 3]).solve(), &["state 'x'", "(80 for 'run')"]);

@@ -15,13 +15,14 @@ pub use start::Start;
 use crate::collocation::{self, Collocation};
 use crate::error::{Error, did_you_mean};
 use crate::experiment::Experiment;
+use crate::initial::{Initial, solve};
 use crate::interrupt::{Interrupt, current};
 use crate::mesh::Grid;
 use crate::model::Model;
 use crate::noise::{Density, Noise, NoiseModel, SIGMA, Scale};
 use crate::problem::Transcribed;
 use crate::shooting::{Shooting, Shots};
-use crate::solver::{Control, Iteration, Settings, solve};
+use crate::solver::{Control, Iteration, Settings};
 
 /// The maximum-likelihood estimate of a model's parameters from records (Eq. ml_loglike), as it is put
 /// together: what is not said has a default.
@@ -174,7 +175,7 @@ impl<'a> Estimation<'a> {
         self
     }
 
-    /// Options of the solver. Its `regression` is chosen by [`Estimation::regression`].
+    /// Options of the solver.
     pub fn solver(mut self, settings: Settings) -> Self {
         self.solver = settings;
         self
@@ -223,8 +224,8 @@ impl<'a> Estimation<'a> {
         let known = || self.states_known();
         let regression =
             self.regression.unwrap_or_else(|| self.warm.is_none() && self.shots.is_none() && known());
-        let settings = Settings { regression, ..self.solver.clone() };
-        let solution = solve(problem, &xi, multipliers, &settings, watch).map_err(|_| {
+        let initial = if regression { Initial::Places } else { Initial::Start };
+        let solution = solve(problem, &xi, multipliers, initial, &self.solver, watch).map_err(|_| {
             let what = problem.explain(&xi).map_or_else(
                 || "near the starting point, a derivative of the model is not finite".into(),
                 |what| format!("at the starting point, {what}"),

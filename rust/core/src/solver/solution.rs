@@ -2,9 +2,8 @@
 
 use std::time::Duration;
 
-use super::Run;
 use super::iteration::Iteration;
-use super::point::Evaluations;
+use super::program::Evaluations;
 use super::status::Status;
 
 /// Where a run ended.
@@ -34,41 +33,4 @@ pub struct Solution {
     pub units: Vec<f64>,
     /// The table.
     pub history: Vec<Iteration>,
-}
-
-impl Run<'_> {
-    /// The point to end at, and what is to be told of it.
-    pub(super) fn finish(mut self, status: Status) -> Solution {
-        if status.unfinished() || status == Status::Acceptable {
-            // The best point so far, not the last that was tried on trust.
-            self.go_back_if_better();
-        }
-        let mut message = status.hint().to_owned();
-        if matches!(status, Status::Infeasible | Status::Failed) && self.detail.is_empty() {
-            self.detail = self.worst_defect();
-        }
-        if !self.detail.is_empty() {
-            message = format!("{message} ({})", self.detail);
-        }
-        Solution {
-            iterations: self.history.last().map_or(0, |l| l.number),
-            flops: self.kkt.flops(),
-            xi: self.here.xi,
-            multipliers: self.lambda,
-            status,
-            message,
-            objective: self.here.objective,
-            defect: self.here.worst,
-            evaluations: self.count,
-            time: self.began.elapsed(),
-            units: self.units.states,
-            history: self.history,
-        }
-    }
-
-    fn worst_defect(&self) -> String {
-        let worst = self.here.c.iter().zip(self.units.each()).map(|(c, u)| c.abs() / u).enumerate();
-        let Some((i, _)) = worst.max_by(|a, b| a.1.total_cmp(&b.1)) else { return String::new() };
-        format!("the largest is the {}: {:.2e}", self.nlp.constraint_name(i), self.here.c[i])
-    }
 }

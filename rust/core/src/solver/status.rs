@@ -45,7 +45,7 @@ impl Status {
     }
 
     /// Whether something stopped the run before its end.
-    pub(super) fn unfinished(self) -> bool {
+    pub(crate) fn unfinished(self) -> bool {
         matches!(self, Status::IterationLimit | Status::TimeLimit | Status::Interrupted)
     }
 

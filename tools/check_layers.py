@@ -15,8 +15,8 @@ from pathlib import Path
 RUST = [
     "math", "simd", "interrupt", "lgl", "interpolate", "table", "error", "threads", "pairs", "expr", "tape",
     "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment", "gaps", "mesh",
-    "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver", "diagnosis", "estimate",
-    "simulate",
+    "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver", "initial", "diagnosis",
+    "estimate", "simulate",
 ]
 
 PYTHON = [

@@ -13,7 +13,7 @@ use criterion::{
     BenchmarkGroup, BenchmarkId, Criterion, criterion_group, criterion_main, measurement::WallTime,
 };
 use phugoid::collocation::Collocation;
-use phugoid::linalg::kkt_for;
+use phugoid::linalg::{Effort, Entries, kkt_for};
 use phugoid::nlp::Nlp;
 use phugoid::solver::{Status, state_units};
 use phugoid::{Estimation, Experiment, Model};
@@ -81,20 +81,20 @@ fn kkt(c: &mut Criterion) {
         p.jacobian(&xi, &mut jacobian).unwrap();
         p.gauss_newton(&xi, 1.0, &mut hessian).unwrap();
         let held = vec![false; p.n()];
+        let entries = Entries { hessian: &hessian, jacobian: &jacobian };
         let mut kkt = kkt_for(&p, &state_units(&p, &xi));
         group.bench_function(BenchmarkId::new(n.to_string(), "factorize"), |b| {
             b.iter(|| {
-                kkt.factorize(&hessian, &jacobian).unwrap();
-                assert!(kkt.finish(&held, 0.0).is_positive());
+                let factor = kkt.factorize(&entries, Effort::FULL).unwrap();
+                assert!(factor.finish(&held, 0.0).is_positive());
             })
         });
         let (mut d, mut lambda) = (vec![0.0; p.n()], vec![0.0; p.m()]);
-        for (what, refined) in [("solve", false), ("solve_refined", true)] {
-            kkt.set_refinement(refined);
-            kkt.factorize(&hessian, &jacobian).unwrap();
-            assert!(kkt.finish(&held, 0.0).is_positive());
+        for (what, refine) in [("solve", false), ("solve_refined", true)] {
+            let factor = kkt.factorize(&entries, Effort { refine, hurry: false }).unwrap();
+            assert!(factor.finish(&held, 0.0).is_positive());
             group.bench_function(BenchmarkId::new(n.to_string(), what), |b| {
-                b.iter(|| kkt.solve(&gradient, &residual, &mut d, &mut lambda))
+                b.iter(|| factor.solve(&gradient, &residual, &mut d, &mut lambda))
             });
         }
     });

@@ -84,6 +84,7 @@
 //! | [`filter`] | process noise: the marginal likelihood of the filter-error method |
 //! | [`linalg`] | the seam to linear algebra: Newton systems; the factorisation of an arrow, and a sparse one |
 //! | [`solver`] | Gauss-Newton, then Newton |
+//! | [`initial`] | what goes before: a regression, other places to start from |
 //! | [`diagnosis`] | covariance, and what the data leave open |
 //! | [`estimate`] | all of it in one call |
 //! | [`simulate`] | what a model says for given parameters |
@@ -101,6 +102,7 @@ pub mod experiment;
 pub mod expr;
 pub mod filter;
 pub mod gaps;
+pub mod initial;
 pub mod integrate;
 pub mod interpolate;
 pub mod interrupt;

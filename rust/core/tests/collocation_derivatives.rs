@@ -10,8 +10,8 @@ use phugoid::collocation::segments_in_chunk;
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::mesh::Grid;
 use phugoid::model::Model;
-use phugoid::nlp::Nlp;
 use phugoid::nlp::check::check_derivatives;
+use phugoid::nlp::{Named, Nlp};
 use phugoid::noise::Noise;
 
 const ORDERS: [usize; 5] = [2, 3, 4, 5, 8];

@@ -9,7 +9,7 @@ use phugoid::collocation::{Collocation, Settings};
 use phugoid::interpolate::{Interpolation, interpolate};
 use phugoid::mesh::Grid;
 use phugoid::model::Model;
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{Named, Nlp};
 
 fn check(model: &Model, order: usize, grid: Grid, interpolation: Interpolation) {
     // The first record is longer than a chunk.

@@ -7,7 +7,7 @@ use phugoid::experiment::Experiment;
 use phugoid::expr::{Expr, gt, select};
 use phugoid::interpolate::Interpolation;
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::{Nlp, NotFinite};
+use phugoid::nlp::{Named, Nlp, NotFinite};
 use phugoid::noise::{Noise, Sigma};
 
 const STEP: f64 = 0.5;

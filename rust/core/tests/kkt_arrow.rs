@@ -8,9 +8,9 @@ use common::flights::{TRUTH, problem};
 use common::models::{self, guess, mixed_noise, record};
 use nalgebra::{DMatrix, DVector};
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::linalg::KktSolver;
 use phugoid::linalg::arrow::ArrowKkt;
 use phugoid::linalg::sparse::SparseKkt;
+use phugoid::linalg::{Effort, Entries, Factor, KktSolver};
 use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::Nlp;
@@ -99,7 +99,7 @@ fn it_solves_as_dense_algebra_does_and_counts_the_same_inertia() {
         let mut held = vec![false; n];
         held[0] = number % 2 == 0;
         let mut arrow = case.arrow();
-        arrow.factorize(&case.hessian, &case.jacobian).unwrap();
+        arrow.factorize(&Entries { hessian: &case.hessian, jacobian: &case.jacobian }, Effort::FULL).unwrap();
         let found = arrow.finish(&held, 0.0);
         let dense = case.dense(&held);
         let eigen = dense.clone().symmetric_eigenvalues();
@@ -143,7 +143,7 @@ fn a_shift_makes_any_curvature_positive_and_its_inertia_is_reported() {
     let mut indefinite = 0;
     for case in cases() {
         let mut arrow = case.arrow();
-        arrow.factorize(&case.hessian, &case.jacobian).unwrap();
+        arrow.factorize(&Entries { hessian: &case.hessian, jacobian: &case.jacobian }, Effort::FULL).unwrap();
         let held = vec![false; case.problem.n()];
         let found = arrow.finish(&held, 0.0);
         if found.is_positive() {
@@ -162,7 +162,7 @@ fn a_shift_makes_any_curvature_positive_and_its_inertia_is_reported() {
 fn covariance_is_the_block_of_the_inverse() {
     let case = case(&models::linear(), 3, Grid::Samples(1), false);
     let mut arrow = case.arrow();
-    arrow.factorize(&case.hessian, &case.jacobian).unwrap();
+    arrow.factorize(&Entries { hessian: &case.hessian, jacobian: &case.jacobian }, Effort::FULL).unwrap();
     let held = vec![false; case.problem.n()];
     assert!(arrow.finish(&held, 0.0).is_positive());
     let inverse = case.dense(&held).try_inverse().unwrap();
@@ -218,8 +218,7 @@ fn it_is_as_accurate_where_small_changes_grow_without_limit() {
     let mut random = Random(11);
     let right: Vec<f64> = (0..n + m).map(|_| random.between(-1.0, 1.0)).collect();
     let solved: [(Vec<f64>, Vec<f64>); 2] = [&mut arrow as &mut dyn KktSolver, &mut sparse].map(|kkt| {
-        kkt.set_refinement(true);
-        kkt.factorize(&hessian, &jacobian).unwrap();
+        let kkt = kkt.factorize(&Entries { hessian: &hessian, jacobian: &jacobian }, Effort::FULL).unwrap();
         assert!(kkt.finish(&vec![false; n], 0.0).is_positive());
         let (mut d, mut lambda) = (vec![0.0; n], vec![0.0; m]);
         kkt.solve(&right[..n], &right[n..], &mut d, &mut lambda);

@@ -2,7 +2,7 @@
 
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::condition::End;
-use phugoid::linalg::{KktError, KktSolver, kkt_for};
+use phugoid::linalg::{Effort, Entries, KktError, KktSolver, kkt_for};
 use phugoid::nlp::Nlp;
 use phugoid::noise::Noise;
 use phugoid::{Experiment, Expr, Grid, Model, Parameter, Sigma};
@@ -22,7 +22,12 @@ fn problem(condition: bool) -> Collocation {
     Collocation::new(&m, &[run], Noise::Gaussian(vec![Sigma::Known(1.0)]), &settings).unwrap()
 }
 
-fn factorized(p: &Collocation, kkt: &mut dyn KktSolver, a: f64, spoil: bool) -> Result<(), KktError> {
+fn factorized(
+    p: &Collocation,
+    kkt: &mut dyn KktSolver,
+    a: f64,
+    (spoil, hurry): (bool, bool),
+) -> Result<(), KktError> {
     let mut xi = vec![1.0; p.n()];
     xi[0] = a;
     let mut hessian = vec![0.0; p.hessian_structure().len()];
@@ -32,7 +37,8 @@ fn factorized(p: &Collocation, kkt: &mut dyn KktSolver, a: f64, spoil: bool) -> 
     if spoil {
         jacobian[7] = f64::NAN;
     }
-    kkt.factorize(&hessian, &jacobian)
+    let entries = Entries { hessian: &hessian, jacobian: &jacobian };
+    kkt.factorize(&entries, Effort { refine: true, hurry }).map(|_| ())
 }
 
 #[test]
@@ -40,12 +46,10 @@ fn a_costly_system_is_refused_in_a_hurry() {
     for condition in [false, true] {
         let p = problem(condition);
         let mut kkt = kkt_for(&p, &[1.0]);
-        kkt.set_hurry(true);
-        assert_eq!(factorized(&p, &mut *kkt, -0.1, false), Ok(()));
+        assert_eq!(factorized(&p, &mut *kkt, -0.1, (false, true)), Ok(()));
         // It grows a hundredfold and more in every segment: each is a group of its own.
-        assert_eq!(factorized(&p, &mut *kkt, 6.0, false), Err(KktError::TooCostly));
-        kkt.set_hurry(false);
-        assert_eq!(factorized(&p, &mut *kkt, 6.0, false), Ok(()));
+        assert_eq!(factorized(&p, &mut *kkt, 6.0, (false, true)), Err(KktError::TooCostly));
+        assert_eq!(factorized(&p, &mut *kkt, 6.0, (false, false)), Ok(()));
     }
 }
 
@@ -54,11 +58,11 @@ fn numbers_that_are_not_finite_are_no_dependence() {
     for condition in [false, true] {
         let p = problem(condition);
         let mut kkt = kkt_for(&p, &[1.0]);
-        assert_eq!(factorized(&p, &mut *kkt, -0.1, false), Ok(()));
+        assert_eq!(factorized(&p, &mut *kkt, -0.1, (false, false)), Ok(()));
         let flops = kkt.flops();
-        assert_eq!(factorized(&p, &mut *kkt, -0.1, true), Err(KktError::NotFinite));
+        assert_eq!(factorized(&p, &mut *kkt, -0.1, (true, false)), Err(KktError::NotFinite));
         // The same factorisation goes on.
-        assert_eq!(factorized(&p, &mut *kkt, -0.1, false), Ok(()));
+        assert_eq!(factorized(&p, &mut *kkt, -0.1, (false, false)), Ok(()));
         assert_eq!(kkt.flops(), flops);
     }
 }

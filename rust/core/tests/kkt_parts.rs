@@ -4,8 +4,8 @@ mod common;
 
 use common::Random;
 use nalgebra::{DMatrix, DVector};
-use phugoid::linalg::KktSolver;
 use phugoid::linalg::arrow::ArrowKkt;
+use phugoid::linalg::{Effort, Entries, Factor, KktSolver};
 use phugoid::nlp::{Boundary, Chain, Chains, Structure, Tie};
 
 /// What a random system is like.
@@ -237,6 +237,10 @@ impl System {
         ArrowKkt::new(&self.chains, h, a, (self.n, self.m), &self.units).unwrap()
     }
 
+    fn entries(&self) -> Entries<'_> {
+        Entries { hessian: &self.hessian.values, jacobian: &self.jacobian.values }
+    }
+
     /// The matrix in units, with rows of the identity for variables held.
     fn dense(&self, held: &[bool]) -> DMatrix<f64> {
         let size = self.n + self.m;
@@ -294,8 +298,8 @@ fn any_parts_are_solved_as_dense_algebra_does_and_have_the_same_inertia() {
         let mut held = no_held(&system);
         (0..kind.border).for_each(|b| held[b] = (seed + b as u64).is_multiple_of(3));
         let mut arrow = system.arrow();
-        arrow.set_refinement(seed.is_multiple_of(2));
-        arrow.factorize(&system.hessian.values, &system.jacobian.values).unwrap();
+        let effort = Effort { refine: seed.is_multiple_of(2), hurry: false };
+        arrow.factorize(&system.entries(), effort).unwrap();
         let found = arrow.finish(&held, 0.0);
         let dense = system.dense(&held);
         let eigen = dense.clone().symmetric_eigenvalues();
@@ -326,7 +330,7 @@ fn the_covariance_is_the_block_of_the_inverse() {
             held[1] = true;
         }
         let mut arrow = system.arrow();
-        arrow.factorize(&system.hessian.values, &system.jacobian.values).unwrap();
+        arrow.factorize(&system.entries(), Effort::FULL).unwrap();
         assert!(arrow.finish(&held, 0.0).is_positive(), "seed {seed}");
         let mut inverse = system.dense(&held).try_inverse().unwrap();
         (0..system.n).filter(|&i| held[i]).for_each(|i| inverse[(i, i)] = 0.0);
@@ -371,8 +375,7 @@ fn groups_end_where_changes_of_one_part_grow_and_are_joined_again_when_they_do_n
     let mut arrow = tame.arrow();
     let least = arrow.groups();
     let check = |arrow: &mut ArrowKkt, system: &System, refine: bool, what: &str| {
-        arrow.set_refinement(refine);
-        arrow.factorize(&system.hessian.values, &system.jacobian.values).unwrap();
+        arrow.factorize(&system.entries(), Effort { refine, hurry: false }).unwrap();
         assert!(arrow.finish(&held, 0.0).is_positive(), "{what}");
         let (apart, rest) = system.solved(arrow, &system.dense(&held), &held);
         assert!(rest < 1e-12 && apart.amax() < 1e-8, "{what}: residual {rest:e}, {:e} apart", apart.amax());
@@ -397,7 +400,7 @@ fn long_chains_of_parts_merge_and_have_the_same_bits_on_any_threads() {
     for threads in [1, 4] {
         let mut arrow = system.arrow().with_threads(threads);
         assert!(arrow.groups() >= 18, "{}", arrow.groups());
-        arrow.factorize(&system.hessian.values, &system.jacobian.values).unwrap();
+        arrow.factorize(&system.entries(), Effort::FULL).unwrap();
         assert!(arrow.finish(&no_held(&system), 0.0).is_positive());
         let (p, q) = (vec![1.0; system.n], vec![-1.0; system.m]);
         let (mut d, mut lambda) = (vec![0.0; system.n], vec![0.0; system.m]);

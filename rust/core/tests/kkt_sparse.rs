@@ -10,10 +10,10 @@ use phugoid::collocation::{Collocation, Settings};
 use phugoid::experiment::Experiment;
 use phugoid::interpolate::Interpolation;
 use phugoid::linalg::sparse::SparseKkt;
-use phugoid::linalg::{Curvature, KktError, KktSolver};
+use phugoid::linalg::{Curvature, Effort, Entries, Factor, KktError, KktSolver};
 use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::{Nlp, Structure};
+use phugoid::nlp::{Named, Nlp, Structure};
 use phugoid::noise::{Noise, Sigma};
 use proptest::prelude::*;
 
@@ -60,9 +60,13 @@ impl Case {
         SparseKkt::new(self.n, self.m, &self.h, &self.a, &self.scale, &self.row_scale)
     }
 
+    fn entries(&self) -> Entries<'_> {
+        Entries { hessian: &self.hessian, jacobian: &self.jacobian }
+    }
+
     fn factorized(&self) -> SparseKkt {
         let mut kkt = self.sparse();
-        kkt.factorize(&self.hessian, &self.jacobian).unwrap();
+        kkt.factorize(&self.entries(), Effort::FULL).unwrap();
         kkt
     }
 
@@ -439,7 +443,7 @@ fn a_constraint_that_depends_on_others_is_named() {
             }
         }
         let mut kkt = dependent.sparse();
-        let error = kkt.factorize(&dependent.hessian, &dependent.jacobian).unwrap_err();
+        let error = kkt.factorize(&dependent.entries(), Effort::FULL).err().unwrap();
         let KktError::Dependent { row } = error else { panic!("{error}") };
         assert!(row == m || of.contains(&row), "{row} for {m} or {of:?}");
         // Nothing is positive then, and nothing looks like a solution.
@@ -448,7 +452,7 @@ fn a_constraint_that_depends_on_others_is_named() {
         // Other numbers at the same places may be independent.
         let other: Vec<f64> = dependent.jacobian.iter().map(|_| random.between(-1.0, 1.0)).collect();
         if !of.is_empty() {
-            kkt.factorize(&dependent.hessian, &other).unwrap();
+            kkt.factorize(&Entries { jacobian: &other, ..dependent.entries() }, Effort::FULL).unwrap();
         }
     }
 }
@@ -471,10 +475,10 @@ fn constraints_that_depend_but_for_rounding_are_refused() {
     ] {
         case.add_a(row, column, value);
     }
-    assert!(case.sparse().factorize(&case.hessian, &case.jacobian).is_err());
+    assert!(case.sparse().factorize(&case.entries(), Effort::FULL).is_err());
     // One alone is bad, but not hopeless.
     case.jacobian[3] = 2.0;
-    assert!(case.sparse().factorize(&case.hessian, &case.jacobian).is_ok());
+    assert!(case.sparse().factorize(&case.entries(), Effort::FULL).is_ok());
 }
 
 #[test]
@@ -485,7 +489,7 @@ fn more_constraints_than_variables_depend_on_each_other() {
         case.add_a(row, 1, 1.0);
     }
     case.add_h(0, 0, 1.0);
-    assert!(case.sparse().factorize(&case.hessian, &case.jacobian).is_err());
+    assert!(case.sparse().factorize(&case.entries(), Effort::FULL).is_err());
 }
 
 #[test]
@@ -495,12 +499,14 @@ fn numbers_that_are_not_finite_are_refused() {
     for bad in [f64::NAN, f64::INFINITY] {
         let mut jacobian = case.jacobian.clone();
         jacobian[5] = bad;
-        assert_eq!(kkt.factorize(&case.hessian, &jacobian), Err(KktError::NotFinite));
+        let entries = Entries { jacobian: &jacobian, ..case.entries() };
+        assert_eq!(kkt.factorize(&entries, Effort::FULL).err(), Some(KktError::NotFinite));
         let mut hessian = case.hessian.clone();
         hessian[3] = bad;
-        assert_eq!(kkt.factorize(&hessian, &case.jacobian), Err(KktError::NotFinite));
+        let entries = Entries { hessian: &hessian, ..case.entries() };
+        assert_eq!(kkt.factorize(&entries, Effort::FULL).err(), Some(KktError::NotFinite));
     }
-    kkt.factorize(&case.hessian, &case.jacobian).unwrap();
+    kkt.factorize(&case.entries(), Effort::FULL).unwrap();
     assert!(kkt.finish(&[false; 10], 0.0).is_positive());
 }
 
@@ -693,7 +699,7 @@ fn a_second_factorisation_is_like_a_first() {
         let hessian: Vec<f64> = case.hessian.iter().map(|_| random.between(-1.0, 1.0)).collect();
         let jacobian: Vec<f64> = case.jacobian.iter().map(|_| random.between(-1.0, 1.0)).collect();
         let case = Case { hessian, jacobian, ..case.clone() };
-        used.factorize(&case.hessian, &case.jacobian).unwrap();
+        used.factorize(&case.entries(), Effort::FULL).unwrap();
         let mut fresh = case.factorized();
         let held: Vec<bool> = (0..40).map(|i| i % 11 == 3).collect();
         assert_eq!(used.finish(&held, 0.1), fresh.finish(&held, 0.1));
@@ -819,7 +825,7 @@ proptest! {
         let m = ((n as f64) * part) as usize;
         let case = random_case(n, m, entries, true, &mut random);
         let mut kkt = case.sparse();
-        if kkt.factorize(&case.hessian, &case.jacobian).is_ok() {
+        if kkt.factorize(&case.entries(), Effort::FULL).is_ok() {
             let held = vec![false; n];
             prop_assert!(kkt.finish(&held, shift).is_positive());
             let right = case.random_right(&mut random);
@@ -886,7 +892,7 @@ fn timing() {
         let mut x = right.clone();
         for _ in 0..30 {
             let began = std::time::Instant::now();
-            kkt.factorize(&case.hessian, &case.jacobian).unwrap();
+            kkt.factorize(&case.entries(), Effort::FULL).unwrap();
             best[0] = best[0].min(began.elapsed().as_secs_f64());
             let began = std::time::Instant::now();
             found = kkt.finish(&held, 0.0);

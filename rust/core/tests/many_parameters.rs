@@ -5,7 +5,7 @@ mod common;
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::expr::Expr;
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{Named, Nlp};
 use phugoid::noise::{Noise, Sigma};
 use phugoid::{Error, Experiment};
 

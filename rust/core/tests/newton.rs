@@ -9,10 +9,11 @@ use common::models;
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::diagnosis::information;
 use phugoid::expr::Expr;
+use phugoid::initial::{self, Initial};
 use phugoid::interrupt::{Interrupt, current};
 use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::{Nlp, NotFinite, Structure};
+use phugoid::nlp::{Named, Nlp, NotFinite, Structure};
 use phugoid::solver::{Control, Settings as Options, Solution, Status, solve};
 
 fn settings(order: usize) -> Settings {
@@ -37,8 +38,9 @@ fn it_finds_an_unstable_aircraft_from_zero_at_any_order() {
     // Twelve seconds and a hundred: a small change at the start grows by 10³ and 10³⁰.
     for (order, n) in [(2, 241), (3, 241), (4, 241), (5, 121), (4, 2001)] {
         let (p, xi) = problem(&models::linear(), n, &settings(order));
-        for regression in [false, true] {
-            let s = run(&p, &xi, &Options { regression, ..Options::default() });
+        for initial in [Initial::Start, Initial::Regression] {
+            let options = Options::default();
+            let s = initial::solve(&p, &xi, None, initial, &options, &mut |_| Control::Continue).unwrap();
             assert_eq!(s.status, Status::Converged, "order {order}, {n} samples: {}", s.message);
             assert!(s.iterations <= 15, "order {order}: {} iterations", s.iterations);
             // The trapezoid's own error is larger than that of the noise.
@@ -287,6 +289,9 @@ impl Nlp for Shapeless {
     fn profile(&self, xi: &[f64], gradient: &[f64], reach: &phugoid::nlp::Reach<'_>, out: &mut [f64]) -> f64 {
         self.inner.profile(xi, gradient, reach, out)
     }
+}
+
+impl Named for Shapeless {
     fn variable_name(&self, i: usize) -> String {
         self.inner.variable_name(i)
     }
@@ -316,7 +321,7 @@ fn a_program_without_chains_is_solved_by_the_sparse_factorisation() {
 fn an_evaluation_that_was_stopped_is_not_searched_for_what_is_not_finite() {
     let (p, xi) = problem(&models::linear(), 61, &settings(3));
     let p = Shapeless::new(p, 2);
-    let options = Options { regression: false, ..Options::default() };
+    let options = Options::default();
     let s =
         Interrupt::within(None).run(|| solve(&p, &xi, None, &options, &mut |_| Control::Continue).unwrap());
     assert_eq!((s.status, s.iterations), (Status::Interrupted, 2));

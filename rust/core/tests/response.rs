@@ -7,7 +7,7 @@ use common::newton::solve_defects;
 use nalgebra::{DMatrix, DVector};
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::condition::End;
-use phugoid::diagnosis::{Forward, Outputs, Place, Response, answers};
+use phugoid::diagnosis::{Forward, Linearisation, Outputs, Place, Response};
 use phugoid::experiment::Experiment;
 use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
@@ -171,7 +171,7 @@ fn at_samples(problem: &Collocation, d: &[f64]) -> Vec<f64> {
 }
 
 /// Tangents by all parameters and first states of forward: (variables, samples), an orthogonal basis in columns.
-fn tangents(problem: &Collocation, forward: &Forward, wanted: &[usize]) -> DMatrix<f64> {
+fn tangents(problem: &Collocation, forward: &Forward<&Collocation>, wanted: &[usize]) -> DMatrix<f64> {
     let n_theta = problem.layout.n_theta;
     let columns: Vec<DVector<f64>> = forward
         .tangents(wanted)
@@ -243,7 +243,8 @@ fn answers_are_outputs_of_the_states() {
             .collect();
         let outputs = Outputs { by_state: &by_state, by_parameter: &by_parameter, rows: &rows, n_y: 1 };
         let place = Place { slopes: &slopes, outputs: &direct };
-        let (columns, parameters) = answers((&problem, &xi, &[FORCE]), &outputs, &place, &signals).unwrap();
+        let (columns, parameters) =
+            Linearisation::new(&problem, &xi, &[FORCE]).answers(&outputs, &place, &signals).unwrap();
         assert_eq!((columns.len(), parameters.len()), (k * (samples - 1), k * layout.n_theta));
         assert!(parameters.iter().all(|p| *p == 0.0), "forward in time parameters take no part");
         let forward = Forward::new(&problem, &xi).unwrap().unwrap();

@@ -2,7 +2,7 @@
 
 use phugoid::expr::Expr;
 use phugoid::model::{Model, Parameter};
-use phugoid::nlp::Nlp;
+use phugoid::nlp::{Named, Separable};
 use phugoid::solver::Status;
 use phugoid::transform::Transform;
 use phugoid::{Estimation, Experiment, Sigma};

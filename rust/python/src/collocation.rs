@@ -1,12 +1,14 @@
 //! The collocation problem.
 
+use std::sync::Arc;
+
 use phugoid::collocation::{Collocation, Settings};
 use pyo3::prelude::*;
 
 use crate::errors::raise;
 use crate::model::PyModel;
 use crate::noise::PyNoise;
-use crate::problem::{GridSpec, PyProblem, Record, Transcription, experiment, grids};
+use crate::problem::{GridSpec, Kept, PyProblem, Record, Transcription, experiment, grids};
 
 /// Collocation; everything but its making is `Problem`'s.
 #[pyclass(name = "Collocation", module = "phugoid._core", frozen, extends = PyProblem)]
@@ -29,7 +31,10 @@ impl PyCollocation {
             Settings { order, grid: grids(divisions)?, threads, noise_per_experiment: noise.per_experiment };
         let (model, noise) = (&model.0, noise.noise.clone());
         let problem = py.detach(|| Collocation::new(model, &records, noise, &settings)).map_err(raise)?;
-        Ok(PyClassInitializer::from(PyProblem(Transcription::Collocation(Box::new(problem))))
-            .add_subclass(PyCollocation))
+        Ok(PyClassInitializer::from(PyProblem(Transcription::Collocation(
+            Arc::new(problem),
+            Kept::default(),
+        )))
+        .add_subclass(PyCollocation))
     }
 }

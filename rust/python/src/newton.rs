@@ -2,10 +2,11 @@
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1};
 use phugoid::diagnosis::{NoInformation, information as information_of};
+use phugoid::initial::{Initial, solve};
 use phugoid::interrupt::Interrupt;
 use phugoid::linalg::KktError;
 use phugoid::problem::Transcribed;
-use phugoid::solver::{Control, Iteration, Settings, Solution, solve};
+use phugoid::solver::{Control, Iteration, Settings, Solution};
 use pyo3::exceptions::{PyTimeoutError, PyValueError};
 use pyo3::prelude::*;
 
@@ -175,13 +176,11 @@ pub fn newton(
     let xi = xi.as_slice()?.to_vec();
     let multipliers = multipliers.map(|m| m.as_slice().map(<[f64]>::to_vec)).transpose()?;
     check_sizes(nlp, &xi, multipliers.as_deref())?;
-    let settings = Settings {
-        max_iterations,
-        tolerance,
-        time_limit: seconds(time_limit),
-        gauss_newton,
-        regression,
-        wide,
+    let settings = Settings { max_iterations, tolerance, time_limit: seconds(time_limit), gauss_newton };
+    let initial = match (regression, wide) {
+        (false, _) => Initial::Start,
+        (true, false) => Initial::Regression,
+        (true, true) => Initial::Places,
     };
     let watch = watch.as_ref();
     let (solved, error) = watched(py, stop.as_ref(), |caller| {
@@ -194,7 +193,7 @@ pub fn newton(
                 Control::Stop
             }
         };
-        solve(nlp, &xi, multipliers.as_deref(), &settings, &mut each)
+        solve(nlp, &xi, multipliers.as_deref(), initial, &settings, &mut each)
     });
     let interrupt = |e: &PyErr| e.is_instance_of::<pyo3::exceptions::PyKeyboardInterrupt>(py);
     if let Some(e) = error.filter(|e| !interrupt(e)) {

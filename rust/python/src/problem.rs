@@ -1,7 +1,10 @@
 //! Transcribed problems: what all have in common.
 
+use std::sync::{Arc, Mutex};
+
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
 use phugoid::collocation::Collocation;
+use phugoid::diagnosis::Linearisation;
 use phugoid::experiment::{Experiment, Signal};
 use phugoid::interpolate::Interpolation;
 use phugoid::mesh::Grid;
@@ -37,9 +40,12 @@ type Reported = (String, Option<usize>, f64, Vec<f64>, Option<usize>, f64, f64);
 #[pyclass(name = "Problem", module = "phugoid._core", frozen, subclass)]
 pub struct PyProblem(pub Transcription);
 
+/// The last linearisation of a problem: what is asked of it comes in many calls.
+pub type Kept = Mutex<Option<Linearisation<Arc<Collocation>>>>;
+
 /// The transcriptions that there are.
 pub enum Transcription {
-    Collocation(Box<Collocation>),
+    Collocation(Arc<Collocation>, Kept),
     Shooting(Box<Shooting>),
 }
 
@@ -120,15 +126,15 @@ impl PyProblem {
     /// The problem itself.
     pub fn inner(&self) -> &dyn Transcribed {
         match &self.0 {
-            Transcription::Collocation(problem) => &**problem,
+            Transcription::Collocation(problem, _) => &**problem,
             Transcription::Shooting(problem) => &**problem,
         }
     }
 
-    /// The problem, if it is one by collocation.
-    pub fn collocation(&self) -> Option<&Collocation> {
+    /// The problem, if it is one by collocation, and its linearisation.
+    pub fn collocation(&self) -> Option<(&Arc<Collocation>, &Kept)> {
         match &self.0 {
-            Transcription::Collocation(problem) => Some(problem),
+            Transcription::Collocation(problem, kept) => Some((problem, kept)),
             Transcription::Shooting(_) => None,
         }
     }
@@ -263,13 +269,13 @@ impl PyProblem {
 
     /// Inputs at the points of an experiment, `[input][point]`; none unless by collocation.
     fn point_inputs<'py>(&self, py: Python<'py>, experiment: usize) -> Vec<Array<'py>> {
-        let inputs = self.collocation().map(|c| c.inputs[experiment].clone());
+        let inputs = self.collocation().map(|(c, _)| c.inputs[experiment].clone());
         arrays(py, inputs.unwrap_or_default())
     }
 
     /// Place among the points of an experiment of each of its samples; none unless by collocation.
     fn sample_points(&self, experiment: usize) -> Vec<usize> {
-        self.collocation().map(|c| c.meshes[experiment].sample_points.clone()).unwrap_or_default()
+        self.collocation().map(|(c, _)| c.meshes[experiment].sample_points.clone()).unwrap_or_default()
     }
 
     /// Times of the points of an experiment whose states are variables.

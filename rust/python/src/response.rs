@@ -1,27 +1,48 @@
 //! Answers of a fitted path to forces on its equations.
 
+use std::sync::Arc;
+
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use phugoid::collocation::Collocation;
-use phugoid::diagnosis::{self, Forward, Outputs, Place, Response};
+use phugoid::diagnosis::{Linearisation, Outputs, Place};
+use phugoid::nlp::Nlp;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::problem::PyProblem;
+use crate::problem::{Kept, PyProblem};
 
 type Matrix<'py> = Bound<'py, PyArray2<f64>>;
 
-fn collocation<'a>(problem: &'a PyProblem, xi: &[f64]) -> PyResult<&'a Collocation> {
-    let Some(problem) = problem.collocation() else {
+/// A linearisation is kept for the next call where the Jacobian has no more entries: about 100 MB.
+const KEPT: usize = 2_000_000;
+
+fn collocation<'a>(problem: &'a PyProblem, xi: &[f64]) -> PyResult<(&'a Arc<Collocation>, &'a Kept)> {
+    let Some(found) = problem.collocation() else {
         return Err(PyValueError::new_err("responses are those of a collocation problem"));
     };
-    if xi.len() != problem.layout.n() {
-        return Err(PyValueError::new_err(format!(
-            "the problem has {} variables, xi {}",
-            problem.layout.n(),
-            xi.len()
-        )));
+    let n = found.0.layout.n();
+    if xi.len() != n {
+        return Err(PyValueError::new_err(format!("the problem has {n} variables, xi {}", xi.len())));
     }
-    Ok(problem)
+    Ok(found)
+}
+
+/// Asks the linearisation about ξ: the one that is kept, or a new one, which is kept then.
+fn ask<R>(
+    (problem, kept): (&Arc<Collocation>, &Kept),
+    xi: &[f64],
+    held: &[usize],
+    question: impl FnOnce(&mut Linearisation<Arc<Collocation>>) -> R,
+) -> R {
+    let new = || Linearisation::new(problem.clone(), xi, held);
+    // Another thread may be at it.
+    let mut own = None;
+    let mut guard = kept.try_lock().ok().filter(|_| problem.jacobian_structure().len() <= KEPT);
+    let place = guard.as_deref_mut().unwrap_or(&mut own);
+    if place.as_ref().is_none_or(|l| !l.is_at(xi, held)) {
+        *place = None;
+    }
+    question(place.get_or_insert_with(new))
 }
 
 /// Tangents of the path of a collocation problem along some variables: (tangents, n_θ + n_x · samples), parameters
@@ -37,32 +58,11 @@ pub fn tangents<'py>(
     variables: Vec<usize>,
 ) -> PyResult<Option<(Matrix<'py>, bool)>> {
     let xi = xi.as_slice()?;
-    let problem = collocation(problem, xi)?;
-    let layout = &problem.layout;
-    let samples: usize = problem.meshes.iter().map(|m| m.sample_points.len()).sum();
+    let of = collocation(problem, xi)?;
+    let layout = &of.0.layout;
+    let samples: usize = of.0.meshes.iter().map(|m| m.sample_points.len()).sum();
     let width = layout.n_theta + layout.n_x * samples;
-    let found = py.detach(|| {
-        let mut out = Vec::with_capacity(variables.len() * width);
-        if let Some(forward) = Forward::new(problem, xi).ok()? {
-            for (&i, states) in variables.iter().zip(forward.tangents(&variables)) {
-                out.extend((0..layout.n_theta).map(|p| f64::from(p == i)));
-                out.extend(states);
-            }
-            return Some((out, true));
-        }
-        let mut response = Response::new(problem, xi, &held).ok()?;
-        let mut d = vec![0.0; layout.n()];
-        for &i in &variables {
-            response.tangent(i, &mut d);
-            out.extend_from_slice(&d[..layout.n_theta]);
-            for (mesh, first) in problem.meshes.iter().zip(&layout.first_point) {
-                for point in &mesh.sample_points {
-                    out.extend_from_slice(&d[layout.state(first + point)..][..layout.n_x]);
-                }
-            }
-        }
-        Some((out, false))
-    });
+    let found = py.detach(|| ask(of, xi, &held, |l| l.tangents(&variables)).ok());
     let rows = variables.len();
     found.map(|(out, forward)| Ok((PyArray1::from_vec(py, out).reshape([rows, width])?, forward))).transpose()
 }
@@ -88,7 +88,8 @@ pub fn answers<'py>(
     signals: PyReadonlyArray2<'py, f64>,
 ) -> PyResult<Option<(Matrix<'py>, Matrix<'py>)>> {
     let xi = xi.as_slice()?;
-    let problem = collocation(problem, xi)?;
+    let of = collocation(problem, xi)?;
+    let problem = of.0;
     let (n, n_theta) = (problem.layout.n_x, problem.layout.n_theta);
     let total = |f: fn(&phugoid::mesh::Mesh) -> usize| problem.meshes.iter().map(f).sum::<usize>();
     let [points, mesh_points, samples] =
@@ -115,7 +116,7 @@ pub fn answers<'py>(
         Outputs { by_state: by_state.as_slice()?, by_parameter: by_parameter.as_slice()?, rows, n_y };
     let place = Place { slopes: slopes.as_slice()?, outputs: direct.as_slice()? };
     let signals = signals.as_slice()?;
-    let found = py.detach(|| diagnosis::answers((problem, xi, &held), &outputs, &place, signals));
+    let found = py.detach(|| ask(of, xi, &held, |l| l.answers(&outputs, &place, signals)));
     let Ok((columns, parameters)) = found else { return Ok(None) };
     let matrix = |v: Vec<f64>, width: usize| PyArray1::from_vec(py, v).reshape([k, width]);
     Ok(Some((matrix(columns, width)?, matrix(parameters, n_theta)?)))

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::Collocation;
 use crate::expr::graph::Id;
-use crate::nlp::Nlp;
+use crate::nlp::{Named, Nlp};
 use crate::problem::explain::UNDERFLOW;
 use crate::tape::{Function, trace};
 

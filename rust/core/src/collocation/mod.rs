@@ -12,7 +12,7 @@ use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::mesh::{Grid, Mesh};
 use crate::model::Model;
-use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
+use crate::nlp::{Chains, Named, Nlp, NotFinite, Reach, Separable, Structure};
 use crate::noise::Noise;
 use crate::problem::boundary::{Boundary, Places};
 use crate::problem::disjoint::Disjoint;
@@ -51,7 +51,7 @@ impl Default for Settings {
 /// from, [`Estimation::transcribe`](crate::Estimation::transcribe).
 ///
 /// ```
-/// use phugoid::nlp::Nlp;
+/// use phugoid::nlp::{Named, Nlp};
 /// use phugoid::noise::Noise;
 /// use phugoid::collocation::{Collocation, Settings};
 /// use phugoid::{Experiment, Grid, Model, Parameter, Sigma};
@@ -381,14 +381,6 @@ impl Nlp for Collocation {
         self.posed.pool.as_ref().map_or(0, Threads::number)
     }
 
-    fn nonlinear(&self) -> Vec<usize> {
-        self.posed.nonlinear()
-    }
-
-    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
-        self.posed.move_elsewhere(xi, variables, draw);
-    }
-
     fn profiled(&self) -> Range<usize> {
         self.posed.profiled_noise()
     }
@@ -396,7 +388,9 @@ impl Nlp for Collocation {
     fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
         self.posed.profile_noise(xi, gradient, reach, out)
     }
+}
 
+impl Named for Collocation {
     fn variable_name(&self, i: usize) -> String {
         match self.layout.place(i) {
             Place::Parameter(p) => self.posed.parameter_name(p),
@@ -418,6 +412,16 @@ impl Nlp for Collocation {
 
     fn explain(&self, xi: &[f64]) -> Option<String> {
         self.why_not_finite(xi)
+    }
+}
+
+impl Separable for Collocation {
+    fn nonlinear(&self) -> Vec<usize> {
+        self.posed.nonlinear()
+    }
+
+    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
+        self.posed.move_elsewhere(xi, variables, draw);
     }
 }
 

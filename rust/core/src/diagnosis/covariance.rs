@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::SLIGHT;
 use crate::interrupt::current;
-use crate::linalg::{KktError, kkt_for};
+use crate::linalg::{Effort, Entries, KktError, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::Units;
 
@@ -106,8 +106,8 @@ fn informed(
     unless_stopped()?;
     let units = Units::new(nlp, xi);
     let mut kkt = kkt_for(nlp, &units.states);
-    kkt.set_refinement(true);
-    kkt.factorize(&hessian, &jacobian).map_err(NoInformation::Singular)?;
+    let entries = Entries { hessian: &hessian, jacobian: &jacobian };
+    let kkt = kkt.factorize(&entries, Effort::FULL).map_err(NoInformation::Singular)?;
     unless_stopped()?;
     let mut holding = vec![false; n];
     held.iter().for_each(|&i| holding[i] = true);

@@ -1,5 +1,7 @@
 //! The linearised equations solved forward in time, for many right-hand sides at once.
 
+use std::ops::Deref;
+
 use nalgebra::{DMatrix, Dyn, LU};
 use rayon::prelude::*;
 
@@ -38,22 +40,22 @@ struct Step {
     map: Vec<f64>,
 }
 
-/// ∂h/∂x of a collocation problem, segment by segment.
-pub struct Forward<'a> {
-    problem: &'a Collocation,
+/// ∂h/∂x of a collocation problem, segment by segment. `P` is how it has the problem: borrowed, or shared.
+pub struct Forward<P> {
+    problem: P,
     steps: Vec<Vec<Step>>,
     /// Derivatives of the constraints of samples between mesh points by parameters, as in a step, one list an
     /// experiment.
     of_ties: Vec<Vec<(usize, usize, f64)>>,
 }
 
-impl<'a> Forward<'a> {
+impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
     /// Linearises at ξ; `None` where the motion is so unstable that a solution forward in time loses its digits, or
     /// where there are conditions on the ends of the records. Conditions on their beginnings are left to the caller.
     ///
     /// # Errors
     /// [`NotFinite`] when a derivative is not finite there, or a segment is singular.
-    pub fn new(problem: &'a Collocation, xi: &[f64]) -> Result<Option<Self>, NotFinite> {
+    pub fn new(problem: P, xi: &[f64]) -> Result<Option<Self>, NotFinite> {
         if problem.has_conditions_at_ends() {
             return Ok(None);
         }
@@ -142,11 +144,12 @@ impl<'a> Forward<'a> {
             });
             steps.push(step.collect::<Vec<_>>());
         }
+        let units = state_units(&*problem, xi);
         let forward = Forward { problem, steps, of_ties };
         if forward.steps.iter().flatten().any(|s| !s.own.is_invertible()) {
             return Err(NotFinite);
         }
-        Ok((forward.growth(&state_units(problem, xi)) < GROWTH).then_some(forward))
+        Ok((forward.growth(&units) < GROWTH).then_some(forward))
     }
 
     /// By how much first states of the size of the states' units can grow, in these units.

@@ -1,15 +1,15 @@
 //! What a solution tells about itself.
 
-mod answers;
 mod covariance;
 mod forward;
+mod linearisation;
 mod passage;
 mod response;
 mod whitening;
 
-pub use answers::{Outputs, Place, answers};
 pub use covariance::{Information, NoInformation, information};
 pub use forward::Forward;
+pub use linearisation::{Linearisation, Outputs, Place};
 pub use passage::Predictors;
 pub use response::Response;
 pub use whitening::Whitening;

@@ -1,12 +1,14 @@
 //! How the fitted path answers to a force on its equations: the sensitivities behind every candidate term.
 
+use std::ops::Deref;
+
 use super::SLIGHT;
 use crate::collocation::Collocation;
-use crate::linalg::{KktSolver, kkt_for};
+use crate::linalg::{Effort, Entries, KktSolver, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::state_units;
 
-/// The linearisation of a collocation problem about a point, factorised once, in the metric of its Gauss-Newton
+/// The linearisation of a collocation problem about a point, factorised once in the metric of its Gauss-Newton
 /// Hessian.
 ///
 /// A term b(t) that is added to f with a small coefficient c moves the optimum's path by c d, where A d = −∂h/∂c
@@ -14,8 +16,8 @@ use crate::solver::state_units;
 /// small for unstable systems too, where a simulation from the first state would not. Any other differs from it by
 /// a *tangent*: a direction in which parameters and first states move the path. Tangents come from the same
 /// factorisation.
-pub struct Response<'a> {
-    problem: &'a Collocation,
+pub struct Response<P> {
+    problem: P,
     kkt: Box<dyn KktSolver>,
     /// Scratch: right-hand sides and multipliers.
     p: Vec<f64>,
@@ -23,22 +25,23 @@ pub struct Response<'a> {
     lambda: Vec<f64>,
 }
 
-impl<'a> Response<'a> {
+impl<P: Deref<Target = Collocation>> Response<P> {
     /// Factorises at ξ. Variables `held` (fixed, at a bound, of the noise) do not move.
     ///
     /// # Errors
     /// [`NotFinite`] when a derivative is not finite there, or the constraints depend on each other.
-    pub fn new(problem: &'a Collocation, xi: &[f64], held: &[usize]) -> Result<Self, NotFinite> {
+    pub fn new(problem: P, xi: &[f64], held: &[usize]) -> Result<Self, NotFinite> {
         let (n, m) = (problem.n(), problem.m());
         let mut hessian = vec![0.0; problem.hessian_structure().len()];
         let mut jacobian = vec![0.0; problem.jacobian_structure().len()];
         problem.gauss_newton(xi, 1.0, &mut hessian)?;
         problem.jacobian(xi, &mut jacobian)?;
-        let mut kkt = kkt_for(problem, &state_units(problem, xi));
-        kkt.factorize(&hessian, &jacobian).map_err(|_| NotFinite)?;
+        let mut kkt = kkt_for(&*problem, &state_units(&*problem, xi));
+        let entries = Entries { hessian: &hessian, jacobian: &jacobian };
+        let factor = kkt.factorize(&entries, Effort::FULL).map_err(|_| NotFinite)?;
         let mut holding = vec![false; n];
         held.iter().for_each(|&i| holding[i] = true);
-        if !kkt.finish(&holding, 0.0).is_positive() && !kkt.finish(&holding, SLIGHT).is_positive() {
+        if !factor.finish(&holding, 0.0).is_positive() && !factor.finish(&holding, SLIGHT).is_positive() {
             return Err(NotFinite);
         }
         Ok(Response { problem, kkt, p: vec![0.0; n], q: vec![0.0; m], lambda: vec![0.0; m] })
@@ -49,14 +52,19 @@ impl<'a> Response<'a> {
     pub fn forced(&mut self, slopes: &[f64], d: &mut [f64]) {
         self.problem.forced(slopes, &mut self.q);
         self.q.iter_mut().for_each(|q| *q = -*q);
-        self.kkt.solve(&self.p, &self.q, d, &mut self.lambda);
+        self.solve(d);
         self.q.fill(0.0);
     }
 
     /// The tangent along which variable `i` moves most easily.
     pub fn tangent(&mut self, i: usize, d: &mut [f64]) {
         self.p[i] = 1.0;
-        self.kkt.solve(&self.p, &self.q, d, &mut self.lambda);
+        self.solve(d);
         self.p[i] = 0.0;
+    }
+
+    fn solve(&mut self, d: &mut [f64]) {
+        let factor = self.kkt.factor().expect("`new` has factorised it");
+        factor.solve(&self.p, &self.q, d, &mut self.lambda);
     }
 }

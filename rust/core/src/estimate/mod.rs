@@ -18,13 +18,14 @@ use std::time::Duration;
 use crate::collocation::{self, Collocation};
 use crate::error::{Error, did_you_mean};
 use crate::experiment::Experiment;
+use crate::initial::{Initial, solve};
 use crate::interrupt::{Interrupt, current};
 use crate::mesh::Grid;
 use crate::model::{Model, Scaling};
 use crate::noise::{Density, Noise, NoiseModel, Scale};
 use crate::problem::Transcribed;
 use crate::shooting::{Shooting, Shots};
-use crate::solver::{Control, Iteration, Settings, Solution, Status, solve};
+use crate::solver::{Control, Iteration, Settings, Solution, Status};
 
 /// The maximum-likelihood estimate of a model's parameters from records (Eq. ml_loglike), as it is put
 /// together: what is not said has a default.
@@ -177,7 +178,7 @@ impl<'a> Estimation<'a> {
         self
     }
 
-    /// Options of the solver. Its `regression` is chosen by [`Estimation::regression`].
+    /// Options of the solver.
     pub fn solver(mut self, settings: Settings) -> Self {
         self.solver = settings;
         self
@@ -281,8 +282,8 @@ impl<'a> Estimation<'a> {
         watch: &mut dyn FnMut(&Iteration) -> Control,
     ) -> Result<Solution, Error> {
         let multipliers = self.same(problem).map(|fit| &fit.solution.multipliers[..]);
-        let settings = Settings { regression, ..self.solver.clone() };
-        solve(problem, xi, multipliers, &settings, watch).map_err(|_| {
+        let initial = if regression { Initial::Places } else { Initial::Start };
+        solve(problem, xi, multipliers, initial, &self.solver, watch).map_err(|_| {
             let what = problem.explain(xi).map_or_else(
                 || "near the starting point, a derivative of the model is not finite".into(),
                 |what| format!("at the starting point, {what}"),

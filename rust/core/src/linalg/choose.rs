@@ -2,7 +2,7 @@
 
 use super::arrow::ArrowKkt;
 use super::sparse::SparseKkt;
-use super::{Curvature, KktError, KktSolver};
+use super::{Effort, Entries, Factor, KktError, KktSolver};
 use crate::interrupt::current;
 use crate::nlp::{Chains, Nlp, Structure};
 
@@ -10,7 +10,7 @@ use crate::nlp::{Chains, Nlp, Structure};
 /// states of a point where there are chains, else a single one or one each variable.
 pub fn kkt_for(nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
     if current().stops() {
-        return Box::new(Unmade((nlp.n(), nlp.m())));
+        return Box::new(Unmade);
     }
     let Some(chains) = nlp.chains() else { return Box::new(sparse(nlp, units)) };
     // The chains of the arrow hold no variables in place.
@@ -27,11 +27,8 @@ pub fn kkt_for(nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
     if chains.boundary_states().next().is_none() {
         return Box::new(arrow);
     }
-    let (columns, rows) = scales(nlp, units);
-    Box::new(Either {
-        now: Box::new(arrow),
-        other: Some(Parts { hessian: structures.0.clone(), jacobian: structures.1.clone(), columns, rows }),
-    })
+    let (hessian, jacobian) = (structures.0.clone(), structures.1.clone());
+    Box::new(Either { arrow, sparse: None, hessian, jacobian, scales: scales(nlp, units) })
 }
 
 fn sparse(nlp: &dyn Nlp, units: &[f64]) -> SparseKkt {
@@ -52,28 +49,15 @@ fn scales(nlp: &dyn Nlp, units: &[f64]) -> (Vec<f64>, Vec<f64>) {
 }
 
 /// Of a run that was stopped before it began: to plan an elimination takes long in large programs.
-struct Unmade((usize, usize));
+struct Unmade;
 
 impl KktSolver for Unmade {
-    fn factorize(&mut self, _: &[f64], _: &[f64]) -> Result<(), KktError> {
+    fn factorize(&mut self, _: &Entries<'_>, _: Effort) -> Result<&mut dyn Factor, KktError> {
         Err(KktError::Stopped)
     }
 
-    fn finish(&mut self, _: &[bool], _: f64) -> Curvature {
-        Curvature { negative: 0, zero: 1 }
-    }
-
-    fn solve(&mut self, _: &[f64], _: &[f64], d: &mut [f64], lambda: &mut [f64]) {
-        d.fill(f64::NAN);
-        lambda.fill(f64::NAN);
-    }
-
-    fn weak_directions(&self) -> &[Vec<(usize, f64)>] {
-        &[]
-    }
-
-    fn sizes(&self) -> (usize, usize) {
-        self.0
+    fn factor(&mut self) -> Option<&mut dyn Factor> {
+        None
     }
 
     fn flops(&self) -> u64 {
@@ -85,60 +69,37 @@ impl KktSolver for Unmade {
 /// integrator without feedback is to end where it began; the ends of the chain cannot meet these, and the
 /// sparse factorisation takes over.
 struct Either {
-    now: Box<dyn KktSolver>,
-    /// What the other is made from, while the arrow is in use.
-    other: Option<Parts>,
-}
-
-struct Parts {
+    arrow: ArrowKkt,
+    sparse: Option<SparseKkt>,
+    /// What the sparse one is made from.
     hessian: Structure,
     jacobian: Structure,
-    columns: Vec<f64>,
-    rows: Vec<f64>,
+    scales: (Vec<f64>, Vec<f64>),
 }
 
 impl KktSolver for Either {
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
-        let done = self.now.factorize(hessian, jacobian);
-        // Of these the other knows better; everything else would stop it, too.
-        if !matches!(done, Err(KktError::Boundary | KktError::Dependent { .. })) {
-            return done;
+    fn factorize(&mut self, entries: &Entries<'_>, effort: Effort) -> Result<&mut dyn Factor, KktError> {
+        if self.sparse.is_none() {
+            match self.arrow.eliminate_all(entries, effort) {
+                Ok(()) => return Ok(&mut self.arrow),
+                // Of these the other knows better; everything else would stop it, too.
+                Err(KktError::Boundary | KktError::Dependent { .. }) => {}
+                Err(error) => return Err(error),
+            }
         }
-        let Some(parts) = self.other.take() else { return done };
-        let Parts { hessian: h, jacobian: a, columns, rows } = &parts;
-        self.now = Box::new(SparseKkt::new(columns.len(), rows.len(), h, a, columns, rows));
-        self.now.factorize(hessian, jacobian)
+        let (hessian, jacobian, (columns, rows)) = (&self.hessian, &self.jacobian, &self.scales);
+        let make = || SparseKkt::new(columns.len(), rows.len(), hessian, jacobian, columns, rows);
+        self.sparse.get_or_insert_with(make).factorize(entries, effort)
     }
 
-    fn set_hurry(&mut self, on: bool) {
-        self.now.set_hurry(on);
-    }
-
-    fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {
-        self.now.finish(held, shift)
-    }
-
-    fn set_refinement(&mut self, on: bool) {
-        self.now.set_refinement(on);
-    }
-
-    fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
-        self.now.solve(p, q, d, lambda);
-    }
-
-    fn weak_directions(&self) -> &[Vec<(usize, f64)>] {
-        self.now.weak_directions()
-    }
-
-    fn covariance(&mut self, wanted: &[usize], out: &mut [f64]) {
-        self.now.covariance(wanted, out);
-    }
-
-    fn sizes(&self) -> (usize, usize) {
-        self.now.sizes()
+    fn factor(&mut self) -> Option<&mut dyn Factor> {
+        match &mut self.sparse {
+            Some(sparse) => sparse.factor(),
+            None => self.arrow.factor(),
+        }
     }
 
     fn flops(&self) -> u64 {
-        self.now.flops()
+        self.sparse.as_ref().map_or_else(|| self.arrow.flops(), KktSolver::flops)
     }
 }

@@ -1,4 +1,4 @@
-//! Newton systems: the seam [`KktSolver`] and its implementations.
+//! Newton systems: the seam of [`KktSolver`] and [`Factor`], and its implementations.
 
 pub mod arrow;
 mod choose;
@@ -23,7 +23,7 @@ pub enum KktError {
     Boundary,
     /// An entry of H or A, or a number on the way, is not finite.
     NotFinite,
-    /// The factorisation would be very costly, and was to be quick: [`KktSolver::set_hurry`].
+    /// The factorisation would be very costly, and was to be quick: [`Effort::hurry`].
     TooCostly,
     /// The run was stopped meanwhile.
     Stopped,
@@ -62,6 +62,31 @@ impl Curvature {
     }
 }
 
+/// The entries of H and A, at the places of the Nlp's structures.
+#[derive(Clone, Copy, Debug)]
+pub struct Entries<'a> {
+    /// Of the lower triangle of H.
+    pub hessian: &'a [f64],
+    /// Of A.
+    pub jacobian: &'a [f64],
+}
+
+/// How much work a factorisation may take, and how good its solutions are to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Effort {
+    /// Whether solutions are refined against the entries until only rounding is left. Without it they are as good as
+    /// the elimination, which is enough on the way.
+    pub refine: bool,
+    /// Whether a system that is very costly, as one of a wildly unstable motion may be, need not be factorised
+    /// ([`KktError::TooCostly`]): there is another point to go on from.
+    pub hurry: bool,
+}
+
+impl Effort {
+    /// As much as it takes.
+    pub const FULL: Effort = Effort { refine: true, hurry: false };
+}
+
 /// How a Newton system is factorised:
 ///
 /// ```text
@@ -72,25 +97,26 @@ impl Curvature {
 /// with H and A given by the entries of the Nlp's structures (the lower triangle of H; entries at one
 /// place add up). The zero block stays zero: to regularise it would let the fit cheat on the equations.
 pub trait KktSolver: Send {
-    /// Takes new entries of H and A and eliminates what can be eliminated once and for all.
+    /// Takes the entries of H and A and eliminates what can be eliminated once and for all. The factor uses the
+    /// solver's own buffers: to factorise again allocates nothing.
     ///
     /// # Errors
-    /// When A has not full rank, something is not finite, or as [`set_hurry`](Self::set_hurry) says.
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError>;
+    /// When A has not full rank, something is not finite, or as `effort` says.
+    fn factorize(&mut self, entries: &Entries<'_>, effort: Effort) -> Result<&mut dyn Factor, KktError>;
 
-    /// Whether a system that is very costly, as one of a wildly unstable motion may be, need not be factorised:
-    /// there is another point to go on from. To be set before `factorize`, which then fails with
-    /// [`KktError::TooCostly`].
-    fn set_hurry(&mut self, _on: bool) {}
+    /// The factor of the last matrix, as it was left; `None` where there is none.
+    fn factor(&mut self) -> Option<&mut dyn Factor>;
 
+    /// Floating-point operations of one factorisation, counted.
+    fn flops(&self) -> u64;
+}
+
+/// A Newton system that was factorised: it answers everything that is asked of its matrix.
+pub trait Factor {
     /// Completes the factorisation with some variables held in place (d = 0 there) and `shift` ≥ 0 times
     /// a positive diagonal, in units of the curvature, added to the reduced Hessian. May be called again
-    /// with others: what `factorize` did is used again. Only a positive curvature allows to solve.
+    /// with others. Only a positive curvature allows to solve.
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature;
-
-    /// Whether solutions are refined against the entries until only rounding is left. Without it they are
-    /// as good as the elimination, which is enough on the way. To be set before `factorize`.
-    fn set_refinement(&mut self, _on: bool) {}
 
     /// Solves for one right-hand side p (n), q (m).
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]);
@@ -105,15 +131,18 @@ pub trait KktSolver: Send {
         covariance_by_solving(self, wanted, out);
     }
 
+    /// Factorises for another Hessian; the entries of A are the same, and what depends on them alone is used again.
+    ///
+    /// # Errors
+    /// When something is not finite. There is no factor any more then.
+    fn replace_hessian(&mut self, entries: &Entries<'_>) -> Result<(), KktError>;
+
     /// Numbers of variables and constraints.
     fn sizes(&self) -> (usize, usize);
-
-    /// Floating-point operations of one factorisation, counted.
-    fn flops(&self) -> u64;
 }
 
 /// The covariance by one solution for each variable.
-fn covariance_by_solving<K: KktSolver + ?Sized>(kkt: &mut K, wanted: &[usize], out: &mut [f64]) {
+fn covariance_by_solving<F: Factor + ?Sized>(kkt: &mut F, wanted: &[usize], out: &mut [f64]) {
     let (n, m) = kkt.sizes();
     let (mut p, q) = (vec![0.0; n], vec![0.0; m]);
     let (mut d, mut lambda) = (vec![0.0; n], vec![0.0; m]);

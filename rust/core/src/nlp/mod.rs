@@ -43,7 +43,7 @@ impl Structure {
 }
 
 /// A function was not finite: in a line search a reason to step less, at the start an error.
-/// [`Nlp::explain`] says what happened.
+/// [`Named::explain`] says what happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotFinite;
 
@@ -67,8 +67,18 @@ pub enum Reach<'a> {
     },
 }
 
-/// A nonlinear program.
-pub trait Nlp: Send + Sync {
+/// What messages about a program say, in the user's words.
+pub trait Named {
+    /// The user's name for a variable.
+    fn variable_name(&self, i: usize) -> String;
+    /// The user's name for a constraint.
+    fn constraint_name(&self, i: usize) -> String;
+    /// What is not finite at ξ, where and from what; `None` when everything is finite.
+    fn explain(&self, xi: &[f64]) -> Option<String>;
+}
+
+/// A nonlinear program: what a solver needs.
+pub trait Nlp: Named + Send + Sync {
     /// Number of variables.
     fn n(&self) -> usize;
     /// Number of constraints, all of them c(ξ) = 0.
@@ -100,12 +110,6 @@ pub trait Nlp: Send + Sync {
     fn n_parameters(&self) -> usize {
         self.chains().map_or(self.n(), |c| c.border)
     }
-    /// Border variables in which outputs and constraints are not linear, jointly linear in the other ones.
-    fn nonlinear(&self) -> Vec<usize> {
-        Vec::new()
-    }
-    /// Moves these variables to another place to start from; which one, `draw` says.
-    fn move_elsewhere(&self, _xi: &mut [f64], _variables: &[usize], _draw: u64) {}
     /// Threads that a solver may use beside; 0 for as many as there are cores.
     fn threads(&self) -> usize {
         0
@@ -119,10 +123,13 @@ pub trait Nlp: Send + Sync {
     fn profile(&self, _xi: &[f64], _gradient: &[f64], _reach: &Reach<'_>, _out: &mut [f64]) -> f64 {
         0.0
     }
-    /// The user's name for a variable.
-    fn variable_name(&self, i: usize) -> String;
-    /// The user's name for a constraint.
-    fn constraint_name(&self, i: usize) -> String;
-    /// What is not finite at ξ, where and from what; `None` when everything is finite.
-    fn explain(&self, xi: &[f64]) -> Option<String>;
+}
+
+/// A program whose outputs and constraints may be linear in some of its parameters: what the search for a place to start
+/// needs beside (see [`crate::initial`]).
+pub trait Separable: Nlp {
+    /// Border variables in which outputs and constraints are not linear, jointly linear in the other ones.
+    fn nonlinear(&self) -> Vec<usize>;
+    /// Moves these variables to another place to start from; which one, `draw` says.
+    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64);
 }

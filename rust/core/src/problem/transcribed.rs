@@ -2,10 +2,10 @@
 
 use super::layout::Layout;
 use super::posed::Posed;
-use crate::nlp::Nlp;
+use crate::nlp::Separable;
 
 /// An estimation problem as a nonlinear program, with the way back from its variables to states over time.
-pub trait Transcribed: Nlp {
+pub trait Transcribed: Separable {
     /// Parameters, noise, records.
     fn posed(&self) -> &Posed;
     /// Which variable is which.

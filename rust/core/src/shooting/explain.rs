@@ -1,7 +1,7 @@
 //! What is not finite in an integration, and when: for people, so at leisure.
 
 use super::Shooting;
-use crate::nlp::Nlp;
+use crate::nlp::{Named, Nlp};
 use crate::problem::explain::UNDERFLOW;
 use crate::problem::transcribed::Transcribed;
 

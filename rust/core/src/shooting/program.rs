@@ -7,7 +7,7 @@ use super::Shooting;
 use super::pieces::{
     Second, Uniforms, by_width, defects_of, gradient_of, hessian_of, jacobian_of, states_at, triangle,
 };
-use crate::nlp::{Chains, Nlp, NotFinite, Reach, Structure};
+use crate::nlp::{Chains, Named, Nlp, NotFinite, Reach, Separable, Structure};
 use crate::problem::boundary::{Boundary, Places};
 use crate::problem::disjoint::Disjoint;
 use crate::problem::layout::Place;
@@ -191,14 +191,6 @@ impl Nlp for Shooting {
         self.posed.parameters.len()
     }
 
-    fn nonlinear(&self) -> Vec<usize> {
-        self.posed.nonlinear()
-    }
-
-    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
-        self.posed.move_elsewhere(xi, variables, draw);
-    }
-
     fn profiled(&self) -> Range<usize> {
         self.posed.profiled_noise()
     }
@@ -206,7 +198,9 @@ impl Nlp for Shooting {
     fn profile(&self, xi: &[f64], gradient: &[f64], reach: &Reach<'_>, out: &mut [f64]) -> f64 {
         self.posed.profile_noise(xi, gradient, reach, out)
     }
+}
 
+impl Named for Shooting {
     fn variable_name(&self, i: usize) -> String {
         match self.layout.place(i) {
             Place::Parameter(p) => self.posed.parameter_name(p),
@@ -227,5 +221,15 @@ impl Nlp for Shooting {
 
     fn explain(&self, xi: &[f64]) -> Option<String> {
         self.why_not_finite(xi)
+    }
+}
+
+impl Separable for Shooting {
+    fn nonlinear(&self) -> Vec<usize> {
+        self.posed.nonlinear()
+    }
+
+    fn move_elsewhere(&self, xi: &mut [f64], variables: &[usize], draw: u64) {
+        self.posed.move_elsewhere(xi, variables, draw);
     }
 }

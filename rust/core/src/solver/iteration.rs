@@ -1,5 +1,7 @@
 //! A line of the iteration table, and the answer to it.
 
+use super::point::Point;
+
 /// One line of the iteration table.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Iteration {
@@ -20,6 +22,23 @@ pub struct Iteration {
     pub shift: f64,
     /// Whether the Hessian was exact.
     pub exact: bool,
+}
+
+impl Iteration {
+    /// A line of a point that nothing is known of yet but what it is.
+    pub(super) fn at(number: usize, point: &Point, exact: bool) -> Iteration {
+        let Point { objective, worst: defect, .. } = *point;
+        Iteration {
+            number,
+            objective,
+            defect,
+            promise: f64::INFINITY,
+            step: 0.0,
+            trials: 0,
+            shift: 0.0,
+            exact,
+        }
+    }
 }
 
 /// Whether to go on.

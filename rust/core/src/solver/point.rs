@@ -1,32 +1,12 @@
-//! A point with everything that was evaluated there.
+//! A point with the values of objective and constraints there.
 
-use super::units::Units;
-use crate::nlp::{Nlp, NotFinite};
+use super::program::Program;
+use crate::interrupt::Interrupt;
+use crate::nlp::NotFinite;
 
-/// How often each function was evaluated: a cost that does not depend on the machine.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Evaluations {
-    /// Objective.
-    pub objective: usize,
-    /// Gradient.
-    pub gradient: usize,
-    /// Constraints.
-    pub constraints: usize,
-    /// Jacobian.
-    pub jacobian: usize,
-    /// Exact Hessian.
-    pub hessian: usize,
-    /// Gauss-Newton Hessian.
-    pub gauss_newton: usize,
-    /// Factorisations of the Newton system.
-    pub factorizations: usize,
-    /// Solutions of it.
-    pub solutions: usize,
-}
-
-/// φ and c at ξ; derivatives are kept beside, for the current point alone.
+/// φ and c at ξ.
 #[derive(Clone, Debug)]
-pub(super) struct Point {
+pub(crate) struct Point {
     pub xi: Vec<f64>,
     pub objective: f64,
     pub c: Vec<f64>,
@@ -37,33 +17,34 @@ pub(super) struct Point {
 }
 
 impl Point {
-    pub fn new(xi: &[f64], m: usize) -> Point {
-        Point { xi: xi.to_vec(), objective: f64::NAN, c: vec![0.0; m], defect: f64::NAN, worst: f64::NAN }
+    /// The point to start from, within bounds. It is always evaluated: it may be all that is left of a run.
+    ///
+    /// # Errors
+    /// [`NotFinite`] when a function is not finite there.
+    pub fn first(program: &Program<'_>, start: &[f64]) -> Result<Point, NotFinite> {
+        let xi = start.iter().enumerate().map(|(i, x)| program.within(i, *x)).collect();
+        let c = vec![0.0; program.nlp.m()];
+        let mut point = Point { xi, objective: f64::NAN, c, defect: f64::NAN, worst: f64::NAN };
+        Interrupt::shielded(|| point.evaluate(program))?;
+        Ok(point)
     }
 
     /// Evaluates φ and c at ξ.
-    pub fn evaluate(
-        &mut self,
-        nlp: &dyn Nlp,
-        units: &Units,
-        count: &mut Evaluations,
-    ) -> Result<(), NotFinite> {
-        count.constraints += 1;
-        nlp.constraints(&self.xi, &mut self.c)?;
+    pub fn evaluate(&mut self, program: &Program<'_>) -> Result<(), NotFinite> {
+        program.constraints(&self.xi, &mut self.c)?;
         (self.defect, self.worst) = (0.0, 0.0);
-        for (c, unit) in self.c.iter().zip(units.each()) {
+        for (c, unit) in self.c.iter().zip(program.units.each()) {
             let size = c.abs() / unit;
             self.defect += size;
             self.worst = size.max(self.worst);
         }
-        self.evaluate_objective(nlp, count)?;
+        self.evaluate_objective(program)?;
         if self.defect.is_finite() { Ok(()) } else { Err(NotFinite) }
     }
 
     /// Evaluates φ alone.
-    pub fn evaluate_objective(&mut self, nlp: &dyn Nlp, count: &mut Evaluations) -> Result<(), NotFinite> {
-        count.objective += 1;
-        self.objective = nlp.objective(&self.xi)?;
+    pub fn evaluate_objective(&mut self, program: &Program<'_>) -> Result<(), NotFinite> {
+        self.objective = program.objective(&self.xi)?;
         Ok(())
     }
 
@@ -74,10 +55,19 @@ impl Point {
         (self.objective, self.defect, self.worst) = (other.objective, other.defect, other.worst);
     }
 
-    /// ξ = base + α d, within bounds.
-    pub fn step(&mut self, base: &[f64], alpha: f64, d: &[f64], bounds: &(Vec<f64>, Vec<f64>)) {
+    /// Goes to base + α d, within bounds, and evaluates; whether all is finite there.
+    pub fn step(&mut self, program: &Program<'_>, base: &[f64], alpha: f64, d: &[f64]) -> bool {
         for (i, x) in self.xi.iter_mut().enumerate() {
-            *x = alpha.mul_add(d[i], base[i]).clamp(bounds.0[i], bounds.1[i]);
+            *x = program.within(i, alpha.mul_add(d[i], base[i]));
         }
+        self.evaluate(program).is_ok()
+    }
+
+    /// Moves on by d, likewise.
+    pub fn correct(&mut self, program: &Program<'_>, d: &[f64]) -> bool {
+        for (i, x) in self.xi.iter_mut().enumerate() {
+            *x = program.within(i, *x + d[i]);
+        }
+        self.evaluate(program).is_ok()
     }
 }

@@ -18,24 +18,11 @@ pub struct Settings {
     /// Whether to go by Gauss-Newton steps first, with standard deviations profiled; else the exact
     /// Hessian from the start.
     pub gauss_newton: bool,
-    /// Whether to start with a regression of the parameters on the states as they are: for states that
-    /// are measured.
-    pub regression: bool,
-    /// Whether that of a model that is not linear in its parameters looks elsewhere, too: not from a start that is
-    /// known to be near.
-    pub wide: bool,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings {
-            max_iterations: 200,
-            tolerance: 1e-4,
-            time_limit: None,
-            gauss_newton: true,
-            regression: false,
-            wide: true,
-        }
+        Settings { max_iterations: 200, tolerance: 1e-4, time_limit: None, gauss_newton: true }
     }
 }
 

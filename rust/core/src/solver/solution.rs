@@ -2,10 +2,12 @@
 
 use std::time::Duration;
 
-use super::Run;
 use super::iteration::Iteration;
-use super::point::Evaluations;
+use super::program::Evaluations;
 use super::status::Status;
+use super::units::Units;
+use crate::interrupt::current;
+use crate::nlp::Nlp;
 
 /// Where a run ended.
 #[derive(Clone, Debug)]
@@ -36,39 +38,28 @@ pub struct Solution {
     pub history: Vec<Iteration>,
 }
 
-impl Run<'_> {
-    /// The point to end at, and what is to be told of it.
-    pub(super) fn finish(mut self, status: Status) -> Solution {
-        if status.unfinished() || status == Status::Acceptable {
-            // The best point so far, not the last that was tried on trust.
-            self.go_back_if_better();
-        }
-        let mut message = status.hint().to_owned();
-        if matches!(status, Status::Infeasible | Status::Failed) && self.detail.is_empty() {
-            self.detail = self.worst_defect();
-        }
-        if !self.detail.is_empty() {
-            message = format!("{message} ({})", self.detail);
-        }
-        Solution {
-            iterations: self.history.last().map_or(0, |l| l.number),
-            flops: self.kkt.flops(),
-            xi: self.here.xi,
-            multipliers: self.lambda,
+impl Solution {
+    /// The start, within bounds, of a run that was stopped before its first evaluation; `None` where it was not.
+    pub(crate) fn without_a_run(
+        nlp: &dyn Nlp,
+        start: &[f64],
+        multipliers: Option<&[f64]>,
+    ) -> Option<Solution> {
+        let status = Status::stopped(&current())?;
+        let (lower, upper) = nlp.bounds();
+        Some(Solution {
+            xi: start.iter().zip(lower.iter().zip(&upper)).map(|(x, (l, u))| x.clamp(*l, *u)).collect(),
+            multipliers: multipliers.map_or_else(|| vec![0.0; nlp.m()], <[f64]>::to_vec),
             status,
-            message,
-            objective: self.here.objective,
-            defect: self.here.worst,
-            evaluations: self.count,
-            time: self.began.elapsed(),
-            units: self.units.states,
-            history: self.history,
-        }
-    }
-
-    fn worst_defect(&self) -> String {
-        let worst = self.here.c.iter().zip(self.units.each()).map(|(c, u)| c.abs() / u).enumerate();
-        let Some((i, _)) = worst.max_by(|a, b| a.1.total_cmp(&b.1)) else { return String::new() };
-        format!("the largest is the {}: {:.2e}", self.nlp.constraint_name(i), self.here.c[i])
+            message: status.hint().to_owned(),
+            objective: f64::NAN,
+            defect: f64::NAN,
+            iterations: 0,
+            evaluations: Evaluations::default(),
+            flops: 0,
+            time: Duration::ZERO,
+            units: Units::new(nlp, start).states,
+            history: Vec::new(),
+        })
     }
 }

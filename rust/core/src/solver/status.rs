@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::interrupt::{Cause, Interrupt};
+
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
@@ -44,13 +46,21 @@ impl Status {
         matches!(self, Status::Failed | Status::Diverging | Status::Infeasible)
     }
 
+    /// How a run ends where it has been stopped.
+    pub(crate) fn stopped(interrupt: &Interrupt) -> Option<Status> {
+        interrupt.cause().map(|cause| match cause {
+            Cause::Stopped => Status::Interrupted,
+            Cause::TimeLimit => Status::TimeLimit,
+        })
+    }
+
     /// Whether it is at an optimum, told apart from others or not.
     pub fn is_end(self) -> bool {
         matches!(self, Status::Converged | Status::Acceptable | Status::Unidentifiable)
     }
 
     /// Whether something stopped the run before its end.
-    pub(super) fn unfinished(self) -> bool {
+    pub(crate) fn unfinished(self) -> bool {
         matches!(self, Status::IterationLimit | Status::TimeLimit | Status::Interrupted)
     }
 

@@ -61,7 +61,7 @@ use plan::Plan;
 use products::Products;
 use tree::add;
 
-use super::{Curvature, KktError, KktSolver, covariance_by_solving};
+use super::{Curvature, Effort, Entries, Factor, KktError, KktSolver, covariance_by_solving};
 use crate::interrupt::current;
 use crate::nlp::{Chains, Structure};
 use crate::tape::lanes::all_finite;
@@ -101,10 +101,10 @@ pub struct ArrowKkt {
     theta: Vec<f64>,
     solution: Vec<f64>,
     weak: Vec<Vec<(usize, f64)>>,
-    refine: bool,
+    effort: Effort,
+    is_eliminated: bool,
     /// Whether the entries of the last factorisation are kept for that: always where groups are split.
     refining: bool,
-    hurry: bool,
     /// Threads of its own; without these it works on the common ones.
     pool: Option<Threads>,
     parallel: bool,
@@ -140,9 +140,9 @@ impl ArrowKkt {
             theta: vec![0.0; border],
             solution: vec![0.0; border],
             weak: Vec::new(),
-            refine: true,
+            effort: Effort::FULL,
+            is_eliminated: false,
             refining: true,
-            hurry: false,
             pool: None,
             parallel: sizes.0 >= PARALLEL_POINTS * plan.shape.n,
             plan,
@@ -202,6 +202,34 @@ impl ArrowKkt {
             *d = self.s[i * shape.border + i];
         }
         if self.s.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(KktError::NotFinite) }
+    }
+
+    /// Eliminates everything but the border.
+    pub(super) fn eliminate_all(&mut self, entries: &Entries<'_>, effort: Effort) -> Result<(), KktError> {
+        (self.effort, self.is_eliminated) = (effort, false);
+        let Entries { hessian, jacobian } = *entries;
+        let done = self.on_threads(|arrow| {
+            arrow.forest.rejoin(&arrow.plan);
+            arrow.eliminate(hessian, jacobian)?;
+            if effort.hurry && arrow.forest.grows_wildly() {
+                return Err(KktError::TooCostly);
+            }
+            if arrow.forest.split(&arrow.plan) {
+                arrow.eliminate(hessian, jacobian)?;
+            }
+            arrow.merge(hessian, jacobian)
+        });
+        // Comparisons with NaN find no pivot, as where there is none.
+        done.map_err(|error| match error {
+            KktError::Dependent { .. } if !all_finite(jacobian) => KktError::NotFinite,
+            other => other,
+        })?;
+        self.refining = effort.refine || self.forest.is_split();
+        if self.refining {
+            self.jacobian.copy_from_slice(jacobian);
+        }
+        self.is_eliminated = true;
+        Ok(())
     }
 
     /// Takes a right-hand side.
@@ -277,36 +305,24 @@ fn clear_held(theta: &mut [f64], held: &[bool]) {
 }
 
 impl KktSolver for ArrowKkt {
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
-        let done = self.on_threads(|arrow| {
-            arrow.forest.rejoin(&arrow.plan);
-            arrow.eliminate(hessian, jacobian)?;
-            if arrow.hurry && arrow.forest.grows_wildly() {
-                return Err(KktError::TooCostly);
-            }
-            if arrow.forest.split(&arrow.plan) {
-                arrow.eliminate(hessian, jacobian)?;
-            }
-            arrow.merge(hessian, jacobian)
-        });
-        // Comparisons with NaN find no pivot, as where there is none.
-        let done = done.map_err(|error| match error {
-            KktError::Dependent { .. } if !all_finite(jacobian) => KktError::NotFinite,
-            other => other,
-        });
-        self.refining = self.refine || self.forest.is_split();
-        if self.refining {
-            self.jacobian.copy_from_slice(jacobian);
-        }
-        done
+    fn factorize(&mut self, entries: &Entries<'_>, effort: Effort) -> Result<&mut dyn Factor, KktError> {
+        self.eliminate_all(entries, effort)?;
+        Ok(self)
     }
 
-    fn set_refinement(&mut self, on: bool) {
-        self.refine = on;
+    fn factor(&mut self) -> Option<&mut dyn Factor> {
+        self.is_eliminated.then_some(self)
     }
 
-    fn set_hurry(&mut self, on: bool) {
-        self.hurry = on;
+    fn flops(&self) -> u64 {
+        self.plan.flops(&self.forest.trees)
+    }
+}
+
+impl Factor for ArrowKkt {
+    // H and A are eliminated together.
+    fn replace_hessian(&mut self, entries: &Entries<'_>) -> Result<(), KktError> {
+        self.eliminate_all(entries, self.effort)
     }
 
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {
@@ -372,9 +388,5 @@ impl KktSolver for ArrowKkt {
 
     fn sizes(&self) -> (usize, usize) {
         self.sizes
-    }
-
-    fn flops(&self) -> u64 {
-        self.plan.flops(&self.forest.trees)
     }
 }

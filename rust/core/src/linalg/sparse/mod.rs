@@ -29,9 +29,10 @@ mod products;
 mod reduced;
 mod rows;
 
-use super::{Curvature, KktError, KktSolver};
+use super::{Curvature, Effort, Entries, Factor, KktError, KktSolver};
 use crate::interrupt::current;
 use crate::nlp::Structure;
+use crate::tape::lanes::all_finite;
 use basis::Basis;
 use reduced::Reduced;
 use rows::Rows;
@@ -66,7 +67,7 @@ pub struct SparseKkt {
     reduced: Reduced,
     /// D.
     diagonal: Vec<f64>,
-    stage: Stage,
+    is_assembled: bool,
     held: Vec<bool>,
     shift: f64,
     weak: Vec<Vec<(usize, f64)>>,
@@ -78,15 +79,6 @@ pub struct SparseKkt {
     g: Vec<f64>,
     target: Vec<f64>,
     zeros: Vec<f64>,
-}
-
-/// What is there to solve with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
-    /// Nothing, or `factorize` failed.
-    Empty,
-    Factorized,
-    Finished,
 }
 
 /// A vector of the system.
@@ -144,7 +136,7 @@ impl SparseKkt {
             a,
             reduced: Reduced::default(),
             diagonal: vec![1.0; n],
-            stage: Stage::Empty,
+            is_assembled: false,
             held: vec![false; n],
             shift: 0.0,
             weak: Vec::new(),
@@ -263,12 +255,35 @@ fn worse(worst: f64, rest: f64, size: f64) -> f64 {
 }
 
 impl KktSolver for SparseKkt {
-    fn factorize(&mut self, hessian: &[f64], jacobian: &[f64]) -> Result<(), KktError> {
-        self.stage = Stage::Empty;
-        self.h.fill(hessian);
-        self.a.fill(jacobian);
-        let finite = |rows: &Rows, i: usize| rows.row(i).all(|(_, value)| value.is_finite());
-        if !((0..self.m).all(|i| finite(&self.a, i)) && (0..self.n).all(|i| finite(&self.h, i))) {
+    fn factorize(&mut self, entries: &Entries<'_>, _: Effort) -> Result<&mut dyn Factor, KktError> {
+        self.is_assembled = false;
+        self.a.fill(entries.jacobian);
+        if !all_finite(self.a.values()) {
+            return Err(KktError::NotFinite);
+        }
+        let found = self.basis.factorize(&self.a);
+        if current().stops() {
+            return Err(KktError::Stopped);
+        }
+        found.map_err(|row| KktError::Dependent { row })?;
+        self.replace_hessian(entries)?;
+        Ok(self)
+    }
+
+    fn factor(&mut self) -> Option<&mut dyn Factor> {
+        self.is_assembled.then_some(self)
+    }
+
+    fn flops(&self) -> u64 {
+        self.basis.operations() + self.reduced.operations()
+    }
+}
+
+impl Factor for SparseKkt {
+    fn replace_hessian(&mut self, entries: &Entries<'_>) -> Result<(), KktError> {
+        self.is_assembled = false;
+        self.h.fill(entries.hessian);
+        if !all_finite(self.h.values()) {
             return Err(KktError::NotFinite);
         }
         self.diagonal.fill(1.0);
@@ -277,32 +292,26 @@ impl KktSolver for SparseKkt {
                 *d = h.abs();
             }
         }
-        let found = self.basis.factorize(&self.a);
-        if current().stops() {
-            return Err(KktError::Stopped);
-        }
-        found.map_err(|row| KktError::Dependent { row })?;
         self.reduced.assemble(&self.h, &self.basis);
-        self.stage = Stage::Factorized;
+        self.is_assembled = true;
         Ok(())
     }
 
     fn finish(&mut self, held: &[bool], shift: f64) -> Curvature {
         self.held.copy_from_slice(held);
         self.shift = shift;
-        if self.stage == Stage::Empty || current().stops() {
-            // There is no factorisation: nothing is known, so nothing is positive.
+        if !self.is_assembled || current().stops() {
+            // Nothing is known, so nothing is positive.
             self.weak.clear();
             return Curvature { negative: 0, zero: self.n.saturating_sub(self.m).max(1) };
         }
-        self.stage = Stage::Finished;
         let found = self.reduced.finish(&self.basis, held, shift, &self.diagonal);
         self.name_weak_directions();
         found
     }
 
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
-        if self.stage != Stage::Finished || current().stops() {
+        if !self.is_assembled || current().stops() {
             d.fill(f64::NAN);
             lambda.fill(f64::NAN);
             return;
@@ -344,9 +353,5 @@ impl KktSolver for SparseKkt {
 
     fn sizes(&self) -> (usize, usize) {
         (self.n, self.m)
-    }
-
-    fn flops(&self) -> u64 {
-        self.basis.operations() + self.reduced.operations()
     }
 }

@@ -1,15 +1,14 @@
-//! A regression before the first step: where the states are measured, the parameters that make defects
-//! and output residuals small at the states as they are (the equation-error method, with both the
-//! equations and the outputs). Noise in the states biases it, but it takes no iteration over
-//! trajectories and lands near enough for Newton's method to take over. A model that is not linear in its
-//! parameters has one of its own: [`super::separable`].
+//! A regression of the parameters: where the states are measured, those that make defects and output residuals small
+//! at the states as they are (the equation-error method, with both the equations and the outputs). Noise in the states
+//! biases it, but it takes no iteration over trajectories and lands near enough for Newton's method to take over. A model
+//! that is not linear in its parameters has one of its own: [`super::separable`].
 
 use nalgebra::{DMatrix, DVector};
 
-use super::Run;
 use super::normal::Normal;
 use crate::linalg::{backward, cholesky, forward};
-use crate::nlp::Reach;
+use crate::nlp::{Reach, Separable};
+use crate::solver::{Point, Program};
 
 /// Most passes: a model linear in its parameters needs three or so for the weights to settle.
 const PASSES: usize = 12;
@@ -23,19 +22,29 @@ pub(super) const LOST: f64 = 1e-6;
 /// Part of the diagonal that is added to it, so that parameters without influence stay where they are.
 const RIDGE: f64 = 1e-10;
 
-/// What a regression of the border variables keeps.
-pub(super) struct Regression {
+/// A regression of the border variables on defects and outputs, the states held; the standard deviations follow the
+/// residuals.
+pub(super) struct Regression<'a> {
+    pub program: &'a Program<'a>,
+    pub nlp: &'a dyn Separable,
+    /// Where it has come to.
+    pub here: Point,
+    pub trial: Point,
     /// The variables.
     pub free: Vec<usize>,
     /// Of these, which the model is not linear in, the others given.
     pub nonlinear: Vec<bool>,
+    /// Number of states.
+    pub n_x: usize,
     /// The profiled variables at the start.
-    pub first: Vec<f64>,
+    first: Vec<f64>,
     /// For each border variable its place among the free ones.
     place: Vec<usize>,
     normal: Normal,
-    /// Number of states.
-    pub n_x: usize,
+    gradient: Vec<f64>,
+    jacobian: Vec<f64>,
+    hessian: Vec<f64>,
+    profile: Vec<f64>,
 }
 
 /// The equations of a Gauss-Newton step, scaled so that their diagonal is 1.
@@ -73,65 +82,57 @@ impl Equations {
     }
 }
 
-impl Run<'_> {
-    /// Regression of the border variables on defects and outputs, the states held; the standard deviations
-    /// follow the residuals. Does nothing where it cannot improve.
-    pub(super) fn regress(&mut self) {
-        let Some(mut r) = self.regression() else { return };
-        let start = self.here.clone();
-        if self.settings.wide && r.nonlinear.contains(&true) {
-            self.regress_separably(&mut r);
-        } else {
-            self.regress_linearly(&mut r);
-        }
-        if self.interrupt.stops() {
-            // It was left half way.
-            self.here.copy(&start);
-            self.rival = None;
-        }
-        self.merit = super::Merit::default();
-    }
-
-    pub(super) fn regression(&self) -> Option<Regression> {
-        let chains = self.nlp.chains()?;
-        let profiled = self.nlp.profiled();
+impl<'a> Regression<'a> {
+    /// From a point of a program. `None` where there are no chains, or nothing is free.
+    pub fn new(nlp: &'a dyn Separable, program: &'a Program<'a>, point: Point) -> Option<Regression<'a>> {
+        let chains = nlp.chains()?;
+        let profiled = nlp.profiled();
         let free: Vec<usize> = (0..chains.border)
-            .filter(|i| !profiled.contains(i) && self.bounds.0[*i] < self.bounds.1[*i])
+            .filter(|i| !profiled.contains(i) && program.lower[*i] < program.upper[*i])
             .collect();
         if free.is_empty() {
             return None;
         }
         let mut place = vec![usize::MAX; chains.border];
         free.iter().enumerate().for_each(|(k, &i)| place[i] = k);
-        let nonlinear = self.nlp.nonlinear();
+        let nonlinear = nlp.nonlinear();
         Some(Regression {
+            program,
+            nlp,
+            trial: point.clone(),
             nonlinear: free.iter().map(|i| nonlinear.contains(i)).collect(),
-            first: self.here.xi[profiled].to_vec(),
-            normal: Normal::new(self.nlp.jacobian_structure(), &place, free.len(), self.units.rows),
+            first: point.xi[profiled.clone()].to_vec(),
+            normal: Normal::new(nlp.jacobian_structure(), &place, free.len(), program.units.rows),
             n_x: chains.n_x,
+            gradient: vec![0.0; nlp.n()],
+            jacobian: vec![0.0; nlp.jacobian_structure().len()],
+            hessian: vec![0.0; nlp.hessian_structure().len()],
+            profile: vec![0.0; profiled.len()],
+            here: point,
             free,
             place,
         })
     }
 
-    fn regress_linearly(&mut self, r: &mut Regression) {
+    /// Goes on until little is gained. Does nothing where it cannot improve.
+    pub fn regress(&mut self) {
         let start = self.here.clone();
-        let influence = self.influence(r);
+        let influence = self.influence();
         let mut done = false;
         for _ in 0..PASSES {
-            self.noise_of_outputs(&r.first);
-            let weights = self.weights_of_defects(r.n_x);
-            let Some(step) = self.equations(r, &weights).and_then(|e| e.step(|_| 0.0)) else { break };
+            self.noise_of_outputs();
+            let weights = self.weights_of_defects();
+            let Some(step) = self.equations(&weights).and_then(|e| e.step(|_| 0.0)) else { break };
             let before = self.loss(&weights);
             let mut alpha = 1.0_f64;
             let mut gained = None;
             while alpha > 0.05 {
                 self.trial.xi.copy_from_slice(&self.here.xi);
-                for (&i, d) in r.free.iter().zip(step.iter()) {
+                for (&i, d) in self.free.iter().zip(step.iter()) {
                     let x = &mut self.trial.xi[i];
-                    *x = alpha.mul_add(*d, *x).clamp(self.bounds.0[i], self.bounds.1[i]);
+                    *x = self.program.within(i, alpha.mul_add(*d, *x));
                 }
-                if self.trial.evaluate(self.nlp, &self.units, &mut self.count).is_ok() {
+                if self.trial.evaluate(self.program).is_ok() {
                     std::mem::swap(&mut self.here, &mut self.trial);
                     let after = self.loss(&weights);
                     if after < before {
@@ -151,87 +152,85 @@ impl Run<'_> {
             }
         }
         if done {
-            self.noise_of_outputs(&r.first);
+            self.noise_of_outputs();
         }
         // Where a parameter has lost its influence on the equations, noise has led it astray.
-        let after = self.influence(r);
+        let after = self.influence();
         let astray = influence.iter().zip(&after).any(|(before, after)| *after < LOST * before);
-        if !done || astray || self.here.evaluate(self.nlp, &self.units, &mut self.count).is_err() {
+        if !done || astray || self.here.evaluate(self.program).is_err() {
             self.here.copy(&start);
         }
     }
 
     /// Squared norm of the column of each free parameter in the scaled Jacobian of the constraints.
-    pub(super) fn influence(&mut self, r: &Regression) -> Vec<f64> {
-        let mut squares = vec![0.0; r.free.len()];
-        self.count.jacobian += 1;
-        if self.nlp.jacobian(&self.here.xi, &mut self.jacobian).is_err() {
+    pub(super) fn influence(&mut self) -> Vec<f64> {
+        let mut squares = vec![0.0; self.free.len()];
+        if self.program.jacobian(&self.here.xi, &mut self.jacobian).is_err() {
             return squares;
         }
-        let s = self.nlp.jacobian_structure();
+        let s = self.program.nlp.jacobian_structure();
         for ((&row, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.jacobian) {
-            if let Some(&column) = r.place.get(c as usize).filter(|p| **p != usize::MAX) {
-                squares[column] += (v / self.units.of(row as usize)).powi(2);
+            if let Some(&column) = self.place.get(c as usize).filter(|p| **p != usize::MAX) {
+                squares[column] += (v / self.program.units.of(row as usize)).powi(2);
             }
         }
         squares
     }
 
     /// Standard deviations as the residuals say; those whose residuals are nothing keep their start.
-    pub(super) fn noise_of_outputs(&mut self, first: &[f64]) {
-        let roots = self.nlp.profiled();
-        self.count.gradient += 1;
-        if self.nlp.gradient(&self.here.xi, &mut self.gradient).is_err() {
+    pub(super) fn noise_of_outputs(&mut self) {
+        let roots = self.program.nlp.profiled();
+        if self.program.gradient(&self.here.xi, &mut self.gradient).is_err() {
             return;
         }
-        let reach = Reach::Free { start: first, most: RANGE };
-        self.nlp.profile(&self.here.xi, &self.gradient, &reach, &mut self.profile);
+        let reach = Reach::Free { start: &self.first, most: RANGE };
+        self.program.nlp.profile(&self.here.xi, &self.gradient, &reach, &mut self.profile);
         self.here.xi[roots].copy_from_slice(&self.profile);
     }
 
     /// 1/σ² of the defects of each state.
-    pub(super) fn weights_of_defects(&self, n_x: usize) -> Vec<f64> {
+    pub(super) fn weights_of_defects(&self) -> Vec<f64> {
         // Boundary conditions are none.
-        let defects = &self.here.c[..self.units.rows];
+        let (n_x, units) = (self.n_x, &self.program.units);
+        let defects = &self.here.c[..units.rows];
         let count = (defects.len() / n_x) as f64;
         let weight = |i: usize| {
             let squares: f64 = defects.iter().skip(i).step_by(n_x).map(|c| c * c).sum();
-            1.0 / (squares / count).max((self.units.states[i] / RANGE).powi(2))
+            1.0 / (squares / count).max((units.states[i] / RANGE).powi(2))
         };
         (0..n_x).map(weight).collect()
     }
 
     /// φ + ½ Σ c²/σ²
     pub(super) fn loss(&mut self, weights: &[f64]) -> f64 {
-        if self.here.evaluate_objective(self.nlp, &mut self.count).is_err() {
+        if self.here.evaluate_objective(self.program).is_err() {
             return f64::INFINITY;
         }
-        let defects = self.here.c[..self.units.rows].iter();
+        let defects = self.here.c[..self.program.units.rows].iter();
         let defects: f64 = defects.zip(weights.iter().cycle()).map(|(c, w)| w * c * c).sum();
         self.here.objective + 0.5 * defects
     }
 
     /// Those of the Gauss-Newton step of the free border variables, the states held.
-    pub(super) fn equations(&mut self, r: &mut Regression, weights: &[f64]) -> Option<Equations> {
-        let nlp = self.nlp;
-        let k = r.free.len();
-        self.count.jacobian += 1;
-        self.count.gauss_newton += 1;
-        self.count.gradient += 1;
-        nlp.jacobian(&self.here.xi, &mut self.jacobian).ok()?;
-        nlp.gauss_newton(&self.here.xi, 1.0, &mut self.hessian).ok()?;
-        nlp.gradient(&self.here.xi, &mut self.gradient).ok()?;
-        r.normal.sum(nlp.jacobian_structure(), &self.jacobian, &r.place, &self.here.c, weights)?;
-        let mut a = DMatrix::from_fn(k, k, |i, j| if j <= i { r.normal.square(i, j) } else { 0.0 });
-        let mut b = DVector::from_fn(k, |i, _| -r.normal.right(i));
+    pub(super) fn equations(&mut self, weights: &[f64]) -> Option<Equations> {
+        let (program, nlp) = (self.program, self.program.nlp);
+        let k = self.free.len();
+        program.jacobian(&self.here.xi, &mut self.jacobian).ok()?;
+        program.gauss_newton(&self.here.xi, &mut self.hessian).ok()?;
+        program.gradient(&self.here.xi, &mut self.gradient).ok()?;
+        self.normal.sum(nlp.jacobian_structure(), &self.jacobian, &self.place, &self.here.c, weights)?;
+        let mut a = DMatrix::from_fn(k, k, |i, j| if j <= i { self.normal.square(i, j) } else { 0.0 });
+        let mut b = DVector::from_fn(k, |i, _| -self.normal.right(i));
         let s = nlp.hessian_structure();
         for ((&row, &c), v) in s.rows.iter().zip(&s.columns).zip(&self.hessian) {
-            let (Some(&i), Some(&j)) = (r.place.get(row as usize), r.place.get(c as usize)) else { continue };
+            let (Some(&i), Some(&j)) = (self.place.get(row as usize), self.place.get(c as usize)) else {
+                continue;
+            };
             if i != usize::MAX && j != usize::MAX {
                 a[(i.max(j), i.min(j))] += v;
             }
         }
-        r.free.iter().enumerate().for_each(|(i, &x)| b[i] -= self.gradient[x]);
+        self.free.iter().enumerate().for_each(|(i, &x)| b[i] -= self.gradient[x]);
         let scale = DVector::from_fn(k, |i, _| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 1.0 });
         for i in 0..k {
             for j in 0..=i {

@@ -2,9 +2,8 @@
 //! nonlinear ones that is tried, the linear ones are found by least squares (Golub and Pereyra, SIAM J. Numer. Anal.
 //! 10(2), 1973). The states are held, so that many values can be tried before one trajectory is computed.
 
-use super::Run;
-use super::point::Point;
-use super::start::{ENOUGH, LOST, Regression};
+use super::regression::{ENOUGH, LOST, Regression};
+use crate::solver::Point;
 
 /// Passes in which the weights settle with the nonlinear parameters held, and most after.
 const SETTLING: usize = 3;
@@ -25,49 +24,47 @@ const SAME: f64 = 1.0;
 /// Another place is better where it gains this much log-likelihood an equation.
 const BETTER: f64 = 0.02;
 
-impl Run<'_> {
-    /// From the start, and from the best of a few other places, where the equations fit much better there: then that
-    /// of the start is kept as the rival.
-    pub(super) fn regress_separably(&mut self, r: &mut Regression) {
+impl Regression<'_> {
+    /// Whether there is a free parameter that the model is not linear in.
+    pub fn is_separable(&self) -> bool {
+        self.nonlinear.contains(&true)
+    }
+
+    /// From the start, and from the best of a few other places, where the equations fit much better there: then
+    /// returns where that from the start came to.
+    pub fn regress_separably(&mut self) -> Option<Point> {
         let start = self.here.clone();
-        let own = self.descend(r).and_then(|()| self.criterion(r));
+        let own = self.descend().and_then(|()| self.criterion());
         let own = own.map(|criterion| (criterion, self.here.clone()));
         if own.is_none() {
             self.here.copy(&start);
         }
-        let others = self.other_places(r, &start.xi, FEW);
+        let others = self.other_places(&start.xi, FEW);
         let most = own.as_ref().map_or(f64::INFINITY, |o| o.0 - BETTER * start.c.len() as f64);
         let mut from = own.map_or(start, |o| o.1);
-        if let Some((_, best)) = others.into_iter().next().filter(|o| o.0 < most) {
-            self.rival = Some(std::mem::replace(&mut from, best).xi);
-        }
-        self.here.copy(&from);
+        let better = others.into_iter().next().filter(|o| o.0 < most);
+        let rival = better.map(|(_, best)| std::mem::replace(&mut from, best));
+        self.here = from;
+        rival
     }
 
-    /// Places to start from after those of `regress`.
-    pub(super) fn further_places(&mut self, start: &[f64]) -> Vec<Vec<f64>> {
-        let Some(mut r) = self.regression().filter(|r| r.nonlinear.contains(&true)) else {
-            return Vec::new();
-        };
-        self.other_places(&mut r, start, MANY).into_iter().take(STARTS).map(|o| o.1.xi).collect()
+    /// Places to start from after those of `regress_separably`.
+    pub fn further_places(&mut self, start: &[f64]) -> Vec<Point> {
+        self.other_places(start, MANY).into_iter().take(STARTS).map(|o| o.1).collect()
     }
 
     /// Other places to start from with their criteria, the best first: of so many, those where the equations fit
     /// best with the linear parameters found, by the noise and weights of here, gone on from.
-    fn other_places(
-        &mut self,
-        r: &mut Regression,
-        start: &[f64],
-        (number, tried): (u64, usize),
-    ) -> Vec<(f64, Point)> {
-        let nonlinear: Vec<usize> = r.free.iter().zip(&r.nonlinear).filter(|f| *f.1).map(|f| *f.0).collect();
-        let weights = self.weights_of_defects(r.n_x);
+    fn other_places(&mut self, start: &[f64], (number, tried): (u64, usize)) -> Vec<(f64, Point)> {
+        let nonlinear: Vec<usize> =
+            self.free.iter().zip(&self.nonlinear).filter(|f| *f.1).map(|f| *f.0).collect();
+        let weights = self.weights_of_defects();
         let mut start = start.to_vec();
         let noise = self.nlp.profiled();
         start[noise.clone()].copy_from_slice(&self.here.xi[noise]);
         let mut places = Vec::new();
         for draw in 0..number {
-            if self.begin_at(&start, &nonlinear, draw) && self.project(r, &weights).is_some() {
+            if self.begin_at(&start, &nonlinear, draw) && self.project(&weights).is_some() {
                 places.push((self.loss(&weights), draw));
             }
         }
@@ -75,8 +72,8 @@ impl Run<'_> {
         let mut ends = Vec::new();
         for &(_, draw) in places.iter().take(tried) {
             if self.begin_at(&start, &nonlinear, draw)
-                && self.descend(r).is_some()
-                && let Some(criterion) = self.criterion(r)
+                && self.descend().is_some()
+                && let Some(criterion) = self.criterion()
             {
                 ends.push((criterion, self.here.clone()));
             }
@@ -90,78 +87,72 @@ impl Run<'_> {
     fn begin_at(&mut self, start: &[f64], variables: &[usize], draw: u64) -> bool {
         self.here.xi.copy_from_slice(start);
         self.nlp.move_elsewhere(&mut self.here.xi, variables, draw);
-        self.here.evaluate(self.nlp, &self.units, &mut self.count).is_ok()
-    }
-
-    /// Whether a parameter in which the model is not linear stands at a bound.
-    pub(super) fn cornered(&self) -> bool {
-        let at = |i: usize| self.here.xi[i] <= self.bounds.0[i] || self.here.xi[i] >= self.bounds.1[i];
-        self.nlp.nonlinear().into_iter().any(|i| self.bounds.0[i] < self.bounds.1[i] && at(i))
+        self.here.evaluate(self.program).is_ok()
     }
 
     /// The linear parameters and the noise, with the nonlinear ones held.
-    fn settle(&mut self, r: &mut Regression) -> Option<()> {
+    fn settle(&mut self) -> Option<()> {
         for _ in 0..SETTLING {
-            self.noise_of_outputs(&r.first);
-            let weights = self.weights_of_defects(r.n_x);
-            self.project(r, &weights)?;
+            self.noise_of_outputs();
+            let weights = self.weights_of_defects();
+            self.project(&weights)?;
         }
         Some(())
     }
 
     /// The best linear parameters for weights.
-    fn project(&mut self, r: &mut Regression, weights: &[f64]) -> Option<()> {
-        let equations = self.equations(r, weights)?;
-        let step = equations.step_but(&r.nonlinear)?;
-        self.move_by(r, step.as_slice());
-        self.here.evaluate(self.nlp, &self.units, &mut self.count).ok()
+    fn project(&mut self, weights: &[f64]) -> Option<()> {
+        let equations = self.equations(weights)?;
+        let step = equations.step_but(&self.nonlinear)?;
+        self.move_by(step.as_slice());
+        self.here.evaluate(self.program).ok()
     }
 
-    fn move_by(&mut self, r: &Regression, step: &[f64]) {
-        for (&i, d) in r.free.iter().zip(step) {
+    fn move_by(&mut self, step: &[f64]) {
+        for (&i, d) in self.free.iter().zip(step) {
             let x = &mut self.here.xi[i];
-            *x = (*x + d).clamp(self.bounds.0[i], self.bounds.1[i]);
+            *x = self.program.within(i, *x + d);
         }
     }
 
     /// Levenberg-Marquardt steps of the nonlinear parameters, the linear ones projected out. Parameters that lose
     /// their influence, such as one in a denominator that has gone to infinity, are put back where they started.
-    fn descend(&mut self, r: &mut Regression) -> Option<()> {
-        let from: Vec<f64> = r.free.iter().map(|&i| self.here.xi[i]).collect();
-        let influence = self.influence(r);
-        self.settle(r)?;
+    fn descend(&mut self) -> Option<()> {
+        let from: Vec<f64> = self.free.iter().map(|&i| self.here.xi[i]).collect();
+        let influence = self.influence();
+        self.settle()?;
         for attempt in 0..=RETURNS {
-            self.steps(r);
-            let after = self.influence(r);
+            self.steps();
+            let after = self.influence();
             let lost = |k: usize| after[k] < LOST * influence[k] || !after[k].is_finite();
-            let lost: Vec<usize> = (0..r.free.len()).filter(|&k| r.nonlinear[k] && lost(k)).collect();
+            let lost: Vec<usize> = (0..self.free.len()).filter(|&k| self.nonlinear[k] && lost(k)).collect();
             if lost.is_empty() {
-                self.noise_of_outputs(&r.first);
-                return self.here.evaluate(self.nlp, &self.units, &mut self.count).ok();
+                self.noise_of_outputs();
+                return self.here.evaluate(self.program).ok();
             }
             if attempt < RETURNS {
-                lost.iter().for_each(|&k| self.here.xi[r.free[k]] = from[k]);
-                self.here.evaluate(self.nlp, &self.units, &mut self.count).ok()?;
-                self.settle(r)?;
+                lost.iter().for_each(|&k| self.here.xi[self.free[k]] = from[k]);
+                self.here.evaluate(self.program).ok()?;
+                self.settle()?;
             }
         }
         None
     }
 
-    fn steps(&mut self, r: &mut Regression) -> Option<()> {
+    fn steps(&mut self) -> Option<()> {
         let mut damping = DAMPING;
         for _ in 0..PASSES {
-            self.noise_of_outputs(&r.first);
-            let weights = self.weights_of_defects(r.n_x);
-            let equations = self.equations(r, &weights)?;
+            self.noise_of_outputs();
+            let weights = self.weights_of_defects();
+            let equations = self.equations(&weights)?;
             let before = self.loss(&weights);
             let mut gain = 0.0;
             for _ in 0..TRIALS {
                 self.trial.copy(&self.here);
-                if let Some(step) = equations.step(|k| if r.nonlinear[k] { damping } else { 0.0 }) {
-                    self.move_by(r, step.as_slice());
-                    let fine = self.here.evaluate(self.nlp, &self.units, &mut self.count).is_ok();
-                    let fine = fine && self.project(r, &weights).is_some();
+                if let Some(step) = equations.step(|k| if self.nonlinear[k] { damping } else { 0.0 }) {
+                    self.move_by(step.as_slice());
+                    let fine = self.here.evaluate(self.program).is_ok();
+                    let fine = fine && self.project(&weights).is_some();
                     gain = if fine { before - self.loss(&weights) } else { 0.0 };
                 }
                 if gain > 0.0 {
@@ -179,11 +170,11 @@ impl Run<'_> {
     }
 
     /// φ, and the negative log-likelihood of the defects with variances of their own.
-    fn criterion(&mut self, r: &Regression) -> Option<f64> {
-        self.noise_of_outputs(&r.first);
-        self.here.evaluate(self.nlp, &self.units, &mut self.count).ok()?;
-        let weights = self.weights_of_defects(r.n_x);
-        let count = (self.units.rows / r.n_x) as f64;
+    fn criterion(&mut self) -> Option<f64> {
+        self.noise_of_outputs();
+        self.here.evaluate(self.program).ok()?;
+        let weights = self.weights_of_defects();
+        let count = (self.program.units.rows / self.n_x) as f64;
         let defects: f64 = weights.iter().map(|w| -0.5 * count * w.ln()).sum();
         Some(self.here.objective + defects).filter(|c| c.is_finite())
     }

@@ -1,0 +1,162 @@
+//! What goes before the loop of the solver, and around it: a regression of the parameters on the states as they are, other
+//! places to start from, and which of the ends is the best.
+//!
+//! A model that is linear in its parameters needs no more than the regression. Of another the likelihood may have several
+//! maxima, so that a few other places are looked at before the first step, and more of them after a run that led nowhere.
+
+mod normal;
+mod regression;
+mod separable;
+
+use crate::interrupt::{Interrupt, current};
+use crate::nlp::{NotFinite, Separable};
+use crate::solver::{Control, Ending, Iteration, Newton, Point, Program, Settings, Solution, Status};
+use regression::Regression;
+
+/// What goes before the first step of the loop.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Initial {
+    /// Nothing: the loop begins at the start.
+    #[default]
+    Start,
+    /// A regression of the parameters on the states as they are: for states that are measured, and a start that is
+    /// known to be near.
+    Regression,
+    /// The same, which looks elsewhere, too, where the model is not linear in its parameters.
+    Places,
+}
+
+type Watch<'w> = dyn FnMut(&Iteration) -> Control + 'w;
+
+/// Minimises from `start`, or from what a regression makes of it, as [`crate::solver::solve`] does.
+///
+/// # Errors
+/// [`NotFinite`] when a function is not finite at the start; everything else is a [`Status`].
+pub fn solve(
+    nlp: &dyn Separable,
+    start: &[f64],
+    multipliers: Option<&[f64]>,
+    initial: Initial,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<Solution, NotFinite> {
+    Interrupt::within(settings.time_limit).run(|| {
+        if let Some(solution) = Solution::without_a_run(nlp, start, multipliers) {
+            return Ok(solution);
+        }
+        let (newton, ending) = best(nlp, start, multipliers, initial, settings, watch)?;
+        Ok(newton.finish(ending))
+    })
+}
+
+/// The best of the runs, and how it ended.
+fn best<'a>(
+    nlp: &'a dyn Separable,
+    start: &[f64],
+    multipliers: Option<&[f64]>,
+    initial: Initial,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<(Newton<'a>, Ending), NotFinite> {
+    let program = Program::new(nlp, start);
+    let point = Point::first(&program, start)?;
+    let (point, rival) = begin(nlp, &program, point, initial);
+    let mut newton = Newton::new(program, point, multipliers, settings);
+    let mut ending = newton.minimise(watch)?;
+    if let Some(rival) = rival {
+        // Not long, where it leads nowhere.
+        let most = settings.max_iterations.min(3 * newton.iterations() + 10);
+        let capped = Settings { max_iterations: most, ..settings.clone() };
+        ending = challenge(nlp, &mut newton, ending, &rival.xi, &capped, watch)?;
+    }
+    if initial == Initial::Places && is_doubtful(nlp, &newton, ending.status) {
+        for place in further_places(nlp, start)? {
+            ending = challenge(nlp, &mut newton, ending, &place.xi, settings, watch)?;
+            if !is_doubtful(nlp, &newton, ending.status) {
+                break;
+            }
+        }
+    }
+    if initial != Initial::Start && ending.status.lost() && !current().stops() {
+        // A regression may lead astray, as where parameters are in exponents. Once more without.
+        let program = Program::new(nlp, start);
+        let point = Point::first(&program, start)?;
+        let mut again = Newton::new(program, point, multipliers, settings);
+        again.take_over(&mut newton);
+        ending = again.minimise(watch)?;
+        newton = again;
+    }
+    Ok((newton, ending))
+}
+
+/// Where the loop begins; where another place than that of the regression from the start was chosen, that one, too.
+fn begin<'a>(
+    nlp: &'a dyn Separable,
+    program: &Program<'a>,
+    point: Point,
+    initial: Initial,
+) -> (Point, Option<Point>) {
+    if initial == Initial::Start {
+        return (point, None);
+    }
+    let Some(mut regression) = Regression::new(nlp, program, point.clone()) else { return (point, None) };
+    let mut rival = None;
+    if initial == Initial::Places && regression.is_separable() {
+        rival = regression.regress_separably();
+    } else {
+        regression.regress();
+    }
+    // Stopped, it was left half way.
+    if current().stops() { (point, None) } else { (regression.here, rival) }
+}
+
+/// Other places to start from, after a run that led nowhere.
+fn further_places(nlp: &dyn Separable, start: &[f64]) -> Result<Vec<Point>, NotFinite> {
+    if current().stops() {
+        return Ok(Vec::new());
+    }
+    let program = Program::new(nlp, start);
+    let point = Point::first(&program, start)?;
+    let regression = Regression::new(nlp, &program, point).filter(Regression::is_separable);
+    Ok(regression.map_or_else(Vec::new, |mut regression| regression.further_places(start)))
+}
+
+/// Whether another place should be tried.
+fn is_doubtful(nlp: &dyn Separable, newton: &Newton<'_>, status: Status) -> bool {
+    // Whether a parameter in which the model is not linear stands at a bound.
+    let cornered = || {
+        let (xi, program) = (&newton.point().xi, newton.program());
+        let (lower, upper) = (&program.lower, &program.upper);
+        nlp.nonlinear().into_iter().any(|i| lower[i] < upper[i] && (xi[i] <= lower[i] || xi[i] >= upper[i]))
+    };
+    status.lost() || status == Status::Unidentifiable || (!status.unfinished() && cornered())
+}
+
+/// Runs from another place, and takes that run where it ends better: with a greater likelihood, and at an end.
+fn challenge<'a>(
+    nlp: &'a dyn Separable,
+    newton: &mut Newton<'a>,
+    ending: Ending,
+    place: &[f64],
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<Ending, NotFinite> {
+    if let Some(status) = newton.program().stopped() {
+        return Ok(status.into());
+    }
+    if ending.status.unfinished() {
+        return Ok(ending);
+    }
+    let program = Program::new(nlp, place);
+    let point = Point::first(&program, place)?;
+    let mut other = Newton::new(program, point, None, settings);
+    other.take_over(newton);
+    let end = other.minimise(watch)?;
+    let rank = |s: Status, run: &Newton<'_>| (s.lost() || s.unfinished(), run.point().objective);
+    if rank(end.status, &other) < rank(ending.status, newton) {
+        *newton = other;
+        return Ok(end);
+    }
+    newton.take_over(&mut other);
+    Ok(if end.status == Status::Interrupted { end } else { ending })
+}

@@ -95,9 +95,7 @@ def fit_linear(
     start = as_state_space("fit_linear", system)
     records = Sampled.of(data, start.inputs, start.outputs, "fit_linear", complete=False)
     parts = modal_parts(start.A, start.B, start.C)
-    task = _LinearFitTask(
-        records, _direct(feedthrough, start), offset, bool(np.any(parts.values.real > 0.0)), max_iterations
-    )
+    task = _Task(records, _direct(feedthrough, start), offset, bool(np.any(parts.values.real > 0.0)), max_iterations)
     if min(samples_of(records.runs, records.outputs)) <= 2 * start.order + len(records.inputs) + 1:
         raise DataError(f"fit_linear: the records are too short for {start.order} states")
     found = task.point(ModalBlocks.of(parts.values, parts.outputs, records.y_size))
@@ -165,7 +163,7 @@ class _Linearised:
     apart: float
 
 
-class _LinearFitTask:
+class _Task:
     """What a search needs, and the searches."""
 
     def __init__(

@@ -69,7 +69,7 @@ def _cut(outcome: Outcome) -> bool:
 
 
 @dataclass
-class _Task:
+class _StartTask:
     index: int
     start: Mapping[str, Any]
     deaths: int = 0
@@ -94,9 +94,9 @@ class Crew:
         self._heard = False
         self._run_again: set[int] = set()
         self._ended = ""
-        self._fresh: Iterator[_Task] = iter(())
-        self._waiting: tuple[deque[_Task], ...] = (deque(), deque(), deque())  # by deaths
-        self._flying: dict[Future[Outcome | None], _Task] = {}
+        self._fresh: Iterator[_StartTask] = iter(())
+        self._waiting: tuple[deque[_StartTask], ...] = (deque(), deque(), deque())  # by deaths
+        self._flying: dict[Future[Outcome | None], _StartTask] = {}
         self._tickets = 0
         self._size, self._counted = 0, -_CENSUS
 
@@ -116,7 +116,7 @@ class Crew:
     def outcomes(self, starts: Iterable[tuple[int, Mapping[str, Any]]]) -> Generator[Outcome, None, None]:
         """The outcomes as they come in. At Ctrl-C, and at the limit in force, those that are there, and then
         KeyboardInterrupt."""
-        self._fresh = (_Task(index, start) for index, start in starts)
+        self._fresh = (_StartTask(index, start) for index, start in starts)
         try:
             if self.executor is not None:
                 payload = pickle.dumps(self.problem.single_threaded(), pickle.HIGHEST_PROTOCOL)
@@ -189,7 +189,7 @@ class Crew:
                 self._flying[future] = task
         return False
 
-    def _next(self) -> _Task | None:
+    def _next(self) -> _StartTask | None:
         """The next task to send, if there may be one more in flight. Those with more deaths behind them first."""
         deaths = next((k for k in (2, 1) if self._waiting[k]), 0)
         limit = 1 if deaths == _ALONE else self._workers() * (1 if deaths else 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -540,7 +541,7 @@ def test_interrupt_gives_the_best_point_so_far() -> None:
 
 
 def test_without_time_for_the_smoother_its_part_is_missing(
-    gust: tuple[Experiment, Fit], monkeypatch: pytest.MonkeyPatch
+    gust: tuple[Experiment, Fit], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     e, smoothed = gust
     monkeypatch.setattr(Deadline, "with_grace", lambda deadline: 0.0)
@@ -552,6 +553,11 @@ def test_without_time_for_the_smoother_its_part_is_missing(
         assert np.isnan(fit.records[0].state_std[name]).all()
         assert np.isnan(fit.initial_states["run"][name].std_error)
     assert np.isnan(fit.records[0].innovations["az"]).all() and fit.parameters["Mq"].std_error > 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit.report(tmp_path / "report.html")
+    fit.save(tmp_path / "fit.json")
+    assert ph.load(tmp_path / "fit.json").summary() == fit.summary()
 
 
 def test_all_that_takes_long_looks_at_the_clock() -> None:

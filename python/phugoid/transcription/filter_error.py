@@ -45,7 +45,8 @@ class FilterError:
     without bound as its sigma goes to 0. Likelihoods with different ``initial`` cannot be compared.
 
     ``time_limit``: in seconds, of all that the estimation does; the best point so far is the result, with status "time
-    limit".
+    limit". What there was no time for is missing, and a warning says so: standard errors, innovations and deviations of
+    states are NaN; where not even the start was evaluated, the log-likelihood is too, and the fit is not ``feasible``.
 
     ``intensities``: known ones by state, q in the unit above; 0 is no noise. Those not named are estimated.
 

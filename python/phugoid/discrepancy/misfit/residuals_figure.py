@@ -144,7 +144,7 @@ def _chosen(record: Record, channels: Sequence[str] | None) -> list[str]:
 def _draw_time(axis: Axes, record: Record, name: str, sigma: float) -> None:
     r = _values(record, name)
     spread = record.innovation_std.get(name) if record.innovations else None
-    if spread is not None:
+    if spread is not None and np.isfinite(spread).any():
         at, size = with_gaps(record.t, spread)
         axis.fill_between(at, -2.0 * size, 2.0 * size, color=BAND, linewidth=0.0)
         sigma = float(np.nanmedian(spread))
@@ -152,7 +152,7 @@ def _draw_time(axis: Axes, record: Record, name: str, sigma: float) -> None:
         axis.axhspan(-2.0 * sigma, 2.0 * sigma, color=BAND, linewidth=0.0)
     axis.axhline(0.0, color=INPUT, linewidth=0.5)
     axis.plot(*with_gaps(record.t, r), color=RESIDUAL, linewidth=0.6, rasterized=record.n > 5000)
-    limit = 1.08 * max(float(np.nanmax(np.abs(r))), 2.0 * sigma if sigma > 0.0 else 0.0)
+    limit = 1.08 * max(float(np.nanmax(np.abs(r), initial=0.0)), 2.0 * sigma if sigma > 0.0 else 0.0)
     if limit > 0.0:
         axis.set_ylim(-limit, limit)
     axis.margins(x=0.01)

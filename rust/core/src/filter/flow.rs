@@ -75,16 +75,23 @@ impl Flow {
 
     /// Φ from the states at all samples but the last, rows of n, and the noises, rows of m; None where it is not finite,
     /// or the interrupt in force stops it.
-    pub(super) fn ends(&self, theta: &[f64], groups: &[Group], x: &[f64], e: &[f64]) -> Option<Vec<f64>> {
-        let (mut out, mut memory) = (Vec::new(), Memory::default());
+    pub(super) fn ends(
+        &self,
+        theta: &[f64],
+        groups: &[Group],
+        x: &[f64],
+        e: &[f64],
+        memory: &mut Memory,
+    ) -> Option<Vec<f64>> {
+        let mut out = Vec::new();
         let uniforms = self.uniforms(&self.f.value, theta);
         let interrupt = current();
         for group in groups {
             let (flow, (x, e)) = (self.of(group, 0), self.own(group, x, e));
-            if interrupt.stops() || !flow.forward::<LANES>(x, e, &uniforms, &mut memory) {
+            if interrupt.stops() || !flow.forward::<LANES>(x, e, &uniforms, memory) {
                 return None;
             }
-            self.add_ends::<LANES>(&flow, &memory, &mut out);
+            self.add_ends::<LANES>(&flow, memory, &mut out);
         }
         Some(out)
     }
@@ -120,25 +127,26 @@ impl Flow {
         x: &[f64],
         e: &[f64],
         beside: &Beside<'_>,
+        memory: &mut Memory,
     ) -> Option<Linear> {
         let (n, width) = (self.n(), self.f.n_states);
         let p = if matches!(beside, Beside::Parameters) { self.p } else { 0 };
         let tapes = [&self.f.value, &self.f.jacobian, &self.f.hessian];
         let uniforms = tapes.map(|tape| self.uniforms(tape, theta));
-        let (mut out, mut memory) = (Linear::default(), Memory::default());
+        let mut out = Linear::default();
         let interrupt = current();
         for group in groups {
             let (flow, (x, e)) = (self.of(group, p), self.own(group, x, e));
             let done = !interrupt.stops()
-                && flow.forward::<LANES>(x, e, &uniforms[0], &mut memory)
-                && flow.linearise::<LANES>(&uniforms[1], &mut memory)
-                && flow.sensitivities::<LANES>(&mut memory);
+                && flow.forward::<LANES>(x, e, &uniforms[0], memory)
+                && flow.linearise::<LANES>(&uniforms[1], memory)
+                && flow.sensitivities::<LANES>(memory);
             if !done {
                 return None;
             }
-            self.add_ends::<LANES>(&flow, &memory, &mut out.end);
+            self.add_ends::<LANES>(&flow, memory, &mut out.end);
             for lane in group.lanes() {
-                let slope = flow.end::<LANES>(lane, &memory);
+                let slope = flow.end::<LANES>(lane, memory);
                 for r in 0..n {
                     out.b.extend((0..width).map(|c| slope(r, c)));
                     out.by_p.extend((width..width + p).map(|c| slope(r, c)));
@@ -149,8 +157,8 @@ impl Flow {
             memory.sums.resize(width * width * LANES, 0.0);
             if !self.f.hessian_pattern.is_empty() {
                 let end = |lane: Lane, r: usize| lambda[group.node_of(lane) * n + r];
-                let done = flow.backward::<LANES>(&mut memory, |_, _| 0.0, end)
-                    && flow.curvature::<LANES>(&uniforms[2], width, &mut memory);
+                let done = flow.backward::<LANES>(memory, |_, _| 0.0, end)
+                    && flow.curvature::<LANES>(&uniforms[2], width, memory);
                 if !done {
                     return None;
                 }

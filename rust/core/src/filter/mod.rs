@@ -50,6 +50,8 @@ mod sample;
 mod settings;
 mod smoothed;
 
+use std::cell::RefCell;
+
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::integrate::Integrator;
@@ -255,6 +257,7 @@ impl Filter {
             m: self.m,
             initial: &self.initial,
             run,
+            memory: RefCell::default(),
         }
     }
 
@@ -375,9 +378,7 @@ impl Filter {
         let (n, p) = (self.n(), self.n_model);
         let columns = n + p;
         let x = &found.path.x;
-        let e = &found.path.e;
-        let linear = self.flow.linearise(&at.driving, &at.run.intervals, x, e, &Beside::Parameters);
-        let linear = linear.ok_or_else(|| Lost::without(&current()))?;
+        let linear = at.linearise(&found.path, &Beside::Parameters)?;
         let slopes = self.samples.residual_slopes(at.theta, &at.run.data, x, p);
         let each = slopes.len() / at.run.samples();
         let (mut cross, mut own) = (Vec::new(), vec![0.0; p * p]);

@@ -1,9 +1,12 @@
 //! The most probable path of one record at given parameters: Newton's method on states, noises and multipliers.
 
+use std::cell::RefCell;
+
 use super::chain::{Chain, Factor, Fault};
 use super::dense::{add_transposed_product, dot};
 use super::flow::{Beside, Flow, Linear};
 use super::sample::{Costs, Samples};
+use crate::integrate::flow::Memory;
 use crate::integrate::group::Group;
 use crate::interrupt::{Interrupt, current};
 
@@ -39,6 +42,8 @@ pub(super) struct At<'a> {
     /// Mean and standard deviation of the first states that have a prior.
     pub(super) initial: &'a [Option<(f64, f64)>],
     pub(super) run: &'a Run,
+    /// What integrations take; it is not given back between them.
+    pub(super) memory: RefCell<Memory>,
 }
 
 /// The path found, and the system there.
@@ -102,6 +107,13 @@ impl At<'_> {
         self.initial.len()
     }
 
+    /// Φ with its derivatives along a path.
+    pub(super) fn linearise(&self, path: &Path, beside: &Beside<'_>) -> Result<Linear, Lost> {
+        let memory = &mut self.memory.borrow_mut();
+        let found = self.flow.linearise(&self.driving, &self.run.intervals, &path.x, &path.e, beside, memory);
+        found.ok_or_else(|| Lost::without(&current()))
+    }
+
     /// The noise part of the cost, and that of the priors of first states, without constants.
     fn rest(&self, path: &Path) -> f64 {
         let first = self.initial.iter().zip(&path.x);
@@ -154,8 +166,7 @@ impl At<'_> {
                 return Err(Lost::Stopped);
             }
             let beside = Beside::Curvature(&path.lambda);
-            let linear = self.flow.linearise(&self.driving, &self.run.intervals, &path.x, &path.e, &beside);
-            let linear = linear.ok_or_else(|| Lost::without(&interrupt))?;
+            let linear = self.linearise(&path, &beside)?;
             let mut costs = self.samples.costs(self.theta, &self.run.data, &path.x);
             for (i, prior) in self.initial.iter().enumerate() {
                 costs.slope[i] += prior.map_or(0.0, |(mean, std)| (path.x[i] - mean) / (std * std));
@@ -236,7 +247,8 @@ impl At<'_> {
             let mut trial = path.clone();
             advance(&mut trial.x, &step.x, size);
             advance(&mut trial.e, &step.e, size);
-            let ends = self.flow.ends(&self.driving, &self.run.intervals, &trial.x, &trial.e);
+            let memory = &mut self.memory.borrow_mut();
+            let ends = self.flow.ends(&self.driving, &self.run.intervals, &trial.x, &trial.e, memory);
             let there = ends.map_or(f64::NAN, |ends| {
                 let cost = self.samples.costs(self.theta, &self.run.data, &trial.x).cost;
                 cost + self.rest(&trial) + weigh(&self.gaps(&ends, &trial))

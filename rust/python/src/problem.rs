@@ -269,13 +269,13 @@ impl PyProblem {
 
     /// Inputs at the points of an experiment, `[input][point]`; none unless by collocation.
     fn point_inputs<'py>(&self, py: Python<'py>, experiment: usize) -> Vec<Array<'py>> {
-        let inputs = self.collocation().map(|c| c.inputs[experiment].clone());
+        let inputs = self.collocation().map(|(c, _)| c.inputs[experiment].clone());
         arrays(py, inputs.unwrap_or_default())
     }
 
     /// Place among the points of an experiment of each of its samples; none unless by collocation.
     fn sample_points(&self, experiment: usize) -> Vec<usize> {
-        self.collocation().map(|c| c.meshes[experiment].sample_points.clone()).unwrap_or_default()
+        self.collocation().map(|(c, _)| c.meshes[experiment].sample_points.clone()).unwrap_or_default()
     }
 
     /// Times of the points of an experiment whose states are variables.

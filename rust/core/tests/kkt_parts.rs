@@ -5,7 +5,7 @@ mod common;
 use common::Random;
 use nalgebra::{DMatrix, DVector};
 use phugoid::linalg::arrow::ArrowKkt;
-use phugoid::linalg::{Effort, Entries, Factor, KktSolver};
+use phugoid::linalg::{self, Effort, Factor, KktSolver};
 use phugoid::nlp::{Boundary, Chain, Chains, Structure, Tie};
 
 /// What a random system is like.
@@ -237,8 +237,8 @@ impl System {
         ArrowKkt::new(&self.chains, h, a, (self.n, self.m), &self.units).unwrap()
     }
 
-    fn entries(&self) -> Entries<'_> {
-        Entries { hessian: &self.hessian.values, jacobian: &self.jacobian.values }
+    fn entries(&self) -> linalg::Entries<'_> {
+        linalg::Entries { hessian: &self.hessian.values, jacobian: &self.jacobian.values }
     }
 
     /// The matrix in units, with rows of the identity for variables held.

@@ -378,3 +378,34 @@ fn what_is_not_finite_is_said() {
     assert!(Forward::new(&problem, &xi).is_err());
     assert!(Response::new(&problem, &xi, &[]).is_err());
 }
+
+/// What was asked before, and in which order, changes no bit.
+#[test]
+fn one_linearisation_answers_all_questions() {
+    // A final condition leaves no way forward in time.
+    for at_end in [false, true] {
+        let mut model = pendulum();
+        if at_end {
+            model.condition(End::Final, "x", phugoid::Expr::constant(0.1), None).unwrap();
+        }
+        let (problem, xi, _) = at_rest(&model, 3, &Grid::Samples(1));
+        let points: usize = problem.meshes.iter().map(|m| m.times.len()).sum();
+        let mesh_points: usize = problem.meshes.iter().map(|m| m.n_mesh).sum();
+        let samples: usize = problem.meshes.iter().map(|m| m.sample_points.len()).sum();
+        let made = |n: usize, f: f64| (0..n).map(|i| (f * (i * i % 97) as f64).sin()).collect::<Vec<_>>();
+        let (signals, direct) = (made(3 * points, 0.3), made(samples, 1.1));
+        let (by_state, by_parameter) = (made(samples * 2, 0.9), made(samples * problem.layout.n_theta, 0.2));
+        let rows: Vec<isize> = (0..samples as isize).collect();
+        let outputs = Outputs { by_state: &by_state, by_parameter: &by_parameter, rows: &rows, n_y: 1 };
+        let new = || Linearisation::new(&problem, &xi, &[FORCE]);
+        let mut kept = new();
+        assert!(kept.is_at(&xi, &[FORCE]) && !kept.is_at(&xi, &[]));
+        for f in [0.7, 0.2] {
+            let slopes = made(mesh_points * 2, f);
+            let place = Place { slopes: &slopes, outputs: &direct };
+            let found = kept.answers(&outputs, &place, &signals).unwrap();
+            assert_eq!(found, new().answers(&outputs, &place, &signals).unwrap());
+            assert_eq!(kept.tangents(&[K, FORCE]).unwrap(), new().tangents(&[K, FORCE]).unwrap());
+        }
+    }
+}

@@ -15,6 +15,9 @@ use crate::problem::{PyProblem, Record, experiment};
 /// An estimate: name, value, standard error, unit, and "lower", "upper" or "fixed" for what keeps it.
 type Estimated = (String, f64, f64, String, Option<&'static str>);
 
+/// A scaling of which a parameter was held: exponents by name, the parameter, its value.
+type Held = (Vec<(String, f64)>, String, f64);
+
 type Array<'py> = Bound<'py, PyArray1<f64>>;
 
 /// Estimates with standard errors, time histories and warnings at the end of a run.
@@ -50,7 +53,7 @@ pub fn assess(
     status: &str,
     message: String,
     interior: bool,
-    scalings: Vec<(Vec<(String, f64)>, String, f64)>,
+    scalings: Vec<Held>,
     time_limit: Option<f64>,
     stop: Option<Py<PyAny>>,
 ) -> PyResult<PyAssessment> {

@@ -375,7 +375,7 @@ impl Estimation<'_> {
         let own = self.experiments.iter().map(|e| given.parameters(Some(&e.name)));
         let own: Vec<Vec<f64>> = own.collect::<Result<_, _>>()?;
         let shared = given.parameters(None)?;
-        Ok(point(problem, &shared, &own, |e, times| given.states(e, &self.experiments[e], times, &own[e]))?)
+        point(problem, &shared, &own, |e, times| given.states(e, &self.experiments[e], times, &own[e]))
     }
 }
 

@@ -26,7 +26,8 @@ fn tanks(start: impl Fn(&str, f64) -> Parameter, upper: Variable) -> Model {
 fn record(model: &Model) -> Experiment {
     let mut random = Random(3);
     let t: Vec<f64> = (0..201).map(|k| 0.2 * f64::from(k)).collect();
-    let u: Vec<f64> = t.iter().map(|t| if (t / 6.5) as usize % 2 == 0 { 1.7 } else { 0.3 }).collect();
+    let u: Vec<f64> =
+        t.iter().map(|t| if ((t / 6.5) as usize).is_multiple_of(2) { 1.7 } else { 0.3 }).collect();
     let run = Experiment::of_inputs(model, "run", t.clone(), [("u", u.clone())]).unwrap();
     let simulation = TRUE.iter().fold(Simulation::new(model, &run), |s, (n, v)| s.parameter(n, *v));
     let path = simulation.initial("x1", 4.0).initial("x2", 0.2).run().unwrap();

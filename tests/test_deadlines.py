@@ -79,8 +79,7 @@ def test_no_time_gives_the_start() -> None:
     # What a result needs of a long record: the problem, and its outputs there.
     assert seconds < _SLACK and fit.solution is not None
     counts = fit.solution.evaluations
-    # Sizes of the variables are asked for at the start; nothing is after the limit.
-    assert counts["objective"] == 1 and counts["hessian"] == counts["factorizations"] == counts["solutions"] == 0
+    assert set(counts.values()) == {0}
 
 
 @pytest.mark.parametrize("limit", [0.3, 1.0])

@@ -32,7 +32,7 @@ def check_names(
     model: Model, start: Mapping[str, Any], experiments: Sequence[Experiment] = (), noise: Sequence[str] = ()
 ) -> None:
     """Raises ModelError for a start that names nothing: not a parameter, a sigma or a state; nor one of ``noise``."""
-    _core.check_start(model._core, list(start), [e.name for e in experiments], list(noise))
+    _core.check_start(model._core, [str(name) for name in start], [e.name for e in experiments], list(noise))
 
 
 def parameter_start(model: Model, start: Mapping[str, Any], experiment: str | None = None) -> dict[str, float]:

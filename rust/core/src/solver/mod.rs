@@ -72,7 +72,7 @@ const NEAR: f64 = 10.0;
 /// ```
 ///
 /// # Errors
-/// [`NotFinite`] when a function is not finite at the start ([`Nlp::explain`] says what); everything
+/// [`NotFinite`] when a function is not finite at the start ([`Named::explain`](crate::nlp::Named::explain) says what); everything
 /// else is a [`Status`].
 pub fn solve(
     nlp: &dyn Nlp,

@@ -80,7 +80,7 @@ def estimate(
     """
     deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
     fit = _estimate(model, data, transcription, noise, start, solver, progress)
-    if not kinks_matter(fit):
+    if deadline.passed() or not kinks_matter(fit):
         return fit
 
     def solve(smooth: Model, mesh: Collocation, before: FitResult | None) -> FitResult:
@@ -217,7 +217,8 @@ def _estimate(
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
     if isinstance(start, FitResult) and (worse := _worse_than_start(fit, start)):
         fit = replace(fit, warnings=(worse, *fit.warnings))
-    if isinstance(transcription, Collocation) and fit.feasible and fit.status not in ("interrupted", "time limit"):
+    unfinished = fit.status in ("interrupted", "time limit") or deadline.passed()
+    if isinstance(transcription, Collocation) and fit.feasible and not unfinished:
         fit = replace(fit, warnings=(*fit.warnings, *filter(None, [coarse_mesh_warning(fit)])))
     return fit
 

@@ -70,7 +70,7 @@ use crate::threads::{COMMON, Threads};
 /// Least number of points for which waking other threads pays.
 const PARALLEL_POINTS: usize = 2000;
 /// Residuals of a solution, relative to its terms, that are refined.
-const ROUGH: f64 = 1e-13;
+const ROUGH: f64 = 1024.0 * f64::EPSILON;
 /// Most steps of refinement.
 const REFINEMENTS: usize = 3;
 

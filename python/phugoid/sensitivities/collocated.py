@@ -41,8 +41,8 @@ def collocated(fit: FitResult) -> FitResult:
 
 
 def cheap(fit: FitResult, again: bool = False) -> bool:
-    """Whether a fit can be linearised in about the time of an estimation, and without an estimation unless ``again``:
-    the tangents of large systems are large."""
+    """Tell whether a fit can be linearised in about the time of an estimation, and without an estimation unless
+    ``again``: the tangents of large systems are large."""
     inner = fit._moved or fit
     at_hand = bool(fit.experiments) and isinstance(inner.transcription, Collocation) and inner.solution is not None
     samples, n_x = sum(r.n for r in fit.records), len(fit.model.state_names)

@@ -140,7 +140,7 @@ class Tangents:
 
     @property
     def names(self) -> list[str]:
-        """Of the model's parameters, as estimated."""
+        """Return those of the model's parameters, as estimated."""
         return [name for name, *_ in self.linear._problem.estimands]
 
     def of_parameters(self, coordinates: _Array) -> _Array:
@@ -211,12 +211,12 @@ class Scores:
 
     @property
     def own(self) -> bool:
-        """Whether each experiment has noise of its own size."""
+        """Tell whether each experiment has noise of its own size."""
         return isinstance(self._noise, PerExperiment) and len(self.linear.experiments) > 1
 
     @property
     def gaussian(self) -> bool:
-        """Whether the noise is Gaussian."""
+        """Tell whether the noise is Gaussian."""
         noise = self._noise.noise if isinstance(self._noise, PerExperiment) else self._noise
         kinds = list(noise.outputs.values()) if isinstance(noise, PerOutput) else [noise]
         return all(isinstance(kind, Gaussian) for kind in kinds)

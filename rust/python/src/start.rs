@@ -72,8 +72,8 @@ pub fn state_start<'py>(
     Ok(states.into_iter().map(|x| PyArray1::from_vec(py, x)).collect())
 }
 
-/// The variables of a problem to start from, with parameters as they start in all experiments (`shared`) or in each
-/// (`own`), and the paths of an earlier fit, for each experiment one a state, in place of states.
+/// The variables of a problem to start from. `paths` are those of an earlier fit, for each experiment one a state, which
+/// take the place of the states as they would start.
 #[pyfunction]
 #[allow(clippy::needless_pass_by_value)]
 pub fn start_point<'py>(

@@ -19,7 +19,7 @@ __all__ = ["Confirmation", "ConfirmationSettings", "Found"]
 
 @dataclass(frozen=True)
 class ConfirmationSettings:
-    """How far the confirmation goes.
+    """Set how far the confirmation goes.
 
     chances  next best candidates that are tried when the best gains nothing on held-out data.
     ringing  candidates that are refitted where residuals ring.
@@ -64,8 +64,8 @@ class Confirmation:
         self._assessment, self.settings = assessment, settings
 
     def accepted(self, current: Refit, tries: Sequence[Refit]) -> tuple[Refit | None, Found | None]:
-        """Of refits with one more term that of which the new term is named, settled; else what remains unexplained, if
-        anything does."""
+        """Return, of refits with one more term, the one whose new term is named, settled; else what remains
+        unexplained, if anything does."""
         assess = self._assessment
         margins = {t.names: assess.margin(current, t) for t in tries}
 
@@ -127,7 +127,7 @@ class Confirmation:
         return Found(None, gain, assess.threshold() / 2, gains, held, ringing.frequencies)
 
     def found(self, at: Refit, candidate: Candidate) -> Found:
-        """What is to be said of a term in the end."""
+        """Return what is reported of a term in the end."""
         assess = self._assessment
         others = [c for c in at.candidates if c is not candidate]
         without = self._cache.refit(others, at.fit) or self._cache.base

@@ -18,7 +18,7 @@ __all__ = ["Assessment", "AssessmentSettings", "Evidence", "is_physical"]
 
 @dataclass(frozen=True)
 class AssessmentSettings:
-    """What evidence must be.
+    """Set what evidence must be.
 
     false_alarm  probability that anything at all is found where there is nothing.
     doubtful     factor of a threshold where channels go together: simulated turbulence passes less than one in twenty
@@ -60,12 +60,12 @@ class Evidence:
 
     @property
     def significant(self) -> bool:
-        """Whether the gain is more than chance gives."""
+        """Tell whether the gain is more than chance gives."""
         return self.gain > self.threshold
 
     @property
     def named(self) -> bool:
-        """Whether the cause is named."""
+        """Tell whether the cause is named."""
         return self.significant and self.predicts and not self.rings
 
 
@@ -99,11 +99,11 @@ class Assessment:
         return self.threshold(candidate) * (1.0 if more.together is None else self.settings.doubtful)
 
     def margin(self, base: Refit, more: Refit) -> float:
-        """How far the gain by the last candidate of a refit is above what it must be."""
+        """Return how far the gain by the last candidate of a refit is above what it must be."""
         return self.gain(base, more) - self.needed(more, more.candidates[-1])
 
     def penalty(self, at: Refit, others: Sequence[Candidate]) -> float:
-        """What counts against a refit's new term: the chances that it had, and to be out of what is physical."""
+        """Return what counts against a refit's new term: the chances that it had, and to be out of what is physical."""
         (new,) = at.beside(others)
         return self.threshold(new) + (0.0 if is_physical(at, new) else self.settings.unphysical)
 
@@ -127,7 +127,7 @@ class Assessment:
         return HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
 
     def predicts(self, held: HeldOut) -> bool:
-        """Whether a gain on held-out data is one."""
+        """Tell whether a gain on held-out data is one."""
         s = self.settings
         return held.gain > max(s.held_out, s.sure * held.deviation) and held.elsewhere > 0.0
 
@@ -144,7 +144,7 @@ class Assessment:
         return found
 
     def halves(self, base: Refit, more: Refit) -> bool:
-        """Whether the mean square of the residuals on the validation data is halved, in the mean of the outputs."""
+        """Tell whether the mean square of the validation residuals is halved, in the mean of the outputs."""
         before, after = self.held_out_rms(base), self.held_out_rms(more)
         ratios = [(after[n] / before[n]) ** 2 for n in before] if after else []
         return bool(ratios) and float(np.mean(ratios)) < self.settings.half
@@ -156,8 +156,8 @@ class Assessment:
         return 2.0 * (more.through(filter).log_likelihood - base.through(filter).log_likelihood)
 
     def _rings_too(self, at: Refit, candidate: Candidate) -> bool:
-        """Whether a candidate is a disturbance at the frequency of a mode at which the residuals of the base ring: a
-        tone there, and noise that came through the mode, are too much alike."""
+        """Tell whether a candidate is a disturbance at the frequency of a mode at which the residuals of the base ring:
+        a tone there, and noise that came through the mode, are too much alike."""
         ringing = self._cache.ringing(self._cache.base)
         if candidate.transferable or ringing is None:
             return False
@@ -166,7 +166,7 @@ class Assessment:
 
 
 def is_physical(at: Refit, candidate: Candidate) -> bool:
-    """Whether all parameters of a candidate lie within what is physical."""
+    """Tell whether all parameters of a candidate lie within what is physical."""
     limits = candidate.physical(at.linear.points)
     return all(low <= at.own.parameter(n)[0] <= high for n, (low, high) in limits.items())
 

@@ -185,7 +185,7 @@ class DiagnosisResult:
 
     @property
     def found(self) -> bool:
-        """Whether anything significant is missing."""
+        """Tell whether anything significant is missing."""
         return bool(self.findings)
 
     def extend(self) -> ExtensionResult:

@@ -155,5 +155,5 @@ class RefitCache:
         }
 
     def has_start(self, name: str) -> bool:
-        """Whether it is known where a refit with a candidate starts."""
+        """Tell whether it is known where a refit with a candidate starts."""
         return name in self._starts

@@ -72,7 +72,7 @@ class Refitting:
                     break
 
     def _apart(self, at: Refit, one: Candidate, other: Candidate) -> bool:
-        """Whether the estimates of two candidates hardly depend on each other: neither casts doubt on the other."""
+        """Tell whether the estimates of two candidates hardly depend on each other: none casts doubt on the other."""
         return at.own.correlation(one.parameters, other.parameters) < self.settings.apart
 
     def rivals(self, at: Refit, candidate: Candidate) -> list[tuple[Refit, float]]:

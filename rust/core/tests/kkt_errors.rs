@@ -1,7 +1,10 @@
 //! Why a Newton system is not factorised is told apart, by every implementation.
 
+use std::time::Duration;
+
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::condition::End;
+use phugoid::interrupt::Interrupt;
 use phugoid::linalg::{Effort, Entries, KktError, KktSolver, kkt_for};
 use phugoid::nlp::Nlp;
 use phugoid::noise::Noise;
@@ -9,6 +12,10 @@ use phugoid::{Experiment, Expr, Grid, Model, Parameter, Sigma};
 
 /// x' = a x over 400 segments, with or without a condition on the first state.
 fn problem(condition: bool) -> Collocation {
+    of_length(400, condition)
+}
+
+fn of_length(segments: u32, condition: bool) -> Collocation {
     let mut m = Model::new("growth");
     let (x, a) = (m.state("x", "").unwrap(), m.parameter(Parameter::new("a", 1.0)).unwrap());
     m.equation("x", a * &x, None).unwrap();
@@ -16,8 +23,8 @@ fn problem(condition: bool) -> Collocation {
     if condition {
         m.condition(End::Initial, "x", Expr::from(1.0), None).unwrap();
     }
-    let t: Vec<f64> = (0..=400).map(f64::from).collect();
-    let run = Experiment::new(&m, "run", t, [("x", vec![1.0; 401])]).unwrap();
+    let t: Vec<f64> = (0..=segments).map(f64::from).collect();
+    let run = Experiment::new(&m, "run", t, [("x", vec![1.0; segments as usize + 1])]).unwrap();
     let settings = Settings { order: 4, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
     Collocation::new(&m, &[run], Noise::Gaussian(vec![Sigma::Known(1.0)]), &settings).unwrap()
 }
@@ -65,4 +72,16 @@ fn numbers_that_are_not_finite_are_no_dependence() {
         assert_eq!(factorized(&p, &mut *kkt, -0.1, (false, false)), Ok(()));
         assert_eq!(kkt.flops(), flops);
     }
+}
+
+/// Planning the elimination of a long record takes tens of milliseconds: a limit that passes meanwhile ends it, and what
+/// is not planned has no operations.
+#[test]
+fn planning_ends_where_the_time_does() {
+    let p = of_length(200_000, false);
+    assert!(kkt_for(&p, &[1.0]).flops() > 0);
+    let limit = Interrupt::within(Some(Duration::from_millis(1)));
+    let mut kkt = limit.run(|| kkt_for(&p, &[1.0]));
+    assert_eq!(kkt.flops(), 0);
+    assert_eq!(factorized(&p, &mut *kkt, -0.1, (false, false)), Err(KktError::Stopped));
 }

@@ -190,3 +190,25 @@ fn an_evaluation_that_is_stopped_ends() {
     let limit = Interrupt::within(Some(Duration::ZERO));
     assert!(limit.run(|| problem.jacobian(&xi, &mut jacobian)).is_err());
 }
+
+/// A single segment with steps from sample to sample is read from the states at the samples; any other path is integrated.
+#[test]
+fn the_path_passes_through_the_states_at_the_samples() {
+    let model = bell();
+    let t: Vec<f64> = (0..=40).map(|k| 0.05 * f64::from(k)).collect();
+    let y = t.iter().map(|t| 1.0 / (1.0 + t * t)).collect();
+    let run = Experiment::new(&model, "run", t.clone(), [("y", y)]).unwrap();
+    for (steps, segments) in [(Steps::Samples(1), 1), (Steps::Samples(3), 1), (Steps::Samples(1), 4)] {
+        let settings = Shots { grid: vec![Grid::Uniform(segments)], steps, threads: 1, ..Shots::default() };
+        let noise = Noise::Gaussian(vec![Sigma::Known(1.0)]);
+        let problem = Shooting::new(&model, std::slice::from_ref(&run), noise, &settings).unwrap();
+        let mut xi = vec![-2.0];
+        xi.resize(problem.n(), 1.0);
+        let (times, path) = problem.path(&xi, 0);
+        let states = problem.states_at_samples(&xi, 0);
+        for (sample, time) in t.iter().enumerate() {
+            let at = times.iter().position(|s| (s - time).abs() < 1e-12).unwrap();
+            assert!((path[0][at] - states[0][sample]).abs() < 1e-12, "{time} s");
+        }
+    }
+}

@@ -95,6 +95,7 @@ fn informed(
     let interrupt = current();
     let mut unless_stopped =
         || if go_on() && !interrupt.stops() { Ok(()) } else { Err(NoInformation::Stopped) };
+    unless_stopped()?;
     let (n, m, k) = (nlp.n(), nlp.m(), wanted.len());
     let mut hessian = vec![0.0; nlp.hessian_structure().len()];
     let mut jacobian = vec![0.0; nlp.jacobian_structure().len()];

@@ -1,6 +1,6 @@
 //! Exact derivatives with structural sparsity: reverse sweeps over the graph.
 
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 use super::graph::{Graph, Id, Item};
 
@@ -17,7 +17,7 @@ pub struct Sparse {
 
 impl Sparse {
     /// The entries by row and column.
-    pub fn by_place(&self) -> HashMap<(usize, usize), Id> {
+    pub fn by_place(&self) -> FxHashMap<(usize, usize), Id> {
         let places = self.rows.iter().copied().zip(self.columns.iter().copied());
         places.zip(self.values.iter().copied()).collect()
     }
@@ -63,7 +63,7 @@ impl Graph {
                 depends[id.index()] = true;
             }
         }
-        let mut adjoint: HashMap<Id, Id> = HashMap::new();
+        let mut adjoint: FxHashMap<Id, Id> = FxHashMap::default();
         if depends[root.index()] {
             let one = self.one();
             adjoint.insert(root, one);

@@ -21,7 +21,7 @@ pub fn kkt_for(nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
     let sizes = (nlp.n(), nlp.m());
     let structures = (nlp.hessian_structure(), nlp.jacobian_structure());
     let Some(arrow) = ArrowKkt::new(chains, structures.0, structures.1, sizes, &units[..chains.n_x]) else {
-        return Box::new(sparse(nlp, units));
+        return if current().stops() { Box::new(Unmade) } else { Box::new(sparse(nlp, units)) };
     };
     let arrow = arrow.with_threads(nlp.threads());
     if chains.boundary_states().next().is_none() {
@@ -48,7 +48,7 @@ fn scales(nlp: &dyn Nlp, units: &[f64]) -> (Vec<f64>, Vec<f64>) {
     (columns, rows)
 }
 
-/// Of a run that was stopped before it began: to plan an elimination takes long in large programs.
+/// Of a run that was stopped before a factorisation was planned: to plan an elimination takes long in large programs.
 struct Unmade;
 
 impl KktSolver for Unmade {

@@ -89,6 +89,13 @@ impl Transcribed for Shooting {
 
     fn path(&self, xi: &[f64], experiment: usize) -> (Vec<f64>, Vec<Vec<f64>>) {
         let track = &self.tracks[experiment];
+        let samples = &self.posed.experiments[experiment].t;
+        // A single segment with steps from sample to sample is the path that the likelihood was computed from.
+        if let [ends] = &track.segments[..]
+            && ends == samples
+        {
+            return (samples.clone(), self.states_at_samples(xi, experiment));
+        }
         let (mut times, mut path) = (Vec::new(), vec![Vec::new(); self.layout.n_x]);
         self.shoot(xi, experiment, |s, shot| {
             let ends = &track.segments[s];

@@ -1,6 +1,6 @@
 //! From a graph to a tape: what is uniform, in which order, in which registers.
 
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 use super::{Code, Instruction, Operand, Sink, Tape, UniformInstruction};
 use crate::error::Error;
@@ -64,8 +64,8 @@ struct Compiler<'a> {
     uses: Vec<u32>,
     needed: Vec<bool>,
     /// Uniform slot of a node, where it is uniform.
-    slots: HashMap<Id, u32>,
-    splats: HashMap<Id, ()>,
+    slots: FxHashMap<Id, u32>,
+    splats: FxHashMap<Id, ()>,
     emitted: Vec<bool>,
     code: Vec<Virtual>,
     lane_inputs: Vec<Id>,
@@ -84,8 +84,8 @@ impl<'a> Compiler<'a> {
             graph,
             uses: vec![0; n],
             needed: vec![false; n],
-            slots: HashMap::new(),
-            splats: HashMap::new(),
+            slots: FxHashMap::default(),
+            splats: FxHashMap::default(),
             emitted: vec![false; n],
             code: Vec::new(),
             lane_inputs: inputs.lanes.clone(),
@@ -337,7 +337,7 @@ impl<'a> Compiler<'a> {
 
     /// Assigns registers by a linear scan: a register is free after the last use of its value.
     fn finish(mut self, outputs: &[Id], sinks: &[Sink]) -> Tape {
-        let mut last_use: HashMap<Id, usize> = HashMap::new();
+        let mut last_use: FxHashMap<Id, usize> = FxHashMap::default();
         for (at, v) in self.code.iter().enumerate() {
             for arg in v.args {
                 if let Arg::Node(id) = arg {
@@ -350,7 +350,7 @@ impl<'a> Compiler<'a> {
                 last_use.insert(output, usize::MAX);
             }
         }
-        let mut registers: HashMap<Id, u32> = HashMap::new();
+        let mut registers: FxHashMap<Id, u32> = FxHashMap::default();
         for (i, &id) in self.lane_inputs.iter().enumerate() {
             registers.insert(id, number(i));
         }
@@ -358,7 +358,7 @@ impl<'a> Compiler<'a> {
         let mut free: Vec<u32> = Vec::new();
         let mut count = n_inputs;
         for (at, v) in self.code.iter().enumerate() {
-            let mut take = |registers: &mut HashMap<Id, u32>, id: Id| {
+            let mut take = |registers: &mut FxHashMap<Id, u32>, id: Id| {
                 let register = free.pop().unwrap_or_else(|| {
                     count += 1;
                     number(count - 1)

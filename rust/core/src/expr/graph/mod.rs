@@ -6,8 +6,9 @@
 mod fold;
 mod sweep;
 
-use std::collections::HashMap;
 use std::sync::Arc;
+
+use rustc_hash::FxHashMap;
 
 use super::Lookup;
 use super::ops::Op;
@@ -40,16 +41,16 @@ pub enum Item {
 #[derive(Debug, Default, Clone)]
 pub struct Graph {
     items: Vec<Item>,
-    interned: HashMap<Item, Id>,
+    interned: FxHashMap<Item, Id>,
     symbols: Vec<Arc<str>>,
-    symbol_ids: HashMap<Arc<str>, u32>,
+    symbol_ids: FxHashMap<Arc<str>, u32>,
     lookups: Vec<Lookup>,
     /// Whether each node is a sum of terms that are each switched: where(c, x, 0).
     switched: Vec<bool>,
     /// How many `where`, and sums of switched terms, each node consists of from its top down.
     depth: Vec<u32>,
     /// For switched nodes of which it was asked, the condition under which they are on.
-    conditions: HashMap<Id, Id>,
+    conditions: FxHashMap<Id, Id>,
 }
 
 impl Graph {

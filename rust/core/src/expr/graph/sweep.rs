@@ -3,6 +3,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use rustc_hash::FxHashMap;
+
 use super::{Graph, Id, Item};
 use crate::expr::{Expr, Node};
 
@@ -10,7 +12,7 @@ impl Graph {
     /// Interns an expression; `define` may replace a symbol (a quantity by its definition).
     pub fn import(&mut self, root: &Expr, define: &HashMap<Arc<str>, Id>) -> Id {
         // An explicit stack: sums of thousands of terms are deep trees.
-        let mut done: HashMap<*const Node, Id> = HashMap::new();
+        let mut done: FxHashMap<*const Node, Id> = FxHashMap::default();
         let mut stack = vec![(root, false)];
         while let Some((expr, ready)) = stack.pop() {
             let key = std::ptr::from_ref(expr.node());
@@ -55,7 +57,7 @@ impl Graph {
 
     /// The roots with some nodes replaced by others.
     pub fn replace(&mut self, roots: &[Id], old: &[Id], new: &[Id]) -> Vec<Id> {
-        let mut done: HashMap<Id, Id> = old.iter().copied().zip(new.iter().copied()).collect();
+        let mut done: FxHashMap<Id, Id> = old.iter().copied().zip(new.iter().copied()).collect();
         for id in self.reachable(roots) {
             if done.contains_key(&id) {
                 continue;

@@ -1,5 +1,10 @@
 //! Entries of a matrix by the panel that they go to.
 
+use crate::interrupt::current;
+
+/// Operations, about, to find the place of an entry.
+const OPERATIONS: usize = 64;
+
 /// Panel of an entry, or place in it; `Some(None)` for an entry that needs none, `None` where it does not fit.
 pub(super) type Slot = Option<Option<usize>>;
 
@@ -16,7 +21,7 @@ pub(super) struct Items {
 
 impl Items {
     /// Sorts the entries of a matrix by panel. The panels are those of several chains, `panels` of each,
-    /// numbered through. `None` where an entry does not fit.
+    /// numbered through. `None` where an entry does not fit, and where the work was stopped.
     #[inline]
     pub fn sorted(
         panels: &[usize],
@@ -25,8 +30,12 @@ impl Items {
         place: impl Fn(usize) -> Slot,
     ) -> Option<Vec<Items>> {
         let total: usize = panels.iter().sum();
+        let mut turns = current().turns(OPERATIONS);
         let mut starts = vec![0u32; total + 1];
         for t in 0..entries {
+            if turns.stop() {
+                return None;
+            }
             if let Some(panel) = panel(t)? {
                 starts[panel + 1] += 1;
             }
@@ -37,6 +46,9 @@ impl Items {
         let mut ends = starts[..total].to_vec();
         let mut items = vec![(0, 0); starts[total] as usize];
         for t in 0..entries {
+            if turns.stop() {
+                return None;
+            }
             if let (Some(panel), Some(place)) = (panel(t)?, place(t)?) {
                 items[ends[panel] as usize] = (t as u32, place as u32);
                 ends[panel] += 1;

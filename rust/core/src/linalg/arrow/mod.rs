@@ -112,7 +112,7 @@ pub struct ArrowKkt {
 
 impl ArrowKkt {
     /// Plans the elimination for a structure; `units` are those of the n_x states: a step of that size
-    /// matters. `None` where the entries do not fit the chains.
+    /// matters. `None` where the entries do not fit the chains, and where the work was stopped.
     pub fn new(
         chains: &Chains,
         hessian: &Structure,
@@ -121,6 +121,9 @@ impl ArrowKkt {
         units: &[f64],
     ) -> Option<ArrowKkt> {
         let plan = Plan::new(chains, hessian, jacobian, sizes, units)?;
+        if current().stops() {
+            return None;
+        }
         let border = plan.shape.border;
         let mut arrow = ArrowKkt {
             forest: Forest::new(&plan),

@@ -5,6 +5,7 @@ use super::items::{Items, Slot};
 use super::part::{Part, PartPlan, parts};
 use super::places::Places;
 use super::shape::{Shape, positions};
+use crate::interrupt::current;
 use crate::nlp::{Chains, Structure};
 
 /// The whole structure.
@@ -30,6 +31,9 @@ impl Plan {
         let plans = chains.chains.iter().map(|chain| ChainPlan::new(chain, n, border));
         let mut plans = plans.collect::<Option<Vec<_>>>()?;
         let places = Places::new(&plans, n, sizes);
+        if current().stops() {
+            return None;
+        }
         shape.parts = parts(&shape, &places, jacobian);
         shape.width = shape.parts.last().map_or(0, |part| part.first + part.width);
 

@@ -107,6 +107,7 @@ def test_the_library_of_the_hfb320_model() -> None:
         "delay": 9,
         "deadband": 2,
         "saturation": 2,
+        "clipped": 7,
     }
     assert library.only("Cm:*").names == (
         *("Cm:theta", "Cm:T", "Cm:V^2", "Cm:alpha^2", "Cm:theta^2", "Cm:q^2", "Cm:de^2", "Cm:T^2"),
@@ -122,7 +123,7 @@ def test_the_library_of_the_hfb320_model() -> None:
     # Its own bias is there; q' + bias is what it measures, so that q' is its scale.
     assert library.only("aq:*").names == (
         *("aq:scale", "aq:drift", "aq:V", "aq:alpha", "aq:theta", "aq:q", "aq:de", "aq:T", "aq:q^2"),
-        *("aq:lag", "aq:delay"),
+        *("aq:clipped", "aq:lag", "aq:delay"),
     )
     # The elevator stands beside Cmde and Cm0 only: its scale and bias are theirs.
     inputs = ("de:deadband", "de:saturation", "de:lag", "de:delay")
@@ -292,6 +293,7 @@ EFFECTS = {
     "az:q'": {"y_az_q_dot": 0.15},
     "alpha:delay": {"tau_alpha": 0.08},
     "alpha:lag": {"lag_alpha": 0.15},
+    "alpha:clipped": {"limit_alpha": 0.05},
     "de:delay": {"tau_de": 0.09},
     "de:lag": {"lag_de": 0.18},
     "de:deadband": {"deadband_de": 0.02},
@@ -307,7 +309,8 @@ def test_what_was_put_in_is_estimated(name: str, library: ph.results.Candidates)
     r = ph.simulate(model, {**TRUTH, **true}, empty, initial={"alpha": 0.04, "q": 0.0})
     random = np.random.default_rng(7)
     z = {n: y + SIGMA[n] * random.standard_normal(empty.n) for n, y in r.outputs.items()}
-    nearest = min(c.shapes, key=lambda s: sum(abs(np.log(s[n] / true[n])) for n in s))
+    same_side = [s for s in c.shapes if all(s[n] * true[n] > 0 for n in s)]  # an upper limit is none from below
+    nearest = min(same_side or c.shapes, key=lambda s: sum(abs(np.log(s[n] / true[n])) for n in s))
     rough = {n: 0.7 * true[n] for n in c.coefficients}
     fit = ph.estimate(c.extended(pitch(), {**rough, **nearest}), empty.with_outputs(z), start=TRUTH)
     assert fit.converged

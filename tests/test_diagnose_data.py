@@ -165,7 +165,9 @@ def test_attas_without_the_vane_the_vane_is_named() -> None:
     """Geometry before delay: the vane is on the nose boom."""
     f = first_attas(vane=False).findings[0]
     assert f.cause == "alpha:q" and LATE & {*f.aliases}
-    assert f.status == "named" and f.gain > 5 * f.threshold and f.held_out_gain > 100
+    assert f.status == "named" and f.gain > f.threshold and f.held_out_gain > 100
+    # In free simulation of the other record it explains nearly all that alpha gets wrong.
+    assert f.explained_outputs["alpha"] > 0.8 and f.explained_interval[0] > 0.1
 
 
 @needs_attas

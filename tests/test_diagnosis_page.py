@@ -20,7 +20,7 @@ from phugoid.discrepancy.misfit.misfit import misfit
 from phugoid.discrepancy.page.figures import findings_figure, gain_figure, ranking_figure
 from phugoid.discrepancy.page.page import report
 from phugoid.discrepancy.page.words import diagnosis_summary, headline, outcome
-from phugoid.discrepancy.search.finding import Finding, Scored
+from phugoid.discrepancy.search.finding import DiagnosisResult, Finding, Scored
 from phugoid.errors import DataError, UnknownName
 from phugoid.pages.mathml import equation
 from phugoid.results import Extension, Gain
@@ -44,9 +44,27 @@ FINDING = Finding(
     rivals={"q':q^2": 96.0},
 )
 SURROGATE = dataclasses.replace(FINDING, cause="de:scale", aliases=(), status="surrogate", rivals={}, advice="")
+MINOR = dataclasses.replace(
+    FINDING,
+    cause="q:bias",
+    aliases=(),
+    status="minor",
+    rivals={},
+    explained=0.012,
+    explained_interval=(-0.004, 0.03),
+    explained_outputs={"q": 0.01, "theta": 0.002},
+)
 UNEXPLAINED = dataclasses.replace(
     SURROGATE, cause="", status="unexplained", coefficient=NAN, std_error=NAN, interval=(NAN, NAN), held_out_gain=NAN
 )
+
+
+class Told(SimpleNamespace):
+    """What a diagnosis says of given findings."""
+
+    found = DiagnosisResult.found
+    verdict = DiagnosisResult.verdict
+    structured_outputs = DiagnosisResult.structured_outputs
 
 
 def model(complete: bool) -> ph.Model:
@@ -98,13 +116,12 @@ def whole(fits: tuple[ph.Fit, ph.Fit], extension: Extension) -> Any:
         for i in range(20)
     ]
     ranking[1] = dataclasses.replace(ranking[1], remark="nearly Mq & Mde")
-    return SimpleNamespace(
+    return Told(
         interrupted=False,
         fit=fits[0],
         misfit=misfit(fits[0]),
         findings=[FINDING, SURROGATE, UNEXPLAINED],
         ranking=ranking,
-        found=True,
         threshold=17.0,
         notes=("Half of the record <was> held out.",),
         seconds=1.25,
@@ -114,7 +131,7 @@ def whole(fits: tuple[ph.Fit, ph.Fit], extension: Extension) -> Any:
 
 @pytest.fixture
 def diagnosis(whole: Any) -> Any:
-    return SimpleNamespace(**vars(whole))  # for tests to change
+    return Told(**vars(whole))  # for tests to change
 
 
 @pytest.fixture(scope="module")
@@ -215,8 +232,8 @@ def test_page_shows_the_new_equation_and_parameters(diagnosis: Any, written: tup
     assert f"{estimate.value:.3f}"[:4] in parsed.text
 
 
-def test_page_without_findings_does_not_extend(diagnosis: Any, tmp_path: Path) -> None:
-    diagnosis.findings = []
+def test_page_without_findings_does_not_extend(diagnosis: Any, fits: tuple[ph.Fit, ph.Fit], tmp_path: Path) -> None:
+    diagnosis.findings, diagnosis.misfit = [], misfit(fits[1])
     diagnosis.extend = None
     source, parsed = page(diagnosis, tmp_path)
     assert "The gain" not in source and "The new equations" not in source
@@ -238,18 +255,42 @@ def test_page_without_candidates_or_held_out_data(diagnosis: Any, extension: Ext
 @pytest.mark.parametrize(
     ("findings", "kind", "words"),
     [
-        ([], "nothing", "Nothing significant is missing"),
+        ([], "unexplained", "No cause was found, but the residuals are not white"),
         ([UNEXPLAINED], "unexplained", "The misfit is significant, but its cause is not established."),
         ([FINDING], "named", "The model misses one of {q':q|q|, q':q^2}."),
-        ([SURROGATE], "named", "What fits is a surrogate"),
+        ([SURROGATE], "unexplained", "de:scale is a surrogate, which fits outside of what is physical"),
+        ([MINOR], "unexplained", "Minor: q:bias, which explains next to nothing."),
+        ([FINDING, MINOR], "named", "The model misses one of {q':q|q|, q':q^2}. Minor: q:bias, which explains next"),
         ([FINDING, UNEXPLAINED], "named", "A part of the misfit stays without an established cause."),
     ],
 )
-def test_the_three_outcomes(diagnosis: Any, findings: list[Finding], kind: str, words: str) -> None:
+def test_the_outcomes(diagnosis: Any, findings: list[Finding], kind: str, words: str) -> None:
     diagnosis.findings = findings
-    assert outcome(findings) == kind
+    assert outcome(diagnosis) == kind
     assert words in headline(diagnosis)
     assert words in " ".join(diagnosis_summary(diagnosis).split())
+
+
+@pytest.mark.parametrize(
+    ("findings", "verdict", "words"),
+    [
+        ([], "nothing", "Nothing significant is missing"),
+        ([MINOR], "minor", "Minor: q:bias"),
+        ([SURROGATE, MINOR], "surrogate", "de:scale is a surrogate"),
+    ],
+)
+def test_white_residuals_leave_nothing_unexplained(
+    diagnosis: Any, fits: tuple[ph.Fit, ph.Fit], findings: list[Finding], verdict: str, words: str
+) -> None:
+    diagnosis.findings, diagnosis.misfit = findings, misfit(fits[1])
+    assert diagnosis.verdict == verdict and not diagnosis.found and outcome(diagnosis) == "nothing"
+    assert words in headline(diagnosis)
+
+
+def test_the_part_explained_is_told(diagnosis: Any) -> None:
+    diagnosis.findings = [MINOR]
+    said = " ".join(diagnosis_summary(diagnosis).split())
+    assert "Explains 1.2 % of the misfit in free simulation of data held out (95 %: -0.4 % to 3 %), most in q." in said
 
 
 def test_summary_has_evidence_rivals_and_what_is_open(diagnosis: Any) -> None:

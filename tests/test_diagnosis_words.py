@@ -79,13 +79,13 @@ def test_what_fits_without_predicting_is_no_rival() -> None:
 
 def test_surrogates_among_causes_are_named() -> None:
     surrogate = dataclasses.replace(LAG, cause="Z:periodic", aliases=(), status="surrogate")
-    both = SimpleNamespace(findings=[LAG, surrogate])
+    both: Any = SimpleNamespace(findings=[LAG, surrogate], verdict="named", interrupted=False)
     assert headline(both) == (
-        "The model misses one of {CL:lag_alpha, CL:lag_q} and Z:periodic. "
-        "Of these Z:periodic is a surrogate, which fits outside of what is physical."
+        "The model misses one of {CL:lag_alpha, CL:lag_q}. "
+        "Z:periodic is a surrogate, which fits outside of what is physical: the cause itself may be another."
     )
     both.findings.append(dataclasses.replace(surrogate, cause="Z:drift"))
-    assert "Of these Z:periodic, Z:drift are surrogates, which fit outside" in headline(both)
+    assert "Z:periodic, Z:drift are surrogates, which fit outside" in headline(both)
 
 
 def near(statistic: float) -> Any:

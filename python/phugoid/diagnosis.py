@@ -32,6 +32,7 @@ class Diagnosis(DiagnosisResult):
     fit         that was diagnosed.
     misfit      what it gets wrong: per channel, when, in which regime, at which frequencies.
     findings    what is missing, in the order in which it was found.
+    verdict     "named", "unexplained", "surrogate", "minor" or "nothing": what it comes to.
     ranking     all candidates of the first scan with their statistics, in the order of `Scored.ranking`.
     threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass; findings have
                 theirs, in log-likelihood itself.
@@ -47,13 +48,19 @@ class Diagnosis(DiagnosisResult):
         """Return a diagnosis with the data of a result."""
         return cls(**{**vars(result), "fit": Fit._of(result.fit)})
 
-    def extend(self) -> Extension:
-        """The model with all terms that were found, its fit, and the gain over the base model."""
-        return self._extended
+    def extend(self, *, minor: bool = False) -> Extension:
+        """The model with all causes that are named, its fit, and the gain over the base model; with ``minor`` minor
+        findings and surrogates too. With nothing to add it is the model as it was, and ``added`` is empty."""
+        return self._extended_full if minor else self._extended
 
     @cached_property
     def _extended(self) -> Extension:
         found = super().extend()
+        return Extension(found.model, Fit._of(found.fit), found.added, found.gain)
+
+    @cached_property
+    def _extended_full(self) -> Extension:
+        found = super().extend(minor=True)
         return Extension(found.model, Fit._of(found.fit), found.added, found.gain)
 
     def summary(self) -> str:

@@ -46,7 +46,7 @@ def diagnose(
 ) -> int:
     """Name what a model misses: shows the misfit, its cause among some 250 candidates, and the gain.
 
-    Exit code 1: the fit has not converged, or the misfit stays without a cause.
+    Exit code 1: the fit has not converged, or the residuals have structure and no cause is named.
     """
     check_saved(save, "diagnosis")
     check_targets((), [save, report])
@@ -93,8 +93,7 @@ def _steps() -> Iterator[Callable[[str], None]]:
 def _code(found: Diagnosis) -> int:
     if found.interrupted:
         return INTERRUPTED
-    # A misfit of which no finding names a cause.
-    return NOT_CONVERGED if found.found and not any(f.cause for f in found.findings) else 0
+    return NOT_CONVERGED if found.verdict == "unexplained" else 0
 
 
 def _facts(found: Diagnosis) -> dict[str, Any]:
@@ -109,6 +108,9 @@ def _facts(found: Diagnosis) -> dict[str, Any]:
         "parameters",
         "gain",
         "held_out_gain",
+        "explained",
+        "explained_interval",
+        "explained_outputs",
         "threshold",
         "explanation",
         "advice",
@@ -118,6 +120,7 @@ def _facts(found: Diagnosis) -> dict[str, Any]:
     return {
         "fit": fit_facts(found.fit),
         "found": found.found,
+        "verdict": found.verdict,
         "findings": [{key: getattr(f, key) for key in kept} for f in found.findings],
         "ranking": ranking,
         "threshold": found.threshold,

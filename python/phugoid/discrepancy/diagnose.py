@@ -42,8 +42,8 @@ _AGAIN = (
 )
 
 
-def finding_of(final: Refit, found: Found) -> Finding:
-    """What a search found, as it is told: with the estimate in the final model, and how to tell it from its aliases."""
+def finding_of(result: SearchResult, found: Found, minor: bool) -> Finding:
+    """What a search found, as it is told: with the estimate in the model that it is fitted in."""
     aliases = tuple(found.rivals)[:_ALIASES]
     if found.candidate is None:
         nothing = float("nan")
@@ -65,13 +65,14 @@ def finding_of(final: Refit, found: Found) -> Finding:
             ringing=found.ringing,
         )
     c = found.candidate
+    final, explained = result.of(c), found.explained
     parameters = final.parameters(c)
     name = next(iter(parameters))
     value, error = parameters[name]
     return Finding(
         cause=c.name,
         aliases=aliases,
-        status="named" if is_physical(final, c) else "surrogate",
+        status="surrogate" if not is_physical(final, c) else "minor" if minor else "named",
         coefficient=value,
         std_error=error,
         interval=(value - _INTERVAL * error, value + _INTERVAL * error),
@@ -83,6 +84,9 @@ def finding_of(final: Refit, found: Found) -> Finding:
         explanation=c.explanation,
         units={n: final.fit.parameters[n].unit for n in parameters},
         rivals=dict(found.rivals),
+        explained=explained.part if explained else float("nan"),
+        explained_interval=explained.interval if explained else (float("nan"), float("nan")),
+        explained_outputs=dict(explained.outputs) if explained else {},
     )
 
 
@@ -95,12 +99,12 @@ def _rings(frequencies: Sequence[float]) -> str:
     )
 
 
-def advice_of(search: Search, final: Refit, candidate: Candidate | None, aliases: Sequence[str]) -> str:
+def advice_of(search: Search, result: SearchResult, candidate: Candidate | None, aliases: Sequence[str]) -> str:
     """Which manoeuvre would tell a candidate from its aliases; "" where there are none, and after Ctrl-C."""
     if candidate is None or not aliases:
         return ""
     try:
-        return _advice(search, final, candidate, aliases)
+        return _advice(search, result.of(candidate), candidate, aliases)
     except (PhugoidError, np.linalg.LinAlgError, KeyboardInterrupt):
         return ""  # advice only: what was found stays
 
@@ -194,7 +198,7 @@ def diagnose(
             watch(text)
 
         search = Search(base, listed, others, step, free)
-        result = SearchResult(base)
+        result = SearchResult(base, base)
         with deadline.in_force():
             # Now, while what the search needs next is at hand.
             ranking, interrupted = _ranked(search, base)
@@ -204,14 +208,15 @@ def diagnose(
         ended = deadline.ended() if interrupted else ""
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
-            findings = [finding_of(final, f) for f in found]
+            findings = [finding_of(result, f, search.assessment.is_minor(f)) for f in found]
             extension = search.extension(final, known=interrupted)
+            full = search.extension(result.full, known=interrupted) if result.full is not final else None
             interrupted = interrupted or pressed() > 0
         ended = ended or ("interrupted" if interrupted else "")
         if not interrupted:
             with deadline.in_force():
                 findings = [
-                    replace(each, advice=each.advice or advice_of(search, final, f.candidate, each.aliases))
+                    replace(each, advice=each.advice or advice_of(search, result, f.candidate, each.aliases))
                     for each, f in zip(findings, found, strict=True)
                 ]
         elif not ranking and not deadline.passed():
@@ -229,6 +234,7 @@ def diagnose(
             interrupted=interrupted,
             seconds=time.perf_counter() - started,
             _extension=extension,
+            _full=full,
         )
 
 

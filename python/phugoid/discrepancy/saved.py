@@ -23,7 +23,7 @@ _FITS = {1: 2}
 
 def save_diagnosis(d: DiagnosisResult, path: str | os.PathLike[str]) -> None:
     """What `Diagnosis.save` does; see there."""
-    extension = d.extend() if any(f.cause for f in d.findings) else None
+    extension = d.extend() if d.found else None
     payload = {
         "fit": fit_payload(d.fit),
         "misfit": d.misfit.summary(),  # for whoever reads the file: it is told anew from the fit
@@ -57,7 +57,7 @@ def load_diagnosis(path: str | os.PathLike[str]) -> DiagnosisResult:
             extended = fit_from(more["fit"], _FITS[version])
             extension = ExtensionResult(extended.model, extended, _texts(more["added"]), _made(Gain, more["gain"]))
         findings = tuple(_made(Finding, f) for f in saved["findings"])
-        if extension is None and any(f.cause for f in findings):
+        if extension is None and any(f.status == "named" for f in findings):
             raise DataError("extension: is missing, although a cause is named")
         return DiagnosisResult(
             fit=fit,
@@ -92,11 +92,20 @@ def _text(value: Any) -> str:
 _READ: Mapping[str, Callable[[Any], Any]] = {
     "aliases": _texts,
     "interval": _pair,
+    "explained_interval": _pair,
     "ringing": lambda each: tuple(map(io.to_float, each)),
     "parameters": lambda each: {name: _pair(pair) for name, pair in each.items()},
     "units": lambda each: dict(zip(each, _texts(each.values()), strict=True)),
     **dict.fromkeys(
-        ("rivals", "estimate", "rms_before", "rms_after", "held_out_rms_before", "held_out_rms_after"),
+        (
+            "rivals",
+            "estimate",
+            "explained_outputs",
+            "rms_before",
+            "rms_after",
+            "held_out_rms_before",
+            "held_out_rms_after",
+        ),
         lambda each: {name: io.to_float(value) for name, value in each.items()},
     ),
 }

@@ -140,7 +140,8 @@ def autocorrelation_of(series: Sequence[Series]) -> tuple[_Array, _Array, _Array
     grids = [s.segment.on_grid(s.r) for s in series]
     n = sum(s.r.size for s in series)
     power = sum(float(s.r @ s.r) for s in series) / n
-    lags = range(min(_LAGS, n // 4) + 1)
+    longest = max(g.size for g in grids)  # of many short records no lag is as long as one of them
+    lags = range(min(_LAGS, n // 4, longest - 1) + 1)
     rho, scatter = [], []
     for k in lags:
         products = np.concatenate([g[k:] * g[: g.size - k] for g in grids if g.size > k])

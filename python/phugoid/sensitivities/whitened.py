@@ -42,6 +42,12 @@ class Whitened:
         """(n_rows,) whitened residuals after the step."""
 
     @cached_property
+    def plain_basis(self) -> _Array:
+        """(n_rows, k) changes of the outputs, in their units, of which ``basis`` are the whitened ones."""
+        outputs, _ = self.linear.moves
+        return np.asarray(self.linear.scale()[:, None] * (outputs @ self._back))
+
+    @cached_property
     def residuals(self) -> _Array:
         """(n_rows,) residuals after the step."""
         outputs, _ = self.linear.moves

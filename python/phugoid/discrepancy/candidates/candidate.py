@@ -73,12 +73,20 @@ class Candidate(ABC):
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         """The model with this effect; its parameters start at the values given by name (coefficients else at 0)."""
 
+    def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
+        """Values of the shape that measurements themselves suggest, whatever the model: output -> samples of each
+        experiment. None where they suggest nothing."""
+        return None
+
     @abstractmethod
     def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
         """Range of each of its parameters, in its unit, outside of which it is no physical explanation."""
 
 
 _Self = TypeVar("_Self", bound="Effect")
+
+# Families that are functions of the present value of one variable, other than constants and linear ones.
+_SHAPED = ("square", "cube", "quadratic", "absolute", "sign", "deadband", "saturation")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -120,7 +128,9 @@ class Effect(Candidate):
 
     def worthwhile(self) -> bool:
         """Whether the record can say anything of it at all."""
-        return all(self.scales.varies(name) for name in self.variables)
+        if not all(self.scales.varies(name) for name in self.variables):
+            return False
+        return len(self.variables) != 1 or self.family not in _SHAPED or self.scales.tells(*self.variables, self.family)
 
     def __repr__(self) -> str:
         return f"<{self.name}: {self.explanation}>"

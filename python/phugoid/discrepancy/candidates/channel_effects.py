@@ -26,9 +26,11 @@ from .scales import (
     longest_delay,
     longest_lag,
     of,
+    output_key,
 )
 
 __all__ = [
+    "ClippedSensor",
     "DeadBand",
     "InputBias",
     "InputDelay",
@@ -148,8 +150,69 @@ class SensorDelay(Delay):
         return extension.model()
 
 
-# Corners are rounded over this part of the input's range: less than the narrowest dead-band that is tried.
+# Corners are rounded over this part of a channel's range: less than the narrowest dead-band that is tried.
 _CORNER = 0.003
+# Part of the samples that follow another with the same extreme value, from which on a limit is suspected: an encoder
+# at rest at the end of its travel does that for once, too, and the refit decides.
+_PILED = 0.01
+# Of an output's range, by which a limit may lie outside of it.
+_BEYOND = 0.02
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ClippedSensor(Effect):
+    """The output goes no further than a limit: an upper one where it lies above the output's median, else a lower."""
+
+    stage: int = 7
+
+    @property
+    def _key(self) -> str:
+        return output_key(self.place.name)
+
+    def grid(self) -> Iterable[float]:
+        low, high = self.scales.low.get(self._key, -0.5), self.scales.high.get(self._key, 0.5)
+        parts = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4])
+        limits = [*(high - (high - low) * parts), *(low + (high - low) * parts)]
+        centre = self.scales.centre(self._key)
+        # Beyond the median most of the record would stand still.
+        return [x for i, x in enumerate(limits) if (x > centre) == (i < parts.size)]
+
+    @property
+    def _corner(self) -> float:
+        return _CORNER * self.scales.span(self._key)
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        y, limit = channel(self, points), shape[self.shape_names[0]]
+        distance = np.sqrt((y - limit) ** 2 + self._corner**2)
+        side = -1.0 if limit > self.scales.centre(self._key) else 1.0
+        return np.asarray(0.5 * (limit - y + side * distance))[np.newaxis]
+
+    def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
+        """The greatest or least value, where samples in a row have it again and again."""
+        every = [z[np.isfinite(z)] for z in measured[self.place.name]]
+        whole = np.concatenate(every)
+        for limit in (whole.max(), whole.min()) if whole.size else ():
+            in_a_row = sum(int(((z[1:] == limit) & (z[:-1] == limit)).sum()) for z in every)
+            if in_a_row > max(_PILED * whole.size, 5) and np.ptp(whole) > 0.0:
+                return {self.shape_names[0]: float(limit)}
+        return None
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        (name,) = self.shape_names
+        first = float(extension.start.get(name, next(iter(self.grid()), 0.0)))
+        above, unit = first > self.scales.centre(self._key), model.units.get(self.place.name, "")
+        limit = extension.parameter(name, first, unit=unit)
+        y = extension.at(self.place)
+        distance = smooth_abs(y - limit, self._corner)
+        extension.put(self.place, 0.5 * (y + limit - distance if above else y + limit + distance))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        # A limit that the output does not reach does nothing; one that it does reach is the end of its range.
+        y = np.concatenate([channel(self, p) for p in points])
+        more = _BEYOND * float(np.ptp(y))
+        return {self.shape_names[0]: (float(y.min()) - more, float(y.max()) + more)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

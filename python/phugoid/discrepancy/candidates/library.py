@@ -13,6 +13,7 @@ from ...sensitivities.trajectory import Place, Points
 from ..misfit.phrases import per_second
 from .candidate import Effect, unused
 from .channel_effects import (
+    ClippedSensor,
     DeadBand,
     InputBias,
     InputDelay,
@@ -26,7 +27,7 @@ from .channel_effects import (
 from .collection import Candidates, read_terms
 from .directions import Directions
 from .model_structure import ModelStructure, Variable
-from .scales import Scales, trim_of
+from .scales import Scales, output_key, trim_of
 from .terms import FORMS, LaggedVariable, Periodic, Rate, Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
@@ -50,6 +51,7 @@ FAMILIES = (
     "delay",
     "deadband",
     "saturation",
+    "clipped",
     "periodic",
 )
 # Those with a signal that depends on no shape: only they can be seen to be the same at single points.
@@ -70,10 +72,9 @@ def candidates(
 
     In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms, squares,
     products and cubes of states and inputs, x^2 v for rates v, x|x|, |x|, sign(x), first-order lags, a periodic
-    disturbance. In outputs:
-    bias, scale, drift, delay, lag, linear terms, squares and products of rates, derivatives of rates. On inputs: scale,
-    bias, dead-band, saturation, lag, delay. What the model's parameters can do already is left out, and so is what
-    another candidate says too: names of `FAMILIES` that stand first win.
+    disturbance. In outputs: bias, scale, drift, delay, lag, clipping, linear terms, squares and products of rates,
+    derivatives of rates. On inputs: scale, bias, dead-band, saturation, lag, delay. What the model's parameters can do
+    already is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
 
     points     paths that the scales are taken from: centres of powers, widths of rounded corners, grids of time
                constants and frequencies. Without, those of `Scales`; ``library.on(points)`` does it later.
@@ -243,6 +244,10 @@ def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _
     yield from (term("square", v) for v in rates)
     yield from (term("product", v, w) for v, w in combinations(rates, 2))
     yield from (Rate.of(place, shown, v.symbol, names(f"y_{y}_{v.shown}_dot"), scales) for v in rates)
+    words = f"the measurement of {y} goes no further than a limit (clipped sensor)"
+    yield ClippedSensor(
+        f"{shown}:clipped", place, words, "clipped", scales, (), (names(f"limit_{y}"),), variables=(output_key(y),)
+    )
     words = f"the measurement of {y} follows with a lag (sensor or filter)"
     yield SensorLag(f"{shown}:lag", place, words, "lag", scales, (), (names(f"lag_{y}"),))
     if y not in structure.model.delays.outputs:

@@ -29,6 +29,7 @@ __all__ = [
     "longest_delay",
     "longest_lag",
     "of",
+    "output_key",
     "trim_of",
 ]
 
@@ -64,10 +65,15 @@ def _names(points: Sequence[Points]) -> list[str]:
     return [name for name in points[0].values if all(name in p.values for p in points)]
 
 
+def output_key(name: str) -> str:
+    """Return the name of an output among scales: states may have the same names."""
+    return f"y:{name}"
+
+
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Trims, least and greatest values by name (states, inputs, quantities), and of time (s): first, longest record,
-    sample interval.
+    """Trims, least and greatest values by name (states, inputs, quantities; outputs by `output_key`), numbers of levels
+    of what takes a few values only, and of time (s): first, longest record, sample interval.
 
     What is not known is taken as centred at 0, with a range of 1, over 20 s at 50 Hz: a library without data.
     """
@@ -75,6 +81,7 @@ class Scales:
     trim: Mapping[str, float] = field(default_factory=dict)
     low: Mapping[str, float] = field(default_factory=dict)
     high: Mapping[str, float] = field(default_factory=dict)
+    levels: Mapping[str, int] = field(default_factory=dict)
     begin: float = 0.0
     duration: float = 20.0
     interval: float = 0.02
@@ -83,10 +90,15 @@ class Scales:
     def of(points: Sequence[Points], trim: Mapping[str, float] | None = None) -> Scales:
         """Scales over some records; trims as given, others by `trim_of`."""
         names = _names(points)
+        of_outputs = {output_key(n): np.concatenate([p.outputs[n] for p in points]) for n in points[0].outputs}
+        medians = {key: float(np.median(y)) for key, y in of_outputs.items()}
         return Scales(
-            trim={**trim_of(points), **(trim or {})},
-            low={name: min(float(p.values[name].min()) for p in points) for name in names},
-            high={name: max(float(p.values[name].max()) for p in points) for name in names},
+            trim={**medians, **trim_of(points), **(trim or {})},
+            low={name: min(float(p.values[name].min()) for p in points) for name in names}
+            | {key: float(y.min()) for key, y in of_outputs.items()},
+            high={name: max(float(p.values[name].max()) for p in points) for name in names}
+            | {key: float(y.max()) for key, y in of_outputs.items()},
+            levels={n: k for n in names if (k := _levels(np.concatenate([p.values[n] for p in points])))},
             begin=min(float(p.t[0]) for p in points),
             duration=max(float(p.t[-1] - p.t[0]) for p in points),
             interval=min(float(np.median(np.diff(p.t))) for p in points),
@@ -113,12 +125,33 @@ class Scales:
         low, high = self.low[name], self.high[name]
         return high - low > _CONSTANT * max(abs(low), abs(high))
 
+    def tells(self, name: str, family: str) -> bool:
+        """Whether a variable takes values enough to tell a function of it, of one of the families, from a constant and
+        a linear part: any function of two levels is such a sum, and any odd function of three that lie evenly."""
+        levels = self.levels.get(name, 0)
+        return not levels or levels > 3 or (levels == 3 and family in ("square", "absolute"))
+
     def crosses(self, name: str) -> bool:
         """Whether a variable changes sign, as far as is known."""
         if name not in self.low:
             return True
         return min(self.high[name], -self.low[name]) > _CROSSES * (self.high[name] - self.low[name])
 
+
+def _levels(values: _Array) -> int:
+    """Return the number of levels of what switches between a few, as a relay does; 0 for what takes other values more
+    often than in passing."""
+    span = float(np.ptp(values))
+    if not span > 0.0:
+        return 0
+    counts = np.unique(np.round((values - values.min()) / (_SAME * span)), return_counts=True)[1] / values.size
+    often = counts[counts > _OFTEN]
+    return int(often.size) if often.sum() > 1.0 - _PASSING else 0
+
+
+# Of a variable's range: values nearer to each other are one level; of all samples: what a level has, and what lies
+# between levels.
+_SAME, _OFTEN, _PASSING = 1e-3, 0.05, 0.1
 
 # Transport delays of actuators, air data and telemetry; slower ones would have been noticed.
 _DELAY = 0.3

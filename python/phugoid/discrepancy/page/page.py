@@ -31,7 +31,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
     """
     check_folder(path)
     fit = diagnosis.fit
-    extension = diagnosis.extend() if outcome(diagnosis.findings) == "named" else None
+    extension = diagnosis.extend() if diagnosis.found else None
     known = {
         "model": f"{fit.model.name}; {len(fit.model.parameter_names)} parameters",
         "fit": f"{fit.status}; log-likelihood {fit.log_likelihood:.1f}; {fit.iterations} iterations",
@@ -51,7 +51,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
         kind="What the model misses",
         name=fit.model.name,
         headline=headline(diagnosis),
-        outcome=outcome(diagnosis.findings),
+        outcome=outcome(diagnosis),
         wrong=_wrong(diagnosis),
         causes=[_cause(finding) for finding in diagnosis.findings],
         tried=len(diagnosis.ranking),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
 from typing import Literal
 
 from ...parameters import Estimate
@@ -16,47 +15,47 @@ __all__ = ["Outcome", "alias_set", "diagnosis_summary", "finding_lines", "headli
 Outcome = Literal["named", "nothing", "unexplained"]
 
 _WIDTH = 110
-# Of the residuals' power, what can be predicted and is worth a word though nothing is named.
+# Of the residuals' power, what can be predicted and is most of it.
 _MOSTLY = 0.9
 
 
-def outcome(findings: Sequence[Finding]) -> Outcome:
-    """Which of the three ends a diagnosis has come to."""
-    if any(f.cause for f in findings):
-        return "named"
-    return "unexplained" if findings else "nothing"
+def outcome(diagnosis: DiagnosisResult) -> Outcome:
+    """Return what a diagnosis comes to, of three; surrogates and minor findings alone count as nothing named."""
+    verdict = diagnosis.verdict
+    return verdict if verdict in ("named", "unexplained") else "nothing"
 
 
 def headline(diagnosis: DiagnosisResult) -> str:
     """The outcome in one sentence."""
-    findings = diagnosis.findings
-    named = [f for f in findings if f.cause]
-    kind = outcome(findings)
-    if kind == "nothing" and diagnosis.interrupted:
+    findings, verdict = diagnosis.findings, diagnosis.verdict
+    named = [f for f in findings if f.status == "named"]
+    if not findings and diagnosis.interrupted:
         return "The search was interrupted before anything was found: that says nothing about what is missing."
-    if kind == "nothing":
+    if named:
+        *first, last = (alias_set(f) for f in named)
+        text = f"The model misses {', '.join(first)}{' and ' if first else ''}{last}."
+    elif any(f.status == "unexplained" for f in findings):
+        text = "The misfit is significant, but its cause is not established."
+    elif verdict == "unexplained":
+        channels = [diagnosis.misfit.channels[name] for name in diagnosis.structured_outputs]
+        most = max(channels, key=lambda c: c.predictable)
+        text = (
+            f"No cause was found, but the residuals are not white: {percent(most.predictable)} of their power in "
+            f"{most.name} follows from what came before. No candidate explains them better than coloured noise does: "
+            "they are such noise, a disturbance, or something that is none of these candidates."
+        )
+        if most.predictable > _MOSTLY and most.ratio > 1.0:
+            text += f" The residual of {most.name} is {number(most.ratio, 2)} times its noise."
+    else:
         text = "Nothing significant is missing from the model, as far as these data and these candidates tell."
-        if diagnosis.misfit.structured:
-            text += " The residuals are not white, but no candidate explains them better than coloured noise does."
-            channels = [c for c in diagnosis.misfit.channels.values() if c.predictable > _MOSTLY]
-            if channels:
-                most = max(channels, key=lambda c: c.predictable)
-                text += (
-                    f" Yet {percent(most.predictable)} of their power in {most.name} follows from what came before: "
-                    "that is noise with a long memory, or something that is none of these candidates."
-                )
-        return text
-    if kind == "unexplained":
-        return "The misfit is significant, but its cause is not established."
-    *first, last = (alias_set(f) for f in named)
-    text = f"The model misses {', '.join(first)}{' and ' if first else ''}{last}."
-    surrogates = [f.cause for f in named if f.status == "surrogate"]
-    if len(surrogates) == len(named):
-        text += " What fits is a surrogate, outside its physical range: the cause itself may be another."
-    elif surrogates:
+    minor = [f.cause for f in findings if f.status == "minor"]
+    if minor:
+        text += f" Minor: {', '.join(minor)}, which {'explains' if len(minor) == 1 else 'explain'} next to nothing."
+    surrogates = [f.cause for f in findings if f.status == "surrogate"]
+    if surrogates:
         what = "are surrogates, which fit" if len(surrogates) > 1 else "is a surrogate, which fits"
-        text += f" Of these {', '.join(surrogates)} {what} outside of what is physical."
-    if any(not f.cause for f in findings):
+        text += f" {', '.join(surrogates)} {what} outside of what is physical: the cause itself may be another."
+    if named and any(f.status == "unexplained" for f in findings):
         text += " A part of the misfit stays without an established cause."
     return text
 
@@ -135,6 +134,8 @@ def finding_lines(finding: Finding) -> list[str]:
         lines += _estimated(finding)
     if finding.status == "surrogate":
         lines.append("A surrogate: it fits, but its coefficient is outside of what is physical.")
+    if math.isfinite(finding.explained):
+        lines.append(_explained(finding))
     gain = f"Gain in log-likelihood, residuals whitened: {with_sign(finding.gain)} (threshold {finding.threshold:.1f})"
     if math.isfinite(finding.held_out_gain):
         gain += f"; on data held out: {with_sign(finding.held_out_gain)}"
@@ -153,6 +154,23 @@ def finding_lines(finding: Finding) -> list[str]:
     if finding.advice:
         lines.append(finding.advice)
     return lines
+
+
+def _explained(finding: Finding) -> str:
+    """What a finding explains in free simulation."""
+    low, high = finding.explained_interval
+    text = f"Explains {_share(finding.explained)} of the misfit in free simulation of data held out"
+    if math.isfinite(low) and math.isfinite(high):
+        text += f" (95 %: {_share(low)} to {_share(high)})"
+    best = max(finding.explained_outputs, key=lambda n: finding.explained_outputs[n], default="")
+    if len(finding.explained_outputs) > 1 and finding.explained_outputs[best] > 0.0:
+        text += f", most in {best}"
+    return f"{text}."
+
+
+def _share(part: float) -> str:
+    """A part that may be negative or next to nothing."""
+    return percent(part) if part >= 0.995 else f"{number(100.0 * part, 2)} %"
 
 
 def diagnosis_summary(diagnosis: DiagnosisResult) -> str:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..candidates.candidate import Candidate
 from .evidence import Assessment, is_physical
+from .free_run import Explained
 from .refit import HeldOut, Refit
 from .refit_cache import RefitCache
 from .refitting import Refitting
 from .screen import Screen
+from .simplest import complexity, is_as_good
 
 __all__ = ["Confirmation", "ConfirmationSettings", "Found"]
 
@@ -39,6 +41,7 @@ class Found:
     gain      in log-likelihood over the model with the other candidates.
     threshold that it had to pass.
     rivals    those that the data do not tell from it: name -> gain they would have instead, the likeliest first.
+    explained the part of the misfit that it explains in free simulation of held-out data, beside the others.
     """
 
     candidate: Candidate | None
@@ -47,6 +50,7 @@ class Found:
     rivals: Mapping[str, float]
     held_out: HeldOut
     ringing: tuple[float, ...] = ()
+    explained: Explained | None = None
 
 
 class Confirmation:
@@ -64,8 +68,12 @@ class Confirmation:
         self._assessment, self.settings = assessment, settings
 
     def accepted(self, current: Refit, tries: Sequence[Refit]) -> tuple[Refit | None, Found | None]:
-        """Return, of refits with one more term, the one whose new term is named, settled; else what remains
-        unexplained, if anything does."""
+        """Return, of refits with one more term, the one whose new term is a finding, settled; else what remains
+        unexplained, if anything does.
+
+        Refits that simulate held-out data clearly worse than the best one does come last, whatever their likelihood
+        with coloured noise.
+        """
         assess = self._assessment
         margins = {t.names: assess.margin(current, t) for t in tries}
 
@@ -75,6 +83,8 @@ class Confirmation:
             return margins[t.names] - (0.0 if is_physical(t, last) else assess.needed(t, last))
 
         significant = sorted((t for t in tries if margins[t.names] > 0), key=lambda t: -urgency(t))
+        behind = self._behind(current, significant)
+        significant.sort(key=lambda t: t.names in behind)
         unexplained, chances = None, self.settings.chances
         rejected: set[str] = set()
         known: set[str] = set()
@@ -92,8 +102,11 @@ class Confirmation:
             if not new or below is None or fewer:
                 continue
             evidence = assess.weigh(below, settled, new[0])
-            if evidence.named:
-                return settled, None
+            if evidence.accepted:
+                found = self._simplest(below, settled, new[0])
+                if self._is_progress(current, found):
+                    return found, None
+                continue
             if evidence.held_out is None:  # it is not even significant
                 continue
             rejected |= {c.name for c in new}
@@ -104,6 +117,46 @@ class Confirmation:
                 rivals = {c.name: evidence.gain / 2 for c in new}
                 unexplained = Found(None, evidence.gain / 2, evidence.threshold / 2, rivals, evidence.held_out)
         return None, unexplained
+
+    def _is_progress(self, current: Refit, found: Refit) -> bool:
+        """Tell whether a refit has more than the current one: what explains next to nothing displaces no earlier
+        finding."""
+        names = {*current.names}
+        if names <= {*found.names}:
+            return len(found.names) > len(names)
+        explained = self._assessment.explained(current, found)
+        return explained is not None and explained.significant and explained.part > self._assessment.settings.minor
+
+    def _behind(self, current: Refit, tries: Sequence[Refit]) -> Collection[tuple[str, ...]]:
+        """The names of refits that simulate held-out data clearly worse than the best of them does."""
+        parts = {t: e.part for t in tries if (e := self._assessment.explained(current, t)) is not None}
+        if not parts:
+            return set()
+        best = max(parts, key=lambda t: parts[t])
+        return {t.names for t in tries if t not in parts or self._assessment.is_worse(current, t, best)}
+
+    def _simplest(self, below: Refit, at: Refit, candidate: Candidate) -> Refit:
+        """Return a refit with the simplest term in place of a candidate that explains the data as well."""
+        others, assess, rank = below.candidates, self._assessment, complexity(candidate)
+        constants = [c for c in self._cache.candidates if c.place == candidate.place and not complexity(c)]
+        alike = [*self._screen.alike(below, candidate, at.own.filter), *constants]
+        simpler = {c.name: c for c in alike if complexity(c) < rank}
+        self._cache.refits([[*others, c] for c in simpler.values()], at.fit)
+        gain, explained = assess.gain(below, at), assess.explained(below, at)
+        if explained is None:
+            return at
+
+        def stands(r: Refit) -> bool:
+            (new,) = r.beside(others)
+            if complexity(new) >= rank or not is_physical(r, new):
+                return False
+            own, part = assess.gain(below, r), assess.explained(below, r)
+            if part is None or own <= assess.needed(r, new):
+                return False
+            return is_as_good(at, r, own / gain, (explained.part, part.part)) and not assess.is_worse(below, r, at)
+
+        found = [r for r in self._cache.with_one_more(others) if stands(r)]
+        return min(found, key=lambda r: (complexity(r.beside(others)[0]), -r.own.merit), default=at)
 
     def ringing(self, current: Refit) -> Found | None:
         """A misfit that noise as coloured as the residuals would swallow: they ring, and candidates that explain them
@@ -151,4 +204,5 @@ class Confirmation:
             assess.needed(at, candidate) / 2,
             rivals,
             assess.held_out(without, at),
+            explained=assess.explained(without, at),
         )

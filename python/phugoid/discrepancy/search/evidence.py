@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..candidates.candidate import Candidate
-from .refit import HeldOut, Refit, across_blocks, gain_on_other_data
+from .free_run import Explained, Misfitting, Simulated
+from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks
 from .refit_cache import RefitCache
 from .ringing import is_near
+
+if TYPE_CHECKING:
+    from .confirmation import Found
 
 __all__ = ["Assessment", "AssessmentSettings", "Evidence", "is_physical"]
 
@@ -28,6 +33,7 @@ class AssessmentSettings:
     clear        a misfit that no candidate explains is reported when twice the gain of the best is this often its
                  threshold.
     half         part of a mean square that is left where a candidate explains the better part of a misfit.
+    minor        part of the misfit's power: what explains less in free simulation is a minor finding.
     """
 
     false_alarm: float = 0.01
@@ -37,6 +43,7 @@ class AssessmentSettings:
     sure: float = 0.5
     clear: float = 1.5
     half: float = 0.5
+    minor: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,8 @@ class Evidence:
     clear      that it must pass where nothing is named.
     held_out   the gain on held-out data; None where the other gain is no more than chance gives.
     predicts   whether that is a gain.
+    explained  the part of the misfit that is explained in free simulation of held-out data; None like ``held_out``,
+               and where the model cannot be fitted there.
     rings      whether it is a disturbance at a mode at which the residuals ring.
     """
 
@@ -56,6 +65,7 @@ class Evidence:
     clear: float
     held_out: HeldOut | None = None
     predicts: bool = False
+    explained: Explained | None = None
     rings: bool = False
 
     @property
@@ -64,9 +74,11 @@ class Evidence:
         return self.gain > self.threshold
 
     @property
-    def named(self) -> bool:
-        """Tell whether the cause is named."""
-        return self.significant and self.predicts and not self.rings
+    def accepted(self) -> bool:
+        """Tell whether it is a finding: significant, confirmed by the likelihood of held-out data, and the free
+        simulation of these is not worse for it."""
+        worse = self.explained is None or self.explained.worse
+        return self.significant and self.predicts and not self.rings and not worse
 
 
 class Assessment:
@@ -85,7 +97,7 @@ class Assessment:
         held = self.held_out(base, more)
         predicts = self.predicts(held)
         rings = predicts and any(self._rings_too(more, c) for c in more.beside(base.candidates))
-        return Evidence(gain, threshold, clear, held, predicts, rings)
+        return Evidence(gain, threshold, clear, held, predicts, self.explained(base, more), rings)
 
     def threshold(self, candidate: Candidate | None = None) -> float:
         """Twice the gain in log-likelihood that chance reaches with none of all candidates; without a candidate that
@@ -125,6 +137,48 @@ class Assessment:
             return across_blocks(base, more, new)
         mine = self._cache.on_validation(more, others)
         return HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
+
+    def explained(self, base: Refit, more: Refit) -> Explained | None:
+        """The part of the misfit that a model explains more of than another, in free simulation of held-out data; None
+        where it cannot be fitted to them."""
+        return self._compared(base, base, more)
+
+    def is_worse(self, base: Refit, one: Refit, other: Refit) -> bool:
+        """Tell whether, beside the terms of a base, free simulation of held-out data is clearly worse with those of
+        one model than with those of another."""
+        found = self._compared(base, one, other)
+        return found is not None and found.significant and found.part > self.settings.minor
+
+    def is_named(self, at: Refit, found: Found) -> bool:
+        """Tell whether a finding names a cause: physical, and worth it in free simulation beyond chance."""
+        assert found.candidate is not None
+        return is_physical(at, found.candidate) and not self.is_minor(found)
+
+    def is_minor(self, found: Found) -> bool:
+        """Tell whether a finding explains less of the misfit than is worth a name, or no more than by chance."""
+        e = found.explained
+        return e is not None and not (e.significant and e.part >= self.settings.minor)
+
+    def _compared(self, base: Refit, one: Refit, other: Refit) -> Explained | None:
+        """What another model explains that one does not, by blocks of the records beside the terms of a base where
+        there are no other data."""
+        new = [*one.beside(base.candidates), *other.beside(base.candidates)]
+        on = self._cache.on_validation
+        if on(base) is not None and all(c.transferable for c in new):
+            first, second = on(one, on(base)), on(other, on(base))
+            if first is None or second is None:
+                return None
+            whole = on(self._cache.base)
+            assert whole is not None
+            return Simulated.of(second).explained(Simulated.of(first), Misfitting.of(whole))
+        root = self._cache.base
+        misfit = Misfitting.of(root.linear, self._from_blocks(root, root))
+        return self._from_blocks(base, other).explained(self._from_blocks(base, one), misfit)
+
+    def _from_blocks(self, base: Refit, more: Refit) -> Simulated:
+        """Errors of the blocks of the records, each predicted by the others, with what a model has beside a base."""
+        new = more.beside(base.candidates)
+        return Simulated.of(base.linear, predicted_blocks(base, more, new)[-1][1])
 
     def predicts(self, held: HeldOut) -> bool:
         """Tell whether a gain on held-out data is one."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -13,6 +14,9 @@ from ...parameters import text_table
 from ..misfit.misfit import Misfit
 
 __all__ = ["DiagnosisResult", "ExtensionResult", "Finding", "Gain", "Scored"]
+
+# Part of the residuals' power that their past predicts, from which on they are told to have structure.
+_STRUCTURE = 0.05
 
 
 @dataclass(frozen=True)
@@ -51,8 +55,10 @@ class Finding:
     cause          canonical name, ``where:what`` (`candidates`); "" where the cause is not established.
     aliases        other causes that the data do not tell from it, the likeliest first, three at most: read the finding
                    as "one of cause and aliases".
-    status         "named"; "surrogate": it fits, but a parameter is outside of what is physical, so it stands in for
-                   something else; "unexplained": the residuals hold more than noise, and no candidate predicts it.
+    status         "named"; "minor": significant, but it explains less of the misfit than 5 %, or no more than chance
+                   does, in free simulation; "surrogate": it fits, but a parameter is outside of what is physical, so it
+                   stands in for something else; "unexplained": the residuals hold more than noise, and no candidate
+                   predicts it.
     coefficient, std_error, interval   of its first parameter, in ``unit``; the interval is of 95 %. NaN where
                    unexplained. Standard errors are those for noise as coloured as the residuals.
     parameters     all its parameters: name in the extended model -> (value, standard error).
@@ -68,11 +74,16 @@ class Finding:
     units          parameter -> unit, for words.
     ringing        Hz, of lightly damped modes of the model at which the residuals ring, where the misfit is that and is
                    unexplained; ``gain`` is then by noise that does not ring.
+    explained      the part of the misfit that it explains beside the other findings, 1 for all, in free simulation of
+                   data held out: nothing but first states and biases is estimated there. The misfit is the mean square
+                   of the residuals of the model diagnosed, less that of their innovations. NaN where unexplained.
+    explained_interval   of 95 %, by a block bootstrap over time.
+    explained_outputs    output -> by how much its mean square falls, in parts of that of the model diagnosed.
     """
 
     cause: str
     aliases: tuple[str, ...]
-    status: Literal["named", "surrogate", "unexplained"]
+    status: Literal["named", "minor", "surrogate", "unexplained"]
     coefficient: float
     std_error: float
     interval: tuple[float, float]
@@ -86,6 +97,9 @@ class Finding:
     rivals: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     ringing: tuple[float, ...] = ()
+    explained: float = math.nan
+    explained_interval: tuple[float, float] = (math.nan, math.nan)
+    explained_outputs: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -182,17 +196,43 @@ class DiagnosisResult:
     interrupted: bool
     seconds: float
     _extension: ExtensionResult | None = None  # None where it comes from a file, and nothing was named
+    _full: ExtensionResult | None = None  # with minor findings and surrogates; None where it is the same
 
     @property
     def found(self) -> bool:
-        """Tell whether anything significant is missing."""
-        return bool(self.findings)
+        """Tell whether a cause is named."""
+        return any(f.status == "named" for f in self.findings)
 
-    def extend(self) -> ExtensionResult:
-        """Return the model with all terms that were found, its fit, and the gain over the base model."""
-        if self._extension is None:
+    @property
+    def verdict(self) -> Literal["named", "minor", "surrogate", "unexplained", "nothing"]:
+        """What the diagnosis comes to: the first of these that there is.
+
+        "named"        a cause that is significant both by the likelihood and in free simulation.
+        "unexplained"  residuals with structure, and no cause that is named: at least a finding that says so, or an
+                       output of which 5 % of the residuals' power, or more, is more than white noise.
+        "surrogate", "minor"   findings of that status only, and residuals without more structure than that.
+        "nothing"      residuals that pass for white noise, as far as these data tell.
+        """
+        statuses = {f.status for f in self.findings}
+        if "named" in statuses:
+            return "named"
+        if "unexplained" in statuses or self.structured_outputs:
+            return "unexplained"
+        return "surrogate" if "surrogate" in statuses else "minor" if "minor" in statuses else "nothing"
+
+    @property
+    def structured_outputs(self) -> tuple[str, ...]:
+        """Outputs whose residuals, in the model that was diagnosed, have structure worth a word; the worst first."""
+        channels = self.misfit.channels
+        return tuple(n for n in self.misfit.worst if channels[n].structured and channels[n].predictable >= _STRUCTURE)
+
+    def extend(self, *, minor: bool = False) -> ExtensionResult:
+        """Return the model with all causes that are named, its fit, and the gain over the base model; with ``minor``
+        minor findings and surrogates too."""
+        found = self._full or self._extension if minor else self._extension
+        if found is None:
             raise OptionError("extend: nothing was named when this diagnosis was saved, so there is no extended model")
-        return self._extension
+        return found
 
     def __repr__(self) -> str:
         what = ", ".join(f.cause or f.status for f in self.findings) or "nothing"

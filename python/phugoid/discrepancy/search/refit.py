@@ -25,7 +25,15 @@ from ...validation.biases import freed_by_default
 from ...validation.frozen_model import estimates_of, freeze_model, freeze_noise, mesh_for
 from ..candidates.candidate import Candidate
 
-__all__ = ["HeldOut", "Refit", "across_blocks", "gain_on_other_data", "on_other_data", "refit"]
+__all__ = [
+    "HeldOut",
+    "Refit",
+    "across_blocks",
+    "gain_on_other_data",
+    "on_other_data",
+    "predicted_blocks",
+    "refit",
+]
 
 # A refit goes on from a fit nearby: one that needs more goes nowhere.
 _ITERATIONS = 40
@@ -133,6 +141,8 @@ _Array = NDArray[np.float64]
 _BLOCKS = 4
 # Of what a block says of a parameter: the precision that all data together have is 1.
 _LOOSE, _TINY = 0.01, 1e-9
+# Directions of the parameters that a block says less of, in parts of the clearest, stay as they are there.
+_RANK = 1e-6
 
 
 class HeldOut(NamedTuple):
@@ -153,26 +163,48 @@ def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut
     """Gain in whitened log-likelihood of the blocks of the records, each predicted by what the others say of the new
     candidates.
 
+    See `predicted_blocks` for how blocks are predicted.
+    """
+    block = _blocks(base.linear)
+    without, with_new = (errors for errors, _ in predicted_blocks(base, more, new))
+    gain = 0.5 * (without**2 - with_new**2)
+    total = float(gain.sum())
+    best = max(float(gain[block == b].sum()) for b in range(_BLOCKS))
+    return HeldOut(total, float(np.sqrt(gain.size) * gain.std()), total - best)
+
+
+def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list[tuple[_Array, _Array]]:
+    """Errors of the blocks of the records without and with the new candidates: whitened (n_rows,) as the other blocks
+    predict them; and in the units of the outputs (n_rows,), with the new coefficients as the others predict them and
+    all else as it fits the block best.
+
     About the fit without them, to first order: their coefficients are those that the other blocks ask for, none
     where these say nothing of them. Parameters may follow by ten standard errors.
     """
     linear = base.linear
     whitened = base.through(more.own.filter)
-    columns, _, _ = linear.columns([(c, {n: more.fit.parameters[n].value for n in c.shape_names}) for c in new])
-    c = whitened.filter(columns).T
-    c /= np.maximum(np.linalg.norm(c, axis=0), 1e-300)
-    e = whitened.errors
-    block, gain = _blocks(linear), np.zeros(linear.n_rows)
-    for b in range(_BLOCKS):
-        inside = block == b
-        for sign, parts in ((-1.0, whitened.basis), (1.0, np.hstack([whitened.basis, c]))):
+    e, block, k = whitened.errors, _blocks(linear), whitened.basis.shape[1]
+    parts, added = whitened.basis, np.empty((linear.n_rows, 0))
+    scale = linear.scale()
+    found = []
+    for some in ([], new) if new else ([],):
+        if some:
+            columns, _, _ = linear.columns([(c, {n: more.fit.parameters[n].value for n in c.shape_names}) for c in new])
+            c = whitened.filter(columns).T
+            size = np.maximum(np.linalg.norm(c, axis=0), 1e-300)
+            parts, added = np.hstack([whitened.basis, c / size]), columns.T / size
+        damping = np.r_[np.full(k, _LOOSE), np.full(parts.shape[1] - k, _TINY)]
+        white, plain = e.copy(), whitened.residuals.copy()
+        for b in range(_BLOCKS):
+            inside = block == b
             seen = parts[~inside]
-            damping = np.r_[np.full(whitened.basis.shape[1], _LOOSE), np.full(parts.shape[1], _TINY)][: parts.shape[1]]
             step = np.linalg.solve(seen.T @ seen + np.diag(damping), seen.T @ e[~inside])
-            gain[inside] -= sign * 0.5 * (e[inside] - parts[inside] @ step) ** 2
-    total = float(gain.sum())
-    best = max(float(gain[block == b].sum()) for b in range(_BLOCKS))
-    return HeldOut(total, float(np.sqrt(gain.size) * gain.std()), total - best)
+            white[inside] -= parts[inside] @ step
+            rest = (plain[inside] - added[inside] @ step[k:]) / scale[inside]
+            own = whitened.plain_basis[inside] / scale[inside, None]
+            plain[inside] = scale[inside] * (rest - own @ np.linalg.lstsq(own, rest, rcond=_RANK)[0])
+        found.append((white, plain))
+    return found
 
 
 def _blocks(linear: Linearised) -> NDArray[np.intp]:

@@ -25,6 +25,8 @@ class ScreenSettings:
 
     clean, base, white  how many of the best by ranking, by the filter of the fit, and with residuals taken as white.
     different           those that explain what the best ones leave.
+    explains, share     how many of the best with residuals taken as white that explain this share of the residuals'
+                        power to first order, or more, whatever coloured noise makes of them.
     hopeless            what is this far below its threshold, by the filter of the fit and by the clean one, is not
                         refitted.
     same                two effects on the outputs are the same beyond this cosine: one stands for both.
@@ -35,6 +37,8 @@ class ScreenSettings:
     base: int = 4
     white: int = 2
     different: int = 4
+    explains: int = 4
+    share: float = 0.1
     hopeless: tuple[float, float] = (0.4, 0.8)
     same: float = 0.995
     alias: float = 0.95
@@ -47,7 +51,7 @@ class Screen:
         self._cache, self._threshold, self.settings = cache, threshold, settings
 
     def shortlist(self, at: Refit) -> list[Candidate]:
-        """Candidates that are worth a refit with those of ``at``."""
+        """Candidates that are worth a refit with those of ``at``, and those that the measurements suggest."""
         scan, s = self._cache.scan(at), self.settings
         if not scan.effects:
             return []
@@ -61,11 +65,20 @@ class Screen:
         for which, count in (("white", s.white), ("base", s.base), ("clean", s.clean)):
             for c in self._best(scan, statistics[which], count, ~hopeless):
                 names[c.name] = c
+        power = statistics["white"].values / max(at.linear.n_rows, 1)
+        for c in self._best(scan, statistics["white"], s.explains, power > s.share):
+            names[c.name] = c
         for i in scan.different(statistics["base"], s.different):
             candidate, shape = scan.effects[i]
             if candidate.name not in names and not hopeless[i]:
                 names[candidate.name] = candidate
                 self._cache.remember(candidate, shape, statistics["base"].amplitudes[i])
+        measured = {n: [r.measured[n] for r in at.fit.records] for n in at.linear.model.output_names}
+        for c in self._cache.candidates:
+            suggested = c.suggested(measured) if c.name not in {*names, *at.names} else None
+            if suggested is not None:
+                names[c.name] = c
+                self._cache.remember(c, suggested, np.empty(0))
         return list(names.values())
 
     def rivals(self, at: Refit, candidate: Candidate, filter: Filter, best: int, alike: int) -> list[Candidate]:

@@ -36,16 +36,22 @@ class SearchSettings:
 class SearchResult:
     """What a search found.
 
-    final        the model with all that was accepted, fitted.
-    found        what that is, and a misfit that nothing explains.
+    final        the model with all causes that are named, fitted.
+    found        what that is, minor findings and surrogates beside it, and a misfit that nothing explains.
+    full         the model with minor findings and surrogates too.
     remarks      what is to be said of it, in words.
     interrupted  whether the search was ended early.
     """
 
     final: Refit
+    full: Refit
     found: tuple[Found, ...] = ()
     remarks: tuple[str, ...] = ()
     interrupted: bool = False
+
+    def of(self, candidate: Candidate) -> Refit:
+        """Return the refit in which a finding is told."""
+        return self.final if candidate.name in self.final.names else self.full
 
 
 class Search:
@@ -71,22 +77,68 @@ class Search:
         """Screen, refit and confirm, one term after the other."""
         current, unexplained = self.cache.base, None
         remarks: tuple[str, ...] = ()
+        seen: set[tuple[str, ...]] = set()
         try:
             while len(current.candidates) < self.settings.most:
                 following, unexplained = self.confirmation.accepted(current, self.refitting.tries(current))
-                if following is None:
+                if following is None or following.names in seen:
                     break
+                seen.add(following.names)
+                minor = self._is_minor(current, following)
                 current = following
+                if minor:  # what comes next would be less
+                    break
+            current = self._pruned(current)
             unexplained = unexplained or self.confirmation.ringing(current)
             left = self.cache.ringing(current)
             if left and not (unexplained and unexplained.ringing):
                 remarks = (_rest_rings(left.frequencies),)
             found = [self.confirmation.found(current, c) for c in current.candidates]
+            final, found = self._named(current, found)
         except KeyboardInterrupt:
             nothing, nan = HeldOut(float("nan"), 0.0, float("nan")), float("nan")
             found = [Found(c, nan, self.assessment.threshold(c) / 2, {}, nothing) for c in current.candidates]
-            return SearchResult(current, tuple(found), remarks, True)
-        return SearchResult(current, (*found, unexplained) if unexplained else tuple(found), remarks)
+            return SearchResult(current, current, tuple(found), remarks, True)
+        return SearchResult(final, current, (*found, unexplained) if unexplained else tuple(found), remarks)
+
+    def _pruned(self, at: Refit) -> Refit:
+        """Return the refit without terms that later ones have made needless, the least significant first."""
+        while len(at.candidates) > 1:
+            margins = {}
+            for c in at.candidates:
+                without = self.cache.refit([other for other in at.candidates if other is not c], at.fit)
+                if without is not None:
+                    margins[without] = self.assessment.gain(without, at) - self.assessment.needed(at, c)
+            least = min(margins, key=lambda r: margins[r], default=at)
+            if least is at or margins[least] > 0.0:
+                break
+            at = least
+        return at
+
+    def _named(self, full: Refit, found: Sequence[Found]) -> tuple[Refit, list[Found]]:
+        """Return the refit with causes that are named only, and what is reported: of these in that refit, of others as
+        they were.
+
+        Of terms that are no cause the one that explains least is left out first: beside it another may look needless.
+        """
+        told = {f.candidate.name: f for f in found if f.candidate is not None}
+        at = full
+        while True:
+            weak = [c for c in at.candidates if not self.assessment.is_named(at, told[c.name])]
+            if not weak:
+                break
+            least = min(weak, key=lambda c: e.part if (e := told[c.name].explained) else 0.0)
+            following = self.cache.refit([c for c in at.candidates if c is not least], at.fit)
+            if following is None:
+                break
+            at = following
+            told |= {c.name: self.confirmation.found(at, c) for c in at.candidates}
+        return at, [told[f.candidate.name] if f.candidate else f for f in found]
+
+    def _is_minor(self, before: Refit, after: Refit) -> bool:
+        """Tell whether the last step explains less of the misfit than is worth a name."""
+        explained = self.assessment.explained(before, after)
+        return explained is None or explained.part < self.assessment.settings.minor
 
     def extension(self, final: Refit, known: bool = False) -> ExtensionResult:
         """The model with all terms that were found, its fit, and the gain over the base model. With ``known`` nothing

@@ -189,7 +189,7 @@ class Confirmation:
         alike = {c.name for c in self._screen.alike(without, candidate, filter)}
         rivals = {}
         for r, _ in self._refitting.rivals(at, candidate):
-            if r.names == at.names:
+            if r.names == at.names or assess.is_worse(without, r, at):
                 continue
             (other,) = r.beside(others)
             d = mine - r.through(filter).log_densities

@@ -17,7 +17,7 @@ from matplotlib import pyplot as plt
 
 import phugoid as ph
 from phugoid.discrepancy.misfit.misfit import misfit
-from phugoid.discrepancy.page.figures import findings_figure, gain_figure, ranking_figure
+from phugoid.discrepancy.page.figures import explained_figure, findings_figure, gain_figure, ranking_figure
 from phugoid.discrepancy.page.page import report
 from phugoid.discrepancy.page.words import diagnosis_summary, headline, outcome
 from phugoid.discrepancy.search.finding import DiagnosisResult, Finding, Scored
@@ -330,6 +330,29 @@ def test_findings_figure_shows_residuals_and_their_change(diagnosis: Any, extens
     np.testing.assert_allclose(lines["before"] - lines["after"], change, atol=1e-12)
     with pytest.raises(UnknownName, match="no channel 'Q'. Did you mean 'q'"):
         findings_figure(diagnosis.fit, extension, ["Q"])
+
+
+def test_explained_figure_has_named_causes_and_their_rivals() -> None:
+    named = dataclasses.replace(
+        FINDING,
+        explained=0.8,
+        explained_interval=(0.7, 0.85),
+        explained_outputs={"q": 0.9, "theta": 0.2},
+        rivals_explained={"q':q^2": 0.6},
+    )
+    figure, axes = explained_figure([named, MINOR, UNEXPLAINED])
+    left = axes["explained"]
+    assert [t.get_text() for t in left.get_yticklabels()] == ["q':q|q|", "or q':q^2", "q:bias (minor)"]
+    assert [bar.get_width() for bar in left.patches] == [80.0, pytest.approx(1.2)]
+    assert left.patches[0].get_facecolor() != left.patches[1].get_facecolor()
+    points = [
+        line.get_xdata()[0]
+        for line in axes["outputs"].get_lines()
+        if line.get_marker() == "o" and len(line.get_xdata())
+    ]
+    assert points == pytest.approx([90.0, 20.0, 1.0, 0.2])
+    with pytest.raises(DataError, match="no finding has a part"):
+        explained_figure([UNEXPLAINED])
 
 
 def test_ranking_figure_has_the_best_in_order(diagnosis: Any) -> None:

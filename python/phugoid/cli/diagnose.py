@@ -111,6 +111,7 @@ def _facts(found: Diagnosis) -> dict[str, Any]:
         "explained",
         "explained_interval",
         "explained_outputs",
+        "rivals_explained",
         "threshold",
         "explanation",
         "advice",

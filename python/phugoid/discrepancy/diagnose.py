@@ -87,6 +87,7 @@ def finding_of(result: SearchResult, found: Found, minor: bool) -> Finding:
         explained=explained.part if explained else float("nan"),
         explained_interval=explained.interval if explained else (float("nan"), float("nan")),
         explained_outputs=dict(explained.outputs) if explained else {},
+        rivals_explained=dict(found.rivals_explained),
     )
 
 

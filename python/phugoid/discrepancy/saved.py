@@ -101,6 +101,7 @@ _READ: Mapping[str, Callable[[Any], Any]] = {
             "rivals",
             "estimate",
             "explained_outputs",
+            "rivals_explained",
             "rms_before",
             "rms_after",
             "held_out_rms_before",

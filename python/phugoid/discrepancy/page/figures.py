@@ -13,13 +13,20 @@ from ...fit_result import FitResult
 from ...records import Record
 from ..misfit.figure import misfit_figure
 from ..misfit.phrases import number
-from ..search.finding import DiagnosisResult, ExtensionResult, Gain, Scored
+from ..search.finding import DiagnosisResult, ExtensionResult, Finding, Gain, Scored
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["diagnosis_figures", "findings_figure", "gain_figure", "misfit_figure", "ranking_figure"]
+__all__ = [
+    "diagnosis_figures",
+    "explained_figure",
+    "findings_figure",
+    "gain_figure",
+    "misfit_figure",
+    "ranking_figure",
+]
 
 _BARS = 12
 
@@ -27,6 +34,8 @@ _BARS = 12
 def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     """Return the figures of `Diagnosis.plot`; see there."""
     figures = [misfit_figure(diagnosis.misfit, diagnosis.fit)[0]]
+    if any(np.isfinite(f.explained) for f in diagnosis.findings):
+        figures.insert(0, explained_figure(diagnosis.findings)[0])
     if diagnosis.ranking:
         figures.append(ranking_figure(diagnosis.ranking, diagnosis.threshold)[0])
     extension = diagnosis._extension
@@ -34,6 +43,64 @@ def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
         figures.append(findings_figure(diagnosis.fit, extension)[0])
         figures.append(gain_figure(extension.gain, diagnosis.fit.model.units)[0])
     return figures
+
+
+# Rivals that are drawn beside a finding.
+_RIVALS = 3
+
+
+def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axes]]:
+    """What findings explain of the misfit in free simulation of data held out, with 95 % intervals; rivals beneath, and
+    beside it by how much the mean square of each output falls.
+
+    Named causes are dark, minor findings and surrogates pale. Returns the figure and the axes by ``"explained"`` and
+    ``"outputs"``. Raises DataError where no finding has a part that it explains.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib import rc_context
+
+    shown = [f for f in findings if np.isfinite(f.explained)]
+    if not shown:
+        raise DataError("explained_figure: no finding has a part of the misfit that it explains")
+    rivals = [[n for n in f.aliases if n in f.rivals_explained][:_RIVALS] for f in shown]
+    outputs = list(dict.fromkeys(name for f in shown for name in f.explained_outputs))
+    rows = sum(1 + len(each) for each in rivals)
+    with rc_context(STYLE):
+        figure, (left, right) = plt.subplots(
+            1,
+            2,
+            figsize=(WIDTH, 0.32 * rows + 1.1),
+            layout="constrained",
+            sharey=True,
+            gridspec_kw={"width_ratios": [1.7, 1.0]},
+        )
+        row, labels = 0, []
+        for f, others in zip(shown, rivals, strict=True):
+            color = MODEL if f.status == "named" else "#B5CFE0"
+            left.barh(row, 100.0 * f.explained, 0.62, color=color)
+            left.plot([100.0 * x for x in f.explained_interval], [row, row], color=RESIDUAL, linewidth=1.4)
+            right.plot([0.0, 100.0], [row, row], color="#E5E5E5", linewidth=0.6, zorder=0)
+            for k, name in enumerate(outputs):
+                right.plot(100.0 * f.explained_outputs.get(name, 0.0), row, "o", color=f"C{k}", ms=5.0)
+            labels.append(f"{f.cause} ({f.status})" if f.status != "named" else f.cause)
+            for name in others:
+                row += 1
+                left.plot(100.0 * f.rivals_explained[name], row, "D", ms=4.0, mfc="white", mec=RESIDUAL, mew=0.9)
+                labels.append(f"or {name}")
+            row += 1
+        left.axvline(0.0, color=INPUT, linewidth=0.6)
+        left.set_yticks(range(rows), [plain(text) for text in labels])
+        for text, label in zip(left.get_yticklabels(), labels, strict=True):
+            text.set_color(GREY if label.startswith("or ") else "black")
+        left.tick_params(axis="y", length=0.0)
+        left.invert_yaxis()
+        left.set_xlabel("part of the misfit explained, %")
+        right.set_xlabel("mean square less, %")
+        right.tick_params(axis="y", length=0.0)
+        for k, name in enumerate(outputs):  # for the key
+            right.plot([], [], linestyle="", marker="o", color=f"C{k}", ms=5.0, label=plain(name))
+        figure.legend(loc="outside upper right", ncols=6, frameon=False, fontsize=7.0)
+    return figure, {"explained": left, "outputs": right}
 
 
 def findings_figure(

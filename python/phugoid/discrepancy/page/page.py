@@ -13,7 +13,7 @@ from ...writing import check_folder, write
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
 from ..search.finding import DiagnosisResult, ExtensionResult, Finding
-from .figures import findings_figure, gain_figure, misfit_figure, ranking_figure
+from .figures import explained_figure, findings_figure, gain_figure, misfit_figure, ranking_figure
 from .words import alias_set, finding_lines, headline, outcome, with_sign
 
 __all__ = ["report"]
@@ -52,6 +52,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
         name=fit.model.name,
         headline=headline(diagnosis),
         outcome=outcome(diagnosis),
+        explained=_explained(diagnosis),
         wrong=_wrong(diagnosis),
         causes=[_cause(finding) for finding in diagnosis.findings],
         tried=len(diagnosis.ranking),
@@ -63,6 +64,13 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
         **more,
     )
     write(path, page, "the page")
+
+
+def _explained(diagnosis: DiagnosisResult) -> Any:
+    """The figure that tells the verdict; None where no finding has a part of the misfit that it explains."""
+    if not any(f.explained == f.explained for f in diagnosis.findings):
+        return None
+    return picture(explained_figure(diagnosis.findings)[0])
 
 
 def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:

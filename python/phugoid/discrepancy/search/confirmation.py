@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -42,6 +42,7 @@ class Found:
     threshold that it had to pass.
     rivals    those that the data do not tell from it: name -> gain they would have instead, the likeliest first.
     explained the part of the misfit that it explains in free simulation of held-out data, beside the others.
+    rivals_explained   the same of the rivals, in its place.
     """
 
     candidate: Candidate | None
@@ -51,6 +52,7 @@ class Found:
     held_out: HeldOut
     ringing: tuple[float, ...] = ()
     explained: Explained | None = None
+    rivals_explained: Mapping[str, float] = field(default_factory=dict)
 
 
 class Confirmation:
@@ -187,7 +189,7 @@ class Confirmation:
         filter = at.own.filter
         mine = at.through(filter).log_densities
         alike = {c.name for c in self._screen.alike(without, candidate, filter)}
-        rivals = {}
+        rivals, parts = {}, {}
         for r, _ in self._refitting.rivals(at, candidate):
             if r.names == at.names or assess.is_worse(without, r, at):
                 continue
@@ -198,6 +200,8 @@ class Confirmation:
             like = other.name in alike and gain > 0.5 * assess.gain(without, at) / 2
             if like or float(d.sum()) < self.settings.vuong * float(np.sqrt(d.size) * d.std()):
                 rivals[other.name] = gain
+                if (explained := assess.explained(without, r)) is not None:
+                    parts[other.name] = explained.part
         return Found(
             candidate,
             assess.gain(without, at) / 2,
@@ -205,4 +209,5 @@ class Confirmation:
             rivals,
             assess.held_out(without, at),
             explained=assess.explained(without, at),
+            rivals_explained=parts,
         )

@@ -79,6 +79,7 @@ class Finding:
                    of the residuals of the model diagnosed, less that of their innovations. NaN where unexplained.
     explained_interval   of 95 %, by a block bootstrap over time.
     explained_outputs    output -> by how much its mean square falls, in parts of that of the model diagnosed.
+    rivals_explained     alias -> part of the misfit that it would explain in place of the cause.
     """
 
     cause: str
@@ -100,6 +101,7 @@ class Finding:
     explained: float = math.nan
     explained_interval: tuple[float, float] = (math.nan, math.nan)
     explained_outputs: Mapping[str, float] = field(default_factory=dict)
+    rivals_explained: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ class Newton:
     time_limit: float | None = None
     regression: bool | None = None
     gauss_newton: bool = True
+    paths: bool | None = None
 
     def __post_init__(self) -> None:
         check_limits("Newton", self.max_iterations, self.tolerance, self.time_limit)
@@ -53,6 +54,7 @@ class Newton:
         watch: Callable[[Iteration], None] | None = None,
         states_known: bool = False,
         near: bool = False,
+        sparse: bool = False,
         stop: Callable[[], bool] | None = None,
     ) -> Solution:
         """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration, ``stop`` is
@@ -85,6 +87,7 @@ class Newton:
             not near,
             each if watch is not None else None,
             stop,
+            bool((sparse if self.paths is None else self.paths) and not regression and not warm),
         )
         history += [line(*entries[:6]) for entries in found.history]
         at = found.xi

@@ -10,7 +10,7 @@ mod separable;
 
 use crate::interrupt::{Interrupt, current};
 use crate::nlp::{NotFinite, Separable};
-use crate::solver::{Control, Ending, Iteration, Newton, Point, Program, Settings, Solution, Status};
+use crate::solver::{Approach, Control, Ending, Iteration, Newton, Point, Program, Settings, Solution, Status};
 use regression::Regression;
 
 /// What goes before the first step of the loop.
@@ -24,6 +24,8 @@ pub enum Initial {
     Regression,
     /// The same, which looks elsewhere, too, where the model is not linear in its parameters.
     Places,
+    /// Steps along paths that satisfy the equations, as far as they lead: for states that are not measured, and few samples.
+    Paths,
 }
 
 type Watch<'w> = dyn FnMut(&Iteration) -> Control + 'w;
@@ -60,6 +62,9 @@ fn best<'a>(
 ) -> Result<(Newton<'a>, Ending), NotFinite> {
     let program = Program::new(nlp, start);
     let point = Point::first(&program, start)?;
+    if initial == Initial::Paths {
+        return along_paths(program, point, settings, watch);
+    }
     let (point, rival) = begin(nlp, &program, point, initial);
     let mut newton = Newton::new(program, point, multipliers, settings);
     let mut ending = newton.minimise(watch)?;
@@ -87,6 +92,40 @@ fn best<'a>(
         newton = again;
     }
     Ok((newton, ending))
+}
+
+/// The run from where steps along paths that satisfy the equations lead; back there, where it leads nowhere from there.
+fn along_paths<'a>(
+    program: Program<'a>,
+    point: Point,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<(Newton<'a>, Ending), NotFinite> {
+    let nlp = program.nlp;
+    let mut newton = Newton::new(program, point, None, settings);
+    match newton.approach(watch)? {
+        Approach::Ended(ending) => return Ok((newton, ending)),
+        Approach::None => {
+            let ending = newton.minimise(watch)?;
+            return Ok((newton, ending));
+        }
+        Approach::Taken(false) => return Ok((newton, Status::Acceptable.into())),
+        Approach::Taken(true) => {}
+    }
+    // Its units are those of this path.
+    let reached = newton.point().xi.clone();
+    let program = Program::new(nlp, &reached);
+    let point = Point::first(&program, &reached)?;
+    let best = point.objective;
+    let mut last = Newton::new(program, point, None, settings);
+    last.take_over(&mut newton);
+    let ending = last.minimise(watch)?;
+    let worse = last.point().objective > best + 1e-3;
+    if ending.status.unfinished() || !(ending.status.lost() || worse) {
+        return Ok((last, ending));
+    }
+    newton.take_over(&mut last);
+    Ok((newton, Status::Acceptable.into()))
 }
 
 /// Where the loop begins; where another place than that of the regression from the start was chosen, that one, too.

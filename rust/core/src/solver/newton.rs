@@ -21,17 +21,17 @@ const CLOSE: f64 = 1e-3;
 
 /// A run of Newton's method. Everything that the loop keeps is allocated once.
 pub(crate) struct Newton<'a> {
-    program: Program<'a>,
-    settings: Settings,
-    iterate: Iterate,
-    step: Step,
-    system: NewtonSystem,
+    pub(super) program: Program<'a>,
+    pub(super) settings: Settings,
+    pub(super) iterate: Iterate,
+    pub(super) step: Step,
+    pub(super) system: NewtonSystem,
     search: LineSearch,
-    sizes: Sizes,
+    pub(super) sizes: Sizes,
     /// Whether the exact Hessian is in use.
     exact: bool,
     began: Instant,
-    history: Vec<Iteration>,
+    pub(super) history: Vec<Iteration>,
 }
 
 impl<'a> Newton<'a> {
@@ -203,7 +203,7 @@ impl<'a> Newton<'a> {
 
 /// Derivatives at the iterate, the Newton system there, and its solution. `effort` says whether the Hessian is to be
 /// exact, and whether a costly system need not be factorised.
-fn newton_step<'s>(
+pub(super) fn newton_step<'s>(
     program: &Program<'_>,
     iterate: &mut Iterate,
     system: &'s mut NewtonSystem,

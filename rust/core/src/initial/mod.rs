@@ -103,7 +103,7 @@ fn along_paths<'a>(
 ) -> Result<(Newton<'a>, Ending), NotFinite> {
     let nlp = program.nlp;
     let mut newton = Newton::new(program, point, None, settings);
-    match newton.approach(watch)? {
+    match newton.approach(watch) {
         Approach::Ended(ending) => return Ok((newton, ending)),
         Approach::None => {
             let ending = newton.minimise(watch)?;

@@ -66,13 +66,6 @@ impl ActiveSet {
         self.profiled = profiled;
     }
 
-    /// Holds nothing but what is fixed or profiled, as `held` says, too.
-    pub fn hold_as_given(&mut self, held: &mut [bool], profiled: Range<usize>) {
-        held.copy_from_slice(&self.fixed);
-        profiled.for_each(|i| held[i] = true);
-        self.multiplier.fill(0.0);
-    }
-
     /// Most rounds of changes.
     pub fn rounds(&self) -> usize {
         if self.bounded.is_empty() { 0 } else { 3 * self.bounded.len() + 10 }

@@ -25,9 +25,9 @@ pub(crate) struct Newton<'a> {
     pub(super) settings: Settings,
     pub(super) iterate: Iterate,
     pub(super) step: Step,
-    pub(super) system: NewtonSystem,
+    system: NewtonSystem,
     search: LineSearch,
-    pub(super) sizes: Sizes,
+    sizes: Sizes,
     /// Whether the exact Hessian is in use.
     exact: bool,
     began: Instant,
@@ -203,7 +203,7 @@ impl<'a> Newton<'a> {
 
 /// Derivatives at the iterate, the Newton system there, and its solution. `effort` says whether the Hessian is to be
 /// exact, and whether a costly system need not be factorised.
-pub(super) fn newton_step<'s>(
+fn newton_step<'s>(
     program: &Program<'_>,
     iterate: &mut Iterate,
     system: &'s mut NewtonSystem,

@@ -192,41 +192,6 @@ impl Factored<'_> {
         Some(Promise::of(program, iterate, step, self.active))
     }
 
-    /// The step with another shift, where variables that stand at a bound and are pushed out of it are held, and others may
-    /// leave their bounds: for a search that cuts steps off there. `held` (n) is scratch. None where the system is not
-    /// positive with that shift.
-    pub fn projected(
-        &mut self,
-        shift: f64,
-        program: &Program<'_>,
-        iterate: &Iterate,
-        step: &mut Step,
-        held: &mut [bool],
-    ) -> Option<Promise> {
-        self.active.hold_as_given(held, program.nlp.profiled());
-        let xi = &iterate.point.xi;
-        for _ in 0..=program.border() {
-            if !self.factor.finish(held, shift).is_positive() {
-                return None;
-            }
-            self.p.iter_mut().zip(&iterate.gradient).for_each(|(p, g)| *p = -g);
-            self.q.iter_mut().zip(&iterate.point.c).for_each(|(q, c)| *q = -c);
-            program.count(|e| e.solutions += 1);
-            self.factor.solve(self.p, self.q, &mut step.d, &mut step.multipliers);
-            let mut any = false;
-            for i in 0..program.border() {
-                let out = xi[i] <= program.lower[i] && step.d[i] < 0.0
-                    || xi[i] >= program.upper[i] && step.d[i] > 0.0;
-                any |= out && !held[i];
-                held[i] |= out;
-            }
-            if !any {
-                break;
-            }
-        }
-        Some(Promise::of(program, iterate, step, self.active))
-    }
-
     /// The step back to the constraints from a point where they have the values `c`.
     pub fn correction(&mut self, program: &Program<'_>, c: &[f64], step: &mut Step) {
         self.p.fill(0.0);

@@ -26,8 +26,22 @@ struct Block {
     own: Vec<(usize, usize, usize)>,
     /// Number of an entry, its row within the block, and its column, which another block determines.
     others: Vec<(usize, usize, usize)>,
+    /// The same of columns that no block determines.
+    free: Vec<(usize, usize, usize)>,
     /// The states of the point before, which the block starts from; none of the first.
     before: Option<usize>,
+}
+
+impl Block {
+    /// Its square of the Jacobian, or the transpose of that.
+    fn fill(&self, jacobian: &[f64], matrix: &mut Vec<f64>, transposed: bool) {
+        let n = self.rows.len();
+        matrix.clear();
+        matrix.resize(n * n, 0.0);
+        for &(entry, r, c) in &self.own {
+            matrix[if transposed { c * n + r } else { r * n + c }] += jacobian[entry];
+        }
+    }
 }
 
 /// The blocks of a program, and memory.
@@ -56,6 +70,7 @@ impl Restoration {
             columns,
             own: Vec::new(),
             others: Vec::new(),
+            free: Vec::new(),
             before,
         };
         let mut conditions = Vec::new(); // rows that may depend on the first states alone
@@ -98,7 +113,7 @@ impl Restoration {
             match of_column[column] {
                 Some((of, c)) if of == number => blocks[number].own.push((k, r, c)),
                 Some(_) => blocks[number].others.push((k, r, column)),
-                None => {}
+                None => blocks[number].free.push((k, r, column)),
             }
         }
         Some(Restoration {
@@ -128,6 +143,53 @@ impl Restoration {
             let slack = 1e-9 * (1.0 + xi[i].abs());
             xi[i] >= program.lower[i] - slack && xi[i] <= program.upper[i] + slack
         })
+    }
+
+    /// The variables that are determined by others.
+    pub fn determined(&self) -> impl Iterator<Item = usize> + '_ {
+        self.blocks.iter().flat_map(|b| b.columns.iter().copied())
+    }
+
+    /// The derivatives of all variables with respect to the free ones, row-major in `z`, where the rows of the free ones are
+    /// set; whether they are defined. `width` is the number of free variables.
+    pub fn sensitivities(&mut self, jacobian: &[f64], z: &mut [f64], width: usize) -> bool {
+        for block in &self.blocks {
+            let n = block.rows.len();
+            block.fill(jacobian, &mut self.matrix, false);
+            self.right.clear();
+            self.right.resize(n * width, 0.0);
+            for &(entry, r, column) in block.others.iter().chain(&block.free) {
+                let from = &z[column * width..][..width];
+                let to = &mut self.right[r * width..][..width];
+                to.iter_mut().zip(from).for_each(|(t, z)| *t -= jacobian[entry] * z);
+            }
+            if !solve_dense(&mut self.matrix, &mut self.right, width) {
+                return false;
+            }
+            for (&column, from) in block.columns.iter().zip(self.right.chunks_exact(width)) {
+                z[column * width..][..width].copy_from_slice(from);
+            }
+        }
+        true
+    }
+
+    /// The multipliers with which the gradient of the Lagrangian vanishes for all determined variables, given that of
+    /// the objective; whether there are such.
+    pub fn multipliers(&mut self, jacobian: &[f64], gradient: &[f64], out: &mut [f64]) -> bool {
+        self.d.copy_from_slice(gradient);
+        for block in self.blocks.iter().rev() {
+            block.fill(jacobian, &mut self.matrix, true);
+            self.right.clear();
+            self.right.extend(block.columns.iter().map(|&i| -self.d[i]));
+            if !solve_dense(&mut self.matrix, &mut self.right, 1) {
+                return false;
+            }
+            block.rows.iter().zip(&self.right).for_each(|(&row, l)| out[row] = *l);
+            for &(entry, r, column) in &block.others {
+                self.d[column] += jacobian[entry] * self.right[r];
+            }
+        }
+        true
     }
 
     /// Newton's method for all blocks, as long as it contracts.
@@ -230,18 +292,13 @@ impl Restoration {
     /// The Newton step of a block, given those of the blocks before; whether there is one.
     fn step_of(&mut self, k: usize) -> bool {
         let block = &self.blocks[k];
-        let n = block.rows.len();
-        self.matrix.clear();
-        self.matrix.resize(n * n, 0.0);
+        block.fill(&self.jacobian, &mut self.matrix, false);
         self.right.clear();
         self.right.extend(block.rows.iter().map(|&r| -self.c[r]));
-        for &(entry, r, c) in &block.own {
-            self.matrix[r * n + c] += self.jacobian[entry];
-        }
         for &(entry, r, column) in &block.others {
             self.right[r] -= self.jacobian[entry] * self.d[column];
         }
-        if !solve_dense(&mut self.matrix, &mut self.right) {
+        if !solve_dense(&mut self.matrix, &mut self.right, 1) {
             return false;
         }
         block.columns.iter().zip(&self.right).for_each(|(&i, x)| self.d[i] = *x);
@@ -257,33 +314,43 @@ fn defect_of(program: &Program<'_>, block: &Block, c: &[f64], xi: &[f64]) -> f64
     block.rows.iter().zip(&block.columns).map(one).fold(0.0, f64::max)
 }
 
-/// Solves A x = b, A row-major, by elimination with row exchanges; x replaces b. Whether A is regular.
-fn solve_dense(a: &mut [f64], b: &mut [f64]) -> bool {
-    let n = b.len();
+/// Solves A X = B by elimination with row exchanges, A and B row-major, B with so many columns; X replaces B. Whether A is
+/// regular.
+fn solve_dense(a: &mut [f64], b: &mut [f64], width: usize) -> bool {
+    let n = b.len() / width.max(1);
     for k in 0..n {
-        let pivot = (k..n).max_by(|&i, &j| a[i * n + k].abs().total_cmp(&a[j * n + k].abs()));
-        let pivot = pivot.unwrap_or(k);
+        let mut pivot = k;
+        for i in k + 1..n {
+            if a[i * n + k].abs() > a[pivot * n + k].abs() {
+                pivot = i;
+            }
+        }
         let size = a[pivot * n + k].abs();
         if !(size > 0.0 && size.is_finite()) {
             return false;
         }
         if pivot != k {
-            b.swap(pivot, k);
-            (0..n).for_each(|j| a.swap(pivot * n + j, k * n + j));
+            (k..n).for_each(|j| a.swap(pivot * n + j, k * n + j));
+            (0..width).for_each(|j| b.swap(pivot * width + j, k * width + j));
         }
         let (above, below) = a.split_at_mut((k + 1) * n);
-        let row = &above[k * n..];
-        for (i, to) in below.chunks_exact_mut(n).enumerate() {
+        let (b_above, b_below) = b.split_at_mut((k + 1) * width);
+        let (row, b_row) = (&above[k * n..], &b_above[k * width..]);
+        for (to, b_to) in below.chunks_exact_mut(n).zip(b_below.chunks_exact_mut(width)) {
             let part = to[k] / row[k];
             if part != 0.0 {
                 to[k + 1..].iter_mut().zip(&row[k + 1..]).for_each(|(t, r)| *t -= part * r);
-                b[k + 1 + i] -= part * b[k];
+                b_to.iter_mut().zip(b_row).for_each(|(t, r)| *t -= part * r);
             }
         }
     }
     for k in (0..n).rev() {
-        let sum: f64 = (k + 1..n).map(|j| a[k * n + j] * b[j]).sum();
-        b[k] = (b[k] - sum) / a[k * n + k];
+        let (above, below) = b.split_at_mut((k + 1) * width);
+        let to = &mut above[k * width..];
+        for (from, x) in a[k * n + k + 1..(k + 1) * n].iter().zip(below.chunks_exact(width)) {
+            to.iter_mut().zip(x).for_each(|(t, x)| *t -= from * x);
+        }
+        to.iter_mut().for_each(|t| *t /= a[k * n + k]);
     }
     b.iter().all(|x| x.is_finite())
 }

@@ -31,6 +31,8 @@ class Newton:
     where every state is measured or its start is given. Where the model is not linear in its parameters, the linear
     ones are projected out (Golub & Pereyra 1973) and other places are looked at, too, unless a fit is the start.
     ``gauss_newton`` False uses the exact Hessian from the start.
+    ``paths``: start with steps along paths that satisfy the equations, which are integrated anew after each step, with the
+    parameters in a trust region; None does so where states are neither measured nor given and there are few samples.
     ``time_limit`` in seconds, of all that the estimation does; the best point so far is the result.
     """
 
@@ -43,8 +45,9 @@ class Newton:
 
     def __post_init__(self) -> None:
         check_limits("Newton", self.max_iterations, self.tolerance, self.time_limit)
-        if self.regression not in (None, True, False):
-            raise OptionError(f"Newton: regression is True, False or None, not {self.regression!r}")
+        for name in ("regression", "paths"):
+            if getattr(self, name) not in (None, True, False):
+                raise OptionError(f"Newton: {name} is True, False or None, not {getattr(self, name)!r}")
 
     def solve(
         self,
@@ -61,6 +64,7 @@ class Newton:
         asked now and then and ends the run.
 
         ``states_known``: the states in ``xi`` are measured, so that a regression on them makes sense.
+        ``sparse``: they are not, and there are few samples, so that steps along consistent paths make sense.
         ``near``: they and the parameters are those of a fit, so that there is no need to look elsewhere.
 
         Raises EvaluationError where a function is not finite at the start.

@@ -94,7 +94,16 @@ fn best<'a>(
     Ok((newton, ending))
 }
 
-/// The run from where steps along paths that satisfy the equations lead; back there, where it leads nowhere from there.
+/// Most steps from the end of an approach to that of the loop.
+const LAST: usize = 20;
+/// Most restarts from the other side of bounds.
+const RESTARTS: usize = 8;
+/// A run that is not better by more than this is no other optimum.
+const BETTER: f64 = 1e-3;
+
+/// The run from where steps along paths that satisfy the equations lead. Where parameters end at bounds, as rates do that are
+/// fast enough, the likelihood is flat there and says nothing of what lies beyond: each is started once more from the middle
+/// between its bounds.
 fn along_paths<'a>(
     program: Program<'a>,
     point: Point,
@@ -103,13 +112,58 @@ fn along_paths<'a>(
 ) -> Result<(Newton<'a>, Ending), NotFinite> {
     let nlp = program.nlp;
     let mut newton = Newton::new(program, point, None, settings);
-    match newton.approach(watch) {
-        Approach::Ended(ending) => return Ok((newton, ending)),
-        Approach::None => {
+    let mut ending = match approached(nlp, &mut newton, settings, watch)? {
+        Some(ending) => ending,
+        None => {
             let ending = newton.minimise(watch)?;
             return Ok((newton, ending));
         }
-        Approach::Taken(false) => return Ok((newton, Status::Acceptable.into())),
+    };
+    let mut tried: Vec<usize> = Vec::new();
+    for _ in 0..RESTARTS {
+        if ending.status.unfinished() || newton.program().stopped().is_some() {
+            break;
+        }
+        let (xi, program) = (&newton.point().xi, newton.program());
+        let at_bound = |&i: &usize| {
+            let (low, high) = (program.lower[i], program.upper[i]);
+            let slack = 1e-9 * (high - low);
+            high.is_finite() && low.is_finite() && low < high && (xi[i] <= low + slack || xi[i] >= high - slack)
+        };
+        let own = nlp.profiled();
+        let mut candidates = (0..program.border()).filter(|i| !own.contains(i) && !tried.contains(i));
+        let Some(i) = candidates.find(at_bound) else { break };
+        tried.push(i);
+        let mut place = xi.clone();
+        place[i] = 0.5 * (program.lower[i] + program.upper[i]);
+        let program = Program::new(nlp, &place);
+        let Ok(point) = Point::first(&program, &place) else { continue };
+        let mut other = Newton::new(program, point, None, settings);
+        other.take_over(&mut newton);
+        let found = approached(nlp, &mut other, settings, watch)?;
+        match found {
+            Some(end) if other.point().objective < newton.point().objective - BETTER => {
+                newton = other;
+                ending = end;
+            }
+            _ => newton.take_over(&mut other),
+        }
+    }
+    Ok((newton, ending))
+}
+
+/// The end of an approach, and of the loop from there where it led to an optimum; back there, where it leads nowhere from there.
+/// `None` where there is no path to begin with.
+fn approached<'a>(
+    nlp: &'a dyn crate::nlp::Nlp,
+    newton: &mut Newton<'a>,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Ending>, NotFinite> {
+    match newton.approach(watch) {
+        Approach::Ended(ending) => return Ok(Some(ending)),
+        Approach::None => return Ok(None),
+        Approach::Taken(false) => return Ok(Some(Status::Acceptable.into())),
         Approach::Taken(true) => {}
     }
     // Its units are those of this path.
@@ -117,15 +171,18 @@ fn along_paths<'a>(
     let program = Program::new(nlp, &reached);
     let point = Point::first(&program, &reached)?;
     let best = point.objective;
-    let mut last = Newton::new(program, point, None, settings);
-    last.take_over(&mut newton);
+    let most = newton.iterations() + LAST;
+    let capped = Settings { max_iterations: most.min(settings.max_iterations), ..settings.clone() };
+    let mut last = Newton::new(program, point, None, &capped);
+    last.take_over(newton);
     let ending = last.minimise(watch)?;
-    let worse = last.point().objective > best + 1e-3;
-    if ending.status.unfinished() || !(ending.status.lost() || worse) {
-        return Ok((last, ending));
+    let fine = ending.status.is_end() && last.point().objective < best + BETTER;
+    if fine || matches!(ending.status, Status::Interrupted | Status::TimeLimit) {
+        *newton = last;
+        return Ok(Some(ending));
     }
     newton.take_over(&mut last);
-    Ok((newton, Status::Acceptable.into()))
+    Ok(Some(Status::Acceptable.into()))
 }
 
 /// Where the loop begins; where another place than that of the regression from the start was chosen, that one, too.

@@ -21,6 +21,8 @@ const NEAR: f64 = 10.0;
 const CLOSE: f64 = 1e-5;
 /// It ends, too, where so many steps together bring less than this.
 const SLOW: (usize, f64) = (25, 1e-3);
+/// Standard deviations that start at the spread of the measurements are profiled once a step promises less than this.
+const SETTLED: f64 = 0.1;
 /// Radius of the first step, in units of sizes of variables; its limits.
 const FIRST: f64 = 1.0;
 const LEAST: f64 = 1e-7;
@@ -51,7 +53,8 @@ impl Newton<'_> {
         }
         let Some(mut reduced) = Reduced::new(program, &restoration, &trial.xi) else { return Approach::None };
         std::mem::swap(&mut iterate.point, &mut trial);
-        settle_noise(program, iterate);
+        // With standard deviations as they start, the spreads of the measurements, one output does not outweigh the others.
+        let mut released = program.nlp.profiled().is_empty();
         let mut line = Iteration::at(history.last().map_or(0, |l| l.number + 1), &iterate.point, false);
         let (mut radius, mut exact, mut values) = (FIRST, false, Vec::new());
         loop {
@@ -70,14 +73,23 @@ impl Newton<'_> {
             if watch(&line) == Control::Stop {
                 return Approach::Ended(Status::Interrupted.into());
             }
+            let before = values.len().checked_sub(SLOW.0 + 1).map(|k| values[k]);
+            let slow = before.is_some_and(|before| before - iterate.point.objective < SLOW.1);
+            if !released && (promise < SETTLED || slow) {
+                released = true;
+                settle_noise(program, iterate);
+                (radius, exact) = (FIRST, false);
+                values.clear();
+                line = Iteration::at(line.number + 1, &iterate.point, exact);
+                continue;
+            }
             if promise < CLOSE {
                 return Approach::Taken(true);
             }
             if line.number >= settings.max_iterations {
                 return Approach::Ended(Status::IterationLimit.into());
             }
-            let before = values.len().checked_sub(SLOW.0 + 1).map(|k| values[k]);
-            if before.is_some_and(|before| before - iterate.point.objective < SLOW.1) {
+            if slow {
                 return Approach::Taken(false);
             }
             let mut trials = 0;
@@ -103,11 +115,17 @@ impl Newton<'_> {
             };
             if kept > TAKEN {
                 iterate.accept(&mut trial, 0.0, step);
-                iterate.update_noise(program, 1.0);
+                if released {
+                    iterate.update_noise(program, 1.0);
+                }
                 exact = promise < NEAR && (exact || kept > POOR) || kept < POOR && !exact;
             } else if exact {
                 // The other Hessian may know a way.
                 (exact, radius) = (false, FIRST);
+            } else if !released && program.stopped().is_none() {
+                released = true;
+                settle_noise(program, iterate);
+                radius = FIRST;
             } else {
                 return program.stopped().map_or(Approach::Taken(false), |s| Approach::Ended(s.into()));
             }

@@ -45,7 +45,8 @@ impl Reduced {
         let border = program.border();
         let units = &program.units.states;
         let size = |&i: &usize| {
-            let (range, unit) = (program.upper[i] - program.lower[i], units[i.saturating_sub(border) % units.len()]);
+            let (range, unit) =
+                (program.upper[i] - program.lower[i], units[i.saturating_sub(border) % units.len()]);
             match nlp.longest_step(i) {
                 most if most.is_finite() => most,
                 _ if i >= border => unit.max(0.3 * xi[i].abs()),
@@ -67,7 +68,13 @@ impl Reduced {
     }
 
     /// Evaluates both at an iterate that satisfies the equations; whether they are defined.
-    pub fn evaluate(&mut self, program: &Program<'_>, restoration: &mut Restoration, iterate: &mut Iterate, exact: bool) -> bool {
+    pub fn evaluate(
+        &mut self,
+        program: &Program<'_>,
+        restoration: &mut Restoration,
+        iterate: &mut Iterate,
+        exact: bool,
+    ) -> bool {
         if iterate.evaluate(program).is_err() {
             return false;
         }
@@ -75,7 +82,8 @@ impl Reduced {
         if !restoration.multipliers(jacobian, gradient, multipliers) {
             return false;
         }
-        let finite = (exact && iterate.exact_hessian(program).is_ok()) || iterate.gauss_newton(program).is_ok();
+        let finite =
+            (exact && iterate.exact_hessian(program).is_ok()) || iterate.gauss_newton(program).is_ok();
         let p = self.free.len();
         self.z.fill(0.0);
         for (k, &i) in self.free.iter().enumerate() {
@@ -191,9 +199,8 @@ impl Reduced {
         if n == 0 {
             return DVector::zeros(0);
         }
-        let entry = |a: usize, b: usize| {
-            self.hessian[own[a] * p + own[b]] * self.sizes[own[a]] * self.sizes[own[b]]
-        };
+        let entry =
+            |a: usize, b: usize| self.hessian[own[a] * p + own[b]] * self.sizes[own[a]] * self.sizes[own[b]];
         let eigen = SymmetricEigen::new(DMatrix::from_fn(n, n, |a, b| 0.5 * (entry(a, b) + entry(b, a))));
         let pulled = |a: usize| self.hessian[a * p..][..p].iter().zip(d).map(|(h, d)| h * d).sum::<f64>();
         let gradient =

@@ -164,6 +164,7 @@ fn along_paths<'a>(
             Some(end) if other.point().objective < newton.point().objective - BETTER => {
                 newton = other;
                 ending = end;
+                tried = vec![i]; // from here the others may lead on
             }
             _ => newton.take_over(&mut other),
         }

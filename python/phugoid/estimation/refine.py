@@ -33,9 +33,9 @@ _DIVISIONS, _PARTS, _GRADES = 3, 4, 3
 def refined(solve: Callable[[Collocation, FitResult | None], FitResult], transcription: Collocation) -> FitResult:
     """The fit on a mesh that is fine enough: ``solve`` estimates with a transcription, from a fit or the user's start.
 
-    A first mesh on which the equations have no solution is divided three times. Ends where the tolerance is met, after 10
-    passes, or with a pass that does not converge. Without a pass that was
-    finished there is no `Fit.refinement`.
+    A first mesh on which the equations have no solution is divided, three times at most. Ends where the tolerance is
+    met, after 10 passes, or with a pass that does not converge. Without a pass that was finished there is no
+    `Fit.refinement`.
     """
     mesh = replace(transcription, refine=False)
     first = fit = solve(mesh, None)

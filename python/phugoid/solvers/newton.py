@@ -31,7 +31,7 @@ class Newton:
     where every state is measured or its start is given. Where the model is not linear in its parameters, the linear
     ones are projected out (Golub & Pereyra 1973) and other places are looked at, too, unless a fit is the start.
     ``gauss_newton`` False uses the exact Hessian from the start.
-    ``paths``: start with steps along paths that satisfy the equations, which are integrated anew after each step, with the
+    ``paths``: start with steps along paths that satisfy the equations, integrated anew after each step, with the
     parameters in a trust region; None does so where states are neither measured nor given and there are few samples.
     ``time_limit`` in seconds, of all that the estimation does; the best point so far is the result.
     """

@@ -204,7 +204,7 @@ impl Restoration {
             if size <= 1.0 {
                 return true;
             }
-            if !(size < 0.5 * last) || program.interrupt.stops() {
+            if size >= 0.5 * last || program.interrupt.stops() {
                 return false;
             }
             last = size;

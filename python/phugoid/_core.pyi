@@ -353,6 +353,7 @@ def newton(
     wide: bool,
     watch: Callable[..., object] | None,
     stop: Callable[[], bool] | None = None,
+    paths: bool = False,
 ) -> NewtonSolution: ...
 
 @final

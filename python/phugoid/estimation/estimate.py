@@ -190,6 +190,7 @@ def _estimate(
             )
             return replace(fit, iterations=first.iterations + fit.iterations, time=first.time + fit.time)
     known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
+    sparse = collocated and not known and _few_samples(experiments, posed)
     with interrupts() as pressed:
         with Progress.of(progress, model.name) as watch:
             before = _warm(warm, transcription, problem, xi)
@@ -203,6 +204,7 @@ def _estimate(
                     _until(pressed, watch) if watch is not None else None,
                     states_known=known,
                     near=near,
+                    sparse=sparse,
                     stop=lambda: pressed() > 0,
                 )
 
@@ -221,6 +223,17 @@ def _estimate(
     if isinstance(transcription, Collocation) and fit.feasible and not unfinished:
         fit = replace(fit, warnings=(*fit.warnings, *filter(None, [coarse_mesh_warning(fit)])))
     return fit
+
+
+# With fewer measured values for each parameter, data do not keep the path of states that are not measured in place.
+_FEW = 20
+
+
+def _few_samples(experiments: Sequence[Experiment], model: Model) -> bool:
+    """Whether there are few measured values for the parameters of a model."""
+    free = sum(not p.fixed for p in model.declared_parameters.values())
+    values = sum(int(np.isfinite(e.output(n)).sum()) for e in experiments for n in model.output_names)
+    return values <= _FEW * free
 
 
 def _filtered(

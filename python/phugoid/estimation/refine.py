@@ -26,15 +26,25 @@ _MANY, _HIGHEST, _HELP = 0.5, 6, 4.0
 # A split aims at this part of the tolerance, in no more pieces than these.
 _AIM, _PIECES = 0.5, 8
 _POINTS = 2_000_000
+# A mesh without a solution is divided so often, each segment in so many parts, and the first in so many times less.
+_DIVISIONS, _PARTS, _GRADES = 3, 4, 3
 
 
 def refined(solve: Callable[[Collocation, FitResult | None], FitResult], transcription: Collocation) -> FitResult:
     """The fit on a mesh that is fine enough: ``solve`` estimates with a transcription, from a fit or the user's start.
 
-    Ends where the tolerance is met, after 10 passes, or with a pass that does not converge. Without a pass that was
-    finished there is no `Fit.refinement`.
+    A first mesh on which the equations have no solution is divided, three times at most. Ends where the tolerance is
+    met, after 10 passes, or with a pass that does not converge. Without a pass that was finished there is no
+    `Fit.refinement`.
     """
-    first = fit = solve(replace(transcription, refine=False), None)
+    mesh = replace(transcription, refine=False)
+    first = fit = solve(mesh, None)
+    for _ in range(_DIVISIONS):
+        if fit.feasible or fit.status in ("interrupted", "time limit"):
+            break
+        # On too coarse a mesh the equations may have no solution.
+        mesh = _divided(mesh, fit)
+        fit = solve(mesh, None)
     steps: list[Step] = []
     raised = 0.0  # largest error before the order was raised last
     raising = True
@@ -69,6 +79,18 @@ def refined(solve: Callable[[Collocation, FitResult | None], FitResult], transcr
     told = coarse_mesh_warning(fit) if fit.feasible else ""
     fit = replace(fit, warnings=tuple(w for w in fit.warnings if w != told))
     return replace(fit, refinement=Refinement.of(first.parameters, fit.parameters, steps, transcription.tolerance))
+
+
+def _divided(mesh: Collocation, fit: FitResult) -> Collocation:
+    """The mesh with every segment cut into four, those at the beginning, where there may be transients, into more."""
+    divided = []
+    for record in fit.records:
+        ends = record.mesh_t[:: mesh.order - 1]
+        share = np.arange(_PARTS * (ends.size - 1) + 1) / _PARTS
+        finer = np.interp(share, np.arange(ends.size), ends)
+        graded = finer[0] + (finer[1] - finer[0]) * float(_PARTS) ** -np.arange(_GRADES, 0, -1)
+        divided.append(tuple(np.concatenate([finer[:1], graded, finer[1:]]).tolist()))
+    return replace(mesh, substeps=1, segments=tuple(divided))
 
 
 def _split(fit: FitResult, found: Sequence[IntegrationError], order: int, tolerance: float) -> list[_Array]:

@@ -74,6 +74,7 @@ class Ipopt:
         watch: Callable[[Iteration], None] | None = None,
         states_known: bool = False,
         near: bool = False,
+        sparse: bool = False,
         stop: Callable[[], bool] | None = None,
     ) -> Solution:
         """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration, ``stop`` is

@@ -31,6 +31,8 @@ class Newton:
     where every state is measured or its start is given. Where the model is not linear in its parameters, the linear
     ones are projected out (Golub & Pereyra 1973) and other places are looked at, too, unless a fit is the start.
     ``gauss_newton`` False uses the exact Hessian from the start.
+    ``paths``: start with steps along paths that satisfy the equations, integrated anew after each step, with the
+    parameters in a trust region; None does so where states are neither measured nor given and there are few samples.
     ``time_limit`` in seconds, of all that the estimation does; the best point so far is the result.
     """
 
@@ -39,11 +41,13 @@ class Newton:
     time_limit: float | None = None
     regression: bool | None = None
     gauss_newton: bool = True
+    paths: bool | None = None
 
     def __post_init__(self) -> None:
         check_limits("Newton", self.max_iterations, self.tolerance, self.time_limit)
-        if self.regression not in (None, True, False):
-            raise OptionError(f"Newton: regression is True, False or None, not {self.regression!r}")
+        for name in ("regression", "paths"):
+            if getattr(self, name) not in (None, True, False):
+                raise OptionError(f"Newton: {name} is True, False or None, not {getattr(self, name)!r}")
 
     def solve(
         self,
@@ -53,12 +57,14 @@ class Newton:
         watch: Callable[[Iteration], None] | None = None,
         states_known: bool = False,
         near: bool = False,
+        sparse: bool = False,
         stop: Callable[[], bool] | None = None,
     ) -> Solution:
         """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration, ``stop`` is
         asked now and then and ends the run.
 
         ``states_known``: the states in ``xi`` are measured, so that a regression on them makes sense.
+        ``sparse``: they are not, and there are few samples, so that steps along consistent paths make sense.
         ``near``: they and the parameters are those of a fit, so that there is no need to look elsewhere.
 
         Raises EvaluationError where a function is not finite at the start.
@@ -85,6 +91,7 @@ class Newton:
             not near,
             each if watch is not None else None,
             stop,
+            bool((sparse if self.paths is None else self.paths) and not regression and not warm),
         )
         history += [line(*entries[:6]) for entries in found.history]
         at = found.xi

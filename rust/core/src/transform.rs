@@ -52,6 +52,11 @@ impl Transform {
         if self == Transform::Log { eta.exp() } else { 0.0 }
     }
 
+    /// The longest step of η that makes sense far from an optimum: half a decade of what has a logarithm.
+    pub fn longest_step(self) -> f64 {
+        if self == Transform::Log { 0.5 * std::f64::consts::LN_10 } else { f64::INFINITY }
+    }
+
     /// What the variable of a parameter is called.
     pub fn name(self, parameter: &str) -> String {
         match self {

@@ -156,7 +156,7 @@ pub fn information<'py>(
 /// then. A KeyboardInterrupt from one of them or from Ctrl-C, and a `stop` that says so, end the run with the best point
 /// so far; `time_limit` is in seconds, and none where it is more than a clock can tell.
 #[pyfunction]
-#[pyo3(signature = (problem, xi, multipliers, max_iterations, tolerance, time_limit, gauss_newton, regression, wide, watch, stop = None))]
+#[pyo3(signature = (problem, xi, multipliers, max_iterations, tolerance, time_limit, gauss_newton, regression, wide, watch, stop = None, paths = false))]
 #[allow(clippy::too_many_arguments)] // options, all by name in Python
 pub fn newton(
     py: Python<'_>,
@@ -171,6 +171,7 @@ pub fn newton(
     wide: bool,
     watch: Option<Py<PyAny>>,
     stop: Option<Py<PyAny>>,
+    paths: bool,
 ) -> PyResult<PySolution> {
     let nlp = problem.inner();
     let xi = xi.as_slice()?.to_vec();
@@ -178,6 +179,7 @@ pub fn newton(
     check_sizes(nlp, &xi, multipliers.as_deref())?;
     let settings = Settings { max_iterations, tolerance, time_limit: seconds(time_limit), gauss_newton };
     let initial = match (regression, wide) {
+        (false, _) if paths => Initial::Paths,
         (false, _) => Initial::Start,
         (true, false) => Initial::Regression,
         (true, true) => Initial::Places,

@@ -377,6 +377,10 @@ impl Nlp for Collocation {
         Some(&self.chains)
     }
 
+    fn longest_step(&self, i: usize) -> f64 {
+        self.posed.estimands.transforms.get(i).map_or(f64::INFINITY, |t| t.longest_step())
+    }
+
     fn threads(&self) -> usize {
         self.posed.pool.as_ref().map_or(0, Threads::number)
     }

@@ -10,7 +10,9 @@ mod separable;
 
 use crate::interrupt::{Interrupt, current};
 use crate::nlp::{NotFinite, Separable};
-use crate::solver::{Control, Ending, Iteration, Newton, Point, Program, Settings, Solution, Status};
+use crate::solver::{
+    Approach, Control, Ending, Iteration, Newton, Point, Program, Settings, Solution, Status,
+};
 use regression::Regression;
 
 /// What goes before the first step of the loop.
@@ -24,6 +26,8 @@ pub enum Initial {
     Regression,
     /// The same, which looks elsewhere, too, where the model is not linear in its parameters.
     Places,
+    /// Steps along paths that satisfy the equations, as far as they lead: for states that are not measured, and few samples.
+    Paths,
 }
 
 type Watch<'w> = dyn FnMut(&Iteration) -> Control + 'w;
@@ -60,6 +64,17 @@ fn best<'a>(
 ) -> Result<(Newton<'a>, Ending), NotFinite> {
     let program = Program::new(nlp, start);
     let point = Point::first(&program, start)?;
+    if initial == Initial::Paths {
+        let (mut newton, mut ending, consistent) = along_paths(program, point, settings, watch)?;
+        if consistent {
+            // A path that leaves the equations may find a way where a consistent one has none, as from one period of an
+            // oscillation to another. Not long, where it leads nowhere.
+            let most = settings.max_iterations.min(newton.iterations() + LOOSE);
+            let capped = Settings { max_iterations: most, ..settings.clone() };
+            ending = challenge(nlp, &mut newton, ending, start, &capped, watch)?;
+        }
+        return Ok((newton, ending));
+    }
     let (point, rival) = begin(nlp, &program, point, initial);
     let mut newton = Newton::new(program, point, multipliers, settings);
     let mut ending = newton.minimise(watch)?;
@@ -87,6 +102,107 @@ fn best<'a>(
         newton = again;
     }
     Ok((newton, ending))
+}
+
+/// Most steps from the end of an approach to that of the loop.
+const LAST: usize = 20;
+/// Most steps of the loop from the start itself.
+const LOOSE: usize = 60;
+/// Most restarts from the other side of bounds.
+const RESTARTS: usize = 8;
+/// Where a parameter at a bound starts again: so far from its other bound, as a part of its range.
+const OPPOSITE: f64 = 0.3;
+/// A run that is not better by more than this is no other optimum.
+const BETTER: f64 = 1e-3;
+
+/// The run from where steps along paths that satisfy the equations lead. Where parameters end at bounds, as rates do that are
+/// fast enough, the likelihood is flat there and says nothing of what lies beyond: each is started once more from the other
+/// half of its range. Whether there was a consistent path to begin with.
+fn along_paths<'a>(
+    program: Program<'a>,
+    point: Point,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<(Newton<'a>, Ending, bool), NotFinite> {
+    let nlp = program.nlp;
+    let mut newton = Newton::new(program, point, None, settings);
+    let mut ending = match approached(nlp, &mut newton, settings, watch)? {
+        Some(ending) => ending,
+        None => {
+            let ending = newton.minimise(watch)?;
+            return Ok((newton, ending, false));
+        }
+    };
+    let mut tried: Vec<usize> = Vec::new();
+    for _ in 0..RESTARTS {
+        if ending.status.unfinished() || newton.program().stopped().is_some() {
+            break;
+        }
+        let (xi, program) = (&newton.point().xi, newton.program());
+        let at_bound = |&i: &usize| {
+            let (low, high) = (program.lower[i], program.upper[i]);
+            let slack = 1e-9 * (high - low);
+            high.is_finite()
+                && low.is_finite()
+                && low < high
+                && (xi[i] <= low + slack || xi[i] >= high - slack)
+        };
+        let own = nlp.profiled();
+        let mut candidates = (0..program.border()).filter(|i| !own.contains(i) && !tried.contains(i));
+        let Some(i) = candidates.find(at_bound) else { break };
+        tried.push(i);
+        let mut place = xi.clone();
+        let (low, high) = (program.lower[i], program.upper[i]);
+        let part = if xi[i] < 0.5 * (low + high) { 1.0 - OPPOSITE } else { OPPOSITE };
+        place[i] = low + part * (high - low);
+        let program = Program::new(nlp, &place);
+        let Ok(point) = Point::first(&program, &place) else { continue };
+        let mut other = Newton::new(program, point, None, settings);
+        other.take_over(&mut newton);
+        let found = approached(nlp, &mut other, settings, watch)?;
+        match found {
+            Some(end) if other.point().objective < newton.point().objective - BETTER => {
+                newton = other;
+                ending = end;
+                tried = vec![i]; // from here the others may lead on
+            }
+            _ => newton.take_over(&mut other),
+        }
+    }
+    Ok((newton, ending, true))
+}
+
+/// The end of an approach, and of the loop from there where it led to an optimum; back there, where it leads nowhere from there.
+/// `None` where there is no path to begin with.
+fn approached<'a>(
+    nlp: &'a dyn crate::nlp::Nlp,
+    newton: &mut Newton<'a>,
+    settings: &Settings,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Ending>, NotFinite> {
+    match newton.approach(watch) {
+        Approach::Ended(ending) => return Ok(Some(ending)),
+        Approach::None => return Ok(None),
+        Approach::Taken(false) => return Ok(Some(Status::Acceptable.into())),
+        Approach::Taken(true) => {}
+    }
+    // Its units are those of this path.
+    let reached = newton.point().xi.clone();
+    let program = Program::new(nlp, &reached);
+    let point = Point::first(&program, &reached)?;
+    let best = point.objective;
+    let most = newton.iterations() + LAST;
+    let capped = Settings { max_iterations: most.min(settings.max_iterations), ..settings.clone() };
+    let mut last = Newton::new(program, point, None, &capped);
+    last.take_over(newton);
+    let ending = last.minimise(watch)?;
+    let fine = ending.status.is_end() && last.point().objective < best + BETTER;
+    if fine || matches!(ending.status, Status::Interrupted | Status::TimeLimit) {
+        *newton = last;
+        return Ok(Some(ending));
+    }
+    newton.take_over(&mut last);
+    Ok(Some(Status::Acceptable.into()))
 }
 
 /// Where the loop begins; where another place than that of the regression from the start was chosen, that one, too.

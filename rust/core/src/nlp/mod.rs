@@ -110,6 +110,10 @@ pub trait Nlp: Named + Send + Sync {
     fn n_parameters(&self) -> usize {
         self.chains().map_or(self.n(), |c| c.border)
     }
+    /// The longest step of a variable that makes sense far from an optimum; infinite where nothing is known.
+    fn longest_step(&self, _i: usize) -> f64 {
+        f64::INFINITY
+    }
     /// Threads that a solver may use beside; 0 for as many as there are cores.
     fn threads(&self) -> usize {
         0

@@ -13,6 +13,7 @@
 //! system is factorised once, and variables are held and released in its small dense border.
 
 mod active_set;
+mod approach;
 mod damping;
 mod iterate;
 mod iteration;
@@ -22,6 +23,8 @@ mod newton;
 mod newton_system;
 mod point;
 mod program;
+mod reduced;
+mod restoration;
 mod settings;
 mod solution;
 mod status;
@@ -30,6 +33,7 @@ mod termination;
 mod units;
 mod watchdog;
 
+pub(crate) use approach::Approach;
 pub use iteration::{Control, Iteration};
 pub(crate) use newton::Newton;
 pub(crate) use point::Point;

@@ -21,17 +21,17 @@ const CLOSE: f64 = 1e-3;
 
 /// A run of Newton's method. Everything that the loop keeps is allocated once.
 pub(crate) struct Newton<'a> {
-    program: Program<'a>,
-    settings: Settings,
-    iterate: Iterate,
-    step: Step,
+    pub(super) program: Program<'a>,
+    pub(super) settings: Settings,
+    pub(super) iterate: Iterate,
+    pub(super) step: Step,
     system: NewtonSystem,
     search: LineSearch,
     sizes: Sizes,
     /// Whether the exact Hessian is in use.
     exact: bool,
     began: Instant,
-    history: Vec<Iteration>,
+    pub(super) history: Vec<Iteration>,
 }
 
 impl<'a> Newton<'a> {

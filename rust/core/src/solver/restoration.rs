@@ -1,0 +1,356 @@
+//! Restoration by integration: the states that follow from the parameters and the first states.
+//!
+//! With these given, the constraints of a chain are a block triangular system of equations for all other states: of
+//! each segment, one after the other, as an implicit Runge-Kutta method solves them (Hairer and Wanner, Solving Ordinary
+//! Differential Equations II, section IV.8). Conditions on the first states come before. Newton's method for all blocks at once
+//! is tried from the states as they are; where that does not contract, each segment is solved from the end of the one before.
+
+use super::program::Program;
+
+/// Defects below this part of the unit of their state are none.
+const SATISFIED: f64 = 1e-8;
+/// The same of the state itself, where its unit is smaller than rounding errors of it.
+const ROUNDING: f64 = 1e-13;
+/// Most iterations for all blocks at once, and for one.
+const AT_ONCE: usize = 6;
+const IN_TURN: usize = 25;
+/// Most blocks that are solved in turn: each iteration evaluates all of them.
+const MOST_BLOCKS: usize = 2000;
+
+/// Equations that determine as many variables.
+struct Block {
+    chain: usize,
+    rows: Vec<usize>,
+    columns: Vec<usize>,
+    /// Number of an entry of the Jacobian, its row and column within the block.
+    own: Vec<(usize, usize, usize)>,
+    /// Number of an entry, its row within the block, and its column, which another block determines.
+    others: Vec<(usize, usize, usize)>,
+    /// The same of columns that no block determines.
+    free: Vec<(usize, usize, usize)>,
+    /// The states of the point before, which the block starts from; none of the first.
+    before: Option<usize>,
+}
+
+impl Block {
+    /// Its square of the Jacobian, or the transpose of that.
+    fn fill(&self, jacobian: &[f64], matrix: &mut Vec<f64>, transposed: bool) {
+        let n = self.rows.len();
+        matrix.clear();
+        matrix.resize(n * n, 0.0);
+        for &(entry, r, c) in &self.own {
+            matrix[if transposed { c * n + r } else { r * n + c }] += jacobian[entry];
+        }
+    }
+}
+
+/// The blocks of a program, and memory.
+pub(super) struct Restoration {
+    blocks: Vec<Block>,
+    n_x: usize,
+    c: Vec<f64>,
+    jacobian: Vec<f64>,
+    d: Vec<f64>,
+    kept: Vec<f64>,
+    matrix: Vec<f64>,
+    right: Vec<f64>,
+}
+
+impl Restoration {
+    /// The blocks of a program; `None` where its states do not follow from parameters and first states, as with
+    /// conditions on the last ones.
+    pub fn new(program: &Program<'_>) -> Option<Restoration> {
+        let nlp = program.nlp;
+        let chains = nlp.chains()?;
+        let n_x = chains.n_x;
+        let mut blocks: Vec<Block> = Vec::new();
+        let block = |chain, rows: Vec<usize>, columns: Vec<usize>, before: Option<usize>| Block {
+            chain,
+            rows,
+            columns,
+            own: Vec::new(),
+            others: Vec::new(),
+            free: Vec::new(),
+            before,
+        };
+        let mut conditions = Vec::new(); // rows that may depend on the first states alone
+        for (e, chain) in chains.chains.iter().enumerate() {
+            let (row, states) = (chain.boundary.row, &chain.boundary.states);
+            if !states.is_empty() {
+                let columns: Vec<usize> = states.iter().map(|s| chain.variable + s).collect();
+                let once = (0..columns.len()).all(|i| !columns[..i].contains(&columns[i]));
+                if !once {
+                    return None;
+                }
+                conditions.push((row..row + states.len(), chain.variable..chain.variable + n_x));
+                blocks.push(block(e, (row..row + states.len()).collect(), columns, None));
+            }
+            let size = chain.points * n_x;
+            let mut ties = chain.ties.iter().peekable();
+            for s in 0..chain.segments {
+                let (row, variable) = (chain.row + s * size, chain.variable + n_x + s * size);
+                let own = (row..row + size).collect();
+                blocks.push(block(e, own, (variable..variable + size).collect(), Some(variable - n_x)));
+                while let Some(tie) = ties.next_if(|t| t.segment == s) {
+                    let columns = (tie.variable..tie.variable + n_x).collect();
+                    blocks.push(block(e, (tie.row..tie.row + n_x).collect(), columns, Some(variable - n_x)));
+                }
+            }
+        }
+        let (mut of_row, mut of_column) = (vec![None; nlp.m()], vec![None; nlp.n()]);
+        for (number, b) in blocks.iter().enumerate() {
+            b.rows.iter().enumerate().for_each(|(i, &r)| of_row[r] = Some((number, i)));
+            b.columns.iter().enumerate().for_each(|(i, &c)| of_column[c] = Some((number, i)));
+        }
+        let structure = nlp.jacobian_structure();
+        for (k, (&row, &column)) in structure.rows.iter().zip(&structure.columns).enumerate() {
+            let (row, column) = (row as usize, column as usize);
+            let on_ends = conditions.iter().find(|c| c.0.contains(&row));
+            if on_ends.is_some_and(|c| column >= chains.border && !c.1.contains(&column)) {
+                return None;
+            }
+            let (number, r) = of_row[row]?;
+            match of_column[column] {
+                Some((of, c)) if of == number => blocks[number].own.push((k, r, c)),
+                Some(_) => blocks[number].others.push((k, r, column)),
+                None => blocks[number].free.push((k, r, column)),
+            }
+        }
+        Some(Restoration {
+            n_x,
+            c: vec![0.0; nlp.m()],
+            jacobian: vec![0.0; structure.len()],
+            d: vec![0.0; nlp.n()],
+            kept: vec![0.0; nlp.n()],
+            matrix: Vec::new(),
+            right: Vec::new(),
+            blocks,
+        })
+    }
+
+    /// Sets all states that follow from the parameters and the first states in ξ; whether there are such states, and within
+    /// their bounds.
+    pub fn restore(&mut self, program: &Program<'_>, xi: &mut [f64]) -> bool {
+        self.kept.copy_from_slice(xi);
+        if !self.at_once(program, xi) {
+            xi.copy_from_slice(&self.kept);
+            if !self.in_turn(program, xi) || !self.at_once(program, xi) {
+                return false;
+            }
+        }
+        let mut columns = self.blocks.iter().flat_map(|b| &b.columns);
+        columns.all(|&i| {
+            let slack = 1e-9 * (1.0 + xi[i].abs());
+            xi[i] >= program.lower[i] - slack && xi[i] <= program.upper[i] + slack
+        })
+    }
+
+    /// The variables that are determined by others.
+    pub fn determined(&self) -> impl Iterator<Item = usize> + '_ {
+        self.blocks.iter().flat_map(|b| b.columns.iter().copied())
+    }
+
+    /// The derivatives of all variables with respect to the free ones, row-major in `z`, where the rows of the free ones are
+    /// set; whether they are defined. `width` is the number of free variables.
+    pub fn sensitivities(&mut self, jacobian: &[f64], z: &mut [f64], width: usize) -> bool {
+        for block in &self.blocks {
+            let n = block.rows.len();
+            block.fill(jacobian, &mut self.matrix, false);
+            self.right.clear();
+            self.right.resize(n * width, 0.0);
+            for &(entry, r, column) in block.others.iter().chain(&block.free) {
+                let from = &z[column * width..][..width];
+                let to = &mut self.right[r * width..][..width];
+                to.iter_mut().zip(from).for_each(|(t, z)| *t -= jacobian[entry] * z);
+            }
+            if !solve_dense(&mut self.matrix, &mut self.right, width) {
+                return false;
+            }
+            for (&column, from) in block.columns.iter().zip(self.right.chunks_exact(width)) {
+                z[column * width..][..width].copy_from_slice(from);
+            }
+        }
+        true
+    }
+
+    /// The multipliers with which the gradient of the Lagrangian vanishes for all determined variables, given that of
+    /// the objective; whether there are such.
+    pub fn multipliers(&mut self, jacobian: &[f64], gradient: &[f64], out: &mut [f64]) -> bool {
+        self.d.copy_from_slice(gradient);
+        for block in self.blocks.iter().rev() {
+            block.fill(jacobian, &mut self.matrix, true);
+            self.right.clear();
+            self.right.extend(block.columns.iter().map(|&i| -self.d[i]));
+            if !solve_dense(&mut self.matrix, &mut self.right, 1) {
+                return false;
+            }
+            block.rows.iter().zip(&self.right).for_each(|(&row, l)| out[row] = *l);
+            for &(entry, r, column) in &block.others {
+                self.d[column] += jacobian[entry] * self.right[r];
+            }
+        }
+        true
+    }
+
+    /// Newton's method for all blocks, as long as it contracts.
+    fn at_once(&mut self, program: &Program<'_>, xi: &mut [f64]) -> bool {
+        let mut last = f64::INFINITY;
+        for _ in 0..AT_ONCE {
+            if program.constraints(xi, &mut self.c).is_err() {
+                return false;
+            }
+            let blocks = self.blocks.iter();
+            let size = blocks.map(|b| defect_of(program, b, &self.c, xi)).fold(0.0, f64::max);
+            if size <= 1.0 {
+                return true;
+            }
+            if size >= 0.5 * last || program.interrupt.stops() {
+                return false;
+            }
+            last = size;
+            if program.jacobian(xi, &mut self.jacobian).is_err() {
+                return false;
+            }
+            self.d.fill(0.0);
+            for k in 0..self.blocks.len() {
+                if !self.step_of(k) {
+                    return false;
+                }
+            }
+            xi.iter_mut().zip(&self.d).for_each(|(x, d)| *x += d);
+        }
+        false
+    }
+
+    /// Each block after the other.
+    fn in_turn(&mut self, program: &Program<'_>, xi: &mut [f64]) -> bool {
+        if self.blocks.len() > MOST_BLOCKS {
+            return false;
+        }
+        for k in 0..self.blocks.len() {
+            if program.interrupt.stops() {
+                return false;
+            }
+            // From here on nothing moves, so that all is finite where it is so here.
+            if let Some(point) = self.blocks[k].before {
+                let chain = self.blocks[k].chain;
+                for b in self.blocks[k..].iter().take_while(|b| b.chain == chain) {
+                    for (i, &column) in b.columns.iter().enumerate() {
+                        xi[column] = xi[point + i % self.n_x];
+                    }
+                }
+            }
+            if !self.solve_block(program, xi, k) {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Newton's method for one block, its steps shortened where it does not contract.
+    fn solve_block(&mut self, program: &Program<'_>, xi: &mut [f64], k: usize) -> bool {
+        if program.constraints(xi, &mut self.c).is_err() {
+            return false;
+        }
+        let mut size = defect_of(program, &self.blocks[k], &self.c, xi);
+        for _ in 0..IN_TURN {
+            if size <= 1.0 {
+                return true;
+            }
+            if program.jacobian(xi, &mut self.jacobian).is_err() {
+                return false;
+            }
+            self.d.fill(0.0);
+            if !self.step_of(k) {
+                return false;
+            }
+            let mut part = 1.0;
+            loop {
+                for &i in &self.blocks[k].columns {
+                    xi[i] += part * self.d[i];
+                }
+                let next = match program.constraints(xi, &mut self.c) {
+                    Ok(()) => defect_of(program, &self.blocks[k], &self.c, xi),
+                    Err(_) => f64::INFINITY,
+                };
+                if next < size || (next <= 2.0 * size && part == 1.0) {
+                    size = next;
+                    break;
+                }
+                if part < 1e-2 {
+                    return false;
+                }
+                for &i in &self.blocks[k].columns {
+                    xi[i] -= part * self.d[i];
+                }
+                part *= 0.4;
+            }
+        }
+        size <= 1.0
+    }
+
+    /// The Newton step of a block, given those of the blocks before; whether there is one.
+    fn step_of(&mut self, k: usize) -> bool {
+        let block = &self.blocks[k];
+        block.fill(&self.jacobian, &mut self.matrix, false);
+        self.right.clear();
+        self.right.extend(block.rows.iter().map(|&r| -self.c[r]));
+        for &(entry, r, column) in &block.others {
+            self.right[r] -= self.jacobian[entry] * self.d[column];
+        }
+        if !solve_dense(&mut self.matrix, &mut self.right, 1) {
+            return false;
+        }
+        block.columns.iter().zip(&self.right).for_each(|(&i, x)| self.d[i] = *x);
+        true
+    }
+}
+
+/// The largest defect of a block, 1 where it counts as none.
+fn defect_of(program: &Program<'_>, block: &Block, c: &[f64], xi: &[f64]) -> f64 {
+    let one = |(&row, &column): (&usize, &usize)| {
+        c[row].abs() / (SATISFIED * program.units.of(row)).max(ROUNDING * xi[column].abs())
+    };
+    block.rows.iter().zip(&block.columns).map(one).fold(0.0, f64::max)
+}
+
+/// Solves A X = B by elimination with row exchanges, A and B row-major, B with so many columns; X replaces B. Whether A is
+/// regular.
+fn solve_dense(a: &mut [f64], b: &mut [f64], width: usize) -> bool {
+    let n = b.len() / width.max(1);
+    for k in 0..n {
+        let mut pivot = k;
+        for i in k + 1..n {
+            if a[i * n + k].abs() > a[pivot * n + k].abs() {
+                pivot = i;
+            }
+        }
+        let size = a[pivot * n + k].abs();
+        if !(size > 0.0 && size.is_finite()) {
+            return false;
+        }
+        if pivot != k {
+            (k..n).for_each(|j| a.swap(pivot * n + j, k * n + j));
+            (0..width).for_each(|j| b.swap(pivot * width + j, k * width + j));
+        }
+        let (above, below) = a.split_at_mut((k + 1) * n);
+        let (b_above, b_below) = b.split_at_mut((k + 1) * width);
+        let (row, b_row) = (&above[k * n..], &b_above[k * width..]);
+        for (to, b_to) in below.chunks_exact_mut(n).zip(b_below.chunks_exact_mut(width)) {
+            let part = to[k] / row[k];
+            if part != 0.0 {
+                to[k + 1..].iter_mut().zip(&row[k + 1..]).for_each(|(t, r)| *t -= part * r);
+                b_to.iter_mut().zip(b_row).for_each(|(t, r)| *t -= part * r);
+            }
+        }
+    }
+    for k in (0..n).rev() {
+        let (above, below) = b.split_at_mut((k + 1) * width);
+        let to = &mut above[k * width..];
+        for (from, x) in a[k * n + k + 1..(k + 1) * n].iter().zip(below.chunks_exact(width)) {
+            to.iter_mut().zip(x).for_each(|(t, x)| *t -= from * x);
+        }
+        to.iter_mut().for_each(|t| *t /= a[k * n + k]);
+    }
+    b.iter().all(|x| x.is_finite())
+}

@@ -1,0 +1,134 @@
+"""Few samples and states that are not measured: small systems of five kinds, made here with known truth.
+
+Each is estimated from starts drawn log-uniformly within two decades on either side of the truth. The optimum is what
+the estimate from the truth reaches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import phugoid as ph
+
+STARTS = 12
+# Decades about the truth.
+REACH = 2.0
+
+
+class Case(NamedTuple):
+    model: ph.Model
+    truth: Mapping[str, float]
+    t: np.ndarray
+    sigma: float
+    refine: bool = False
+    share: float = 0.9
+
+
+def _parameters(model: ph.Model, truth: Mapping[str, float]) -> list[ph.Expr]:
+    """Declare parameters with bounds three decades off the truth on either side."""
+    declared = {n: ph.Parameter(v, bounds=(1e-3 * v, 1e3 * v), transform="log") for n, v in truth.items()}
+    found = model.parameters(**declared)
+    return list(found)
+
+
+def chain() -> Case:
+    """A decays into B, B into C, C fades; C alone is measured, at eight times."""
+    truth = {"k1": 1.5, "k2": 0.4, "k3": 0.1}
+    m = ph.Model("chain")
+    a, b, c = m.states("a", "b", "c")
+    k1, k2, k3 = _parameters(m, truth)
+    m.dynamics(a=-k1 * a, b=k1 * a - k2 * b, c=k2 * b - k3 * c)
+    m.initial(a=1, b=0, c=0)
+    m.outputs(c=c)
+    return Case(m, truth, np.array([0.0, 0.5, 1.0, 2.0, 4.0, 7.0, 12.0, 20.0]), 0.01)
+
+
+def epidemic() -> Case:
+    """Susceptible, infected, removed: only the infected are counted."""
+    truth = {"beta": 0.8, "gamma": 0.2}
+    m = ph.Model("epidemic")
+    s, i = m.states("s", "i")
+    beta, gamma = _parameters(m, truth)
+    m.dynamics(s=-beta * s * i, i=beta * s * i - gamma * i)
+    m.initial(s=0.99, i=0.01)
+    m.outputs(i=i)
+    return Case(m, truth, np.linspace(0, 40, 12), 0.01)
+
+
+def stiff() -> Case:
+    """A fast equilibrium before a slow decay, of which the sum of two states tells."""
+    truth = {"kf": 200.0, "kb": 100.0, "k": 0.3}
+    m = ph.Model("stiff")
+    x, y, p = m.states("x", "y", "p")
+    kf, kb, k = _parameters(m, truth)
+    m.dynamics(x=-kf * x + kb * y, y=kf * x - kb * y - k * y, p=k * y)
+    m.initial(x=1, y=0, p=0)
+    m.outputs(x=x, p=p)
+    return Case(m, truth, np.array([0.0, 0.002, 0.005, 0.01, 0.1, 1.0, 4.0, 10.0]), 0.005, refine=True)
+
+
+def oscillating() -> Case:
+    """Predator and prey; the prey alone is counted."""
+    truth = {"a": 0.6, "b": 0.03, "c": 0.02, "d": 0.8}
+    m = ph.Model("oscillating")
+    x, y = m.states("x", "y")
+    a, b, c, d = _parameters(m, truth)
+    m.dynamics(x=a * x - b * x * y, y=c * x * y - d * y)
+    m.initial(x=30, y=4)
+    m.outputs(x=x)
+    return Case(m, truth, np.linspace(0, 15, 16), 1.0, share=0.7)
+
+
+def saturated() -> Case:
+    """Michaelis and Menten's kinetics with an inhibitor that is not measured."""
+    truth = {"vmax": 2.0, "km": 0.5, "ki": 0.3}
+    m = ph.Model("saturated")
+    s, i = m.states("s", "i")
+    vmax, km, ki = _parameters(m, truth)
+    m.dynamics(s=-vmax * s / (km * (1 + i) + s), i=ki * (1 - i))
+    m.initial(s=5, i=0)
+    m.outputs(s=s)
+    return Case(m, truth, np.linspace(0, 5, 10), 0.02)
+
+
+CASES: dict[str, Callable[[], Case]] = {f.__name__: f for f in (chain, epidemic, stiff, oscillating, saturated)}
+
+
+def _record(case: Case) -> ph.Experiment:
+    """Simulate the truth and add noise."""
+    names = case.model.output_names
+    blank = ph.Experiment(case.t, outputs={n: np.zeros(case.t.size) for n in names})
+    clean = ph.simulate(case.model, case.truth, blank)
+    random = np.random.default_rng(19)
+    noisy = {n: clean.outputs[n] + case.sigma * random.standard_normal(case.t.size) for n in names}
+    return ph.Experiment(case.t, outputs=noisy)
+
+
+def reached(case: Case, solver: ph.Newton) -> tuple[int, list[str]]:
+    """Return how many starts end within 0.1 of the optimum, and how all end."""
+    experiment = _record(case)
+    noise = ph.Gaussian(dict.fromkeys(case.model.output_names, case.sigma))
+    mesh = ph.Collocation(refine=True) if case.refine else ph.Collocation(substeps=2)
+
+    def fit(start: Mapping[str, float]) -> ph.Fit:
+        return ph.estimate(case.model, experiment, noise=noise, start=start, transcription=mesh, solver=solver)
+
+    best = fit(case.truth).log_likelihood
+    random = np.random.default_rng(7)
+    ends, count = [], 0
+    for _ in range(STARTS):
+        found = fit({n: v * 10 ** random.uniform(-REACH, REACH) for n, v in case.truth.items()})
+        count += bool(found.feasible and found.log_likelihood > best - 0.1)
+        ends.append(f"{found.status} {found.log_likelihood - best:.3g}")
+    return count, ends
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_most_starts_reach_the_optimum(name: str) -> None:
+    case = CASES[name]()
+    count, ends = reached(case, ph.Newton())
+    assert count >= case.share * STARTS, ends

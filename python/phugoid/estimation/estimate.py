@@ -165,7 +165,7 @@ def _estimate(
     check_names(model, given, experiments, noise.names(model.output_names))
     parameters = parameter_start(model, given)
     # A scale that no output can tell would let the solver drift without end.
-    free = scalings(model._core, parameters)
+    free = () if deadline.passed() else scalings(model._core, parameters)
     held = {scaling.held: scaling.at for scaling in free}
     posed, given = model._holding(held), {n: v for n, v in given.items() if n.partition("[")[0] not in held}
     parameters |= held

@@ -169,7 +169,7 @@ def _explained(finding: Finding) -> str:
 
 
 def _share(part: float) -> str:
-    """A part that may be negative or next to nothing; the noise, which is left out, is an estimate, so it may exceed 1."""
+    """A part that may be negative or next to nothing, or exceed 1: the noise that is left out is an estimate."""
     return percent(min(part, 1.0)) if part >= 0.995 else f"{number(100.0 * part, 2)} %"
 
 

@@ -23,13 +23,14 @@ __all__ = ["Search", "SearchResult", "SearchSettings"]
 @dataclass(frozen=True)
 class SearchSettings:
     """Settings of all stages, and ``most`` findings: what is left then is for another diagnosis, of the extended
-    model."""
+    model. The search ends after ``minor`` steps one after the other that explain next to nothing."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
     confirmation: ConfirmationSettings = field(default_factory=ConfirmationSettings)
     assessment: AssessmentSettings = field(default_factory=AssessmentSettings)
     most: int = 4
+    minor: int = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,15 +79,16 @@ class Search:
         current, unexplained = self.cache.base, None
         remarks: tuple[str, ...] = ()
         seen: set[tuple[str, ...]] = set()
+        minor = 0
         try:
             while len(current.candidates) < self.settings.most:
                 following, unexplained = self.confirmation.accepted(current, self.refitting.tries(current))
                 if following is None or following.names in seen:
                     break
                 seen.add(following.names)
-                minor = self._is_minor(current, following)
+                minor = minor + 1 if self._is_minor(current, following) else 0
                 current = following
-                if minor:  # what comes next would be less
+                if minor == self.settings.minor:  # what comes next would be less
                     break
             current = self._pruned(current)
             unexplained = unexplained or self.confirmation.ringing(current)

@@ -75,7 +75,7 @@ def test_several_experiments() -> None:
     assert causes(d) == [FRICTION]
     assert d.findings[0].std_error < expected().findings[0].std_error
     figures = d.plot()
-    assert len(figures) == 4
+    assert len(figures) == 5
     for figure in figures:
         plt.close(figure)
 

@@ -111,8 +111,8 @@ def test_words(diagnosis: ph.results.Diagnosis) -> None:
 
 def test_figures(diagnosis: ph.results.Diagnosis) -> None:
     figures = diagnosis.plot()
-    assert len(figures) == 4  # misfit, ranking, findings, gain
-    labels = [t.get_text() for t in figures[1].axes[0].get_yticklabels()]
+    assert len(figures) == 5  # what is explained, misfit, ranking, findings, gain
+    labels = [t.get_text() for t in figures[2].axes[0].get_yticklabels()]
     assert diagnosis.ranking[0].name in labels
 
 
@@ -121,8 +121,8 @@ def test_page(diagnosis: ph.results.Diagnosis, tmp_path: Path) -> None:
     diagnosis.report(path)
     text = path.read_text(encoding="utf-8")
     shown = re.sub(r"base64,[^']*", "", text)
-    # One a channel of the misfit, ranking, gain, findings.
-    assert shown.count("<img") == len(diagnosis.misfit.worst[:3]) + 3 and not re.search(r"\b(nan|inf)\b", shown)
+    # What is explained, one a channel of the misfit, ranking, gain, findings.
+    assert shown.count("<img") == len(diagnosis.misfit.worst[:3]) + 4 and not re.search(r"\b(nan|inf)\b", shown)
     for f in diagnosis.findings:
         assert f.cause in text
     assert "The new equations" in text and "The gain" in text

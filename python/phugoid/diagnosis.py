@@ -68,7 +68,8 @@ class Diagnosis(DiagnosisResult):
         return diagnosis_summary(self)
 
     def plot(self) -> list[Figure]:
-        """Figures: the misfit, the ranking of candidates; where something was found, what it explains and gains."""
+        """Figures: the misfit and the ranking of candidates; before them what findings explain, and after them what the
+        extension changes and gains, where there are any."""
         return diagnosis_figures(self)
 
     def report(self, path: str | os.PathLike[str]) -> None:

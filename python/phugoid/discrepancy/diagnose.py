@@ -209,7 +209,7 @@ def diagnose(
         ended = deadline.ended() if interrupted else ""
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
-            findings = [finding_of(result, f, search.assessment.is_minor(f)) for f in found]
+            findings = [finding_of(result, f, search.assessment.is_minor(f.explained)) for f in found]
             extension = search.extension(final, known=interrupted)
             full = search.extension(result.full, known=interrupted) if result.full is not final else None
             interrupted = interrupted or pressed() > 0

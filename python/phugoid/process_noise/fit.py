@@ -37,6 +37,9 @@ _TOLERANCE = 0.5e-8
 _FLOOR = 1e-4
 # Estimates that would move by less, in standard errors, stay where they are.
 _STILL = 0.1
+# Log-likelihoods of one optimum, with two treatments of the noise that move the estimates no more than that, differ by
+# less than this.
+_SAME = _STILL**2
 # Ends of fits that were stopped.
 _STOPPED = ("interrupted", "time limit")
 # How often the exact Hessian takes the place of what the iterations have learnt of it.
@@ -152,13 +155,16 @@ def doubtful(fit: FitResult, options: FilterError) -> bool:
 
 
 def better(fit: FitResult, other: Callable[[], FitResult]) -> FitResult:
-    """Of a doubtful fit and one that starts elsewhere the one that converged, or is likelier."""
+    """Of a doubtful fit and one that starts elsewhere the one that converged, or is likelier; the latter where both are
+    at the same optimum, with a treatment of the noise that need not be as fine."""
     try:
         second = other()
     except PhugoidError:  # no ordinary fit, or no likelihood there
         return fit
     if second.status in _STOPPED:
         return fit
+    if fit.converged and second.converged and abs(fit.log_likelihood - second.log_likelihood) < _SAME:
+        return second
     return max((fit, second), key=lambda f: (f.converged, f.log_likelihood))
 
 

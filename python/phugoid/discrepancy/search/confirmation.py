@@ -191,13 +191,15 @@ class Confirmation:
         alike = {c.name for c in self._screen.alike(without, candidate, filter)}
         rivals, parts = {}, {}
         for r, _ in self._refitting.rivals(at, candidate):
-            if r.names == at.names or assess.is_worse(without, r, at):
+            if r.names == at.names:
                 continue
             (other,) = r.beside(others)
             d = mine - r.through(filter).log_densities
             d = d[np.isfinite(d)]
             gain = assess.gain(without, r) / 2
             like = other.name in alike and gain > 0.5 * assess.gain(without, at) / 2
+            if not like and assess.is_worse(without, r, at):
+                continue
             if like or float(d.sum()) < self.settings.vuong * float(np.sqrt(d.size) * d.std()):
                 rivals[other.name] = gain
                 if (explained := assess.explained(without, r)) is not None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +13,6 @@ from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks
 from .refit_cache import RefitCache
 from .ringing import is_near
-
-if TYPE_CHECKING:
-    from .confirmation import Found
 
 __all__ = ["Assessment", "AssessmentSettings", "Evidence", "is_physical"]
 
@@ -149,15 +145,13 @@ class Assessment:
         found = self._compared(base, one, other)
         return found is not None and found.significant and found.part > self.settings.minor
 
-    def is_named(self, at: Refit, found: Found) -> bool:
+    def is_named(self, at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
         """Tell whether a finding names a cause: physical, and worth it in free simulation beyond chance."""
-        assert found.candidate is not None
-        return is_physical(at, found.candidate) and not self.is_minor(found)
+        return is_physical(at, candidate) and not self.is_minor(explained)
 
-    def is_minor(self, found: Found) -> bool:
+    def is_minor(self, explained: Explained | None) -> bool:
         """Tell whether a finding explains less of the misfit than is worth a name, or no more than by chance."""
-        e = found.explained
-        return e is not None and not (e.significant and e.part >= self.settings.minor)
+        return explained is not None and not (explained.significant and explained.part >= self.settings.minor)
 
     def _compared(self, base: Refit, one: Refit, other: Refit) -> Explained | None:
         """What another model explains that one does not, by blocks of the records beside the terms of a base where

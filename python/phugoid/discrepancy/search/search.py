@@ -126,7 +126,7 @@ class Search:
         told = {f.candidate.name: f for f in found if f.candidate is not None}
         at = full
         while True:
-            weak = [c for c in at.candidates if not self.assessment.is_named(at, told[c.name])]
+            weak = [c for c in at.candidates if not self.assessment.is_named(at, c, told[c.name].explained)]
             if not weak:
                 break
             least = min(weak, key=lambda c: e.part if (e := told[c.name].explained) else 0.0)

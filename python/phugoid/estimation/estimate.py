@@ -139,7 +139,7 @@ def _estimate(
             by = replace(by, time_limit=deadline.left())
             return _estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
 
-        return refined(fit_on, transcription)
+        return refined(fit_on, transcription, deadline.passed)
 
     if model.delays:
         if isinstance(transcription, FilterError):

@@ -28,14 +28,20 @@ _AIM, _PIECES = 0.5, 8
 _POINTS = 2_000_000
 # A mesh without a solution is divided so often, each segment in so many parts, and the first in so many times less.
 _DIVISIONS, _PARTS, _GRADES = 3, 4, 3
+_UNKNOWN = (
+    "converged on this mesh, but there was no time left to see whether it is fine enough; allow more time, or go on "
+    "from here"
+)
 
 
-def refined(solve: Callable[[Collocation, FitResult | None], FitResult], transcription: Collocation) -> FitResult:
+def refined(
+    solve: Callable[[Collocation, FitResult | None], FitResult], transcription: Collocation, passed: Callable[[], bool]
+) -> FitResult:
     """The fit on a mesh that is fine enough: ``solve`` estimates with a transcription, from a fit or the user's start.
 
     A first mesh on which the equations have no solution is divided, three times at most. Ends where the tolerance is
     met, after 10 passes, or with a pass that does not converge. Without a pass that was finished there is no
-    `Fit.refinement`.
+    `Fit.refinement`. ``passed`` tells whether the time is over.
     """
     mesh = replace(transcription, refine=False)
     first = fit = solve(mesh, None)
@@ -49,6 +55,8 @@ def refined(solve: Callable[[Collocation, FitResult | None], FitResult], transcr
     raised = 0.0  # largest error before the order was raised last
     raising = True
     while True:
+        if fit.status not in ("interrupted", "time limit") and passed():
+            fit = replace(fit, status="time limit", message=_UNKNOWN)
         if fit.status in ("interrupted", "time limit"):  # no time to see how exact it is
             break
         found = integration_error(fit)

@@ -14,6 +14,7 @@ import phugoid as ph
 from phugoid import _core
 from phugoid.discrepancy.candidates.library import FAMILIES
 from phugoid.discrepancy.candidates.scales import lagged, late_smooth, trim_of
+from phugoid.discrepancy.search.refit import Refit, refit
 from phugoid.modelling.delayed import at_delays
 from phugoid.modelling.rebuilt import rebuilt
 
@@ -107,7 +108,10 @@ def test_the_library_of_the_hfb320_model() -> None:
         "delay": 9,
         "deadband": 2,
         "saturation": 2,
+        "backlash": 2,
+        "rate_limit": 2,
         "clipped": 7,
+        "variation": 11,
     }
     assert library.only("Cm:*").names == (
         *("Cm:theta", "Cm:T", "Cm:V^2", "Cm:alpha^2", "Cm:theta^2", "Cm:q^2", "Cm:de^2", "Cm:T^2"),
@@ -126,11 +130,14 @@ def test_the_library_of_the_hfb320_model() -> None:
         *("aq:clipped", "aq:lag", "aq:delay"),
     )
     # The elevator stands beside Cmde and Cm0 only: its scale and bias are theirs.
-    inputs = ("de:deadband", "de:saturation", "de:lag", "de:delay")
+    inputs = ("de:deadband", "de:saturation", "de:backlash", "de:rate_limit", "de:lag", "de:delay")
     assert library.only("de:*", "T:*").names == (
         *inputs,
-        *("T:scale", "T:bias", "T:deadband", "T:saturation", "T:lag", "T:delay"),
+        *("T:scale", "T:bias", "T:deadband", "T:saturation", "T:backlash", "T:rate_limit", "T:lag", "T:delay"),
     )
+    # Biases of sensors act on no state; what changes of them is the sensor's drift.
+    assert library.only("Cma:*", "theta:drift").names == ("theta:drift", "Cma:drift")
+    assert "b_q:drift" not in library.names
     # Kinematics and what quantities govern are not doubted.
     assert not any(name.split(":")[0].endswith("'") for name in library.names)
 
@@ -225,7 +232,17 @@ def test_signals_are_what_extensions_add(path: ph.results.Points, library: ph.re
             assert extended.delays.outputs == {c.place.name: c.shape_names[0]}
             assert str(extended) == str(m)
             continue
+        if c.family in ("backlash", "rate_limit"):  # what they do depends on the past: see below
+            continue
         after = right_sides(extended, {**TRUTH, **size, **shape}, p, more)
+        if c.family == "variation":  # the equations are linear in each parameter
+            own = c.place.name
+            by_one = right_sides(m, {**TRUTH, own: TRUTH[own] + 1.0}, p, {})
+            for name, before in base.items():
+                change = added * (by_one[name] - before)
+                assert after[name] - before == pytest.approx(change, abs=1e-9), (c.name, name)
+            checked += 1
+            continue
         through = {"CL": {"alpha'": -1.0, "az": -8.0}, "Cm": {"q'": 1.0}, "de": {"q'": TRUTH["Cmde"]}}
         gains = through.get(c.place.name, {c.place.name: 1.0})
         scale = float(np.abs(added).max())
@@ -255,6 +272,34 @@ def test_lags_and_late_outputs_along_a_path_are_those_of_a_simulation(library: p
     change, signal = r.outputs["az"] - base.outputs["az"], late.signals(p, {"tau_az": 0.12})[0]
     assert np.isnan(change[:3]).all() and (signal[:3] == 0).all()
     assert change[3:] == pytest.approx(signal[3:], abs=2e-3 * np.ptp(base.outputs["az"]))
+
+
+@pytest.mark.parametrize(("what", "size"), [("backlash", 0.02), ("rate_limit", 0.06)])
+def test_actuators_with_a_memory_act_as_they_are_defined(what: str, size: float) -> None:
+    """Extended models, integrated, against what the definition makes of the command; and they are found again."""
+    m, fine = pitch(), record()
+    first = {"alpha": 0.04, "q": 0.0}
+    u = fine.input("de")
+    z = [u[0]]
+    for now in u[1:]:
+        if what == "backlash":
+            z.append(min(max(z[-1], now - size), now + size))
+        else:
+            z.append(z[-1] + min(max(now - z[-1], -0.05 * size), 0.05 * size))
+    known = ph.simulate(m, TRUTH, ph.Experiment(fine.t, {"de": np.array(z)}), initial=first).outputs
+    random = np.random.default_rng(2)
+    noisy = {n: y + SIGMA[n] * random.standard_normal(y.size) for n, y in known.items()}
+    data = ph.Experiment(fine.t, {"de": u}, noisy)
+    base = Refit((), ph.estimate(m, data))
+    c = ph.candidates(m, points=base.linear.points)[f"de:{what}"]
+    (name,) = c.shape_names
+    error = ph.simulate(c.extended(m), {**TRUTH, name: size}, fine, initial=first).outputs["q"] - known["q"]
+    effect = ph.simulate(m, TRUTH, fine, initial=first).outputs["q"] - known["q"]
+    assert np.std(error) < 0.05 * np.std(effect)
+    for start in (size, 1.5 * size):  # the grid of the scan is no wider
+        found = refit(base.fit, [c], {name: start}, points=base.linear.points)
+        assert found is not None
+        assert found.fit.parameters[name].value == pytest.approx(size, rel=0.05)
 
 
 def test_a_lag_is_exact_for_broken_lines() -> None:

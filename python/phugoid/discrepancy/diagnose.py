@@ -114,7 +114,8 @@ def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequenc
     others = [c for c in final.candidates if c is not candidate]
     named = {c.name: c for c in reversed(search.cache.candidates)}
     refits = [search.cache.refit([*others, named[name]], final.fit) for name in aliases]
-    rivals = [r for r in refits if r is not None]
+    # Another finding may have an alias of this one for its cause.
+    rivals = [r for r in refits if r is not None and not {*r.names} <= {*final.names}]
     if not rivals:
         return ""
     search.cache.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")

@@ -16,6 +16,10 @@ __all__ = ["Derivatives", "Values"]
 _Array = NDArray[np.float64]
 
 
+# Models of more parameters than this are not asked what each of them moves at every point.
+_PARAMETERS = 60
+
+
 class Derivatives:
     """f, g, quantities, and derivatives of f and g with respect to states, parameters and places, compiled.
 
@@ -62,6 +66,8 @@ class Derivatives:
                     ask("by_state" if k < len(self.states) else "by_parameter", name, i, e.diff(name))
         self.places: list[tuple[Place, str]] = [(Place("quantity", n), s) for n, s in extra.items()]
         self.places += [(Place("input", n), n) for n in inputs]
+        if len(self.parameters) <= _PARAMETERS:
+            self.places += [(Place("parameter", n), n) for n in self.parameters]
         for place, symbol in self.places:
             for k, e in enumerate(f):
                 if symbol in e.symbols:

@@ -18,10 +18,11 @@ _Array = NDArray[np.float64]
 class Place:
     """Where a candidate acts: what its signal is added to.
 
-    An "input" stands for its symbol everywhere, an "equation" for the derivative of the state of that name.
+    An "input" or a "parameter" stands for its symbol everywhere, an "equation" for the derivative of the state of that
+    name.
     """
 
-    kind: Literal["quantity", "equation", "output", "input"]
+    kind: Literal["quantity", "equation", "output", "input", "parameter"]
     name: str
 
 

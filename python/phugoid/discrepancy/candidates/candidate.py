@@ -69,6 +69,11 @@ class Candidate(ABC):
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
         """(k, n) signals at the points; k is the number of coefficients, or 1 with unit amplitude."""
 
+    def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
+        """Return (n,) at the points of each state that `extended` adds, for parameters that start there; nothing where
+        a fit finds them from any start."""
+        return {}
+
     @abstractmethod
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
         """The model with this effect; its parameters start at the values given by name (coefficients else at 0)."""
@@ -214,6 +219,12 @@ class ExtensionBuilder:
             raise ModelError(
                 f"{self.effect.name}: '{name}' stands in no equation; extend inputs in order of stage, delays last"
             )
+        self.equations = {key: Expr(e.substitute({name: by})) for key, e in self.equations.items()}
+
+    def replace_parameter(self, name: str, by: Any) -> None:
+        """Puts an expression for a parameter wherever it stands."""
+        if not any(name in e.symbols for e in self.equations.values()):
+            raise ModelError(f"{self.effect.name}: '{name}' stands in no equation")
         self.equations = {key: Expr(e.substitute({name: by})) for key, e in self.equations.items()}
 
     def model(self) -> Model:

@@ -11,6 +11,7 @@ from ...errors import ModelError, OptionError, did_you_mean
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Place, Points
 from ..misfit.phrases import per_second
+from .actuators import Backlash, RateLimit
 from .candidate import Effect, unused
 from .channel_effects import (
     ClippedSensor,
@@ -27,6 +28,7 @@ from .channel_effects import (
 from .collection import Candidates, read_terms
 from .directions import Directions
 from .model_structure import ModelStructure, Variable
+from .parameter_drift import ParameterDrift
 from .scales import Scales, output_key, trim_of
 from .terms import FORMS, LaggedVariable, Periodic, Rate, Term, where
 
@@ -51,7 +53,10 @@ FAMILIES = (
     "delay",
     "deadband",
     "saturation",
+    "backlash",
+    "rate_limit",
     "clipped",
+    "variation",
     "periodic",
 )
 # Those with a signal that depends on no shape: only they can be seen to be the same at single points.
@@ -70,11 +75,12 @@ def candidates(
 ) -> Candidates:
     """Everything that the library can think of that the model may be missing, with canonical names.
 
-    In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms, squares,
-    products and cubes of states and inputs, x^2 v for rates v, x|x|, |x|, sign(x), first-order lags, a periodic
-    disturbance. In outputs: bias, scale, drift, delay, lag, clipping, linear terms, squares and products of rates,
-    derivatives of rates. On inputs: scale, bias, dead-band, saturation, lag, delay. What the model's parameters can do
-    already is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
+    In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms,
+    squares, products and cubes of states and inputs, x^2 v for rates v, x|x|, |x|, sign(x), first-order lags, a
+    periodic disturbance. In outputs: bias, scale, drift, delay, lag, clipping, linear terms, squares and products of
+    rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay.
+    Parameters of the state equations may change in the course of a record. What the model's parameters can do already
+    is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
 
     points     paths that the scales are taken from: centres of powers, widths of rounded corners, grids of time
                constants and frequencies. Without, those of `Scales`; ``library.on(points)`` does it later.
@@ -163,6 +169,10 @@ def _library(structure: ModelStructure, scales: Scales, names: _Names) -> Iterat
     for variable in structure.variables:
         if variable.kind == "input" and structure.used(variable.symbol):
             yield from _on_input(structure, variable, scales, names)
+    for name in structure.acting:
+        words = f"{name} changes in the course of the record"
+        coefficient = names(f"drift_{name}")
+        yield ParameterDrift(f"{name}:drift", Place("parameter", name), words, "variation", scales, (coefficient,))
 
 
 def _term(
@@ -266,6 +276,8 @@ def _on_input(structure: ModelStructure, variable: Variable, scales: Scales, nam
     shaped: list[tuple[Callable[..., Effect], str, str, str]] = [
         (DeadBand, "deadband", f"deadband_{u}", f"small deflections of {u} do nothing (dead-band, play)"),
         (Saturation, "saturation", f"saturation_{u}", f"large deflections of {u} are cut off (saturation)"),
+        (Backlash, "backlash", f"backlash_{u}", f"{u} has play: it does nothing until it has moved by the width"),
+        (RateLimit, "rate_limit", f"rate_limit_{u}", f"{u} acts no faster than a greatest rate"),
         (InputLag, "lag", f"lag_{u}", f"{u} acts with a lag (first-order actuator)"),
     ]
     if symbol not in structure.model.delays.inputs:

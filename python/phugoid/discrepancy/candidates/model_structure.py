@@ -78,6 +78,21 @@ class ModelStructure:
         ]
         self.variables += self._inputs()
 
+    @property
+    def acting(self) -> list[str]:
+        """Names of the free parameters that act on states, alone or through quantities: a record of its own may have
+        others of them."""
+        by_name = {**self.quantities}
+        inside: dict[str, set[str]] = {}
+        for name, e in by_name.items():
+            inside[name] = {*e.symbols}.union(*(inside[s] for s in e.symbols if s in inside))
+        seen = {s for e in self.dynamics.values() for s in e.symbols}
+        seen = seen.union(*(inside[s] for s in seen if s in inside))
+        declared = self.model.declared_parameters
+        return [
+            n for n in self.model.parameter_names if n in seen and not (declared[n].fixed or declared[n].per_experiment)
+        ]
+
     def _varies(self, quantity: str) -> bool:
         names = {*self.model.state_names, *self.model.declared_inputs, "time"}
         symbols = {*self.quantities[quantity].symbols}

@@ -18,6 +18,7 @@ from ...parameters import Estimates
 from ...residual_noise.whitening import Filter
 from ...sensitivities.collocated import dataset
 from ...sensitivities.linearised import Linearised
+from ...sensitivities.trajectory import Points
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
 from ...solvers import Newton
 from ...solvers.limits import TimeUp
@@ -99,9 +100,14 @@ class Refit:
 
 
 def refit(
-    base: FitResult, candidates: Sequence[Candidate], starts: Mapping[str, float], near: FitResult | None = None
+    base: FitResult,
+    candidates: Sequence[Candidate],
+    starts: Mapping[str, float],
+    near: FitResult | None = None,
+    points: Sequence[Points] = (),
 ) -> Refit | None:
-    """The base model with candidates, fitted from the values in ``starts`` and a fit nearby.
+    """The base model with candidates, fitted from the values in ``starts`` and a fit nearby; new states from what the
+    candidates say of them at ``points``.
 
     None where there is no such model or the solver does not come to an end.
     """
@@ -117,7 +123,7 @@ def refit(
             dataset(base),
             transcription=base.transcription,
             noise=base.noise,
-            start=started_from(near or base, model.parameter_names),
+            start=_with_paths(started_from(near or base, model.parameter_names), candidates, points, starts),
             solver=Newton(max_iterations=_ITERATIONS),
         )
     except PhugoidError:
@@ -127,6 +133,18 @@ def refit(
     if fit.status == "interrupted":
         raise KeyboardInterrupt
     return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None
+
+
+def _with_paths(
+    near: FitResult, candidates: Sequence[Candidate], points: Sequence[Points], starts: Mapping[str, float]
+) -> FitResult:
+    """A start with paths of the states that candidates add, where it has none of them."""
+    records = []
+    for record, p in zip(near.records, points, strict=False):
+        new = {n: z for c in candidates for n, z in c.paths(p, starts).items() if n not in record.mesh_states}
+        at_mesh = {n: np.interp(record.mesh_t, p.t, z) for n, z in new.items()}
+        records.append(replace(record, mesh_states={**record.mesh_states, **at_mesh}) if new else record)
+    return replace(near, records=records) if records else near
 
 
 def started_from(near: FitResult, names: Collection[str]) -> FitResult:

@@ -71,7 +71,7 @@ class RefitCache:
             starts: dict[str, float] = {}
             for c in candidates:
                 starts |= self._starts.get(c.name, {})
-            found = refit(self.base.fit, candidates, starts, near)
+            found = refit(self.base.fit, candidates, starts, near, self.base.linear.points)
             if found is not None:
                 _ = found.merit  # here, for it takes as long
             return found

@@ -23,10 +23,12 @@ from .candidates.collection import Candidates
 from .candidates.library import candidates as library
 from .discrimination.advice import discrimination_advice
 from .misfit.misfit import misfit
+from .remaining import finding_of_remainder
 from .search.confirmation import Found
 from .search.evidence import is_physical
 from .search.finding import DiagnosisResult, Finding, Scored
 from .search.refit import Refit
+from .search.remainder import Remainder, RemainderSettings, remainder_of
 from .search.scan import NEARLY, Scan
 from .search.search import Search, SearchResult
 
@@ -201,25 +203,30 @@ def diagnose(
 
         search = Search(base, listed, others, step, free)
         result = SearchResult(base, base)
+        remainder = None
         with deadline.in_force():
             # Now, while what the search needs next is at hand.
             ranking, interrupted = _ranked(search, base)
             if not interrupted:
                 result = search.run()
                 interrupted = result.interrupted
+            if not interrupted:
+                result, remainder, interrupted = _rest(search, result)
         ended = deadline.ended() if interrupted else ""
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
             findings = [finding_of(result, f, search.assessment.is_minor(f.explained)) for f in found]
+            if remainder is not None:
+                findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))
             extension = search.extension(final, known=interrupted)
             full = search.extension(result.full, known=interrupted) if result.full is not final else None
             interrupted = interrupted or pressed() > 0
         ended = ended or ("interrupted" if interrupted else "")
         if not interrupted:
             with deadline.in_force():
-                findings = [
+                findings[: len(found)] = [
                     replace(each, advice=each.advice or advice_of(search, result, f.candidate, each.aliases))
-                    for each, f in zip(findings, found, strict=True)
+                    for each, f in zip(findings, found, strict=False)
                 ]
         elif not ranking and not deadline.passed():
             ranking, _ = _ranked(search, base)
@@ -238,6 +245,24 @@ def diagnose(
             _extension=extension,
             _full=full,
         )
+
+
+def _rest(search: Search, result: SearchResult) -> tuple[SearchResult, Remainder | None, bool]:
+    """What is left beside the terms of a search, which fall where they stand in for it; and whether that was
+    interrupted."""
+    try:
+        remainder = remainder_of(search, result)
+    except (PhugoidError, np.linalg.LinAlgError):
+        return result, None, False
+    except KeyboardInterrupt:
+        return result, None, True
+    if remainder is None:
+        return result, None, False
+    kept = tuple(f for f in result.found if f.candidate is not None)
+    if remainder.at is not result.final:
+        base = search.cache.base
+        return replace(result, final=base, full=base, found=()), remainder, False
+    return replace(result, found=kept), remainder, False
 
 
 def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:

@@ -375,6 +375,10 @@ class Linearised:
                 answers[at], parameters[at] = self._answers(place, signals)
         return answers, parameters, groups
 
+    def answers(self, place: Place, signals: Sequence[_Array]) -> _Array:
+        """(k, n_rows) answers of the outputs to signals (k, points of each experiment) at a place."""
+        return self._answers(place, signals)[0]
+
     def _answers(self, place: Place, signals: Sequence[_Array]) -> tuple[_Array, _Array]:
         """Answers to signals at a place, (k, points) for each experiment."""
         if place.kind == "output":

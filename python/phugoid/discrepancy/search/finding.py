@@ -80,6 +80,8 @@ class Finding:
     explained_interval   of 95 %, by a block bootstrap over time.
     explained_outputs    output -> by how much its mean square falls, in parts of that of the model diagnosed.
     rivals_explained     alias -> part of the misfit that it would explain in place of the cause.
+    curve          of a disturbance or an unknown function: what is added to its place, ``"value"``, with standard
+                   deviations, ``"error"``, at times (s) or values of the variable, ``"at"``; all (k,). Else empty.
     """
 
     cause: str
@@ -102,6 +104,7 @@ class Finding:
     explained_interval: tuple[float, float] = (math.nan, math.nan)
     explained_outputs: Mapping[str, float] = field(default_factory=dict)
     rivals_explained: Mapping[str, float] = field(default_factory=dict)
+    curve: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

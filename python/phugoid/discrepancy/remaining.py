@@ -1,0 +1,108 @@
+"""What is left of a misfit beside the candidates, as a finding in words and numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..fit_result import FitResult
+from .candidates.terms import where
+from .misfit.phrases import number
+from .search.disturbance import Disturbance
+from .search.finding import Finding
+from .search.remainder import Remainder
+
+__all__ = ["finding_of_remainder"]
+
+_INTERVAL = 1.959963984540054  # 95 % of a normal distribution
+_ALIASES = 3
+
+
+def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Finding:
+    """Return a disturbance, an event or an unknown function as it is told; ``threshold`` is what its gain had to be."""
+    d, nan = r.disturbance, float("nan")
+    named = d.kind != "function" and not r.moves
+    coefficient, error, unit = _size(r, fit) if named and d.kind == "noise" else (nan, nan, "")
+    half = _INTERVAL * error
+    label = "".join(c if c.isalnum() else "_" for c in d.name)
+    aliases = tuple(r.rivals)[:_ALIASES] if named else (() if r.moves else (d.name, *tuple(r.rivals)[: _ALIASES - 1]))
+    return Finding(
+        cause=d.name if named else "",
+        aliases=aliases,
+        status="named" if named else "unexplained",
+        coefficient=coefficient,
+        std_error=error,
+        interval=(coefficient - half, coefficient + half),
+        unit=unit,
+        parameters={label: (coefficient, error)} if named and d.kind == "noise" else {},
+        gain=r.gain,
+        held_out_gain=r.held_out,
+        threshold=threshold,
+        explanation=_explanation(r),
+        advice=_advice(r),
+        rivals=dict(r.rivals),
+        units={label: unit} if named and d.kind == "noise" else {},
+        explained=r.explained.part if r.explained else nan,
+        explained_interval=r.explained.interval if r.explained else (nan, nan),
+        explained_outputs=dict(r.explained.outputs) if r.explained else {},
+        curve={
+            "at": tuple(map(float, d.knots)),
+            "value": tuple(map(float, d.values)),
+            "error": tuple(map(float, d.marginal.deviations)),
+        },
+    )
+
+
+def _size(r: Remainder, fit: FitResult) -> tuple[float, float, str]:
+    """Intensity of a disturbance, standard error and unit."""
+    d = r.disturbance
+    unit = fit.model.units.get(d.place.name, "")
+    if r.filtered is not None:
+        found = r.filtered.parameters[f"q_{d.place.name}"]
+        return found.value, found.std_error, f"{unit}/√s" if unit else ""
+    # What the data say of each knot counts; the standard deviation of n values is known to 1 part in sqrt(2 n).
+    known = float(np.sum(np.maximum(1.0 - d.marginal.deviations**2 / d.marginal.variance, 0.0)))
+    value = d.intensity
+    white = d.kind == "noise" and not d.correlation and d.place.kind == "equation"
+    return value, value / float(np.sqrt(2.0 * max(known, 1.0))), (f"{unit}/√s" if unit and white else unit)
+
+
+def _explanation(r: Remainder) -> str:
+    d = r.disturbance
+    at = f"{d.place.name}'" if d.place.kind == "equation" else d.place.name
+    if d.kind == "function":
+        return f"no candidate describes it, but a smooth function of {d.variable} in {where(d.place)} does: {_shape(d)}"
+    if r.moves:
+        return (
+            f"what is missing in {at} is no random disturbance: it comes again with the same motion, as a function of "
+            "several variables or of their past does, which no candidate describes"
+        )
+    if d.kind == "event":
+        assert d.span is not None
+        record, begin, end = d.span
+        name = r.at.linear.experiments[record].name
+        return f"something acts on {at} once, from {number(begin, 4)} to {number(end, 4)} s of '{name}'"
+    if d.place.kind == "input":
+        return f"what acts is not {at} as it is recorded, but differs from it at random (noise on a recorded input)"
+    slow = f", with a correlation time of about {number(d.correlation, 2)} s" if d.correlation else ""
+    return f"a random disturbance acts on {at} (process noise, such as gusts or turbulence){slow}"
+
+
+def _shape(d: Disturbance) -> str:
+    """The values of a function at its ends and in the middle, in words."""
+    picked = [0, d.knots.size // 4, d.knots.size // 2, 3 * d.knots.size // 4, d.knots.size - 1]
+    pairs = [f"{number(float(d.values[i]), 3)} at {number(float(d.knots[i]), 3)}" for i in picked]
+    return f"{', '.join(pairs[:-1])} and {pairs[-1]}"
+
+
+def _advice(r: Remainder) -> str:
+    d = r.disturbance
+    if d.kind == "function" or r.moves:
+        return "A term of your own in that place, as the curve suggests it, can be tried by candidates=."
+    if d.kind == "event":
+        return "Leave the span out of the record, or give what happened there as an input."
+    if d.place.kind == "input":
+        return (
+            f"With a noisy input the estimates are biased. Measure {d.place.name} better, smooth it, or estimate by "
+            "FilterError with process noise on the states that it drives."
+        )
+    return f"Estimate with transcription=FilterError('{d.place.name}'): it takes such noise into account."

@@ -1,0 +1,234 @@
+"""What no candidate is: a random disturbance, a noisy input, a single event, or an unknown function of one variable.
+
+Each is a random time history at one place of the model, or a random function there, with a marginal likelihood about a
+fit (`RandomEffects`); with white process noise that is the likelihood of the filter-error method, linearised. These
+likelihoods, and that of the residuals as autoregressive noise of the sensors, are of the same data: they tell which of
+them it is, and at which place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...sensitivities.linearised import Linearised
+from ...sensitivities.random_effects import Marginal, RandomEffects, at_knots
+from ...sensitivities.trajectory import Place, Points
+from ...solvers.limits import check_time
+from .refit import Refit
+
+__all__ = ["Disturbance", "Disturbances", "disturbance_at", "function_at"]
+
+_Array = NDArray[np.float64]
+
+# Knots of a time history, over all records: first at all places, then at the likeliest ones.
+_KNOTS, _FINER = 120, (240, 480)
+# Places that are looked at more closely.
+_LIKELY = 2
+# Products of columns that are worth their time.
+_PRODUCTS = 3e9
+# Correlation times of a disturbance that are tried, in knots; 0 is white.
+_CORRELATION = (0.0, 3.0, 12.0)
+# Nodes of a function of one variable, and the distance, in nodes, over which it bends.
+_NODES, _SMOOTH = 17, 4.0
+# Part of the squares of a time history that an event holds, within this part of the time.
+_EVENT, _SHORT = 0.7, 0.2
+# Parameters of a hypothesis beside the variances of the noise, which an autoregressive noise has too, by kind: a
+# variance; a variance and a correlation time; a variance and two ends.
+_Kind = Literal["noise", "event", "function"]
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbance:
+    """One hypothesis at its likeliest.
+
+    kind        "noise": a stationary random time history; "event": one that is zero but for a span; "function": a
+                smooth function of a variable, the same wherever the variable has a value again.
+    place       what it is added to.
+    variable    that a function depends on; "" else.
+    merit       log-likelihood less the number of its parameters (Akaike).
+    marginal    where that is.
+    correlation s, correlation time of a disturbance; 0 for white.
+    span        (record, begin, end) of an event, s.
+    knots       (k,) values of time, records one after the other, or nodes of the variable.
+    step        s, between knots.
+    """
+
+    kind: _Kind
+    place: Place
+    variable: str
+    merit: float
+    marginal: Marginal
+    correlation: float
+    span: tuple[int, float, float] | None
+    knots: _Array
+    step: float
+
+    @property
+    def name(self) -> str:
+        """Canonical, ``where:what``."""
+        where = f"{self.place.name}'" if self.place.kind == "equation" else self.place.name
+        return f"{where}:f({self.variable})" if self.kind == "function" else f"{where}:{self.kind}"
+
+    @property
+    def intensity(self) -> float:
+        """Standard deviation of what is added to the place; of white noise the root of its density, so that the state
+        has q √s as its standard deviation after s seconds."""
+        if self.kind == "noise" and not self.correlation:
+            return float(np.sqrt(self.marginal.variance * self.step))
+        return float(np.sqrt(np.mean(self.values**2)))
+
+    @property
+    def values(self) -> _Array:
+        """(k,) what is added to the place at the knots, in its unit."""
+        return self.marginal.coefficients
+
+
+class Disturbances:
+    """Hypotheses about the fits of a search, each worked out once."""
+
+    def __init__(self) -> None:
+        self._best: dict[tuple[str, ...], list[Disturbance]] = {}
+
+    def ranked(self, at: Refit) -> list[Disturbance]:
+        """All hypotheses beside the terms of a refit, the likeliest first; none where there are too many samples."""
+        if at.names not in self._best:
+            self._best[at.names] = sorted(_hypotheses(at), key=lambda h: -h.merit)
+        return self._best[at.names]
+
+
+def _hypotheses(at: Refit) -> Iterator[Disturbance]:
+    linear = at.linear
+    noise = np.array([channel.power for channel in at.own.filter.channels])
+    samples = max(len(np.unique(linear.times)), 2)
+    if min(_KNOTS, samples) ** 2 * linear.n_rows > _PRODUCTS:
+        return
+    places = [p for p in sorted(linear.places, key=lambda p: (p.kind, p.name)) if p.kind in ("equation", "input")]
+    rough = []
+    for place in places:
+        found = _histories(linear, place, noise, min(_KNOTS, samples))
+        rough += found[:1]
+        yield from found
+    for best in sorted(rough, key=lambda h: -h.merit)[:_LIKELY]:
+        finest = best
+        for count in _FINER:
+            if count >= 2 * samples or count**2 * linear.n_rows > _PRODUCTS:
+                break
+            found = _histories(linear, best.place, noise, min(count, samples))
+            yield from found
+            finest = max([finest, *found], key=lambda h: h.merit)
+        event = _event(linear, finest, noise)
+        if event is not None:
+            yield event
+    for place in sorted(linear.places, key=lambda p: (p.kind, p.name)):
+        if place.kind in ("equation", "quantity"):
+            yield from _functions(linear, place, noise)
+
+
+def _histories(linear: Linearised, place: Place, noise: _Array, count: int) -> list[Disturbance]:
+    """A random time history at a place, of several correlation times, the likeliest first."""
+    check_time()
+    knots, step = _knots(linear.points, count)
+    answers = linear.answers(place, _signals(linear.points, knots))
+    if not np.any(answers):
+        return []
+    found = []
+    flat = np.concatenate(knots)
+    for tau in _CORRELATION:
+        correlation = _exponential(knots, tau)
+        marginal = RandomEffects(linear, answers, correlation).maximised(noise)
+        merit = marginal.log_likelihood - (2.0 if tau else 1.0)
+        found.append(Disturbance("noise", place, "", merit, marginal, tau * step, None, flat, step))
+    return sorted(found, key=lambda h: -h.merit)
+
+
+def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | None:
+    """The shortest span that holds most of a time history, where it is short, as an event."""
+    energy = of.values**2
+    total, n = float(energy.sum()), energy.size
+    sums = np.concatenate([[0.0], np.cumsum(energy)])
+    ends = np.searchsorted(sums, sums[:-1] + _EVENT * total)
+    lengths = np.where(ends <= n, ends - np.arange(n), n + 1)
+    first = int(np.argmin(lengths))
+    last = min(first + int(lengths[first]) + 1, n)
+    first = max(first - 1, 0)
+    # A span goes over no end of a record: times of the next begin anew.
+    if last - first > max(_SHORT * n, 4) or np.any(np.diff(of.knots[first:last]) <= 0.0):
+        return None
+    ends_of = np.flatnonzero(np.diff(of.knots) <= 0.0) + 1
+    record = int(np.searchsorted(ends_of, first, side="right"))
+    knots = np.split(of.knots, ends_of)
+    answers = linear.answers(of.place, _signals(linear.points, knots))[first:last]
+    marginal = RandomEffects(linear, answers).maximised(noise)
+    span = (record, float(of.knots[first]), float(of.knots[last - 1]))
+    merit = marginal.log_likelihood - 3.0
+    return Disturbance("event", of.place, "", merit, marginal, 0.0, span, of.knots[first:last], of.step)
+
+
+def _functions(linear: Linearised, place: Place, noise: _Array) -> Iterator[Disturbance]:
+    """A smooth random function of each variable at a place."""
+    index = np.arange(_NODES)
+    correlation = np.exp(-0.5 * ((index[:, None] - index) / _SMOOTH) ** 2)
+    inputs, states = linear.model.declared_inputs, linear.model.state_names
+    for variable in (*states, *inputs):
+        check_time()
+        columns = [p.values[variable] for p in linear.points]
+        low, high = min(float(c.min()) for c in columns), max(float(c.max()) for c in columns)
+        if not high - low > 1e-9 * max(abs(low), abs(high)):
+            continue
+        nodes = np.linspace(low, high, _NODES)
+        answers = linear.answers(place, [at_knots(c, nodes) for c in columns])
+        if not np.any(answers):
+            continue
+        marginal = RandomEffects(linear, answers, correlation).maximised(noise)
+        yield Disturbance("function", place, variable, marginal.log_likelihood - 2.0, marginal, 0.0, None, nodes, 0.0)
+
+
+def disturbance_at(linear: Linearised, of: Disturbance) -> float:
+    """The log-likelihood of other records with a disturbance of the same kind, place and variances there."""
+    knots, _ = _knots(linear.points, 0, of.step)
+    answers = linear.answers(of.place, _signals(linear.points, knots))
+    effects = RandomEffects(linear, answers, _exponential(knots, of.correlation / of.step))
+    return effects.at(of.marginal.variance, of.marginal.noise).log_likelihood
+
+
+def function_at(linear: Linearised, of: Disturbance) -> _Array:
+    """(n_rows,) the answer of other records to a function as it was estimated, constant beyond its nodes."""
+    signals = [np.interp(p.values[of.variable], of.knots, of.values)[np.newaxis] for p in linear.points]
+    return linear.answers(of.place, signals)[0]
+
+
+def _knots(points: Sequence[Points], count: int, step: float = 0.0) -> tuple[list[_Array], float]:
+    """Knots of each record, so many in all, equally spaced; or at a given step. And the step, s."""
+    spans = [float(p.t[-1] - p.t[0]) for p in points]
+    step = step or sum(spans) / max(count - len(spans), 1)
+    counts = [max(int(np.ceil(s / step - 1e-6)), 1) + 1 for s in spans]
+    return [np.linspace(p.t[0], p.t[-1], n) for p, n in zip(points, counts, strict=True)], step
+
+
+def _signals(points: Sequence[Points], knots: Sequence[_Array]) -> list[_Array]:
+    """(k, n) broken lines of all knots along each record: zero in the others."""
+    ends = np.cumsum([0, *(k.size for k in knots)])
+    found = []
+    for e, p in enumerate(points):
+        signals = np.zeros((int(ends[-1]), p.n))
+        signals[ends[e] : ends[e + 1]] = at_knots(p.t, knots[e])
+        found.append(signals)
+    return found
+
+
+def _exponential(knots: Sequence[_Array], tau: float) -> _Array | None:
+    """(k, k) correlation of a first-order process with a correlation time of ``tau`` knots; None for white noise."""
+    if not tau:
+        return None
+    out = np.zeros((sum(k.size for k in knots),) * 2)
+    first = 0
+    for k in knots:
+        index = np.arange(k.size)
+        out[first : first + k.size, first : first + k.size] = np.exp(-np.abs(index[:, None] - index) / tau)
+        first += k.size
+    return out

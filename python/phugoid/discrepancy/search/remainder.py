@@ -1,0 +1,250 @@
+"""What is left beside the candidates: a disturbance, a noisy input, an event, or a function that has no name.
+
+The search explains a misfit by terms of the physics. What it leaves, and whether the terms that it found stand in for
+something else, is decided here by one scale: the likelihood of the residuals, as coloured noise of the sensors, and
+with a disturbance at each place of the model (`disturbance`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import PhugoidError
+from ...estimation.estimate import estimate
+from ...fit_result import FitResult
+from ...residual_noise.whitening import Whitening
+from ...sensitivities.collocated import dataset
+from ...sensitivities.linearised import Linearised
+from ...sensitivities.whitened import Whitened
+from ...solvers.limits import Deadline, check_time
+from ...transcription.filter_error import FilterError
+from .disturbance import Disturbance, Disturbances, disturbance_at, function_at
+from .free_run import Explained, Misfitting, Simulated
+from .refit import Refit
+from .search import Search, SearchResult
+
+__all__ = ["Remainder", "RemainderSettings", "remainder_of"]
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RemainderSettings:
+    """Set what a remainder must be.
+
+    structure  part of the residuals' power that their past predicts, below which there is nothing to explain.
+    margin     by how much its log-likelihood, less its number of parameters, must be ahead of that of coloured noise.
+    alike      other places of the same kind are told beside it where they are behind by less than this.
+    seconds    that a fit by the filter-error method may take.
+    event      part of the time in which most of a disturbance happens that is a single event.
+    motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
+    """
+
+    structure: float = 0.05
+    margin: float = 8.0
+    alike: float = 3.0
+    seconds: float = 20.0
+    event: float = 0.12
+    motion: float = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """What is left of a misfit.
+
+    disturbance  the likeliest hypothesis.
+    at           the refit beside whose terms it is.
+    gain         in log-likelihood over coloured noise of the sensors.
+    held_out     the same on data held out; NaN where there are none, or none that can tell.
+    rivals       others of its kind that the data do not tell from it: name -> gain.
+    filtered     the fit by the filter-error method, of a disturbance on a state.
+    moves        whether the time history goes with the motion, as an unknown function of several variables does.
+    explained    of a function: the part of the misfit that it explains in free simulation of data held out.
+    """
+
+    disturbance: Disturbance
+    at: Refit
+    gain: float
+    held_out: float
+    rivals: Mapping[str, float] = field(default_factory=dict)
+    filtered: FitResult | None = None
+    moves: bool = False
+    explained: Explained | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Option:
+    """A hypothesis beside the terms of a refit; ``disturbance`` None for coloured noise alone. ``event``: what a
+    disturbance is that nearly all happens in a short span."""
+
+    at: Refit
+    merit: float
+    disturbance: Disturbance | None = None
+    filtered: FitResult | None = None
+    event: Disturbance | None = None
+
+
+def remainder_of(search: Search, result: SearchResult, settings: RemainderSettings | None = None) -> Remainder | None:
+    """What is left beside the terms that a search found, or in place of them; None where that is coloured noise of the
+    sensors or nothing."""
+    s = settings or RemainderSettings()
+    final, base = result.final, search.cache.base
+    if not _structured(final, s.structure):
+        return None
+    search.cache.watch("looking for a disturbance in what is left")
+    known = Disturbances()
+    options = _options(final, known, s)
+    if final.names:
+        alone = _options(base, known, s)
+        new = sum(search.assessment.needed(final, c) for c in final.candidates) / 2
+        # Beside a disturbance terms must be worth their chances, too.
+        if alone[0].disturbance is not None and alone[0].merit > options[0].merit - new:
+            options = alone
+    coloured = options[-1].at.merit
+    for option in options:
+        d = option.disturbance
+        if d is None or option.merit < coloured + s.margin:
+            return None
+        found = _confirmed(search, option, coloured, s)
+        if found is not None:
+            rivals = {
+                o.disturbance.name: o.merit - coloured
+                for o in options
+                if o.disturbance is not None
+                and o.disturbance.kind == d.kind
+                and o.disturbance.name != d.name
+                and o.merit > option.merit - s.alike
+            }
+            return replace(found, rivals=rivals)
+    return None
+
+
+def _is_short(event: Disturbance, linear: Linearised, most: float) -> bool:
+    """Tell whether an event takes no more than this part of all time."""
+    assert event.span is not None
+    _, begin, end = event.span
+    return end - begin < most * sum(float(p.t[-1] - p.t[0]) for p in linear.points)
+
+
+def _structured(at: Refit, least: float) -> bool:
+    """Tell whether the past of any output's residuals predicts more than this part of their power."""
+    filter = Whitening.of(at.linear.residuals, at.linear.structure)
+    for line, channel in zip(at.linear.rows, filter.channels, strict=True):
+        power = float(np.mean(at.linear.residuals[line[0].start : line[-1].stop] ** 2))
+        if channel.power < (1.0 - least) * power:
+            return True
+    return False
+
+
+def _options(at: Refit, known: Disturbances, s: RemainderSettings) -> list[_Option]:
+    """Hypotheses beside the terms of a refit, the likeliest of each name, the best first; coloured noise with them."""
+    best: dict[str, Disturbance] = {}
+    for d in known.ranked(at):
+        best.setdefault(d.name, d)
+    once = {d.place: d for d in best.values() if d.kind == "event" and _is_short(d, at.linear, s.event)}
+    options = [_Option(at, d.merit, d, event=once.get(d.place)) for d in best.values()]
+    options.append(_Option(at, at.merit))
+    options.sort(key=lambda o: -o.merit)
+    noises = [o for o in options if o.disturbance is not None and o.disturbance.kind == "noise"]
+    first = next((o for o in noises if o.disturbance and o.disturbance.place.kind == "equation"), None)
+    # Large disturbances move the vehicle far from the path of the fit, about which all else is linearised: there the
+    # filter-error method itself is asked, where channels go together as disturbances make them.
+    asked = first is not None and first in noises[:2] and (at.together is not None or first is options[0])
+    if asked and first is not None and first.disturbance is not None:
+        filtered = _filtered(at, first.disturbance, s)
+        if filtered is not None:
+            merit = filtered.log_likelihood - 1.0
+            options.append(replace(first, merit=merit, filtered=filtered))
+            if merit > first.merit or first is options[0]:
+                options.remove(first)
+        options.sort(key=lambda o: -o.merit)
+    coloured = next(o for o in options if o.disturbance is None)
+    return [*(o for o in options if o.merit > coloured.merit), coloured]
+
+
+def _filtered(at: Refit, of: Disturbance, s: RemainderSettings) -> FitResult | None:
+    """The fit by the filter-error method with process noise on the state of a disturbance; first states are parameters,
+    so that without noise the likelihood is that of output error."""
+    check_time()
+    model = at.fit.model
+    if model.delays or any(p.per_experiment for p in model.declared_parameters.values()):
+        return None
+    method = FilterError(of.place.name, initial=dict.fromkeys(model.state_names), time_limit=s.seconds)
+    try:
+        with Deadline(s.seconds).in_force():
+            found = estimate(model, dataset(at.fit), transcription=method, noise=at.fit.noise, start=at.fit)
+    except (PhugoidError, np.linalg.LinAlgError):
+        return None
+    return found if found.status == "converged" else None
+
+
+def _confirmed(search: Search, option: _Option, coloured: float, s: RemainderSettings) -> Remainder | None:
+    """A hypothesis that data held out do not speak against; None where they do."""
+    d = option.disturbance
+    assert d is not None
+    gain = option.merit - coloured
+    other = search.cache.on_validation(option.at)
+    if d.kind == "function":
+        if other is None:
+            return Remainder(d, option.at, gain, float("nan"))
+        explained = _explained(search, other, d)
+        if not explained.significant or explained.part < search.assessment.settings.minor:
+            return None
+        return Remainder(d, option.at, gain, float("nan"), explained=explained)
+    held_out = float("nan")
+    if d.kind == "noise" and other is not None and option.filtered is None:
+        filter = option.at.own.filter
+        held_out = disturbance_at(other, d) - Whitened(other, filter.on(other.structure)).log_likelihood
+        if held_out <= 0.0:
+            return None
+    if d.kind == "noise" and option.event is not None:
+        return Remainder(option.event, option.at, gain, held_out)
+    moves = d.kind == "noise" and _goes_with_motion(option.at.linear, d) > s.motion
+    return Remainder(d, option.at, gain, held_out, filtered=option.filtered, moves=moves)
+
+
+def _explained(search: Search, other: Linearised, of: Disturbance) -> Explained:
+    """What a function explains of the misfit in free simulation of data held out, first states and biases free."""
+    scale = other.scale()
+    left = (other.residuals - function_at(other, of)) / scale
+    basis = other.tangents / scale[:, None]
+    left = scale * (left - basis @ np.linalg.lstsq(basis, left, rcond=None)[0])
+    whole = search.cache.on_validation(search.cache.base)
+    assert whole is not None
+    return Simulated.of(other, left).explained(Simulated.of(other), Misfitting.of(whole))
+
+
+# Neighbours in the motion that are asked, and the part of the record about a time that counts as the same pass.
+_NEIGHBOURS, _PASS = 5, 0.04
+
+
+def _goes_with_motion(linear: Linearised, of: Disturbance) -> float:
+    """Return the correlation of a time history with what it was when the fitted motion was nearly the same at another
+    time: about 0 for gusts, which do not know of the path that the model simulates without them."""
+    columns, record = [], []
+    first = 0
+    for e, p in enumerate(linear.points):
+        n = int(np.sum(np.diff(of.knots[first:]) <= 0.0) and np.argmax(np.diff(of.knots[first:]) <= 0.0) + 1)
+        n = n or of.knots.size - first
+        at = of.knots[first : first + n]
+        names = [*linear.model.state_names, *linear.model.declared_inputs]
+        columns.append(np.stack([np.interp(at, p.t, p.values[name]) for name in names]))
+        record.append(np.full(n, e))
+        first += n
+    x = np.hstack(columns)
+    spread = x.std(axis=1)
+    x = x[spread > 0.0] / spread[spread > 0.0, None]
+    where = np.concatenate(record)
+    distance = np.sum((x[:, :, None] - x[:, None, :]) ** 2, axis=0)
+    index = np.arange(of.knots.size)
+    same = (where[:, None] == where) & (np.abs(index[:, None] - index) < max(_PASS * index.size, 3.0))
+    distance[same] = np.inf
+    nearest = np.argsort(distance, axis=1)[:, :_NEIGHBOURS]
+    predicted = of.values[nearest].mean(axis=1)
+    if predicted.std() == 0.0 or of.values.std() == 0.0:
+        return 0.0
+    return float(np.corrcoef(predicted, of.values)[0, 1])

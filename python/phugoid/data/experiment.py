@@ -300,6 +300,24 @@ class Experiment(Preprocessing):
         changed = [f"{old} to {new}" for old, new in names.items() if old != new]
         return other._after(self, *([f"renamed {', '.join(changed)}"] if changed else []))
 
+    def with_interpolation(self, interpolation: Interpolations) -> Experiment:
+        """Return the same record with inputs that behave otherwise between samples, as the constructor takes it; those
+        not named stay as they are."""
+        kinds = interpolation
+        if not isinstance(interpolation, str):
+            names = [*self._inputs, *self._channels]
+            kinds = {**{name: self.interpolation_of(name) for name in names}, **interpolation}
+        other = Experiment(
+            self._t,
+            self._inputs,
+            self._outputs,
+            self._name,
+            kinds,
+            channels=self._channels,
+            units=self._units,
+        )
+        return other._sampled(self._signals, self._mesh_times)._after(self, f"interpolation: {interpolation}")
+
     def with_outputs(self, outputs: Mapping[str, ArrayLike], name: str | None = None) -> Experiment:
         """The same inputs with ``outputs`` (name -> (N,)) in place of the measured ones: simulated data."""
         other = Experiment(

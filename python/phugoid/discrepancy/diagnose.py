@@ -23,10 +23,11 @@ from .candidates.collection import Candidates
 from .candidates.library import candidates as library
 from .discrimination.advice import discrimination_advice
 from .misfit.misfit import misfit
-from .remaining import finding_of_remainder
+from .remaining import finding_of_held_input, finding_of_remainder
 from .search.confirmation import Found
 from .search.evidence import is_physical
 from .search.finding import DiagnosisResult, Finding, Scored
+from .search.held_input import HeldInput, held_input
 from .search.refit import Refit
 from .search.remainder import Remainder, RemainderSettings, remainder_of
 from .search.scan import NEARLY, Scan
@@ -203,10 +204,19 @@ def diagnose(
 
         search = Search(base, listed, others, step, free)
         result = SearchResult(base, base)
-        remainder = None
+        remainder: Remainder | None = None
+        held: list[HeldInput] = []
         with deadline.in_force():
             # Now, while what the search needs next is at hand.
             ranking, interrupted = _ranked(search, base)
+            if not interrupted:
+                following, interrupted = _held(search)
+                while following is not None:
+                    # All else is sought with the input as it acts.
+                    held.append(following)
+                    search = Search(following.refit, listed, following.validation, step, free)
+                    result = SearchResult(following.refit, following.refit)
+                    following, interrupted = _held(search)
             if not interrupted:
                 result = search.run()
                 interrupted = result.interrupted
@@ -216,6 +226,7 @@ def diagnose(
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
             findings = [finding_of(result, f, search.assessment.is_minor(f.explained)) for f in found]
+            findings[:0] = [finding_of_held_input(h, RemainderSettings().margin) for h in held]
             if remainder is not None:
                 findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))
             extension = search.extension(final, known=interrupted)
@@ -224,9 +235,10 @@ def diagnose(
         ended = ended or ("interrupted" if interrupted else "")
         if not interrupted:
             with deadline.in_force():
-                findings[: len(found)] = [
+                first = len(held)
+                findings[first : first + len(found)] = [
                     replace(each, advice=each.advice or advice_of(search, result, f.candidate, each.aliases))
-                    for each, f in zip(findings, found, strict=False)
+                    for each, f in zip(findings[first:], found, strict=False)
                 ]
         elif not ranking and not deadline.passed():
             ranking, _ = _ranked(search, base)
@@ -247,6 +259,26 @@ def diagnose(
         )
 
 
+def _held(search: Search) -> tuple[HeldInput | None, bool]:
+    """An input that is held between its samples, which explains more than a delay or a lag of it; and whether the
+    comparison was interrupted."""
+    cache = search.cache
+    try:
+        cache.watch("comparing inputs that are held between samples")
+        held = held_input(cache.base, cache.validation, cache.biases)
+        if held is None:
+            return None, False
+        search.screen.shortlist(cache.base)
+        late = [c for c in cache.candidates if c.name in (f"{held.name}:delay", f"{held.name}:lag")]
+        rivals = [r for r in cache.refits([[c] for c in late if cache.has_start(c.name)]) if r is not None]
+        best = max((r.merit - len(r.candidates[0].parameters) for r in rivals), default=-np.inf)
+        return (held if held.refit.merit > best else None), False
+    except PhugoidError:
+        return None, False
+    except KeyboardInterrupt:
+        return None, True
+
+
 def _rest(search: Search, result: SearchResult) -> tuple[SearchResult, Remainder | None, bool]:
     """What is left beside the terms of a search, which fall where they stand in for it; and whether that was
     interrupted."""
@@ -259,7 +291,7 @@ def _rest(search: Search, result: SearchResult) -> tuple[SearchResult, Remainder
     if remainder is None:
         return result, None, False
     kept = tuple(f for f in result.found if f.candidate is not None)
-    if remainder.at is not result.final:
+    if remainder.at is not result.full:
         base = search.cache.base
         return replace(result, final=base, full=base, found=()), remainder, False
     return replace(result, found=kept), remainder, False

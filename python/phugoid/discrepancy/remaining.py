@@ -9,9 +9,10 @@ from .candidates.terms import where
 from .misfit.phrases import number
 from .search.disturbance import Disturbance
 from .search.finding import Finding
+from .search.held_input import HeldInput
 from .search.remainder import Remainder
 
-__all__ = ["finding_of_remainder"]
+__all__ = ["finding_of_held_input", "finding_of_remainder"]
 
 _INTERVAL = 1.959963984540054  # 95 % of a normal distribution
 _ALIASES = 3
@@ -49,6 +50,31 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
             "value": tuple(map(float, d.values)),
             "error": tuple(map(float, d.marginal.deviations)),
         },
+    )
+
+
+def finding_of_held_input(h: HeldInput, threshold: float) -> Finding:
+    """Return an input that is held between its samples as it is told."""
+    nan = float("nan")
+    return Finding(
+        cause=f"{h.name}:hold",
+        aliases=(),
+        status="named",
+        coefficient=nan,
+        std_error=nan,
+        interval=(nan, nan),
+        unit="",
+        parameters={},
+        gain=h.gain,
+        held_out_gain=h.held_out.gain if h.held_out else nan,
+        threshold=threshold,
+        explanation=(
+            f"{h.name} is held between its samples, as a computer puts out commands, and not joined by straight lines"
+        ),
+        advice=f"Give the records with interpolation={{'{h.name}': 'hold'}}; all else was sought with it held.",
+        explained=h.explained.part if h.explained else nan,
+        explained_interval=h.explained.interval if h.explained else (nan, nan),
+        explained_outputs=dict(h.explained.outputs) if h.explained else {},
     )
 
 

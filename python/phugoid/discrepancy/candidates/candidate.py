@@ -22,6 +22,7 @@ __all__ = [
     "Candidate",
     "Effect",
     "ExtensionBuilder",
+    "is_function",
     "largest_coefficient",
     "place_range",
     "unused",
@@ -139,6 +140,11 @@ class Effect(Candidate):
 
     def __repr__(self) -> str:
         return f"<{self.name}: {self.explanation}>"
+
+
+def is_function(candidate: Candidate) -> bool:
+    """Tell whether a candidate is a function of the present value of one variable, and neither constant nor linear."""
+    return isinstance(candidate, Effect) and len(candidate.variables) == 1 and candidate.family in _SHAPED
 
 
 class ExtensionBuilder:

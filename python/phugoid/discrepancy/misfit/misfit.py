@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +14,9 @@ from ...errors import DataError
 from ...fit_result import FitResult
 from ...residual_noise.autoregression import Autoregression, CorrelatedNoise, burg
 from ...residual_noise.residual_series import Series, autocorrelation_of, channel_series, same_rate
+from ...residual_noise.resolution import WITHIN, resolution_of
 from ...residual_noise.spectrum import Spectrum, Tone, spectrum_of, tones_of
-from .phrases import channel_phrases
+from .phrases import channel_phrases, number
 from .regimes import Dependence, Regime, Running, Span, correlations_of, regimes_of, spans_of
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ class ChannelMisfit:
     spectrum, tones         power by frequency, and lines in it.
     units        of states and inputs.
     notes        what could not be told, and why.
+    resolution   of the sensor, where its samples lie on a grid; 0 elsewhere.
 
     Claims have a chance of 0.001 each of being false where residuals are noise of the colour found.
     """
@@ -81,6 +83,12 @@ class ChannelMisfit:
     tones: tuple[Tone, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    resolution: float = 0.0
+
+    @property
+    def within_resolution(self) -> bool:
+        """Whether the residuals are what rounding to the steps of the sensor explains."""
+        return self.rms <= WITHIN * self.resolution
 
     @property
     def ratio(self) -> float:
@@ -206,10 +214,20 @@ def misfit(fit: FitResult) -> Misfit:
     for name in outputs:
         series = channel_series(fit.records, name)
         if series:
-            found[name] = _of_channel(name, units, series)
+            step = resolution_of([r.measured[name] for r in fit.records if name in r.measured])
+            found[name] = _with_resolution(_of_channel(name, units, series), step)
     if not found:
         raise DataError("misfit: no output has two residuals or more; give a fit to measured data")
     return Misfit(found, fit)
+
+
+def _with_resolution(channel: ChannelMisfit, step: float) -> ChannelMisfit:
+    """The same with the resolution of its sensor, and a note where the residuals are no larger."""
+    channel = replace(channel, resolution=step)
+    if not channel.within_resolution:
+        return channel
+    note = f"{channel.name} is measured in steps of {number(step, 3)}: its residuals are within that resolution"
+    return replace(channel, notes=(*channel.notes, note))
 
 
 def _of_channel(name: str, units: Mapping[str, str], every: Sequence[Series]) -> ChannelMisfit:

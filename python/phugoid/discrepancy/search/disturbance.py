@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.random_effects import Marginal, RandomEffects, at_knots
 from ...sensitivities.trajectory import Place, Points
@@ -103,7 +104,8 @@ class Disturbances:
 
 def _hypotheses(at: Refit) -> Iterator[Disturbance]:
     linear = at.linear
-    noise = np.array([channel.power for channel in at.own.filter.channels])
+    filter = Whitening.of(linear.residuals, linear.structure)
+    noise = np.array([channel.power for channel in filter.channels])
     samples = max(len(np.unique(linear.times)), 2)
     if min(_KNOTS, samples) ** 2 * linear.n_rows > _PRODUCTS:
         return
@@ -188,18 +190,21 @@ def _functions(linear: Linearised, place: Place, noise: _Array) -> Iterator[Dist
         yield Disturbance("function", place, variable, marginal.log_likelihood - 2.0, marginal, 0.0, None, nodes, 0.0)
 
 
-def disturbance_at(linear: Linearised, of: Disturbance) -> float:
-    """The log-likelihood of other records with a disturbance of the same kind, place and variances there."""
+def disturbance_at(linear: Linearised, of: Disturbance, anew: bool = False) -> float:
+    """The log-likelihood of other records with a disturbance of the same kind at the same place, of the same variances;
+    ``anew``: of the variances that are likeliest there, for gusts are not as strong every day."""
     knots, _ = _knots(linear.points, 0, of.step)
     answers = linear.answers(of.place, _signals(linear.points, knots))
     effects = RandomEffects(linear, answers, _exponential(knots, of.correlation / of.step))
+    if anew:
+        return effects.maximised(of.marginal.noise).log_likelihood
     return effects.at(of.marginal.variance, of.marginal.noise).log_likelihood
 
 
 def function_at(linear: Linearised, of: Disturbance) -> _Array:
     """(n_rows,) the answer of other records to a function as it was estimated, constant beyond its nodes."""
     signals = [np.interp(p.values[of.variable], of.knots, of.values)[np.newaxis] for p in linear.points]
-    return linear.answers(of.place, signals)[0]
+    return np.asarray(linear.answers(of.place, signals)[0])
 
 
 def _knots(points: Sequence[Points], count: int, step: float = 0.0) -> tuple[list[_Array], float]:

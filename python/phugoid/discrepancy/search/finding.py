@@ -11,12 +11,16 @@ from ...errors import OptionError
 from ...fit_result import FitResult
 from ...modelling.model import Model
 from ...parameters import text_table
-from ..misfit.misfit import Misfit
+from ..misfit.misfit import ChannelMisfit, Misfit
 
 __all__ = ["DiagnosisResult", "ExtensionResult", "Finding", "Gain", "Scored"]
 
 # Part of the residuals' power that their past predicts, from which on they are told to have structure.
 _STRUCTURE = 0.05
+
+
+def _tells(channel: ChannelMisfit) -> bool:
+    return channel.structured and channel.predictable >= _STRUCTURE and not channel.within_resolution
 
 
 @dataclass(frozen=True)
@@ -229,7 +233,7 @@ class DiagnosisResult:
     def structured_outputs(self) -> tuple[str, ...]:
         """Outputs whose residuals, in the model that was diagnosed, have structure worth a word; the worst first."""
         channels = self.misfit.channels
-        return tuple(n for n in self.misfit.worst if channels[n].structured and channels[n].predictable >= _STRUCTURE)
+        return tuple(n for n in self.misfit.worst if _tells(channels[n]))
 
     def extend(self, *, minor: bool = False) -> ExtensionResult:
         """Return the model with all causes that are named, its fit, and the gain over the base model; with ``minor``

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...residual_noise.resolution import ROUNDED, resolution_of
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
 
@@ -101,11 +102,13 @@ class Simulated:
         sums, wholes = (np.bincount(block, weights=w)[blocks] for w in (less, wrong))
         drawn = np.random.default_rng(0).integers(blocks.size, size=(_DRAWS, blocks.size))
         tail = 50.0 * (1.0 - _INTERVAL)
-        ratios = sums[drawn].sum(axis=1) / np.maximum(wholes[drawn].sum(axis=1), _LEAST)
+        # Whatever is explained was misfit, be it as quick as noise.
+        drawn_sums = sums[drawn].sum(axis=1)
+        ratios = drawn_sums / np.maximum(np.maximum(wholes[drawn].sum(axis=1), drawn_sums), _LEAST)
         low, high = np.percentile(ratios, [tail, 100.0 - tail])
         of_outputs = np.bincount(output, weights=less, minlength=n)
         named = dict(zip(self.names, of_outputs.tolist(), strict=True))
-        part = float(sums.sum()) / max(float(wholes.sum()), _LEAST)
+        part = float(sums.sum()) / max(float(wholes.sum()), float(sums.sum()), _LEAST)
         return Explained(part, (float(low), float(high)), named)
 
 
@@ -122,7 +125,13 @@ class Misfitting:
     def of(linear: Linearised, simulated: Simulated | None = None) -> Misfitting:
         """The misfit of a fit; or of errors simulated with it, beside the same noise."""
         simulated = simulated or Simulated.of(linear)
-        noise = [channel.power for channel in Whitening.of(linear.residuals, linear.structure).channels]
+        noise = [
+            # Below the resolution of an encoder there is nothing to explain.
+            max(channel.power, ROUNDED * resolution_of([x.output(name) for x in linear.experiments]) ** 2)
+            for name, channel in zip(
+                linear.model.output_names, Whitening.of(linear.residuals, linear.structure).channels, strict=True
+            )
+        ]
         e, there, n = simulated.errors, np.isfinite(simulated.errors), len(noise)
         count = np.maximum(np.bincount(simulated.output[there], minlength=n), 1)
         powers = np.bincount(simulated.output[there], weights=e[there] ** 2, minlength=n) / count

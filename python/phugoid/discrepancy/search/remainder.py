@@ -7,7 +7,7 @@ with a disturbance at each place of the model (`disturbance`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from ...errors import PhugoidError
 from ...estimation.estimate import estimate
 from ...fit_result import FitResult
+from ...residual_noise.resolution import WITHIN, resolution_of
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.collocated import dataset
 from ...sensitivities.linearised import Linearised
-from ...sensitivities.whitened import Whitened
+from ...sensitivities.whitened import Whitened, own_whitening
 from ...solvers.limits import Deadline, check_time
 from ...transcription.filter_error import FilterError
+from ..candidates.candidate import is_function
 from .disturbance import Disturbance, Disturbances, disturbance_at, function_at
 from .free_run import Explained, Misfitting, Simulated
 from .refit import Refit
@@ -92,35 +94,45 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     """What is left beside the terms that a search found, or in place of them; None where that is coloured noise of the
     sensors or nothing."""
     s = settings or RemainderSettings()
-    final, base = result.final, search.cache.base
-    if not _structured(final, s.structure):
-        return None
-    search.cache.watch("looking for a disturbance in what is left")
+    full, base = result.full, search.cache.base
     known = Disturbances()
-    options = _options(final, known, s)
-    if final.names:
-        alone = _options(base, known, s)
-        new = sum(search.assessment.needed(final, c) for c in final.candidates) / 2
-        # Beside a disturbance terms must be worth their chances, too.
-        if alone[0].disturbance is not None and alone[0].merit > options[0].merit - new:
-            options = alone
-    coloured = options[-1].at.merit
-    for option in options:
-        d = option.disturbance
-        if d is None or option.merit < coloured + s.margin:
-            return None
-        found = _confirmed(search, option, coloured, s)
-        if found is not None:
-            rivals = {
-                o.disturbance.name: o.merit - coloured
-                for o in options
-                if o.disturbance is not None
-                and o.disturbance.kind == d.kind
-                and o.disturbance.name != d.name
-                and o.merit > option.merit - s.alike
-            }
-            return replace(found, rivals=rivals)
-    return None
+    options: list[_Option] = []
+    if _structured(full, s.structure):
+        search.cache.watch("looking for a disturbance in what is left")
+        options = _options(full, known, s)
+        if full.names:
+            # Beside a disturbance terms must be worth their chances, too.
+            new = sum(search.assessment.needed(full, c) for c in full.candidates) / 2
+            alone = _options(base, known, s)
+            if alone[0].disturbance is not None and alone[0].merit > options[0].merit - new:
+                options = alone
+    elif any(is_function(c) for c in full.candidates):
+        # A term may be near to the right function of its variable, and yet be another one.
+        search.cache.watch("comparing terms with any function of their variables")
+        ahead = full.merit + s.margin
+        options = [o for o in _functions_only(base, known) if o.merit > ahead]
+        options.append(_Option(base, full.merit))
+    if not options or options[0].disturbance is None:
+        return None
+    # Where data held out speak against the likeliest, those less likely are no better.
+    found = _confirmed(search, full, options[0], options[-1].merit, s)
+    return found and replace(found, rivals=_rivals(options[0], options, s))
+
+
+def _rivals(of: _Option, options: Sequence[_Option], s: RemainderSettings) -> dict[str, float]:
+    """Other places of the same kind that are about as likely, linearised as all are: name -> gain."""
+    assert of.disturbance is not None
+    mine, coloured = of.disturbance, options[-1].merit
+    found = {}
+    for o in options:
+        d = o.disturbance
+        if d is not None and d.kind == mine.kind and d.name != mine.name and d.merit > mine.merit - s.alike:
+            found[d.name] = d.merit - coloured
+    return found
+
+
+def _functions_only(at: Refit, known: Disturbances) -> list[_Option]:
+    return [_Option(at, d.merit, d) for d in known.ranked(at) if d.kind == "function"]
 
 
 def _is_short(event: Disturbance, linear: Linearised, most: float) -> bool:
@@ -132,10 +144,12 @@ def _is_short(event: Disturbance, linear: Linearised, most: float) -> bool:
 
 def _structured(at: Refit, least: float) -> bool:
     """Tell whether the past of any output's residuals predicts more than this part of their power."""
-    filter = Whitening.of(at.linear.residuals, at.linear.structure)
-    for line, channel in zip(at.linear.rows, filter.channels, strict=True):
-        power = float(np.mean(at.linear.residuals[line[0].start : line[-1].stop] ** 2))
-        if channel.power < (1.0 - least) * power:
+    linear = at.linear
+    filter = Whitening.of(linear.residuals, linear.structure)
+    for name, line, channel in zip(linear.model.output_names, linear.rows, filter.channels, strict=True):
+        power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
+        rounded = (WITHIN * resolution_of([e.output(name) for e in linear.experiments])) ** 2
+        if channel.power < (1.0 - least) * power and power > rounded:
             return True
     return False
 
@@ -156,14 +170,13 @@ def _options(at: Refit, known: Disturbances, s: RemainderSettings) -> list[_Opti
     asked = first is not None and first in noises[:2] and (at.together is not None or first is options[0])
     if asked and first is not None and first.disturbance is not None:
         filtered = _filtered(at, first.disturbance, s)
-        if filtered is not None:
-            merit = filtered.log_likelihood - 1.0
-            options.append(replace(first, merit=merit, filtered=filtered))
-            if merit > first.merit or first is options[0]:
-                options.remove(first)
-        options.sort(key=lambda o: -o.merit)
+        if filtered is not None and filtered.log_likelihood - 1.0 > first.merit:
+            options.remove(first)
+            options.append(replace(first, merit=filtered.log_likelihood - 1.0, filtered=filtered))
+            options.sort(key=lambda o: -o.merit)
     coloured = next(o for o in options if o.disturbance is None)
-    return [*(o for o in options if o.merit > coloured.merit), coloured]
+    likely = [o for o in options if o.disturbance is not None and o.merit > coloured.merit + s.margin]
+    return [*likely, coloured]
 
 
 def _filtered(at: Refit, of: Disturbance, s: RemainderSettings) -> FitResult | None:
@@ -182,10 +195,12 @@ def _filtered(at: Refit, of: Disturbance, s: RemainderSettings) -> FitResult | N
     return found if found.status == "converged" else None
 
 
-def _confirmed(search: Search, option: _Option, coloured: float, s: RemainderSettings) -> Remainder | None:
-    """A hypothesis that data held out do not speak against; None where they do."""
+def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s: RemainderSettings) -> Remainder | None:
+    """A hypothesis that data held out do not speak against, and that predicts them better than the terms in whose place
+    it is; None else."""
     d = option.disturbance
-    assert d is not None
+    if d is None:
+        return None
     gain = option.merit - coloured
     other = search.cache.on_validation(option.at)
     if d.kind == "function":
@@ -194,11 +209,16 @@ def _confirmed(search: Search, option: _Option, coloured: float, s: RemainderSet
         explained = _explained(search, other, d)
         if not explained.significant or explained.part < search.assessment.settings.minor:
             return None
+        terms = search.assessment.explained(option.at, full) if option.at is not full else None
+        if terms is not None and terms.part > explained.part:
+            return None
         return Remainder(d, option.at, gain, float("nan"), explained=explained)
     held_out = float("nan")
     if d.kind == "noise" and other is not None and option.filtered is None:
         filter = option.at.own.filter
         held_out = disturbance_at(other, d) - Whitened(other, filter.on(other.structure)).log_likelihood
+        if held_out <= 0.0:
+            held_out = disturbance_at(other, d, anew=True) - own_whitening(other).lenient_merit
         if held_out <= 0.0:
             return None
     if d.kind == "noise" and option.event is not None:

@@ -190,14 +190,11 @@ def _functions(linear: Linearised, place: Place, noise: _Array) -> Iterator[Dist
         yield Disturbance("function", place, variable, marginal.log_likelihood - 2.0, marginal, 0.0, None, nodes, 0.0)
 
 
-def disturbance_at(linear: Linearised, of: Disturbance, anew: bool = False) -> float:
-    """The log-likelihood of other records with a disturbance of the same kind at the same place, of the same variances;
-    ``anew``: of the variances that are likeliest there, for gusts are not as strong every day."""
+def disturbance_at(linear: Linearised, of: Disturbance) -> float:
+    """The log-likelihood of other records with a disturbance of the same kind, place and variances there."""
     knots, _ = _knots(linear.points, 0, of.step)
     answers = linear.answers(of.place, _signals(linear.points, knots))
     effects = RandomEffects(linear, answers, _exponential(knots, of.correlation / of.step))
-    if anew:
-        return effects.maximised(of.marginal.noise).log_likelihood
     return effects.at(of.marginal.variance, of.marginal.noise).log_likelihood
 
 

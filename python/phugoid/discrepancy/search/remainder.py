@@ -20,9 +20,11 @@ from ...residual_noise.resolution import WITHIN, resolution_of
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.collocated import dataset
 from ...sensitivities.linearised import Linearised
-from ...sensitivities.whitened import Whitened, own_whitening
+from ...sensitivities.whitened import Whitened
 from ...solvers.limits import Deadline, check_time
 from ...transcription.filter_error import FilterError
+from ...validation.biases import freed_by_default
+from ...validation.frozen_model import freeze_model, freeze_noise
 from ..candidates.candidate import is_function
 from .disturbance import Disturbance, Disturbances, disturbance_at, function_at
 from .free_run import Explained, Misfitting, Simulated
@@ -170,9 +172,10 @@ def _options(at: Refit, known: Disturbances, s: RemainderSettings) -> list[_Opti
     asked = first is not None and first in noises[:2] and (at.together is not None or first is options[0])
     if asked and first is not None and first.disturbance is not None:
         filtered = _filtered(at, first.disturbance, s)
-        if filtered is not None and filtered.log_likelihood - 1.0 > first.merit:
+        if filtered is not None:
             options.remove(first)
-            options.append(replace(first, merit=filtered.log_likelihood - 1.0, filtered=filtered))
+            merit = max(first.merit, filtered.log_likelihood - 1.0)
+            options.append(replace(first, merit=merit, filtered=filtered))
             options.sort(key=lambda o: -o.merit)
     coloured = next(o for o in options if o.disturbance is None)
     likely = [o for o in options if o.disturbance is not None and o.merit > coloured.merit + s.margin]
@@ -214,17 +217,40 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
             return None
         return Remainder(d, option.at, gain, float("nan"), explained=explained)
     held_out = float("nan")
-    if d.kind == "noise" and other is not None and option.filtered is None:
-        filter = option.at.own.filter
-        held_out = disturbance_at(other, d) - Whitened(other, filter.on(other.structure)).log_likelihood
-        if held_out <= 0.0:
-            held_out = disturbance_at(other, d, anew=True) - own_whitening(other).lenient_merit
+    if d.kind == "noise" and other is not None:
+        held_out = _held_out(search, option, d, other, s)
         if held_out <= 0.0:
             return None
     if d.kind == "noise" and option.event is not None:
         return Remainder(option.event, option.at, gain, held_out)
     moves = d.kind == "noise" and _goes_with_motion(option.at.linear, d) > s.motion
     return Remainder(d, option.at, gain, held_out, filtered=option.filtered, moves=moves)
+
+
+def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised, s: RemainderSettings) -> float:
+    """The gain in log-likelihood on data held out over coloured noise; NaN where it cannot be had.
+
+    A fit that knows of no disturbance has biased parameters, which no disturbance mends on other data: with the fit by
+    the filter-error method its own are used there.
+    """
+    filter = option.at.own.filter
+    coloured = Whitened(other, filter.on(other.structure)).log_likelihood
+    if option.filtered is None:
+        return disturbance_at(other, d) - coloured
+    fit = option.filtered
+    free = freed_by_default(fit.model) if search.cache.biases is None else search.cache.biases
+    values = {n: e.value for n, e in fit.parameters.items()}
+    model = freeze_model(fit.model, values, free)
+    known = {d.place.name: values[f"q_{d.place.name}"]}
+    method = FilterError(
+        d.place.name, initial=dict.fromkeys(model.state_names), intensities=known, time_limit=s.seconds
+    )
+    try:
+        with Deadline(s.seconds).in_force():
+            found = estimate(model, list(search.cache.validation), transcription=method, noise=freeze_noise(fit)[0])
+    except (PhugoidError, np.linalg.LinAlgError):
+        return float("nan")
+    return found.log_likelihood - coloured if found.status == "converged" else float("nan")
 
 
 def _explained(search: Search, other: Linearised, of: Disturbance) -> Explained:

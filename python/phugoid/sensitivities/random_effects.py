@@ -18,8 +18,10 @@ _Array = NDArray[np.float64]
 # Added to the normal equations of the parameters, in parts of their largest: directions that the rows do not determine
 # stay where they are.
 _RIDGE = 1e-10
+# The same for random coefficients, which have a prior already.
+_ROUNDING = 1e-13
 # Variances are sought within these factors of where they start.
-_RANGE = 1e8
+_RANGE = 1e6
 _NOTHING = 1e-300
 
 
@@ -33,6 +35,7 @@ class Marginal:
     noise           (n_y,) variances of the measurement noise, white.
     coefficients    (k,) mean of the random coefficients given the data.
     deviations      (k,) their standard deviations given the data.
+    residuals       (n_rows,) what is left beside the parameters and these.
     """
 
     log_likelihood: float
@@ -40,6 +43,7 @@ class Marginal:
     noise: _Array
     coefficients: _Array
     deviations: _Array
+    residuals: _Array
 
 
 class RandomEffects:
@@ -65,7 +69,7 @@ class RandomEffects:
             answers = self._root.T @ answers
         self._free = linear.tangents.shape[1]
         scale = linear.scale()
-        columns = np.hstack([linear.tangents / scale[:, None], (answers / scale).T])
+        self._columns = columns = np.hstack([linear.tangents / scale[:, None], (answers / scale).T])
         r = linear.residuals / scale
         lines = [slice(line[0].start, line[-1].stop) for line in linear.rows]
         self._counts = np.array([s.stop - s.start for s in lines], dtype=float)
@@ -110,7 +114,8 @@ class RandomEffects:
         if self._root is not None:
             mean, covariance = self._root @ mean, self._root @ covariance @ self._root.T
         deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return Marginal(log_likelihood, float(np.exp(x[0])), noise, mean, deviations)
+        left = self.linear.residuals - self.linear.scale() * (self._columns @ solution)
+        return Marginal(log_likelihood, float(np.exp(x[0])), noise, mean, deviations, left)
 
     def _evaluated(self, x: _Array) -> tuple[float, _Array, _Array, Any]:
         """Minus twice the log-likelihood at logarithms of the variances, its gradient, (b, e), and the factor of their
@@ -121,7 +126,7 @@ class RandomEffects:
         gram = sum(g / n for g, n in zip(self._grams, noise, strict=True))
         right = sum(c / n for c, n in zip(self._with_r, noise, strict=True))
         size = np.diag(gram)
-        diagonal = np.full(gram.shape[0], 1.0 / s2 + _RIDGE * float(size[p:].max(initial=0.0)))
+        diagonal = np.full(gram.shape[0], 1.0 / s2 + _ROUNDING * float(size[p:].max(initial=0.0)))
         diagonal[:p] = _RIDGE * max(float(size[:p].max(initial=0.0)), _NOTHING)
         whole = cho_factor(gram + np.diag(diagonal), lower=True)
         solution = cho_solve(whole, right)

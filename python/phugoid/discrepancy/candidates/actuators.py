@@ -34,6 +34,10 @@ class _Follower(Effect):
     stage: int = 3
 
     @property
+    def several_starts(self) -> bool:
+        return True
+
+    @property
     def _tau(self) -> float:
         return _SETTLES * self.scales.interval
 

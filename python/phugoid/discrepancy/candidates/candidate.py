@@ -62,6 +62,11 @@ class Candidate(ABC):
     stage: int = 0
 
     @property
+    def several_starts(self) -> bool:
+        """Whether a fit of its one shape may end at one of several optima."""
+        return False
+
+    @property
     def parameters(self) -> tuple[str, ...]:
         """Names of all parameters that `extended` adds."""
         return (*self.coefficients, *self.shape_names)

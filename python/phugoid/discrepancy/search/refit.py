@@ -21,7 +21,7 @@ from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Points
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
 from ...solvers import Newton
-from ...solvers.limits import TimeUp
+from ...solvers.limits import TimeUp, check_time
 from ...validation.biases import freed_by_default
 from ...validation.frozen_model import estimates_of, freeze_model, freeze_noise, mesh_for
 from ..candidates.candidate import Candidate
@@ -38,6 +38,8 @@ __all__ = [
 
 # A refit goes on from a fit nearby: one that needs more goes nowhere.
 _ITERATIONS = 40
+# One that takes longer than this, in s and in times of the base fit, goes nowhere either.
+_SECONDS, _TIMES = 5.0, 20.0
 # Delays are found to this part of their standard errors: to first order in what is left the rest is allowed for.
 _SETTLED = 0.03
 # Within so many passes, for the scan knows them well: what goes on then wanders off, or back and forth over a kink.
@@ -124,12 +126,12 @@ def refit(
             transcription=base.transcription,
             noise=base.noise,
             start=_with_paths(started_from(near or base, model.parameter_names), candidates, points, starts),
-            solver=Newton(max_iterations=_ITERATIONS),
+            solver=Newton(max_iterations=_ITERATIONS, time_limit=max(_SECONDS, _TIMES * base.time)),
         )
     except PhugoidError:
         return None
     if fit.status == "time limit":
-        raise TimeUp
+        check_time()  # that of the diagnosis
     if fit.status == "interrupted":
         raise KeyboardInterrupt
     return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None
@@ -250,6 +252,8 @@ def on_other_data(
     fit = refit.fit
     free = freed_by_default(fit.model) if free is None else free
     values = {n: e.value for n, e in fit.parameters.items()}
+    # A disturbance has another phase there: what is known of it is nothing.
+    values |= {n: 0.0 for c in refit.candidates if not c.transferable for n in c.coefficients}
     declared = fit.model.declared_parameters.items()
     own = [n for n, p in declared if p.per_experiment and not p.fixed and n not in free]
     if own:

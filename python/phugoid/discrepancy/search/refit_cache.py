@@ -25,6 +25,8 @@ __all__ = ["RefitCache"]
 
 _Array = NDArray[np.float64]
 
+# Parts of a start at which candidates begin, too, that may end at several optima.
+_STARTS = (0.25, 0.4, 0.65, 1.6)
 # Refits side by side: the solver works without the interpreter's lock.
 _WORKERS = 4
 
@@ -71,7 +73,7 @@ class RefitCache:
             starts: dict[str, float] = {}
             for c in candidates:
                 starts |= self._starts.get(c.name, {})
-            found = refit(self.base.fit, candidates, starts, near, self.base.linear.points)
+            found = self._likeliest(candidates, starts, near)
             if found is not None:
                 _ = found.merit  # here, for it takes as long
             return found
@@ -91,6 +93,22 @@ class RefitCache:
             finally:
                 executor.shutdown(cancel_futures=True)
         return [self._refits[key] for key in keys]
+
+    def _likeliest(
+        self, candidates: Sequence[Candidate], starts: Mapping[str, float], near: FitResult | None
+    ) -> Refit | None:
+        """The likeliest refit of a set from several starts of candidates that need them and are new."""
+        known = near.parameters if near else {}
+        points = self.base.linear.points
+        new = [c for c in candidates if c.several_starts and c.shape_names[0] not in known]
+        best = refit(self.base.fit, candidates, starts, near, points)
+        for c in new:
+            (name,) = c.shape_names
+            for factor in _STARTS if name in starts else ():
+                other = refit(self.base.fit, candidates, {**starts, name: factor * starts[name]}, near, points)
+                if other and (best is None or other.fit.log_likelihood > best.fit.log_likelihood):
+                    best = other
+        return best
 
     def scan(self, at: Refit) -> Scan:
         """The scan of all others at a set."""

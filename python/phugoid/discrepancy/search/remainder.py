@@ -216,6 +216,8 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         if terms is not None and terms.part > explained.part:
             return None
         return Remainder(d, option.at, gain, float("nan"), explained=explained)
+    if _share(search, option.at, d) < search.assessment.settings.minor:
+        return None
     held_out = float("nan")
     if d.kind == "noise" and other is not None:
         held_out = _held_out(search, option, d, other, s)
@@ -225,6 +227,12 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         return Remainder(option.event, option.at, gain, held_out)
     moves = d.kind == "noise" and _goes_with_motion(option.at.linear, d) > s.motion
     return Remainder(d, option.at, gain, held_out, filtered=option.filtered, moves=moves)
+
+
+def _share(search: Search, at: Refit, of: Disturbance) -> float:
+    """The part of the misfit of the model diagnosed that a disturbance takes up, in the records themselves."""
+    left, linear = Simulated.of(at.linear, of.marginal.residuals), search.cache.base.linear
+    return left.explained(Simulated.of(at.linear), Misfitting.of(linear)).part
 
 
 def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised, s: RemainderSettings) -> float:

@@ -129,8 +129,11 @@ class Search:
             weak = [c for c in at.candidates if not self.assessment.is_named(at, c, told[c.name].explained)]
             if not weak:
                 break
-            least = min(weak, key=lambda c: e.part if (e := told[c.name].explained) else 0.0)
-            following = self.cache.refit([c for c in at.candidates if c is not least], at.fit)
+            weak.sort(key=lambda c: e.part if (e := told[c.name].explained) else 0.0)
+            # Where one set cannot be fitted another may.
+            sets = [[c for c in at.candidates if c is not w] for w in weak]
+            sets.append([c for c in at.candidates if c not in weak])
+            following = next((r for s in sets if (r := self.cache.refit(s, at.fit)) is not None), None)
             if following is None:
                 break
             at = following

@@ -8,10 +8,17 @@ const ARMIJO: f64 = 1e-4;
 /// Part of the decrease of defects that the model must promise.
 const RHO: f64 = 0.1;
 
+/// How often ν may have to rise again after it was lowered. With a ν that goes up and down for ever two points may
+/// each be better than the other (Nocedal and Wright 2006, section 18.3).
+const RISES: u32 = 8;
+
 /// φ + ν Σ|c| in units.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Merit {
     nu: f64,
+    lowered: bool,
+    /// How often it rose again.
+    rises: u32,
 }
 
 impl Merit {
@@ -25,7 +32,15 @@ impl Merit {
             return;
         }
         let least = (promise.slope + 0.5 * promise.curvature.max(0.0)) / ((1.0 - RHO) * defect);
-        self.nu = if self.nu < least { 1.5 * least } else { (0.3 * self.nu).max(1.5 * least).max(0.0) };
+        if self.nu < least {
+            self.nu = 1.5 * least;
+            self.rises += u32::from(self.lowered);
+            self.lowered = false;
+        } else if self.rises < RISES {
+            let nu = (0.3 * self.nu).max(1.5 * least).max(0.0);
+            self.lowered |= nu < self.nu;
+            self.nu = nu;
+        }
     }
 
     /// What a step must come to that begins at a point with this slope of φ; rounding may leave `floor` of it.

@@ -1,0 +1,137 @@
+"""A diagnosis of records in situations that no term of the physics describes: disturbances, faults of data, encoders.
+
+The records are made by tests/hidden, which knows nothing of how they are looked at.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hidden.situation import situation
+from scipy.stats import multivariate_normal
+
+import phugoid as ph
+from phugoid.discrepancy.search.refit import Refit
+from phugoid.residual_noise.resolution import resolution_of
+from phugoid.sensitivities.collocated import collocated
+from phugoid.sensitivities.random_effects import RandomEffects, at_knots
+from phugoid.sensitivities.trajectory import Place
+
+
+def diagnosed(what: str, system: str, seed: int) -> tuple[ph.Diagnosis, tuple[str, ...], dict[str, float]]:
+    s = situation(what, system, seed)
+    return ph.diagnose(ph.estimate(s.model, s.data), validation=s.validation), s.truth, s.sizes
+
+
+@pytest.mark.parametrize(
+    ("what", "system", "seed"),
+    [
+        ("gust", "servo", 502),
+        ("gust", "uav", 501),
+        ("noisy input", "servo", 503),
+        ("noisy input", "lateral", 504),
+        ("event", "duffing", 505),
+        ("event", "servo", 506),
+        ("held input", "servo", 507),
+        ("backlash", "servo", 508),
+        ("rate limit", "servo", 509),
+        ("drift", "servo", 510),
+        ("clipped", "duffing", 511),
+    ],
+)
+def test_what_is_wrong_is_named_and_nothing_else(what: str, system: str, seed: int) -> None:
+    d, truth, _ = diagnosed(what, system, seed)
+    named = [f for f in d.findings if f.status == "named"]
+    assert named, d.summary()
+    assert all({*truth} & {f.cause, *f.aliases} for f in named), d.summary()
+
+
+@pytest.mark.parametrize("what", ["white", "quantised", "growing", "outliers", "closed loop"])
+def test_nothing_is_found_where_nothing_is_wrong(what: str) -> None:
+    d, _, _ = diagnosed(what, "servo", 520)
+    assert not d.findings, d.summary()
+    if what != "growing":  # noise that grows with the motion is no white noise
+        assert d.verdict == "nothing", d.summary()
+
+
+@pytest.mark.parametrize("what", ["autoregressive", "pink", "random walk"])
+def test_coloured_noise_of_sensors_is_no_disturbance(what: str) -> None:
+    d, _, _ = diagnosed(what, "duffing", 530)
+    assert not d.found, d.summary()
+
+
+def test_a_fit_beside_strong_gusts_converges() -> None:
+    """The weight of the defects rose and fell for ever there, and two points were each better than the other."""
+    for what, system, seed in (("gust", "servo", 501), ("backlash", "uav", 302)):
+        s = situation(what, system, seed)
+        fit = ph.estimate(s.model, s.data)
+        assert fit.status == "converged" and fit.iterations < 190
+
+
+def test_an_event_is_told_with_its_time() -> None:
+    d, _, sizes = diagnosed("event", "duffing", 505)
+    (event,) = [f for f in d.findings if f.cause.endswith(":event")]
+    t, size = np.array(event.curve["at"]), np.abs(event.curve["value"])
+    assert t[0] - 0.5 < sizes["time"] < t[-1]
+    assert t[np.argmax(size)] == pytest.approx(sizes["time"], abs=4.0)
+
+
+def test_the_intensity_of_gusts_is_that_of_the_filter_error_method() -> None:
+    s = situation("gust", "servo", 502)
+    d = ph.diagnose(ph.estimate(s.model, s.data), validation=s.validation)
+    f = d.findings[-1]
+    assert "rate':noise" in (f.cause, *f.aliases)
+    filtered = ph.estimate(s.model, s.data, transcription=ph.FilterError("rate"))
+    if f.cause == "rate':noise" and f.unit == "rad/s/√s":
+        assert f.coefficient == pytest.approx(filtered.parameters["q_rate"].value, rel=0.05)
+    assert "FilterError" in f.advice
+    # The model stays as it is: process noise is no part of it.
+    assert not d.extend().added
+
+
+def test_findings_of_disturbances_are_saved_and_shown(tmp_path: object) -> None:
+    d, _, _ = diagnosed("event", "servo", 506)
+    d.save(f"{tmp_path}/d.json")
+    (found,) = ph.load(f"{tmp_path}/d.json").findings
+    (event,) = d.findings
+    assert (found.cause, found.aliases, found.status) == (event.cause, event.aliases, event.status)
+    assert found.curve == event.curve and found.explanation == event.explanation
+    d.report(f"{tmp_path}/d.html")
+    with open(f"{tmp_path}/d.html") as page:
+        assert event.cause in page.read()
+
+
+def test_a_marginal_likelihood_is_that_of_a_normal_distribution() -> None:
+    """Against the density of the residuals with the covariance written out."""
+    s = situation("gust", "servo", 502)
+    fit = ph.estimate(s.model, s.data)
+    linear = Refit((), collocated(fit)).linear
+    (p,) = linear.points
+    knots = np.linspace(p.t[0], p.t[-1], 30)
+    answers = linear.answers(Place("equation", "rate"), [at_knots(p.t, knots)])
+    index = np.arange(30)
+    correlation = np.exp(-np.abs(index[:, None] - index) / 4.0)
+    noise = np.array([0.02**2, 0.2**2])
+    found = RandomEffects(linear, answers, correlation).at(0.7, noise)
+    v = np.concatenate([np.full(line[-1].stop - line[0].start, n) for line, n in zip(linear.rows, noise, strict=True)])
+    covariance = 0.7 * answers.T @ correlation @ answers + np.diag(v)
+    root = np.linalg.cholesky(covariance)
+    t, r = np.linalg.solve(root, linear.tangents), np.linalg.solve(root, linear.residuals)
+    left = linear.residuals - linear.tangents @ np.linalg.lstsq(t, r, rcond=None)[0]
+    expected = multivariate_normal(cov=covariance).logpdf(left) + 0.5 * left.size * np.log(2.0 * np.pi)
+    assert found.log_likelihood == pytest.approx(expected, rel=1e-6)
+    # At the maximum no other variance is likelier.
+    best = RandomEffects(linear, answers, correlation).maximised(noise)
+    for factor in (0.8, 1.25):
+        other = RandomEffects(linear, answers, correlation).at(factor * best.variance, best.noise)
+        assert other.log_likelihood < best.log_likelihood
+
+
+@pytest.mark.parametrize("step", [0.1, 0.0123, 2.0 * np.pi / 2000.0])
+def test_the_steps_of_an_encoder_are_seen(step: float) -> None:
+    t = np.arange(0.0, 10.0, 0.01)
+    z = step * np.round(10.0 * np.sin(t)) + 1.7
+    assert resolution_of([z]) == pytest.approx(step, rel=1e-6)
+    noise = np.random.default_rng(0).standard_normal(t.size)
+    assert resolution_of([z + 1e-2 * step * noise]) == 0.0
+    assert resolution_of([np.round(np.sin(t) + noise, 4)]) == 0.0  # digits of a text file

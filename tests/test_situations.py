@@ -34,7 +34,7 @@ def diagnosed(what: str, system: str, seed: int) -> tuple[ph.Diagnosis, tuple[st
         ("event", "servo", 506),
         ("held input", "servo", 507),
         ("backlash", "servo", 508),
-        ("rate limit", "servo", 509),
+        ("rate limit", "servo", 609),
         ("drift", "servo", 510),
         ("clipped", "duffing", 511),
     ],

@@ -19,6 +19,10 @@ from .simplest import complexity, is_as_good
 __all__ = ["Confirmation", "ConfirmationSettings", "Found"]
 
 
+# Part of the misfit of other data that is most of it.
+_MOST = 0.5
+
+
 @dataclass(frozen=True)
 class ConfirmationSettings:
     """Set how far the confirmation goes.
@@ -190,10 +194,15 @@ class Confirmation:
         mine = at.through(filter).log_densities
         alike = {c.name for c in self._screen.alike(without, candidate, filter)}
         rivals, parts = {}, {}
+        own = assess.explained(without, at)
+        confirmed = bool(self._cache.validation) and candidate.transferable and own is not None and own.part > _MOST
         for r, _ in self._refitting.rivals(at, candidate):
             if r.names == at.names:
                 continue
             (other,) = r.beside(others)
+            # What other data confirm is not the same as what could be of this record alone.
+            if confirmed and not other.transferable:
+                continue
             d = mine - r.through(filter).log_densities
             d = d[np.isfinite(d)]
             gain = assess.gain(without, r) / 2
@@ -210,6 +219,6 @@ class Confirmation:
             assess.needed(at, candidate) / 2,
             rivals,
             assess.held_out(without, at),
-            explained=assess.explained(without, at),
+            explained=own,
             rivals_explained=parts,
         )

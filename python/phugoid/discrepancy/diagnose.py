@@ -23,13 +23,13 @@ from .candidates.collection import Candidates
 from .candidates.library import candidates as library
 from .discrimination.advice import discrimination_advice
 from .misfit.misfit import misfit
-from .remaining import finding_of_held_input, finding_of_remainder
 from .search.confirmation import Found
 from .search.evidence import is_physical
 from .search.finding import DiagnosisResult, Finding, Scored
 from .search.held_input import HeldInput, held_input
 from .search.refit import Refit
 from .search.remainder import Remainder, RemainderSettings, remainder_of
+from .search.remainder_finding import finding_of_held_input, finding_of_remainder
 from .search.scan import NEARLY, Scan
 from .search.search import Search, SearchResult
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..fit_result import FitResult
-from .candidates.terms import where
-from .misfit.phrases import number
-from .search.disturbance import Disturbance
-from .search.finding import Finding
-from .search.held_input import HeldInput
-from .search.remainder import Remainder
+from ...fit_result import FitResult
+from ..candidates.terms import where
+from ..misfit.phrases import number
+from .disturbance import Disturbance
+from .finding import Finding
+from .held_input import HeldInput
+from .remainder import Remainder
 
 __all__ = ["finding_of_held_input", "finding_of_remainder"]
 

@@ -73,7 +73,7 @@ def test_scores_come_from_the_multipliers(truth: tuple[str, ...]) -> None:
     assert len(terms) > 300
     if not truth:
         terms = terms[::7] + terms[-1:]
-    assert {c.place.kind for c in terms} == {"quantity", "equation", "output", "input"}
+    assert {c.place.kind for c in terms} == {"quantity", "equation", "output", "input", "parameter"}
     columns, _, groups = linear.columns([(c, {}) for c in terms])
     whole, beside = seen.filter(columns), seen.beside(columns)
     errors = seen.filter(linear.residuals)

@@ -99,11 +99,13 @@ def test_sensor_noise_is_nothing(noise: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_nothing_is_named_where_the_mass_is_shaken(seed: int) -> None:
+def test_no_term_is_named_where_the_mass_is_shaken(seed: int) -> None:
     """A mode that is shaken looks like a tone for as long as it remembers, and that is half of the record here."""
     d = diagnosed(0.0, "shaken", seed)
     assert RefitCache(Refit((), d.fit), ()).ringing(Refit((), d.fit)) is not None
-    assert all(f.status == "unexplained" for f in d.findings), d
+    # At a mode, noise that moves x and noise that moves v are much alike.
+    told = {f.cause for f in d.findings if f.status != "unexplained"}
+    assert told <= {"v':noise", "x':noise"}, d
 
 
 # ---------------------------------------------------------------- modes and noise

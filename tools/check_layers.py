@@ -28,7 +28,7 @@ PYTHON = [
     "multistart", "reconstruction", "results", "cli", "__init__", "__main__",
 ]
 DISCREPANCY = [
-    "misfit", "candidates", "search", "discrimination", "page", "saved", "diagnose",
+    "misfit", "candidates", "search", "discrimination", "page", "saved", "diagnose", "improve",
 ]
 # fmt: on
 

@@ -13,7 +13,7 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 
 from . import inputs, models, results
 from ._core import Expr, __version__
-from .api import diagnose, estimate, load
+from .api import diagnose, estimate, improve, load
 from .data.experiment import Experiment
 from .data.multirate import multirate
 from .data.read import read
@@ -142,6 +142,7 @@ __all__ = [
     "frequency_response",
     "from_sympy",
     "hypot",
+    "improve",
     "inputs",
     "linearise",
     "load",

@@ -8,15 +8,16 @@ from functools import wraps
 from inspect import signature
 from typing import Any, ParamSpec, TypeVar
 
-from .diagnosis import Diagnosis
+from .diagnosis import Diagnosis, Improvement
 from .discrepancy.diagnose import diagnose as _diagnose
+from .discrepancy.improve import improve as _improve
 from .discrepancy.saved import load_diagnosis
 from .estimation.estimate import estimate as _estimate
 from .result import Fit
 from .saving import fit_file
 from .saving import json_file as io
 
-__all__ = ["diagnose", "estimate", "load", "load_fit"]
+__all__ = ["diagnose", "estimate", "improve", "load", "load_fit"]
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -36,6 +37,7 @@ def _giving(facade: Callable[[_R], _F], name: str, function: Callable[_P, _R]) -
 
 estimate = _giving(Fit._of, "Fit", _estimate)
 diagnose = _giving(Diagnosis._of, "Diagnosis", _diagnose)
+improve = _giving(Improvement._of, "Improvement", _improve)
 
 
 def load(path: str | os.PathLike[str]) -> Any:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from .discrepancy.improve import ImprovementResult
 from .discrepancy.page.figures import diagnosis_figures
 from .discrepancy.page.page import report
 from .discrepancy.page.words import diagnosis_summary
@@ -16,7 +18,7 @@ from .result import Fit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Diagnosis", "Extension"]
+__all__ = ["Diagnosis", "Extension", "Improvement"]
 
 
 class Extension(ExtensionResult):
@@ -88,3 +90,22 @@ class Diagnosis(DiagnosisResult):
 
     def __str__(self) -> str:
         return self.summary()
+
+
+class Improvement(ImprovementResult):
+    """What `improve` came to.
+
+    fit      of the last model.
+    steps    diagnoses, one after the other, each with what was ``added``, ``rejected`` and why,
+             and the ``gain``.
+    added    names of all that was added, in order.
+    verdict  what the last diagnosis came to.
+    """
+
+    fit: Fit
+
+    @classmethod
+    def _of(cls, result: ImprovementResult) -> Improvement:
+        """Return an improvement with the data of a result."""
+        steps = tuple(replace(step, diagnosis=Diagnosis._of(step.diagnosis)) for step in result.steps)
+        return cls(Fit._of(result.fit), steps)

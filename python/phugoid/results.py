@@ -1,6 +1,6 @@
 """What functions give back: for annotations and `isinstance`. Nobody makes these by hand."""
 
-from .diagnosis import Diagnosis, Extension
+from .diagnosis import Diagnosis, Extension, Improvement
 from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates
 from .discrepancy.misfit.misfit import Misfit
@@ -47,6 +47,7 @@ __all__ = [
     "FitResult",
     "FrequencyResponse",
     "Gain",
+    "Improvement",
     "IntegrationError",
     "Iteration",
     "Match",

@@ -30,7 +30,7 @@ def resolution_of(samples: Sequence[_Array]) -> float:
     >>> resolution_of([np.array([0.0, 0.5, 0.5, 1.0, 0.5, 0.0, 0.0, 0.5, 1.0, 1.5, 1.0, 1.0])])
     0.5
     """
-    every = np.concatenate([z[np.isfinite(z)] for z in samples])
+    every = np.concatenate([np.zeros(0), *(z[np.isfinite(z)] for z in samples)])
     values = np.unique(every)
     if values.size < 2 or every.size < _REPEATED * values.size:
         return 0.0

@@ -10,7 +10,7 @@ const RHO: f64 = 0.1;
 
 /// How often ν may have to rise again after it was lowered. With a ν that goes up and down for ever two points may
 /// each be better than the other (Nocedal and Wright 2006, section 18.3).
-const RISES: u32 = 8;
+const RISES: u32 = 16;
 
 /// φ + ν Σ|c| in units.
 #[derive(Clone, Copy, Debug, Default)]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
+    "curve_figure",
     "diagnosis_figures",
     "explained_figure",
     "findings_figure",
@@ -36,6 +37,7 @@ def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     figures = [misfit_figure(diagnosis.misfit, diagnosis.fit)[0]]
     if any(np.isfinite(f.explained) for f in diagnosis.findings):
         figures.insert(0, explained_figure(diagnosis.findings)[0])
+    figures += [curve_figure(f)[0] for f in diagnosis.findings if f.curve]
     if diagnosis.ranking:
         figures.append(ranking_figure(diagnosis.ranking, diagnosis.threshold)[0])
     extension = diagnosis._extension
@@ -45,6 +47,8 @@ def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     return figures
 
 
+# Half-width of an interval of 95 % of a normal distribution.
+_NORMAL = 1.959963984540054
 # Rivals that are drawn beside a finding.
 _RIVALS = 3
 
@@ -82,7 +86,8 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
             right.plot([0.0, 100.0], [row, row], color="#E5E5E5", linewidth=0.6, zorder=0)
             for k, name in enumerate(outputs):
                 right.plot(100.0 * f.explained_outputs.get(name, 0.0), row, "o", color=f"C{k}", ms=5.0)
-            labels.append(f"{f.cause} ({f.status})" if f.status != "named" else f.cause)
+            name = f.cause or next(iter(f.aliases), "?")
+            labels.append(f"{name} ({f.status})" if f.status != "named" else name)
             for name in others:
                 row += 1
                 left.plot(100.0 * f.rivals_explained[name], row, "D", ms=4.0, mfc="white", mec=RESIDUAL, mew=0.9)
@@ -101,6 +106,33 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
             right.plot([], [], linestyle="", marker="o", color=f"C{k}", ms=5.0, label=plain(name))
         figure.legend(loc="outside upper right", ncols=6, frameon=False, fontsize=7.0)
     return figure, {"explained": left, "outputs": right}
+
+
+def curve_figure(finding: Finding) -> tuple[Figure, dict[str, Axes]]:
+    """What a disturbance or an unknown function adds to its place, with a band of 95 %, over time or over its variable.
+
+    Returns the figure and the axes by ``"curve"``. Raises DataError for a finding without a curve.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib import rc_context
+
+    if not finding.curve:
+        raise DataError("curve_figure: the finding has no curve: it is neither a disturbance nor an unknown function")
+    name = finding.cause or next(iter(finding.aliases), "")
+    where, _, what = name.partition(":")
+    at, value, error = (np.array(finding.curve[key]) for key in ("at", "value", "error"))
+    # Knots of several records stand one after the other.
+    pieces = np.split(np.arange(at.size), np.flatnonzero(np.diff(at) <= 0.0) + 1)
+    with rc_context(STYLE):
+        figure, axes = plt.subplots(figsize=(WIDTH, 2.0), layout="constrained")
+        for piece in pieces:
+            low, high = value[piece] - _NORMAL * error[piece], value[piece] + _NORMAL * error[piece]
+            axes.fill_between(at[piece], low, high, color=MODEL, alpha=0.2, linewidth=0.0)
+            axes.plot(at[piece], value[piece], color=MODEL, linewidth=1.2)
+        axes.axhline(0.0, color=INPUT, linewidth=0.6)
+        axes.set_xlabel(plain(what[2:-1]) if what.startswith("f(") else "time, s")
+        axes.set_ylabel(f"added to {plain(where)}" if where else "what is missing")
+    return figure, {"curve": axes}
 
 
 def findings_figure(

@@ -13,7 +13,7 @@ from ...writing import check_folder, write
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
 from ..search.finding import DiagnosisResult, ExtensionResult, Finding
-from .figures import explained_figure, findings_figure, gain_figure, misfit_figure, ranking_figure
+from .figures import curve_figure, explained_figure, findings_figure, gain_figure, misfit_figure, ranking_figure
 from .words import alias_set, finding_lines, headline, outcome, with_sign
 
 __all__ = ["report"]
@@ -100,6 +100,7 @@ def _cause(finding: Finding) -> dict[str, Any]:
         "status": finding.status,
         "lines": finding_lines(finding),
         "rivals": PageTable(["cause or rival", "gain in log-likelihood"], rows, "lr"),
+        "curve": picture(curve_figure(finding)[0]) if finding.curve else None,
     }
 
 

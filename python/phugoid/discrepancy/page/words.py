@@ -150,6 +150,8 @@ def finding_lines(finding: Finding) -> list[str]:
         ]
         doubted = "is not proved" if finding.ringing else "does not predict"
         told = "The data do not tell it from" if finding.cause else f"What fits, but {doubted}"
+        if finding.curve and not finding.cause:
+            told = "Its name would be"
         lines.append(f"{told}: {', '.join(rivals)}.")
     if finding.advice:
         lines.append(finding.advice)

@@ -113,7 +113,7 @@ def test_a_marginal_likelihood_is_that_of_a_normal_distribution() -> None:
     index = np.arange(30)
     correlation = np.exp(-np.abs(index[:, None] - index) / 4.0)
     noise = np.array([0.02**2, 0.2**2])
-    found = RandomEffects(linear, answers, correlation).at(0.7, noise)
+    found = RandomEffects(linear, answers).with_correlation(correlation).at(0.7, noise)
     v = np.concatenate([np.full(line[-1].stop - line[0].start, n) for line, n in zip(linear.rows, noise, strict=True)])
     covariance = 0.7 * answers.T @ correlation @ answers + np.diag(v)
     root = np.linalg.cholesky(covariance)
@@ -122,9 +122,9 @@ def test_a_marginal_likelihood_is_that_of_a_normal_distribution() -> None:
     expected = multivariate_normal(cov=covariance).logpdf(left) + 0.5 * left.size * np.log(2.0 * np.pi)
     assert found.log_likelihood == pytest.approx(expected, rel=1e-6)
     # At the maximum no other variance is likelier.
-    best = RandomEffects(linear, answers, correlation).maximised(noise)
+    best = RandomEffects(linear, answers).with_correlation(correlation).maximised(noise)
     for factor in (0.8, 1.25):
-        other = RandomEffects(linear, answers, correlation).at(factor * best.variance, best.noise)
+        other = RandomEffects(linear, answers).with_correlation(correlation).at(factor * best.variance, best.noise)
         assert other.log_likelihood < best.log_likelihood
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,18 +57,14 @@ class RandomEffects:
     for d the integral is exact). With d the white process noise of a state it is the likelihood of the filter-error
     method, linearised about the fit.
 
-    ``answers``: (k, n_rows) rows of G transposed, in the units of the outputs. ``correlation``: C (k, k); None for the
-    identity.
+    ``answers``: (k, n_rows) rows of G transposed, in the units of the outputs. C is the identity unless
+    `with_correlation` says otherwise.
     """
 
-    def __init__(self, linear: Linearised, answers: _Array, correlation: _Array | None = None) -> None:
+    def __init__(self, linear: Linearised, answers: _Array) -> None:
         self.linear, self.k = linear, answers.shape[0]
-        # d = L e with independent e.
-        self._root = None
-        if correlation is not None:
-            self._root = np.linalg.cholesky(correlation + _RIDGE * np.eye(self.k))
-            answers = self._root.T @ answers
         self._free = linear.tangents.shape[1]
+        self._root = np.eye(self._free + self.k)  # (b, d) = root (b, e) with independent e
         scale = linear.scale()
         self._columns = columns = np.hstack([linear.tangents / scale[:, None], (answers / scale).T])
         r = linear.residuals / scale
@@ -77,6 +74,18 @@ class RandomEffects:
         self._with_r = [columns[s].T @ r[s] for s in lines]
         self._squares = np.array([float(r[s] @ r[s]) for s in lines])
         self._units = np.array([float(scale[s.start]) for s in lines])
+
+    def with_correlation(self, correlation: _Array | None) -> RandomEffects:
+        """Return the same with correlated coefficients, C (k, k); None for independent ones."""
+        if correlation is None:
+            return self
+        other = copy(self)
+        root = np.eye(self._free + self.k)
+        root[self._free :, self._free :] = np.linalg.cholesky(correlation + _RIDGE * np.eye(self.k))
+        other._root = root
+        other._grams = [root.T @ g @ root for g in self._grams]
+        other._with_r = [root.T @ c for c in self._with_r]
+        return other
 
     def at(self, variance: float, noise: _Array) -> Marginal:
         """The likelihood at given variances, maximised over b only."""
@@ -109,13 +118,11 @@ class RandomEffects:
         noise = np.exp(x[1:]) * self._units**2
         # In units of the noise as fitted the density is another.
         log_likelihood = -0.5 * value - float(self._counts @ np.log(self._units))
-        covariance = cho_solve(factor, np.eye(solution.size))[self._free :, self._free :]
-        mean = solution[self._free :]
-        if self._root is not None:
-            mean, covariance = self._root @ mean, self._root @ covariance @ self._root.T
-        deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        left = self.linear.residuals - self.linear.scale() * (self._columns @ solution)
-        return Marginal(log_likelihood, float(np.exp(x[0])), noise, mean, deviations, left)
+        covariance = self._root @ cho_solve(factor, self._root.T)
+        mean = self._root @ solution
+        deviations = np.sqrt(np.maximum(np.diag(covariance)[self._free :], 0.0))
+        left = self.linear.residuals - self.linear.scale() * (self._columns @ mean)
+        return Marginal(log_likelihood, float(np.exp(x[0])), noise, mean[self._free :], deviations, left)
 
     def _evaluated(self, x: _Array) -> tuple[float, _Array, _Array, Any]:
         """Minus twice the log-likelihood at logarithms of the variances, its gradient, (b, e), and the factor of their

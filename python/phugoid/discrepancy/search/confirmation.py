@@ -185,11 +185,18 @@ class Confirmation:
         gain, held = next(iter(gains.values())), assess.held_out(current, better[0])
         return Found(None, gain, assess.threshold() / 2, gains, held, ringing.frequencies)
 
+    def explained(self, at: Refit, candidate: Candidate) -> Explained | None:
+        """Return what a term explains beside the others of a refit."""
+        return self._assessment.explained(self._without(at, candidate), at)
+
+    def _without(self, at: Refit, candidate: Candidate) -> Refit:
+        others = [c for c in at.candidates if c.name != candidate.name]
+        return self._cache.refit(others, at.fit) or self._cache.base
+
     def found(self, at: Refit, candidate: Candidate) -> Found:
         """Return what is reported of a term in the end."""
         assess = self._assessment
-        others = [c for c in at.candidates if c is not candidate]
-        without = self._cache.refit(others, at.fit) or self._cache.base
+        others, without = [c for c in at.candidates if c is not candidate], self._without(at, candidate)
         filter = at.own.filter
         mine = at.through(filter).log_densities
         alike = {c.name for c in self._screen.alike(without, candidate, filter)}

@@ -138,11 +138,11 @@ def _histories(linear: Linearised, place: Place, noise: _Array, count: int) -> l
     answers = linear.answers(place, _signals(linear.points, knots))
     if not np.any(answers):
         return []
-    found = []
+    found, effects = [], RandomEffects(linear, answers)
     flat = np.concatenate(knots)
     for tau in _CORRELATION:
         correlation = _exponential(knots, tau)
-        marginal = RandomEffects(linear, answers, correlation).maximised(noise)
+        marginal = effects.with_correlation(correlation).maximised(noise)
         merit = marginal.log_likelihood - (2.0 if tau else 1.0)
         found.append(Disturbance("noise", place, "", merit, marginal, tau * step, None, flat, step))
     return sorted(found, key=lambda h: -h.merit)
@@ -186,7 +186,7 @@ def _functions(linear: Linearised, place: Place, noise: _Array) -> Iterator[Dist
         answers = linear.answers(place, [at_knots(c, nodes) for c in columns])
         if not np.any(answers):
             continue
-        marginal = RandomEffects(linear, answers, correlation).maximised(noise)
+        marginal = RandomEffects(linear, answers).with_correlation(correlation).maximised(noise)
         yield Disturbance("function", place, variable, marginal.log_likelihood - 2.0, marginal, 0.0, None, nodes, 0.0)
 
 
@@ -194,7 +194,7 @@ def disturbance_at(linear: Linearised, of: Disturbance) -> float:
     """The log-likelihood of other records with a disturbance of the same kind, place and variances there."""
     knots, _ = _knots(linear.points, 0, of.step)
     answers = linear.answers(of.place, _signals(linear.points, knots))
-    effects = RandomEffects(linear, answers, _exponential(knots, of.correlation / of.step))
+    effects = RandomEffects(linear, answers).with_correlation(_exponential(knots, of.correlation / of.step))
     return effects.at(of.marginal.variance, of.marginal.noise).log_likelihood
 
 

@@ -95,8 +95,12 @@ class Search:
             left = self.cache.ringing(current)
             if left and not (unexplained and unexplained.ringing):
                 remarks = (_rest_rings(left.frequencies),)
-            found = [self.confirmation.found(current, c) for c in current.candidates]
-            final, found = self._named(current, found)
+            final = self._named(current)
+            named = {c.name: c for c in final.candidates}
+            found = [
+                self.confirmation.found(final if c.name in named else current, named.get(c.name, c))
+                for c in current.candidates
+            ]
         except KeyboardInterrupt:
             nothing, nan = HeldOut(float("nan"), 0.0, float("nan")), float("nan")
             found = [Found(c, nan, self.assessment.threshold(c) / 2, {}, nothing) for c in current.candidates]
@@ -117,28 +121,25 @@ class Search:
             at = least
         return at
 
-    def _named(self, full: Refit, found: Sequence[Found]) -> tuple[Refit, list[Found]]:
-        """Return the refit with causes that are named only, and what is reported: of these in that refit, of others as
-        they were.
+    def _named(self, full: Refit) -> Refit:
+        """Return the refit with causes that are named only.
 
         Of terms that are no cause the one that explains least is left out first: beside it another may look needless.
         """
-        told = {f.candidate.name: f for f in found if f.candidate is not None}
         at = full
         while True:
-            weak = [c for c in at.candidates if not self.assessment.is_named(at, c, told[c.name].explained)]
+            explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates}
+            weak = [c for c in at.candidates if not self.assessment.is_named(at, c, explained[c.name])]
             if not weak:
-                break
-            weak.sort(key=lambda c: e.part if (e := told[c.name].explained) else 0.0)
+                return at
+            weak.sort(key=lambda c: e.part if (e := explained[c.name]) else 0.0)
             # Where one set cannot be fitted another may.
             sets = [[c for c in at.candidates if c is not w] for w in weak]
             sets.append([c for c in at.candidates if c not in weak])
             following = next((r for s in sets if (r := self.cache.refit(s, at.fit)) is not None), None)
             if following is None:
-                break
+                return at
             at = following
-            told |= {c.name: self.confirmation.found(at, c) for c in at.candidates}
-        return at, [told[f.candidate.name] if f.candidate else f for f in found]
 
     def _is_minor(self, before: Refit, after: Refit) -> bool:
         """Tell whether the last step explains less of the misfit than is worth a name."""

@@ -94,6 +94,12 @@ def finding_of(result: SearchResult, found: Found, minor: bool) -> Finding:
     )
 
 
+def _is_minor(search: Search, result: SearchResult, found: Found) -> bool:
+    """Tell whether what was found is no cause that is named: it explains too little, at the end or on the way there."""
+    named = found.candidate is None or found.candidate.name in result.final.names
+    return not named or search.assessment.is_minor(found.explained)
+
+
 def _rings(frequencies: Sequence[float]) -> str:
     at = ", ".join(f"{f:.3g}" for f in frequencies)
     return (
@@ -225,7 +231,7 @@ def diagnose(
         ended = deadline.ended() if interrupted else ""
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
-            findings = [finding_of(result, f, search.assessment.is_minor(f.explained)) for f in found]
+            findings = [finding_of(result, f, _is_minor(search, result, f)) for f in found]
             findings[:0] = [finding_of_held_input(h, RemainderSettings().margin) for h in held]
             if remainder is not None:
                 findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))

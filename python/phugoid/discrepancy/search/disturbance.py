@@ -8,13 +8,14 @@ them it is, and at which place.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...modelling.model import Model
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.random_effects import Marginal, RandomEffects, at_knots
@@ -90,26 +91,29 @@ class Disturbance:
 
 
 class Disturbances:
-    """Hypotheses about the fits of a search, each worked out once."""
+    """Hypotheses about the fits of a search, each worked out once. ``base``: the model that was diagnosed; what a term
+    adds to it, such as the state of a lag, is no place for a disturbance."""
 
-    def __init__(self) -> None:
+    def __init__(self, base: Model) -> None:
+        self._known = {*base.state_names, *base.declared_inputs, *base.quantity_names}
         self._best: dict[tuple[str, ...], list[Disturbance]] = {}
 
     def ranked(self, at: Refit) -> list[Disturbance]:
         """All hypotheses beside the terms of a refit, the likeliest first; none where there are too many samples."""
         if at.names not in self._best:
-            self._best[at.names] = sorted(_hypotheses(at), key=lambda h: -h.merit)
+            self._best[at.names] = sorted(_hypotheses(at, self._known), key=lambda h: -h.merit)
         return self._best[at.names]
 
 
-def _hypotheses(at: Refit) -> Iterator[Disturbance]:
+def _hypotheses(at: Refit, known: Collection[str]) -> Iterator[Disturbance]:
     linear = at.linear
     filter = Whitening.of(linear.residuals, linear.structure)
     noise = np.array([channel.power for channel in filter.channels])
     samples = max(len(np.unique(linear.times)), 2)
     if min(_KNOTS, samples) ** 2 * linear.n_rows > _PRODUCTS:
         return
-    places = [p for p in sorted(linear.places, key=lambda p: (p.kind, p.name)) if p.kind in ("equation", "input")]
+    every = sorted((p for p in linear.places if p.name in known), key=lambda p: (p.kind, p.name))
+    places = [p for p in every if p.kind in ("equation", "input")]
     rough = []
     for place in places:
         found = _histories(linear, place, noise, min(_KNOTS, samples))
@@ -126,7 +130,7 @@ def _hypotheses(at: Refit) -> Iterator[Disturbance]:
         event = _event(linear, finest, noise)
         if event is not None:
             yield event
-    for place in sorted(linear.places, key=lambda p: (p.kind, p.name)):
+    for place in every:
         if place.kind in ("equation", "quantity"):
             yield from _functions(linear, place, noise)
 

@@ -97,7 +97,7 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     sensors or nothing."""
     s = settings or RemainderSettings()
     full, base = result.full, search.cache.base
-    known = Disturbances()
+    known = Disturbances(base.fit.model)
     options: list[_Option] = []
     if _structured(full, s.structure):
         search.cache.watch("looking for a disturbance in what is left")

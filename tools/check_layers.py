@@ -25,7 +25,7 @@ PYTHON = [
     "match", "repeated_outputs", "figures", "regression", "integration", "process_noise", "estimation", "simulate",
     "linear", "inputs", "models", "export", "saving", "residual_noise", "sensitivities", "validation", "pages",
     "discrepancy", "planning", "starts", "uncertainty", "summary", "report", "result", "diagnosis", "api",
-    "multistart", "reconstruction", "results", "cli", "__init__", "__main__",
+    "multistart", "reconstruction", "petab", "results", "cli", "__init__", "__main__",
 ]
 DISCREPANCY = [
     "misfit", "candidates", "search", "discrimination", "page", "saved", "diagnose", "improve",

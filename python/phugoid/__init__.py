@@ -42,6 +42,7 @@ from .noise.densities import Density, Huber, Laplace, StudentT
 from .noise.kinds import PerExperiment, PerOutput
 from .noise.noise import Gaussian, Sigma
 from .parameters import Parameter
+from .petab.problem import read_petab
 from .planning.design_evaluation import plan, plans
 from .planning.optimum import optimal_plan
 from .reconstruction.reconstruct import reconstruct
@@ -160,6 +161,7 @@ __all__ = [
     "plan",
     "plans",
     "read",
+    "read_petab",
     "reconstruct",
     "results",
     "sign",

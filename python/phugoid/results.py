@@ -14,6 +14,7 @@ from .match import Match
 from .multistart.optima import Optimum
 from .multistart.result import Multistart
 from .parameters import Estimate
+from .petab.problem import PetabProblem
 from .planning.plan import Excursion, Plan, Plans
 from .reconstruction.reconstruct import Reconstruction
 from .reconstruction.vane_places import VanePlaces
@@ -57,6 +58,7 @@ __all__ = [
     "Multistart",
     "Optimum",
     "Outcome",
+    "PetabProblem",
     "Place",
     "Plan",
     "Plans",

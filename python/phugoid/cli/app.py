@@ -11,6 +11,7 @@ from .diagnose import diagnose
 from .example import example
 from .fit import fit
 from .guard import command
+from .petab import petab
 from .simulate import simulate
 from .validate import validate
 
@@ -25,7 +26,7 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
-for each in (fit, diagnose, simulate, validate, example):
+for each in (fit, diagnose, simulate, validate, petab, example):
     app.command()(command(each))
 
 

@@ -6,6 +6,7 @@ sensor) is refused here, with the channel, the sample and the time.
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
@@ -80,6 +81,7 @@ class Experiment(Preprocessing):
         self._mesh_times: FloatArray | None = None
         self._history: tuple[str, ...] = ()
         self._left_out: Mapping[str, str] = {}  # of the file: name -> why it is no channel
+        self._unmeasured: frozenset[str] = frozenset()  # outputs that only other experiments measure
         for channel, values in self._inputs.items():
             checked.check_input(checked.where(self._name, "input", channel), values, self._t)
         for channel, values in self._outputs.items():
@@ -192,6 +194,8 @@ class Experiment(Preprocessing):
             if name in self._signals:
                 checked.check_input(where, self._signals[name][1], self._signals[name][0])
         for name in model_outputs:
+            if name in self._unmeasured:
+                continue
             values, where = self.output(name), checked.where(self._name, "output", name)
             checked.check_output(where, values, self._t)
             if name not in known_sigma and not checked.moves(values):
@@ -447,3 +451,21 @@ def as_experiments(data: Any, caller: str) -> list[Experiment]:
         twice = next(n for n in names if names.count(n) > 1)
         raise DataError(f"{caller}: two experiments are called '{twice}'; give each a name of its own")
     return runs
+
+
+def completed(experiments: Sequence[Experiment], outputs: Sequence[str]) -> list[Experiment]:
+    """Experiments that have all outputs: what one does not measure, and another does, is missing throughout.
+
+    One that measures nothing stays as it is: whoever checks it says so.
+    """
+    there = [{*e.outputs, *e.channels} for e in experiments]
+    anywhere = set().union(*there)
+    found = []
+    for e, own in zip(experiments, there, strict=True):
+        absent = [n for n in outputs if n not in own and n in anywhere]
+        if absent and not own.isdisjoint(outputs):
+            e = copy.copy(e)
+            object.__setattr__(e, "_outputs", {**e._outputs, **{n: np.full(e.n, np.nan) for n in absent}})
+            object.__setattr__(e, "_unmeasured", e._unmeasured | set(absent))
+        found.append(e)
+    return found

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..data.checked import moves
-from ..data.experiment import Experiment, as_experiments
+from ..data.experiment import Experiment, as_experiments, completed
 from ..data.units import check_units
 from ..errors import EvaluationError, ModelError, OptionError
 from ..fit_result import FitResult
@@ -32,6 +32,7 @@ from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
 from .fitted import make_fit
 from .late import estimate_late
+from .motion import Paths, on_moving_meshes, starts_known
 from .refine import refined
 from .smooth import kinks_matter, smoothed_fit
 
@@ -100,13 +101,18 @@ def _estimate(
     start: Mapping[str, Any] | FitResult | EquationError | None = None,
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
+    paths: Paths | None = None,
 ) -> FitResult:
-    """Return the estimate with the kinks of the model as they are."""
+    """Return the estimate with the kinks of the model as they are.
+
+    ``paths``: where the states start, for each experiment times and values of each state.
+    """
     deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
     experiments = as_experiments(data, "estimate")
     if not isinstance(model, Model):
         raise ModelError(f"estimate: the first argument is a Model, not a {type(model).__name__}")
     model.check()
+    experiments = completed(experiments, model.output_names)
     check_units(model, experiments, "estimate")
     transcription = transcription or Collocation()
     noise = noise or model.noise_model
@@ -117,6 +123,8 @@ def _estimate(
         )
     if not isinstance(noise, Noise):
         raise OptionError(f"estimate: noise is {KINDS}, not {noise!r}")
+    if noise.expressions and noise is not model.noise_model:
+        model = model.with_noise(noise)
     if isinstance(transcription, FilterError) and solver is not None:
         raise OptionError("estimate: FilterError has a solver of its own; leave out solver")
     solver = solver or Newton()
@@ -151,7 +159,7 @@ def _estimate(
     for i, experiment in enumerate(experiments):
         # An output that stands still in this experiment may move in another, which then gives its sigma.
         elsewhere = set().union(*moving[:i], *moving[i + 1 :])
-        known_sigma = {*noise.known_sigmas(model.output_names), *elsewhere}
+        known_sigma = {*noise.known_sigmas(model.output_names), *noise.expressions, *elsewhere}
         experiment.check_for(model.input_names, model.output_names, known_sigma)
 
     if isinstance(transcription, FilterError):
@@ -164,6 +172,17 @@ def _estimate(
     given: Mapping[str, Any] = _given(start, noise)
     check_names(model, given, experiments, noise.names(model.output_names))
     parameters = parameter_start(model, given)
+    if _follows_motion(model, experiments, transcription, given) and paths is None and not warm:
+
+        def on_mesh(mesh: Collocation, paths: Paths, at: Mapping[str, float], most: int | None) -> FitResult:
+            most = solver.max_iterations if most is None else min(most, solver.max_iterations)
+            by = replace(solver, time_limit=deadline.left(), max_iterations=most)
+            return _estimate(model, data, mesh, noise, {**given, **at}, by, progress, paths)
+
+        assert isinstance(transcription, Collocation)
+        found = on_moving_meshes(on_mesh, model, experiments, transcription, parameters, deadline.left)
+        if found is not None:
+            return found
     # A scale that no output can tell would let the solver drift without end.
     free = () if deadline.passed() else scalings(model._core, parameters)
     held = {scaling.held: scaling.at for scaling in free}
@@ -171,7 +190,7 @@ def _estimate(
     parameters |= held
     spreads = {name: spread(experiments, name) for name in model.output_names}
     problem = transcription.problem(posed, experiments, noise.resolve(model.output_names, spreads, given))
-    xi = start_point(problem, posed, experiments, given, _paths(warm, posed, experiments))
+    xi = start_point(problem, posed, experiments, given, paths or _paths(warm, posed, experiments))
     starts = [] if warm else further_starts(model, problem, xi, parameters, given)
     if starts and not collocated:
         # A path that follows the measurements is found by collocation; an integration from poor values is none.
@@ -217,12 +236,24 @@ def _estimate(
         )
         if pressed() and not stopped:  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
+    if absent := [f"'{e.name}' without {', '.join(sorted(e._unmeasured))}" for e in experiments if e._unmeasured]:
+        listed = "; ".join(absent[:5]) + ("; ..." if len(absent) > 5 else "")
+        fit = replace(fit, warnings=(*fit.warnings, f"not every experiment measures all outputs: {listed}"))
     if isinstance(start, FitResult) and (worse := _worse_than_start(fit, start)):
         fit = replace(fit, warnings=(worse, *fit.warnings))
     unfinished = fit.status in ("interrupted", "time limit") or deadline.passed()
     if isinstance(transcription, Collocation) and fit.feasible and not unfinished:
         fit = replace(fit, warnings=(*fit.warnings, *filter(None, [coarse_mesh_warning(fit)])))
     return fit
+
+
+def _follows_motion(
+    model: Model, experiments: Sequence[Experiment], transcription: Transcription, given: Mapping[str, Any]
+) -> bool:
+    """Whether the mesh is to follow the motion: samples are few, and the parameters tell where it begins."""
+    if not isinstance(transcription, Collocation) or transcription.segments is not None or transcription.substeps != 1:
+        return False
+    return starts_known(model, given) and _few_samples(experiments, model)
 
 
 # With fewer measured values for each parameter, data do not keep the path of states that are not measured in place.

@@ -179,11 +179,18 @@ class Model:
                 raise ModelError(f"{kind} of '{name}' ({source_line()}): {error}") from None
         return results
 
-    def noise(self, *args: Noise, **sigma: float | Sigma | Noise) -> None:
+    def noise(self, *args: Noise, **sigma: float | Sigma | Expr | Noise) -> None:
         """States what is known of the noise: ``noise(alpha=0.002)`` for a known standard deviation of an output,
         ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, ``noise(az=StudentT())`` for the
-        density of an output, or a whole noise model, ``noise(Gaussian(correlated=True))``."""
-        self._noise = stated_noise(self._noise, args, sigma)
+        density of an output, ``noise(q=a + b*abs(q))`` for a standard deviation that depends on states, inputs and
+        parameters of the model, or a whole noise model, ``noise(Gaussian(correlated=True))``."""
+        self._with_noise(stated_noise(self._noise, args, sigma))
+
+    def _with_noise(self, noise: Noise) -> Model:
+        """Take a noise, whose expressions the core sees too; return the model."""
+        self._noise = noise
+        self._core.noise_expressions(list(noise.expressions.items()))
+        return self
 
     @property
     def noise_model(self) -> Noise:
@@ -306,7 +313,7 @@ class Model:
         model._core = _core.Model.from_json(text)
         try:
             saved = json.loads(text)
-            model._noise = noise_from_dict(saved.get("noise", {}))
+            model._with_noise(noise_from_dict(saved.get("noise", {})))
             model._delays = Delays.from_dict(saved.get("delays", {}))
         except ModelError:
             raise
@@ -369,7 +376,7 @@ class Model:
         new = added_parameters(self.declared_parameters, parameters or {})
         return self._changed(parameters=new, equations=equations)
 
-    def with_noise(self, *args: Noise, **sigma: float | Sigma | Noise) -> Model:
+    def with_noise(self, *args: Noise, **sigma: float | Sigma | Expr | Noise) -> Model:
         """Return a model with other noise, stated as by `noise`; this one stays as it is."""
         model = self._changed()
         model.noise(*args, **sigma)
@@ -415,8 +422,8 @@ class Model:
     def _around(self, core: _core.Model, delays: Delays) -> Model:
         """A model with another core and the noise of this one."""
         model = type(self).__new__(type(self))
-        model._core, model._noise, model._delays = core, self._noise, delays
-        return model
+        model._core, model._delays = core, delays
+        return model._with_noise(self._noise)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes `to_json` to a file; DataError where that cannot be done."""

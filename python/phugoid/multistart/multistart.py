@@ -8,7 +8,7 @@ from contextlib import closing, nullcontext
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
-from ..data.experiment import Experiment, as_experiments
+from ..data.experiment import Experiment, as_experiments, completed
 from ..errors import ModelError, OptionError
 from ..fit_result import FitResult
 from ..modelling.model import Model
@@ -49,8 +49,8 @@ def multistart(
     """Estimates from many starts, to see which optima there are and how many starts reach the best one.
 
     ``ranges``: name -> (low, high) of parameters, of ``sigma_<output>`` and of states, in their units; each start
-    draws from all of them, uniformly. A state drawn is constant in time; a standard deviation above the spread of the
-    measurements starts there, as in `estimate`.
+    draws from all of them, uniformly; of a parameter with ``transform="log"`` it draws the logarithm. A state drawn is
+    constant in time; a standard deviation above the spread of the measurements starts there, as in `estimate`.
     ``n``: how many starts, 1000 by default. Start i has random numbers of its own, from ``seed`` and i: neither n,
     nor the order, nor the executor changes it.
     ``starts``: instead of ranges, the starts themselves, name -> value each (all of them unless ``n`` says fewer), or
@@ -133,7 +133,7 @@ def _problem(model: Any, data: Any, transcription: Any, noise: Any, start: Any, 
     if not isinstance(model, Model):
         raise ModelError(f"multistart: the first argument is a Model, not a {type(model).__name__}")
     model.check()
-    experiments = tuple(as_experiments(data, "estimate"))
+    experiments = tuple(completed(as_experiments(data, "estimate"), model.output_names))
     transcription = transcription or Collocation()
     if not isinstance(transcription, (Collocation, MultipleShooting, SingleShooting)):
         raise OptionError(

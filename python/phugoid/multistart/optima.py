@@ -49,25 +49,29 @@ class Optimum:
 
 
 def same(one: Outcome, other: Outcome, log_likelihood: float = LOG_LIKELIHOOD, parameters: float = PARAMETERS) -> bool:
-    """Whether two outcomes are the same optimum; the standard errors are those of the first."""
+    """Whether two outcomes are the same optimum; the standard errors are those of the first.
+
+    Where one of them is unidentifiable, parameters without a standard error may differ by any amount.
+    """
     if not abs(one.log_likelihood - other.log_likelihood) <= log_likelihood:
         return False
     a, b, error = (
         np.fromiter(v.values(), dtype=np.float64) for v in (one.parameters, other.parameters, one.std_errors)
     )
-    unit = np.where(error > 0, error, np.maximum(np.abs(a), np.abs(b)))
+    open_to = np.inf if "unidentifiable" in (one.status, other.status) else np.maximum(np.abs(a), np.abs(b))
+    unit = np.where(error > 0, error, open_to)
     return bool(np.all(np.abs(a - b) <= parameters * unit))
 
 
 def group(
     outcomes: Iterable[Outcome], log_likelihood: float = LOG_LIKELIHOOD, parameters: float = PARAMETERS
 ) -> tuple[Optimum, ...]:
-    """The optima among the converged outcomes, best first.
+    """The optima among the outcomes that ended at one, best first.
 
     From the highest log-likelihood downwards, an outcome joins the first optimum whose representative is the `same`,
     or starts a new one.
     """
-    sound = (o for o in outcomes if o.converged and math.isfinite(o.log_likelihood))
+    sound = (o for o in outcomes if o.at_optimum)
     groups: list[list[Outcome]] = []
     first = 0  # groups before this one lie too high for all that still come
     for outcome in sorted(sound, key=lambda o: (-o.log_likelihood, o.index)):
@@ -120,7 +124,7 @@ def plot_waterfall(
     import matplotlib.pyplot as plt
     from matplotlib import rc_context
 
-    counts = Counter(o.status for o in outcomes if not o.converged)
+    counts = Counter(o.status for o in outcomes if not o.at_optimum)
     left = _NAMES if counts else _LEFT
     strip = (len(counts) + 0.4) * _ROW if counts else 0.0
     height = _HEIGHT + strip

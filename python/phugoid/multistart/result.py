@@ -50,12 +50,14 @@ class Multistart:
 
     @cached_property
     def optima(self) -> tuple[Optimum, ...]:
-        """The optima that converged outcomes reached, best first: `group` with its default tolerances."""
+        """The optima that outcomes reached, best first: `group` with its default tolerances."""
         return self.group()
 
     def group(self, log_likelihood: float = LOG_LIKELIHOOD, parameters: float = PARAMETERS) -> tuple[Optimum, ...]:
-        """The optima that converged outcomes reached, best first.
+        """The optima that outcomes reached, best first.
 
+        An outcome counts where it converged, where the data leave directions undetermined ("unidentifiable"), and where
+        only rounding kept it from its tolerances ("acceptable").
         Two outcomes are the same optimum where their log-likelihoods differ by no more than ``log_likelihood``, and
         each parameter by no more than ``parameters`` standard errors; one without standard error (it is at a bound,
         or cannot be identified) by no more than that part of its value.
@@ -89,7 +91,7 @@ class Multistart:
         except PhugoidError:  # rounding has put a value outside its bounds
             return self.problem.fit(wanted.start)
         reached = Outcome(0, {}, fit.status, "", fit.log_likelihood, fit.parameters.to_dict())
-        return fit if fit.converged and same(wanted, reached) else self.problem.fit(wanted.start)
+        return fit if reached.at_optimum and same(wanted, reached) else self.problem.fit(wanted.start)
 
     @property
     def success_rate(self) -> float:
@@ -109,7 +111,7 @@ class Multistart:
         parts = [self._header()]
         if self.optima:
             parts += [self._optima_table(), self._parameter_table(), self._judgement()]
-        if any(not o.converged for o in self.outcomes):
+        if any(not o.at_optimum for o in self.outcomes):
             parts.append(self._failures())
         return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 
@@ -222,9 +224,9 @@ class Multistart:
     def _failures(self) -> str:
         lines = []
         for status, count in self.counts.items():
-            if status == "converged":
+            those = [o for o in self.outcomes if o.status == status and not o.at_optimum]
+            if not those:
                 continue
-            those = [o for o in self.outcomes if o.status == status]
             numbers = ", ".join(str(o.index) for o in those[:_NUMBERS]) + (", ..." if count > _NUMBERS else "")
             lines.append(f"{status}: {count} start(s), number {numbers}\n  the first: {those[0].message}")
         return "\n".join(lines)

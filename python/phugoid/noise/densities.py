@@ -181,7 +181,7 @@ class Density(Noise):
     def __init__(
         self,
         log_density: Callable[..., Any] | Expr,
-        sigma: Mapping[str, float | Sigma] | None = None,
+        sigma: Mapping[str, float | Sigma | Expr] | None = None,
         parameters: Mapping[str, Parameter | float] | None = None,
     ) -> None:
         object.__setattr__(self, "sigma", {} if sigma is None else sigma)

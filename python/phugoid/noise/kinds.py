@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from .. import _core
+from .._core import Expr
 from ..errors import ModelError, did_you_mean
 from ..parameters import Parameter
 from .densities import Density, Huber, Laplace, StudentT
@@ -26,7 +27,7 @@ class PerOutput(Noise):
     outputs: Mapping[str, Noise] = field(default_factory=dict)
     kind: ClassVar[str] = "per output"
 
-    def __init__(self, outputs: Mapping[str, Noise], sigma: Mapping[str, float | Sigma] | None = None) -> None:
+    def __init__(self, outputs: Mapping[str, Noise], sigma: Mapping[str, float | Sigma | Expr] | None = None) -> None:
         if not isinstance(outputs, Mapping):
             raise ModelError(f"PerOutput: give noise by output, such as {{'az': StudentT()}}, not {outputs!r}")
         scales = dict(sigma or {})
@@ -114,7 +115,7 @@ class PerExperiment(Noise):
         return {"kind": self.kind, "noise": self.noise.to_dict()}
 
 
-def stated_noise(before: Noise, args: Sequence[Noise], sigma: Mapping[str, float | Sigma | Noise]) -> Noise:
+def stated_noise(before: Noise, args: Sequence[Noise], sigma: Mapping[str, float | Sigma | Expr | Noise]) -> Noise:
     """Return the noise of a model that had ``before``, for what `Model.noise` is given."""
     if (args and sigma) or len(args) > 1:
         raise ModelError("noise: give a noise model or standard deviations by output, not both")

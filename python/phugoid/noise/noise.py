@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
+from .._core import Expr
 from ..errors import ModelError, did_you_mean
 
 __all__ = ["KINDS", "Gaussian", "Noise", "Sigma", "SigmaSpec", "saved_sigma"]
@@ -54,30 +55,37 @@ class Sigma:
 
 @dataclass(frozen=True)
 class Noise:
-    """What all noise models share: ``sigma`` gives the scale by output name, a number (known) or a `Sigma` (unknown).
+    """What all noise models share: ``sigma`` gives the scale by output name.
 
+    It is a number (known), a `Sigma` (unknown), or an expression in the model's states, inputs, quantities and
+    parameters, such as ``a + b*y``, which is positive at all samples.
     Outputs not named have an unknown one.
     """
 
-    sigma: Mapping[str, float | Sigma] = field(default_factory=dict)
+    sigma: Mapping[str, float | Sigma | Expr] = field(default_factory=dict)
     kind: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.sigma, Mapping):
             raise ModelError(f"noise: give standard deviations by output, such as {{'q': 0.01}}, not {self.sigma!r}")
         for name, value in self.sigma.items():
-            if not isinstance(value, Sigma) and not positive(value):
+            if not isinstance(value, (Sigma, Expr)) and not positive(value):
                 raise ModelError(
                     f"noise of '{name}': a known standard deviation is a positive number, not {value!r}; "
-                    "an unknown one is a Sigma"
+                    "an unknown one is a Sigma, one that depends on the model an expression"
                 )
-        plain = {name: s if isinstance(s, Sigma) else float(s) for name, s in self.sigma.items()}
+        plain = {name: s if isinstance(s, (Sigma, Expr)) else float(s) for name, s in self.sigma.items()}
         object.__setattr__(self, "sigma", plain)
 
     @property
     def known(self) -> dict[str, float]:
         """The known scales by output, of those named."""
-        return {name: s for name, s in self.sigma.items() if not isinstance(s, Sigma)}
+        return {name: s for name, s in self.sigma.items() if not isinstance(s, (Sigma, Expr))}
+
+    @property
+    def expressions(self) -> dict[str, Expr]:
+        """The scales that are expressions of the model, by output."""
+        return {name: s for name, s in self.sigma.items() if isinstance(s, Expr)}
 
     def known_sigmas(self, outputs: Sequence[str]) -> dict[str, float]:
         """The known scales of a model with these outputs."""
@@ -85,7 +93,8 @@ class Noise:
 
     def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
         """What is estimated of the noise: ``sigma_<output>`` and others, in the order of a fit."""
-        return tuple(f"sigma_{name}" for name in outputs if name not in self.known)
+        said = {**self.known, **self.expressions}
+        return tuple(f"sigma_{name}" for name in outputs if name not in said)
 
     @property
     def description(self) -> str:
@@ -102,7 +111,10 @@ class Noise:
         ``spread`` is the standard deviation of the measurements, ``start`` holds starts by name (`names`).
         """
         sigmas = self._sigmas(outputs, spread, start)
-        noise = _core.Noise.independent(sigmas, [self.shape(name, start) for name in outputs])
+        expressions = self.expressions
+        noise = _core.Noise.independent(
+            sigmas, [self.shape(name, start) for name in outputs], [expressions.get(name) for name in outputs]
+        )
         noise.check(outputs)
         return noise
 
@@ -111,7 +123,9 @@ class Noise:
         return {"kind": self.kind, "sigma": self._sigma_dict()}
 
     def _sigma_dict(self) -> dict[str, Any]:
-        def plain(s: float | Sigma) -> dict[str, Any]:
+        def plain(s: float | Sigma | Expr) -> dict[str, Any]:
+            if isinstance(s, Expr):
+                return {"expression": s.to_json()}
             if not isinstance(s, Sigma):
                 return {"known": s}
             return {"start": s.start, "bounds": list(s.bounds) if s.bounds else None}
@@ -121,7 +135,7 @@ class Noise:
     def _sigmas(
         self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]
     ) -> list[SigmaSpec]:
-        """For each output: known?, value or start, lower bound, upper bound."""
+        """For each output: known?, value or start, lower bound, upper bound; 1 where an expression takes its place."""
         for name in self.sigma:
             if name not in outputs:
                 raise ModelError(f"noise: '{name}' is not an output.{did_you_mean(name, outputs)}")
@@ -131,7 +145,11 @@ class Noise:
             given = start.get(f"sigma_{name}")
             if not isinstance(spec, Sigma):
                 if given is not None:
-                    raise ModelError(f"sigma_{name} is known ({spec}) and cannot be given a start as well")
+                    what = "given by an expression" if isinstance(spec, Expr) else "known"
+                    raise ModelError(f"sigma_{name} is {what} ({spec}) and cannot be given a start as well")
+                if isinstance(spec, Expr):
+                    resolved.append((True, 1.0, 1.0, 1.0))  # the expression takes its place
+                    continue
                 resolved.append((True, float(spec), float(spec), float(spec)))
                 continue
             scale = spread[name]
@@ -179,9 +197,10 @@ class Gaussian(Noise):
         if not isinstance(self.correlated, bool):
             raise ModelError(f"Gaussian: correlated is True or False, not {self.correlated!r}")
         if self.covariance is None:
-            if self.correlated and self.known:
+            said = {**self.known, **self.expressions}
+            if self.correlated and said:
                 raise ModelError(
-                    f"Gaussian: sigma_{next(iter(self.known))} is known, but correlated noise has all of them known "
+                    f"Gaussian: sigma_{next(iter(said))} is known, but correlated noise has all of them known "
                     "(covariance=...) or none"
                 )
             return
@@ -283,10 +302,12 @@ class Gaussian(Noise):
         return Gaussian(saved_sigma(saved))
 
 
-def saved_sigma(saved: Mapping[str, Any]) -> dict[str, float | Sigma]:
+def saved_sigma(saved: Mapping[str, Any]) -> dict[str, float | Sigma | Expr]:
     """Scales by output, as saved."""
 
-    def sigma(s: Mapping[str, Any]) -> float | Sigma:
+    def sigma(s: Mapping[str, Any]) -> float | Sigma | Expr:
+        if "expression" in s:
+            return _core.load_expression(s["expression"])
         return s["known"] if "known" in s else Sigma(s["start"], tuple(s["bounds"]) if s["bounds"] else None)
 
     return {name: sigma(s) for name, s in saved.items()}

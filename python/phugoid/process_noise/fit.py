@@ -192,6 +192,12 @@ def _check(model: Model, noise: Noise) -> None:
     """Raises OptionError for what this method cannot do."""
     if not isinstance(noise, Gaussian) or noise.correlated or noise.covariance is not None:
         raise OptionError("FilterError: measurement noise is independent and Gaussian here")
+    if noise.expressions:
+        name, expression = next(iter(noise.expressions.items()))
+        raise OptionError(
+            f"FilterError: the standard deviation of '{name}' is an expression ({expression}); this method takes "
+            "numbers and unknown ones"
+        )
     if model._core.conditions:
         raise OptionError("FilterError: initial, final and periodic conditions are not supported; use initial=...")
 

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.experiment import Experiment, Signal
+from ..data.experiment import Experiment, Signal, completed
 from ..errors import DataError, PhugoidError
 from ..fit_result import FitResult
 from ..modelling.model import Model
@@ -99,7 +99,7 @@ def _experiment_payload(e: Experiment) -> dict[str, Any]:
         "name": e.name,
         "t": e.t,
         "inputs": dict(e.inputs),
-        "outputs": dict(e.outputs),
+        "outputs": {n: z for n, z in e.outputs.items() if n not in e._unmeasured},
         "channels": dict(e.channels),
         "units": dict(e.units),
         "interpolation": e.interpolation,
@@ -168,7 +168,7 @@ def fit_from(saved: Mapping[str, Any], version: int) -> FitResult:
         solution, moved = saved["solution"], saved["moved"]
         fit = replace(
             fit,
-            experiments=tuple(_experiment(e) for e in saved["experiments"]),
+            experiments=tuple(completed([_experiment(e) for e in saved["experiments"]], fit.model.output_names)),
             solution=_solution(solution) if solution is not None else None,
             _moved=fit_from(moved, version) if moved is not None else None,
         )

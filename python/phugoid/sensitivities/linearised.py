@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
+from .._core import Expr
 from ..data.experiment import Experiment
 from ..data.interpolation import interpolated
-from ..errors import EvaluationError
+from ..errors import EvaluationError, OptionError
 from ..fit_result import FitResult
 from ..guess import spread
 from ..residual_noise.uniform_segments import uniform_segments
@@ -80,9 +81,23 @@ class Linearised:
         known = self.inner.noise.known_sigmas(self.model.output_names)
         if output in known:
             return float(known[output])
+        if output in self.inner.noise.expressions:
+            return self._evaluated(output, self.inner.noise.expressions[output])
         i = self.model.output_names.index(output)
         r = self.residuals[slice(self.rows[i][0].start, self.rows[i][-1].stop)]
         return float(np.sqrt(np.mean(r**2))) or 1.0
+
+    def _evaluated(self, output: str, expression: Expr) -> float:
+        """Of noise that is an expression of parameters alone."""
+        own = {n: e.value for n, e in self.inner.parameters.items()} | {
+            n: p.start for n, p in self.model.declared_parameters.items() if p.fixed
+        }
+        if any(symbol not in own for symbol in expression.symbols):
+            raise OptionError(
+                f"the standard deviation of '{output}' changes along the record ({expression}): what is known of the "
+                "correlation of residuals holds for constant ones"
+            )
+        return float(expression.evaluate({n: own[n] for n in expression.symbols}))
 
     def _stacked(self, channel: Callable[[str, int], _Array]) -> _Array:
         parts = [

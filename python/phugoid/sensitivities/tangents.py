@@ -251,7 +251,10 @@ class Scores:
             kind = noise._of(name) if isinstance(noise, PerOutput) else noise
             known = noise.known_sigmas(linear.model.output_names)
             for e, rows in enumerate(linear.rows[i]):
-                sigma = known[name] if name in known else self._numbers[e][f"sigma_{name}"]
+                if name in noise.expressions:
+                    sigma = float(linear.sigmas[i])
+                else:
+                    sigma = known[name] if name in known else self._numbers[e][f"sigma_{name}"]
                 r, scale = linear.residuals[rows] / sigma, self._scale[rows] / sigma
                 psi, slope = self._influence(kind, name, e, r, sigma)
                 self.values[rows], self._curvature[rows] = scale * psi, scale**2 * slope

@@ -73,13 +73,13 @@ def _watching(progress: bool | Watch, title: str, total: int, done: tuple[Outcom
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    reached = [o.log_likelihood for o in done if o.converged]
+    reached = [o.log_likelihood for o in done if o.at_optimum]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, TextColumn("{task.fields[best]}"), console=Console(stderr=True)) as bar:
         task = bar.add_task(title, total=total, completed=len(done), best="")
 
         def advance(outcome: Outcome) -> None:
-            if outcome.converged:
+            if outcome.at_optimum:
                 reached[:] = [max([*reached, outcome.log_likelihood])]
             bar.update(task, advance=1, best=f"best logL {reached[0]:.3f}" if best and reached else "")
 

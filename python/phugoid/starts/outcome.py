@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -53,6 +54,12 @@ class Outcome:
     def converged(self) -> bool:
         """Whether the solver met its tolerances."""
         return self.status == "converged"
+
+    @property
+    def at_optimum(self) -> bool:
+        """Whether the run ended at an optimum: converged, where the data leave directions undetermined, or where only
+        rounding kept it from its tolerances."""
+        return self.status in ("converged", "unidentifiable", "acceptable") and math.isfinite(self.log_likelihood)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

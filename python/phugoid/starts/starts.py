@@ -27,16 +27,26 @@ def stream(seed: int, index: int) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Uniform:
-    """Starts drawn uniformly from ranges, by name in the model's order: parameters, sigmas, states."""
+    """Starts drawn uniformly from ranges, by name in the model's order: parameters, sigmas, states.
+
+    Of ``logarithmic`` names it is the logarithm that is drawn uniformly.
+    """
 
     ranges: Mapping[str, Range]
     seed: int
+    logarithmic: frozenset[str] = frozenset()
 
     def __call__(self, index: int) -> dict[str, Any]:
         """The start of that number."""
         random = stream(self.seed, index)
-        # Rounding may carry a draw one bit past the end.
-        return {name: min(float(random.uniform(*pair)), pair[1]) for name, pair in self.ranges.items()}
+
+        def drawn(name: str, low: float, high: float) -> float:
+            if name in self.logarithmic:
+                return float(np.exp(random.uniform(np.log(low), np.log(high))))
+            return float(random.uniform(low, high))
+
+        # Rounding may carry a draw one bit past the ends.
+        return {name: min(max(drawn(name, *pair), pair[0]), pair[1]) for name, pair in self.ranges.items()}
 
 
 @dataclass(frozen=True)
@@ -83,7 +93,8 @@ def uniform(problem: Problem, ranges: Any, seed: int) -> Uniform:
                 f"ranges: '{name}' from {low:g} to {high:g} reaches outside its bounds "
                 f"({bounds[0]:g}, {bounds[1]:g}); move one of them"
             )
-    drawn = Uniform(checked, seed)
+    logarithmic = {n for n, p in declared.items() if p.transform == "log" and n in checked and checked[n][0] > 0.0}
+    drawn = Uniform(checked, seed, frozenset(logarithmic))
     _check(problem, drawn(0), _spreads(problem))
     return drawn
 

@@ -21,8 +21,8 @@ GridSpec = tuple[str, int, "list[float] | None"]
 # As in the core: most segments or steps of a record, most threads of a problem.
 _MOST_SEGMENTS, _MOST_THREADS = 10_000_000, 1024
 _Array = NDArray[np.float64]
-_Signal = tuple[_Array, _Array, float, int]
-_Record = tuple[str, _Array, list[_Array], list[_Array], list[str], list[_Signal | None]]
+Signal = tuple[_Array, _Array, float, int]
+Record = tuple[str, _Array, list[_Array], list[_Array], list[str], list[Signal | None]]
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def limit(what: str, name: str, value: int) -> None:
         raise OptionError(f"{what}: {name} is at most {most}, not {float(min(value, 10**300)):g}")
 
 
-def records_of(model: Model, experiments: Sequence[Experiment]) -> list[_Record]:
+def records_of(model: Model, experiments: Sequence[Experiment]) -> list[Record]:
     """Experiments as the core takes them."""
     return [
         (

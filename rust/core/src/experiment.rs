@@ -248,7 +248,18 @@ impl Experiment {
         inputs: &[&str],
         outputs: &[&str],
     ) -> Result<(), Error> {
-        experiments.iter().try_for_each(|e| e.check(inputs, outputs))?;
+        if let [single] = experiments {
+            return single.check(inputs, outputs);
+        }
+        experiments.iter().try_for_each(|e| e.check_shapes(inputs, outputs))?;
+        // What one experiment does not measure another may.
+        for (c, name) in outputs.iter().enumerate() {
+            if experiments.iter().all(|e| e.outputs[c].iter().all(|v| v.is_nan())) {
+                return Err(Error::Data(format!(
+                    "output '{name}' has no samples in any experiment (all NaN); take it out of the model"
+                )));
+            }
+        }
         let mut names = HashSet::new();
         match experiments.iter().find(|e| !names.insert(&e.name)) {
             Some(Experiment { name, .. }) => {

@@ -2,6 +2,7 @@
 
 use phugoid::condition::{Condition, End};
 use phugoid::model::{Delays, LateInput, LateOutput, Model, Parameter, Variable};
+use phugoid::noise::{NoiseModel, Scale};
 use phugoid::transform::Transform;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -225,8 +226,15 @@ impl PyModel {
             .collect()
     }
 
+    /// Without noise and delays, which `phugoid.Model` holds itself.
     fn to_json(&self) -> String {
-        self.0.to_json()
+        Model { noise: NoiseModel::new(), ..self.0.clone() }.to_json()
+    }
+
+    /// Takes the standard deviations of the noise that are expressions, by output: their symbols count as used.
+    fn noise_expressions(&mut self, expressions: Vec<(String, Operand)>) {
+        let scales = expressions.into_iter().map(|(name, e)| (name, Scale::Expression(e.0)));
+        self.0.noise = NoiseModel { scales: scales.collect(), ..NoiseModel::new() };
     }
 
     #[staticmethod]

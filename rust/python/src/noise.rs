@@ -59,11 +59,18 @@ fn density((kind, numbers, expression, parameters): DensitySpec) -> PyResult<Den
 
 #[pymethods]
 impl PyNoise {
-    /// Independent: a scale and a density an output.
+    /// Independent: a scale and a density an output; an expression takes the place of the scale.
     #[staticmethod]
-    fn independent(sigmas: Vec<SigmaSpec>, densities: Vec<DensitySpec>) -> PyResult<Self> {
+    fn independent(
+        sigmas: Vec<SigmaSpec>,
+        densities: Vec<DensitySpec>,
+        expressions: Vec<Option<Operand>>,
+    ) -> PyResult<Self> {
         let densities = densities.into_iter().map(density).collect::<PyResult<Vec<_>>>()?;
-        let sigmas = sigmas.into_iter().map(sigma);
+        let sigmas = sigmas
+            .into_iter()
+            .zip(expressions)
+            .map(|(spec, expr)| expr.map_or_else(|| sigma(spec), |e| Sigma::Expression(e.0)));
         if densities.iter().all(|d| *d == Density::Gaussian) {
             return Ok(Noise::Gaussian(sigmas.collect()).into());
         }

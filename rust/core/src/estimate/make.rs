@@ -98,8 +98,13 @@ fn assessed(
     let mut covariance = vec![f64::NAN; n_theta * n_theta];
     let total = total_defects(problem, xi);
     let feasible = feasible(model, problem, xi, total.as_deref());
-    let found = feasible
-        .then(|| limit.run(|| information(problem, xi, end.multipliers, &wanted, &held, &mut || true)));
+    // Preparing the factorisation of a long record takes tens of milliseconds before it first looks at the clock.
+    let found = feasible.then(|| {
+        if limit.stops() {
+            return Err(NoInformation::Stopped);
+        }
+        limit.run(|| information(problem, xi, end.multipliers, &wanted, &held, &mut || true))
+    });
     match found {
         None => warnings.push(NOT_FEASIBLE.into()),
         Some(Err(why)) => warnings.push(no_errors(problem, xi, why, limit)),

@@ -40,6 +40,8 @@ impl From<Vec<Vec<f64>>> for Start {
 
 /// Standard deviations without bounds of their own lie within these factors of the spread.
 const RANGE: (f64, f64) = (1e-9, 1e6);
+/// A start may lie outside its bounds by this part of its size.
+const AT_BOUND: f64 = 1e-9;
 
 /// Where states are tried of which nothing is known, where the model has no finite derivatives at 0.
 const ELSEWHERE: [f64; 4] = [1.0, 10.0, 0.1, -1.0];
@@ -93,10 +95,13 @@ impl<'a> Given<'a> {
         match self.of(name) {
             Some(Start::Paths(_)) => fail("is a parameter: give one number".into()),
             Some(Start::Value(v)) if !v.is_finite() => fail(format!("is {v}, not a finite number")),
-            Some(Start::Value(v)) if *v < bounds.0 || *v > bounds.1 => {
+            // An estimate at a bound differs from it by the rounding of its transform.
+            Some(Start::Value(v))
+                if *v < bounds.0 - AT_BOUND * v.abs() || *v > bounds.1 + AT_BOUND * v.abs() =>
+            {
                 fail(format!("= {v:?} lies outside its bounds {bounds:?}; move one of them"))
             }
-            Some(Start::Value(v)) => Ok(*v),
+            Some(Start::Value(v)) => Ok(v.max(bounds.0).min(bounds.1)),
             None => {
                 let fitted = self.fit.and_then(|fit| fit.parameter(name)).map(|e| e.value);
                 Ok(fitted.map_or(declared, |v| v.max(bounds.0).min(bounds.1)))
@@ -170,11 +175,10 @@ impl<'a> Given<'a> {
                     )));
                 }
                 (None, Some((t, x)), _) => interpolate(Interpolation::Cubic, t, x, times),
-                (None, None, Some(m)) => {
-                    let (t, x) = m.samples(experiment);
-                    at_times(&t, &x)
-                }
-                (None, None, None) => vec![declared[i].unwrap_or(0.0); times.len()],
+                (None, None, m) => match m.as_ref().map(|m| m.samples(experiment)) {
+                    Some((t, x)) if !t.is_empty() => at_times(&t, &x),
+                    _ => vec![declared[i].unwrap_or(0.0); times.len()],
+                },
             };
             let (lower, upper) = state.bounds();
             Ok(path.into_iter().map(|x| x.max(lower).min(upper)).collect())
@@ -331,6 +335,14 @@ impl Estimation<'_> {
                         "{sigma} is known ({value}) and cannot be given a start as well"
                     ))),
                     None => Ok(Sigma::Known(*value)),
+                };
+            }
+            if let Some(Scale::Expression(expr)) = said {
+                return match self.given().of(&sigma) {
+                    Some(_) => Err(Error::Option(format!(
+                        "{sigma} is given by an expression ({expr}) and cannot be given a start as well"
+                    ))),
+                    None => Ok(Sigma::Expression(expr.clone())),
                 };
             }
             let samples: Vec<&[f64]> = self.experiments.iter().map(|e| &e.outputs[c][..]).collect();

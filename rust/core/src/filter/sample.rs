@@ -71,8 +71,13 @@ impl Samples {
         let flags = graph.symbols("present", gaps.len());
         let present: Vec<Option<Id>> =
             (0..n_y).map(|c| gaps.iter().position(|&g| g == c).map(|i| flags[i])).collect();
-        let sample =
-            Sample { outputs: &model.outputs, measured: &measured, present: &present, patterns: &[] };
+        let sample = Sample {
+            outputs: &model.outputs,
+            measured: &measured,
+            scales: &[],
+            present: &present,
+            patterns: &[],
+        };
         let density = noise.log_density(&mut graph, &sample, &roots);
 
         let half = graph.constant(0.5);
@@ -101,6 +106,7 @@ impl Samples {
             let root = match sigma {
                 Sigma::Known(value) => graph.constant(1.0 / value),
                 Sigma::Unknown { .. } => *inverses.next().expect("one parameter an unknown"),
+                Sigma::Expression(_) => unreachable!("checked before"),
             };
             scaled.push(present[c].map_or(root, |there| graph.select(there, root, zero)));
         }

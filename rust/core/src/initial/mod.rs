@@ -105,7 +105,7 @@ fn best<'a>(
 }
 
 /// Most steps from the end of an approach to that of the loop.
-const LAST: usize = 20;
+const LAST: usize = 8;
 /// Most steps of the loop from the start itself.
 const LOOSE: usize = 60;
 /// Most restarts from the other side of bounds.

@@ -48,6 +48,8 @@ pub(crate) struct Adaptive {
     pub x: Vec<f64>,
     /// Time since the interval began.
     pub t: f64,
+    /// Ends of the steps taken in the interval, as times since it began.
+    pub taken: Vec<f64>,
     relative: f64,
     /// Errors of the states that are allowed however small these are.
     pub absolute: Vec<f64>,
@@ -69,6 +71,7 @@ impl Adaptive {
         Adaptive {
             x: x.to_vec(),
             t: 0.0,
+            taken: Vec::new(),
             relative,
             absolute,
             step: f64::INFINITY,
@@ -84,6 +87,7 @@ impl Adaptive {
     /// Goes to the end of an interval that the field has entered.
     pub fn interval(&mut self, field: &mut Field<'_>, length: f64) -> Result<(), Lost> {
         self.t = 0.0;
+        self.taken.clear();
         field.bad = None;
         let mut slope = std::mem::take(&mut self.explicit.slope);
         let finite = field.slope(0.0, &self.x, &mut slope);
@@ -118,6 +122,7 @@ impl Adaptive {
                 continue;
             };
             self.accept(field, to)?;
+            self.taken.push(to);
             self.stiff |= self.limited.0 >= STIFF.0 && self.method == Method::Automatic;
             let grown = h * (SAFETY * error.max(1e-16).powf(-1.0 / order)).min(LONGER);
             // A short last step says nothing of the next.

@@ -7,6 +7,7 @@ use super::{Model, TIME, place};
 use crate::condition::End;
 use crate::error::{Error, did_you_mean};
 use crate::expr::Expr;
+use crate::noise::Scale;
 
 impl Model {
     /// Checks that the model is complete and sound, however its fields were filled.
@@ -78,6 +79,11 @@ impl Model {
                 }
             }
         }
+        for (output, scale) in &self.noise.scales {
+            if let Scale::Expression(expr) = scale {
+                self.check_scale(output, expr)?;
+            }
+        }
         let mut used = self.used();
         used.extend(self.delays.parameters().into_iter().map(Arc::from));
         for parameter in &self.parameters {
@@ -91,11 +97,37 @@ impl Model {
         Ok(())
     }
 
-    /// Symbols that dynamics and outputs depend on, through quantities too.
+    /// Checks an expression for the standard deviation of an output's noise.
+    pub(crate) fn check_scale(&self, output: &str, expr: &Expr) -> Result<(), Error> {
+        let variables = self.states.iter().chain(&self.inputs).map(|v| v.name.as_str());
+        let known: Vec<&str> = variables
+            .chain(self.parameters.iter().map(|p| p.name.as_str()))
+            .chain(self.quantities.iter().map(|q| q.name.as_str()))
+            .chain([TIME])
+            .collect();
+        let start = format!("model '{}': the noise of output {output}", self.name);
+        if let Some(number) = not_finite(expr) {
+            return Err(Error::Model(format!("{start}: it holds the constant {number}")));
+        }
+        match expr.symbols().iter().find(|s| !known.contains(&&***s)) {
+            Some(symbol) => {
+                let hint = did_you_mean(symbol, known.iter().copied());
+                Err(Error::Model(format!("{start}: symbol '{symbol}' is not declared in this model.{hint}")))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Symbols that dynamics, outputs and noise depend on, through quantities too.
     fn used(&self) -> HashSet<Arc<str>> {
         let equations = self.dynamics.iter().chain(&self.outputs);
         let mut used: HashSet<Arc<str>> = equations.flat_map(|e| e.expr.symbols()).collect();
         used.extend(self.conditions.iter().flat_map(|c| c.expr.symbols()));
+        for (_, scale) in &self.noise.scales {
+            if let Scale::Expression(expr) = scale {
+                used.extend(expr.symbols());
+            }
+        }
         for quantity in self.quantities.iter().rev() {
             if used.contains(quantity.name.as_str()) {
                 used.extend(quantity.expr.symbols());

@@ -7,6 +7,7 @@ use super::{Equation, Model, TIME};
 use crate::error::Error;
 use crate::expr::Expr;
 use crate::expr::graph::{Graph, Id};
+use crate::noise::{Noise, Scale};
 
 /// A model's expressions in one graph.
 #[derive(Clone, Debug)]
@@ -25,6 +26,8 @@ pub struct Compiled {
     pub outputs: Vec<Id>,
     /// Right-hand sides of the conditions.
     pub conditions: Vec<Id>,
+    /// Standard deviations of the noise that are expressions, by output.
+    pub scales: Vec<Option<Id>>,
 }
 
 impl Model {
@@ -51,7 +54,26 @@ impl Model {
             .collect();
         let outputs = self.outputs.iter().map(|e| graph.import(&e.expr, &define)).collect();
         let conditions = self.conditions.iter().map(|c| graph.import(&c.expr, &define)).collect();
-        Ok(Compiled { graph, data, states, parameters, dynamics, outputs, conditions })
+        let scale = |o: &Equation| match self.noise.scale_of(&o.name) {
+            Some(Scale::Expression(expr)) => Some(graph.import(expr, &define)),
+            _ => None,
+        };
+        let scales = self.outputs.iter().map(scale).collect();
+        Ok(Compiled { graph, data, states, parameters, dynamics, outputs, conditions, scales })
+    }
+
+    /// Writes the standard deviations of a noise that are expressions into the graph of the compiled model.
+    ///
+    /// # Errors
+    /// Names the output whose expression has a symbol that the model does not have.
+    pub(crate) fn scales(&self, noise: &Noise, graph: &mut Graph) -> Result<Vec<Option<Id>>, Error> {
+        let define = self.definitions();
+        let one = |(output, expr): (&Equation, Option<Expr>)| {
+            let Some(expr) = expr else { return Ok(None) };
+            self.check_scale(&output.name, &expr)?;
+            Ok(Some(graph.import(&expr.substitute(&define), &HashMap::new())))
+        };
+        self.outputs.iter().zip(noise.expressions()).map(one).collect()
     }
 
     /// The quantities by name, with those before put in.

@@ -2,7 +2,7 @@
 //!
 //! Every symbol has an unknown exponent. A product adds the exponents of its factors, a power multiplies one; the
 //! terms of a sum have one exponent, and the argument of a transcendental function has exponent 0, as have inputs,
-//! time, numbers, outputs, and parameters that are fixed or have a prior. A state's right-hand side has the exponent of
+//! time, numbers, outputs, standard deviations of the noise, and parameters that are fixed or have a prior. A state's right-hand side has the exponent of
 //! the state. What solves these linear equations leaves all outputs as they are, for any s > 0.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -99,13 +99,14 @@ impl Model {
             (self.parameters.iter()).filter(|p| p.fixed && p.start == 0.0).map(|p| p.name.as_str()).collect();
 
         let mut equations = Equations::new(names.len());
-        let roots = [&compiled.dynamics[..], &compiled.outputs, &compiled.conditions].concat();
+        let scales: Vec<Id> = compiled.scales.iter().flatten().copied().collect();
+        let roots = [&compiled.dynamics[..], &compiled.outputs, &compiled.conditions, &scales].concat();
         let exponents = exponents(&compiled.graph, &roots, &names, &known_zero, &mut equations);
         let unit = |i: usize| Exponent::Of((0..names.len()).map(|k| f64::from(u8::from(k == i))).collect());
         for (i, id) in compiled.dynamics.iter().enumerate() {
             equations.equal(&exponents[id], &unit(i));
         }
-        for id in &compiled.outputs {
+        for id in compiled.outputs.iter().chain(&scales) {
             equations.none(&exponents[id]);
         }
         for (c, id) in self.conditions.iter().zip(&compiled.conditions) {

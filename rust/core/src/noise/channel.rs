@@ -2,8 +2,8 @@
 
 use super::{Density, Reported, SIGMA, Sample};
 use crate::error::Error;
-use crate::expr::Op;
 use crate::expr::graph::{Graph, Id};
+use crate::expr::{Expr, Op};
 use crate::nlp::Reach;
 use crate::parameter::Parameter;
 use crate::tape::{Loss, Terms};
@@ -22,6 +22,8 @@ pub enum Sigma {
     },
     /// Given.
     Known(f64),
+    /// Given by an expression in the model's states, inputs, parameters and quantities, positive at all samples.
+    Expression(Expr),
 }
 
 impl Sigma {
@@ -35,6 +37,7 @@ impl Sigma {
             Sigma::Unknown { start, lower, upper } => {
                 start > 0.0 && start.is_finite() && 0.0 <= lower && lower <= start && start <= upper
             }
+            Sigma::Expression(_) => true,
         };
         if sound {
             return Ok(());
@@ -58,6 +61,7 @@ impl Sigma {
     pub(super) fn bounds(&self) -> (f64, f64) {
         match *self {
             Sigma::Known(value) => (value, value),
+            Sigma::Expression(_) => (0.0, f64::INFINITY),
             Sigma::Unknown { lower, upper, .. } => (lower, upper),
         }
     }
@@ -147,10 +151,16 @@ pub(super) fn log_density(
 ) -> Terms {
     let mut scales = parameters.iter().copied();
     let mut own = parameters[channels.iter().filter(|c| c.sigma.is_unknown()).count()..].iter().copied();
-    let mut terms = Terms { squares: Vec::new(), losses: Vec::new(), rest: graph.zero() };
+    let mut terms = Terms { squares: Vec::new(), losses: Vec::new(), rest: graph.zero(), logs: Vec::new() };
     for (c, channel) in channels.iter().enumerate() {
+        if let Sigma::Expression(_) = channel.sigma {
+            let shape: Vec<Id> = own.by_ref().take(channel.density.n_parameters()).collect();
+            of_expression((c, &channel.density), graph, sample, shape, &mut terms);
+            continue;
+        }
         let (precision, scale) = match channel.sigma {
             Sigma::Known(value) => (graph.constant(1.0 / value), None),
+            Sigma::Expression(_) => unreachable!("taken above"),
             Sigma::Unknown { .. } => {
                 let root = scales.next().expect("one parameter an unknown");
                 (root, Some(root))
@@ -174,4 +184,29 @@ pub(super) fn log_density(
         terms.losses.push(Loss { residual, argument, own, value, weight, present: sample.present[c] });
     }
     terms
+}
+
+/// Adds the terms of an output whose scale is an expression of the model: the density of (z − y)/σ, less ln σ.
+fn of_expression(
+    (output, density): (usize, &Density),
+    graph: &mut Graph,
+    sample: &Sample<'_>,
+    own: Vec<Id>,
+    terms: &mut Terms,
+) {
+    let sigma = sample.scales[output].expect("written with the model");
+    let difference = graph.sub(sample.measured[output], sample.outputs[output]);
+    let standardised = graph.div(difference, sigma);
+    let residual = sample.switched(graph, output, standardised);
+    let log = graph.unary(Op::Log, sigma);
+    let log = sample.switched(graph, output, log);
+    terms.logs.push(log);
+    if *density == Density::Gaussian {
+        terms.squares.push(residual);
+        return;
+    }
+    let argument = graph.symbol(&format!("residual of output {output}"));
+    let one = graph.one();
+    let (value, weight) = density.loss(graph, argument, one, &own);
+    terms.losses.push(Loss { residual, argument, own, value, weight, present: sample.present[output] });
 }

@@ -23,6 +23,7 @@ pub use report::Reported;
 pub(crate) use saved::SavedNoise;
 
 use crate::error::Error;
+use crate::expr::Expr;
 use crate::expr::graph::{Graph, Id};
 use crate::nlp::Reach;
 use crate::parameter::Parameter;
@@ -46,6 +47,8 @@ pub struct Sample<'a> {
     pub outputs: &'a [Id],
     /// Measurements z.
     pub measured: &'a [Id],
+    /// Standard deviations that are expressions of the model, by output; empty where there are none.
+    pub scales: &'a [Option<Id>],
     /// 1 where a sample of the output is there, 0 where it is missing; `None` where none is missing.
     pub present: &'a [Option<Id>],
     /// Sets of outputs that are present together, not all of them, each with its flag: 1 at the samples
@@ -84,6 +87,15 @@ impl Noise {
         let covariance = covariance.ordered(&counts.outputs);
         covariance.check_missing(missing)?;
         Ok(Noise::Correlated(covariance))
+    }
+
+    /// The scales that are expressions of the model, by output; empty for correlated noise.
+    pub(crate) fn expressions(&self) -> Vec<Option<Expr>> {
+        let of = |channel: &Channel| match &channel.sigma {
+            Sigma::Expression(expr) => Some(expr.clone()),
+            _ => None,
+        };
+        self.channels().iter().map(of).collect()
     }
 
     /// Scales and densities of independent noise.
@@ -138,7 +150,8 @@ impl Noise {
         }
     }
 
-    /// Scales of all outputs, from the noise parameters: standard deviations where noise is Gaussian.
+    /// Scales of all outputs, from the noise parameters: standard deviations where noise is Gaussian, NaN where it is an
+    /// expression.
     pub fn sigmas(&self, parameters: &[f64]) -> Vec<f64> {
         if let Noise::Correlated(covariance) = self {
             return covariance.sigmas(parameters);
@@ -146,6 +159,7 @@ impl Noise {
         let mut free = parameters.iter();
         let mut sigma = |channel: &Channel| match channel.sigma {
             Sigma::Known(value) => value,
+            Sigma::Expression(_) => f64::NAN,
             Sigma::Unknown { .. } => 1.0 / free.next().expect("one parameter an unknown"),
         };
         self.channels().iter().map(&mut sigma).collect()

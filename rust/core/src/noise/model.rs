@@ -2,6 +2,7 @@
 
 use super::{Density, Sigma};
 use crate::error::Error;
+use crate::expr::Expr;
 
 /// The scale of the noise of one output, as far as it is said: the standard deviation, where it is Gaussian.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,6 +17,8 @@ pub enum Scale {
         /// Lower and upper bound.
         bounds: Option<(f64, f64)>,
     },
+    /// Given by an expression in the model's states, inputs, parameters and quantities, positive at all samples.
+    Expression(Expr),
 }
 
 impl From<Sigma> for Scale {
@@ -25,6 +28,7 @@ impl From<Sigma> for Scale {
             Sigma::Unknown { start, lower, upper } => {
                 Scale::Unknown { start: Some(start), bounds: Some((lower, upper)) }
             }
+            Sigma::Expression(expr) => Scale::Expression(expr),
         }
     }
 }

@@ -14,6 +14,7 @@ use crate::parameter::Parameter;
 #[serde(untagged)]
 pub(crate) enum SavedScale {
     Known { known: f64 },
+    Expression { expression: String },
     Unknown { start: Option<f64>, bounds: Option<(f64, f64)> },
 }
 
@@ -158,11 +159,11 @@ impl SavedNoise {
     pub(crate) fn declared(&self, outputs: &[&str]) -> Result<NoiseModel, String> {
         let kind = match self {
             SavedNoise::Gaussian(scales) => {
-                return Ok(NoiseModel { scales: plain(scales), ..NoiseModel::new() });
+                return Ok(NoiseModel { scales: plain(scales)?, ..NoiseModel::new() });
             }
             SavedNoise::Other(kind) => kind,
         };
-        let scales = kind.sigma.as_ref().map(plain).unwrap_or_default();
+        let scales = kind.sigma.as_ref().map(plain).transpose()?.unwrap_or_default();
         let joint = match (&kind.covariance, kind.correlated) {
             (Some(Some(covariance)), _) => Joint::Known(matrix(covariance, outputs)?),
             (_, Some(true)) => Joint::Unknown,
@@ -201,9 +202,12 @@ impl From<Kind> for SavedNoise {
 
 impl SavedScale {
     fn of(scale: &Scale) -> SavedScale {
-        match *scale {
-            Scale::Known(known) => SavedScale::Known { known },
-            Scale::Unknown { start, bounds } => SavedScale::Unknown { start, bounds },
+        match scale {
+            Scale::Known(known) => SavedScale::Known { known: *known },
+            Scale::Unknown { start, bounds } => SavedScale::Unknown { start: *start, bounds: *bounds },
+            Scale::Expression(expr) => SavedScale::Expression {
+                expression: Pool::new([expr]).to_json().expect("expressions are plain data"),
+            },
         }
     }
 }
@@ -257,12 +261,18 @@ impl Kind {
     }
 }
 
-fn plain(scales: &Pairs<SavedScale>) -> Vec<(String, Scale)> {
-    let one = |s: &SavedScale| match *s {
-        SavedScale::Known { known } => Scale::Known(known),
-        SavedScale::Unknown { start, bounds } => Scale::Unknown { start, bounds },
+fn plain(scales: &Pairs<SavedScale>) -> Result<Vec<(String, Scale)>, String> {
+    let one = |s: &SavedScale| -> Result<Scale, String> {
+        Ok(match s {
+            SavedScale::Known { known } => Scale::Known(*known),
+            SavedScale::Unknown { start, bounds } => Scale::Unknown { start: *start, bounds: *bounds },
+            SavedScale::Expression { expression } => {
+                let exprs = Pool::from_json(expression).and_then(|p| p.expressions())?;
+                Scale::Expression(exprs.into_iter().next().ok_or("noise: an expression is missing")?)
+            }
+        })
     };
-    scales.0.iter().map(|(name, s)| (name.clone(), one(s))).collect()
+    scales.0.iter().map(|(name, s)| Ok((name.clone(), one(s)?))).collect()
 }
 
 /// Row by row, in the order of the outputs.

@@ -118,7 +118,8 @@ impl Posed {
             )));
         }
         let pool = (threads > 0).then(|| Threads::new(threads)).transpose()?;
-        let compiled = model.compile()?;
+        let mut compiled = model.compile()?;
+        compiled.scales = model.scales(&noise, &mut compiled.graph)?;
         let output_names: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         let input_names: Vec<&str> = model.inputs.iter().map(|o| o.name.as_str()).collect();
         if experiments.is_empty() {
@@ -166,6 +167,7 @@ impl Posed {
         let sample = Sample {
             outputs: &compiled.outputs,
             measured: &measured,
+            scales: &compiled.scales,
             present: &present,
             patterns: &patterns,
         };
@@ -440,5 +442,6 @@ fn in_variables(graph: &mut Graph, parameters: &[Parameter], compiled: Compiled)
     let dynamics = graph.replace(&compiled.dynamics, &from, &to);
     let outputs = graph.replace(&compiled.outputs, &from, &to);
     let conditions = graph.replace(&compiled.conditions, &from, &to);
-    (variables, Compiled { dynamics, outputs, conditions, ..compiled })
+    let scales = compiled.scales.iter().map(|s| s.map(|s| graph.replace(&[s], &from, &to)[0])).collect();
+    (variables, Compiled { dynamics, outputs, conditions, scales, ..compiled })
 }

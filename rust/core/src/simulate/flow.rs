@@ -70,7 +70,7 @@ impl<'a> Flow<'a> {
 
     /// States and outputs at the samples.
     pub(super) fn path(&mut self, first: &[f64], tolerance: f64, method: Method) -> Result<Path, Error> {
-        let states = self.states(first, tolerance, method)?;
+        let (states, steps) = self.states(first, tolerance, method)?;
         let at = |t: f64| {
             let after = self.knots.partition_point(|k| *k < t);
             let close = |k: usize| self.knots.get(k).is_some_and(|knot| (knot - t).abs() <= 2.0 * self.same);
@@ -108,13 +108,19 @@ impl<'a> Flow<'a> {
             states: (0..first.len()).map(|i| samples.iter().map(|&k| states[k][i]).collect()).collect(),
             residuals: self.run.outputs.iter().zip(&outputs).map(residual).collect(),
             outputs,
+            steps,
             state_names: self.model.states.iter().map(|s| s.name.clone()).collect(),
             output_names: self.model.outputs.iter().map(|o| o.name.clone()).collect(),
         })
     }
 
-    /// States at the knots.
-    fn states(&mut self, first: &[f64], tolerance: f64, method: Method) -> Result<Vec<Vec<f64>>, Error> {
+    /// States at the knots, and the ends of all steps.
+    fn states(
+        &mut self,
+        first: &[f64],
+        tolerance: f64,
+        method: Method,
+    ) -> Result<(Vec<Vec<f64>>, Vec<f64>), Error> {
         // Over a long record a fast state would be taken for a large one; it is as large as it has been so far.
         let shortest = self.knots.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
         let mut seen = self.sizes(first, shortest);
@@ -122,6 +128,7 @@ impl<'a> Flow<'a> {
         let weigh = |seen: &[f64]| -> Vec<f64> { seen.iter().map(|size| tolerance * SMALL * size).collect() };
         let mut integrator = Adaptive::new(first, tolerance, weigh(&seen), method);
         let mut states = vec![first.to_vec()];
+        let mut steps = vec![self.knots[0]];
         for k in 1..self.knots.len() {
             let (begin, end) = (self.knots[k - 1], self.knots[k]);
             self.field.enter(begin, end);
@@ -135,12 +142,14 @@ impl<'a> Flow<'a> {
                 return Err(self.failure(begin, &integrator, lost, &largest));
             }
             states.push(integrator.x.clone());
+            let inner = &integrator.taken[..integrator.taken.len() - 1];
+            steps.extend(inner.iter().map(|t| begin + t).chain([end]));
             if integrator.x.iter().zip(&seen).any(|(x, seen)| x.abs() > *seen) {
                 seen.iter_mut().zip(&integrator.x).for_each(|(seen, x)| *seen = seen.max(x.abs()));
                 integrator.absolute = weigh(&seen);
             }
         }
-        Ok(states)
+        Ok((states, steps))
     }
 
     /// How large each state is, in its own unit: as it begins, or as far as its equation takes it in this time with the

@@ -14,6 +14,9 @@ pub struct Path {
     pub outputs: Vec<Vec<f64>>,
     /// Measured less model outputs; NaN where nothing was measured.
     pub residuals: Vec<Vec<f64>>,
+    /// Times at which the steps of the integration end, s, the first sample before them: where the motion is fast they are
+    /// close.
+    pub steps: Vec<f64>,
     pub(super) state_names: Vec<String>,
     pub(super) output_names: Vec<String>,
 }

@@ -3,7 +3,10 @@
 //! With these given, the constraints of a chain are a block triangular system of equations for all other states: of
 //! each segment, one after the other, as an implicit Runge-Kutta method solves them (Hairer and Wanner, Solving Ordinary
 //! Differential Equations II, section IV.8). Conditions on the first states come before. Newton's method for all blocks at once
-//! is tried from the states as they are; where that does not contract, each segment is solved from the end of the one before.
+//! is tried from the states as they are; where that does not contract, windows of segments are solved, each from the end of the
+//! one before.
+
+use std::ops::Range;
 
 use super::program::Program;
 
@@ -11,9 +14,12 @@ use super::program::Program;
 const SATISFIED: f64 = 1e-8;
 /// The same of the state itself, where its unit is smaller than rounding errors of it.
 const ROUNDING: f64 = 1e-13;
-/// Most iterations for all blocks at once, and for one.
+/// Most iterations for all blocks at once, for a window of them, and for one.
 const AT_ONCE: usize = 6;
+const OF_WINDOW: usize = 8;
 const IN_TURN: usize = 25;
+/// Blocks that are solved together first.
+const FIRST_WINDOW: usize = 16;
 /// Most blocks that are solved in turn: each iteration evaluates all of them.
 const MOST_BLOCKS: usize = 2000;
 
@@ -222,29 +228,73 @@ impl Restoration {
         false
     }
 
-    /// Each block after the other.
+    /// Window after window of blocks, each from the end of the one before: as many at once as Newton's method contracts
+    /// for, from states that do not move.
     fn in_turn(&mut self, program: &Program<'_>, xi: &mut [f64]) -> bool {
-        if self.blocks.len() > MOST_BLOCKS {
+        let (n, mut first, mut width) = (self.blocks.len(), 0, FIRST_WINDOW);
+        if n > MOST_BLOCKS {
             return false;
         }
-        for k in 0..self.blocks.len() {
+        while first < n {
             if program.interrupt.stops() {
                 return false;
             }
+            let window = first..(first + width).min(n);
             // From here on nothing moves, so that all is finite where it is so here.
-            if let Some(point) = self.blocks[k].before {
-                let chain = self.blocks[k].chain;
-                for b in self.blocks[k..].iter().take_while(|b| b.chain == chain) {
-                    for (i, &column) in b.columns.iter().enumerate() {
-                        xi[column] = xi[point + i % self.n_x];
-                    }
-                }
-            }
-            if !self.solve_block(program, xi, k) {
+            self.hold(first, xi);
+            if self.solve_window(program, xi, window.clone()) {
+                (first, width) = (window.end, 2 * width);
+            } else if width > 1 {
+                width = width.min(window.len()).div_ceil(4);
+            } else if self.solve_block(program, xi, first) {
+                first = window.end;
+            } else {
                 return false;
             }
         }
         true
+    }
+
+    /// Sets all states of a chain from a block on to those that the block starts from.
+    fn hold(&self, first: usize, xi: &mut [f64]) {
+        let Some(point) = self.blocks[first].before else { return };
+        let chain = self.blocks[first].chain;
+        for b in self.blocks[first..].iter().take_while(|b| b.chain == chain) {
+            for (i, &column) in b.columns.iter().enumerate() {
+                xi[column] = xi[point + i % self.n_x];
+            }
+        }
+    }
+
+    /// Newton's method for some blocks, as long as it contracts; where it does not, their states are as before.
+    fn solve_window(&mut self, program: &Program<'_>, xi: &mut [f64], window: Range<usize>) -> bool {
+        let columns = self.blocks[window.clone()].iter().flat_map(|b| &b.columns);
+        let before: Vec<f64> = columns.map(|&i| xi[i]).collect();
+        let mut last = f64::INFINITY;
+        for _ in 0..OF_WINDOW {
+            if program.constraints(xi, &mut self.c).is_err() {
+                break;
+            }
+            let blocks = self.blocks[window.clone()].iter();
+            let size = blocks.map(|b| defect_of(program, b, &self.c, xi)).fold(0.0, f64::max);
+            if size <= 1.0 {
+                return true;
+            }
+            if size >= last || !size.is_finite() || program.jacobian(xi, &mut self.jacobian).is_err() {
+                break;
+            }
+            last = size;
+            self.d.fill(0.0);
+            if !window.clone().all(|k| self.step_of(k)) {
+                break;
+            }
+            for &i in self.blocks[window.clone()].iter().flat_map(|b| &b.columns) {
+                xi[i] += self.d[i];
+            }
+        }
+        let columns = self.blocks[window].iter().flat_map(|b| &b.columns);
+        columns.zip(&before).for_each(|(&i, x)| xi[i] = *x);
+        false
     }
 
     /// Newton's method for one block, its steps shortened where it does not contract.

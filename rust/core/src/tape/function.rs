@@ -152,6 +152,8 @@ impl Function {
     /// instructions of a second derivative of the whole. For a loss ρ(r, η) the second term is ρ'' ∇r ∇rᵀ, the
     /// third ρ' ∇²r, and there are those with its own parameters η. Gauss-Newton's has ω ∇r ∇rᵀ with the loss's
     /// weight ω, and for η the squared slopes ρ_η ρ_ηᵀ, which on average are the curvature (Berndt et al., 1974).
+    /// For the logarithm l of a standard deviation that is an expression of the model, Gauss-Newton's has ∇l ∇lᵀ:
+    /// with the ∇l ∇lᵀ that ∇e ∇eᵀ has on average, it is the Fisher information of a Gaussian.
     ///
     /// # Errors
     /// As [`Function::new`].
@@ -170,6 +172,10 @@ impl Function {
             }
         }
         let of_rest = second_derivatives(&mut graph, rest, &variables)?.by_place();
+        let log_slopes: Vec<Vec<Option<Id>>> =
+            terms.logs.iter().map(|&log| graph.gradient(log, &variables)).collect();
+        let all_logs = terms.logs.iter().fold(graph.zero(), |sum, &log| graph.add(sum, log));
+        let of_logs = second_derivatives(&mut graph, all_logs, &variables)?.by_place();
         let mut sum = graph.zero();
         let weights: Vec<Id> = (0..residuals.len()).map(|k| graph.symbol(&format!("residual {k}"))).collect();
         for (&weight, &residual) in weights.iter().zip(&residuals) {
@@ -201,6 +207,20 @@ impl Function {
                         more = Some((graph.add(x, e), graph.add(y, g)));
                     }
                 }
+                let log_bend = of_logs.get(&(a, b)).copied();
+                let mut log_square = None;
+                for slopes in &log_slopes {
+                    if let (Some(x), Some(y)) = (slopes[a], slopes[b]) {
+                        let product = graph.product(x, y);
+                        let so_far = log_square.unwrap_or_else(|| graph.zero());
+                        log_square = Some(graph.add(so_far, product));
+                    }
+                }
+                if log_bend.is_some() || log_square.is_some() {
+                    let (x, y) = more.unwrap_or_else(|| (graph.zero(), graph.zero()));
+                    let exact = log_bend.map_or(x, |l| graph.add(x, l));
+                    more = Some((exact, log_square.map_or(y, |l| graph.add(y, l))));
+                }
                 if entry.is_none() && bend.is_none() && more.is_none() {
                     continue;
                 }
@@ -222,7 +242,7 @@ impl Function {
         let hessian = Tape::compile_into(&graph, &inputs, &exact, &sinks)?;
 
         let half = graph.constant(0.5);
-        let mut root = rest;
+        let mut root = graph.sub(rest, all_logs);
         for &residual in squares {
             let square = graph.mul(residual, residual);
             let loss = graph.mul(half, square);

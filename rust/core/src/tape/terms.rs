@@ -2,7 +2,7 @@
 
 use crate::expr::graph::{Graph, Id};
 
-/// A log-density rest − ½ Σ square² − Σ ρ. What is left of its Hessian when the curvature of the residuals is
+/// A log-density rest − ½ Σ square² − Σ ρ − Σ log. What is left of its Hessian when the curvature of the residuals is
 /// dropped (Gauss-Newton) is never indefinite, as long as `rest` is concave.
 #[derive(Clone, Debug)]
 pub struct Terms {
@@ -12,6 +12,8 @@ pub struct Terms {
     pub losses: Vec<Loss>,
     /// The part that depends on parameters alone.
     pub rest: Id,
+    /// Logarithms of standard deviations that are expressions of the model.
+    pub logs: Vec<Id>,
 }
 
 /// ρ(r, η): a function of a residual r and of parameters η of its own.

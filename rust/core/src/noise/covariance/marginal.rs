@@ -91,7 +91,7 @@ impl Covariance {
             }
             squares.push(sum);
         }
-        Terms { squares, losses: Vec::new(), rest }
+        Terms { squares, losses: Vec::new(), rest, logs: Vec::new() }
     }
 }
 

@@ -81,6 +81,12 @@ impl Covariance {
             return fail(format!("a covariance of {} outputs for {}", self.n(), outputs.len()));
         }
         outputs.iter().zip(&self.sigmas).try_for_each(|(name, sigma)| sigma.check(name))?;
+        if let Some(c) = self.sigmas.iter().position(|s| matches!(s, Sigma::Expression(_))) {
+            return fail(format!(
+                "sigma_{} is an expression; in a covariance all standard deviations are numbers",
+                outputs[c]
+            ));
+        }
         if let Some(c) = self.sigmas.iter().position(|s| s.is_unknown() == self.known) {
             return fail(format!(
                 "sigma_{} is {}; in a covariance all standard deviations are known, or none",
@@ -142,6 +148,7 @@ impl Covariance {
             let sigma = match self.sigmas[c] {
                 Sigma::Known(value) => value,
                 Sigma::Unknown { start, .. } => start,
+                Sigma::Expression(_) => unreachable!("checked"),
             };
             w.column_mut(j).scale_mut(1.0 / sigma);
         }

@@ -1,0 +1,148 @@
+"""Outputs, their noise, and experiments, from the observable and measurement tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._core import Expr
+from ..errors import DataError, ModelError
+from ..noise.densities import Laplace
+from ..symbols import log
+from .conditions import Phase
+from .formulas import Formulas, substituted
+
+__all__ = ["Measurements", "Output"]
+
+_Array = NDArray[np.float64]
+# A smoothing of the Laplace density so small that a log-density is off by less than this.
+_SMOOTHING = 1e-4
+
+
+@dataclass
+class Output:
+    """An output of the model: an observable with its parameters put in, on the scale of its noise."""
+
+    name: str
+    expression: Expr
+    sigma: Expr
+    laplace: bool
+
+    @property
+    def noise(self) -> Any:
+        """The noise as `Model.noise` takes it."""
+        sigma = self.sigma if self.sigma.constant is None else self.sigma.constant
+        return Laplace({self.name: sigma}, _SMOOTHING) if self.laplace else sigma
+
+
+@dataclass
+class Measurements:
+    """The measurement table as outputs and samples.
+
+    outputs   what is measured: one output for each observable, set of parameters put in and replicate.
+    samples   by phase and output: times and values on the scale of the noise, with the numbers put in.
+    columns   by phase and signal: times and numbers that differ from sample to sample.
+    constant  what the log-likelihood of the PEtab problem has beside that of the fit: the normalisation of Gaussian
+              densities and the Jacobian of logarithms.
+    """
+
+    outputs: dict[str, Output] = field(default_factory=dict)
+    samples: dict[Phase, dict[str, list[tuple[float, float]]]] = field(default_factory=dict)
+    columns: dict[Phase, dict[str, list[tuple[float, float]]]] = field(default_factory=dict)
+    constant: float = 0.0
+
+    @classmethod
+    def read(cls, measurements: Any, observables: Any, formulas: Formulas, values: Mapping[str, Expr]) -> Measurements:
+        """Read both tables; ``values`` are put in for names that the model does not know as symbols."""
+        found = cls()
+        for observable, rows in measurements.groupby("observableId", sort=False):
+            if observable not in observables.index:
+                raise ModelError(f"PEtab: the observable {observable} is measured and not declared")
+            found._observable(str(observable), observables.loc[observable], rows, formulas, values)
+        return found
+
+    def _observable(self, name: str, declared: Any, rows: Any, formulas: Formulas, values: Mapping[str, Expr]) -> None:
+        kind = str(_get(declared, "noiseDistribution", "normal"))
+        scale = str(_get(declared, "observableTransformation", "lin"))
+        if kind not in ("normal", "laplace") or scale not in ("lin", "log", "log10"):
+            raise ModelError(f"PEtab: the noise of {name} ({kind} on the scale {scale}) is not supported")
+        formula = formulas.read(str(declared["observableFormula"]), f"PEtab observable {name}")
+        sigma = formulas.read(str(declared["noiseFormula"]), f"PEtab noise of {name}")
+        groups: dict[tuple[Any, ...], list[Any]] = {}
+        overrides = [_overrides(row, name) for _, row in rows.iterrows()]
+        spread = _that_vary(overrides)
+        for (_, row), own in zip(rows.iterrows(), overrides, strict=True):
+            key = tuple(sorted((k, v) for k, v in own.items() if k not in spread))
+            groups.setdefault(key, []).append((row, own))
+        for key, members in groups.items():
+            put_in: dict[str, Any] = {k: Expr.symbol(v) if isinstance(v, str) else v for k, v in key}
+            replicates: dict[tuple[Phase, float], int] = {}
+            for row, own in members:
+                phase, t = _phase(row), float(row["time"])
+                number = replicates[phase, t] = replicates.get((phase, t), 0) + 1
+                base = name if len(groups) == 1 else f"{name}_{list(groups).index(key) + 1}"
+                output = base if number == 1 else f"{base}_replicate_{number}"
+                # Numbers that vary are signals; they are those of this output.
+                mine = {k: Expr.symbol(f"{k}_of_{output}") for k in spread}
+                if output not in self.outputs:
+                    said = {**values, **put_in, **mine}
+                    g, s = substituted(formula, {**put_in, **mine}), substituted(sigma, {**put_in, **mine})
+                    g, s = substituted(g, said), substituted(s, said)
+                    self.outputs[output] = Output(output, _scaled(g, scale), s, kind == "laplace")
+                value = self._value(float(row["measurement"]), scale, kind, name)
+                self.samples.setdefault(phase, {}).setdefault(output, []).append((t, value))
+                for k, symbol in mine.items():
+                    self.columns.setdefault(phase, {}).setdefault(str(symbol.name), []).append((t, float(own[k])))
+
+    def _value(self, z: float, scale: str, kind: str, name: str) -> float:
+        if not math.isfinite(z):
+            raise DataError(f"PEtab: a measurement of {name} is {z}")
+        if kind == "normal" or kind == "laplace":
+            self.constant -= 0.5 * math.log(2.0 * math.pi)
+        if scale == "lin":
+            return z
+        if z <= 0.0:
+            raise DataError(f"PEtab: a measurement of {name} is {z}, which has no logarithm")
+        self.constant -= math.log(z) + (math.log(math.log(10.0)) if scale == "log10" else 0.0)
+        return math.log(z) if scale == "log" else math.log10(z)
+
+
+def _scaled(expression: Expr, scale: str) -> Expr:
+    if scale == "lin":
+        return expression
+    return Expr(log(expression) if scale == "log" else log(expression) / math.log(10.0))
+
+
+def _get(row: Any, column: str, default: Any) -> Any:
+    value = row.get(column, default)
+    return default if isinstance(value, float) and math.isnan(value) else value
+
+
+def _phase(row: Any) -> Phase:
+    before = _get(row, "preequilibrationConditionId", None)
+    return Phase(None if before in (None, "") else str(before), str(row["simulationConditionId"]))
+
+
+def _overrides(row: Any, name: str) -> dict[str, float | str]:
+    """Values of the placeholders in the formulas of an observable, by placeholder."""
+    found: dict[str, float | str] = {}
+    for kind, column in (("observableParameter", "observableParameters"), ("noiseParameter", "noiseParameters")):
+        text = _get(row, column, "")
+        for i, value in enumerate(str(text).split(";") if text != "" else (), 1):
+            try:
+                found[f"{kind}{i}_{name}"] = float(value)
+            except ValueError:
+                found[f"{kind}{i}_{name}"] = value.strip()
+    return found
+
+
+def _that_vary(overrides: list[dict[str, float | str]]) -> set[str]:
+    """Placeholders that are numbers, and not the same in all rows."""
+    names = {k for own in overrides for k in own}
+    each = {k: [own.get(k) for own in overrides] for k in names}
+    return {k for k, v in each.items() if all(isinstance(x, float) for x in v) and len(set(v)) > 1}

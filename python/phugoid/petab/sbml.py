@@ -1,0 +1,186 @@
+"""The ODE of an SBML model (Hucka et al. 2003): species, reactions, rules and events at given times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from .._core import Expr
+from ..errors import ModelError
+from .formulas import TIME, Formulas, petab_library, substituted
+
+__all__ = ["SbmlModel"]
+
+
+@dataclass
+class SbmlModel:
+    """What an SBML model says.
+
+    slopes      right-hand sides by state: species in the unit of their symbol (a concentration, unless
+                ``hasOnlySubstanceUnits``), and parameters with a rate rule.
+    initial     values at the beginning, by state and for constants: expressions in other names, or numbers.
+    rules       what assignment rules say, in an order in which each needs those before it only.
+    constants   names of what does not change while a record lasts, unless an event at a given time changes it.
+    """
+
+    name: str
+    slopes: dict[str, Expr] = field(default_factory=dict)
+    initial: dict[str, Expr] = field(default_factory=dict)
+    rules: dict[str, Expr] = field(default_factory=dict)
+    constants: set[str] = field(default_factory=set)
+
+    @classmethod
+    def read(cls, document: Any, formulas: Formulas, overridden: Iterable[str]) -> SbmlModel:
+        """Read a document of libsbml.
+
+        ``overridden``: names whose values the tables of the PEtab problem give, before the model's own.
+        Raises ModelError that names all that is not supported.
+        """
+        _, libsbml = petab_library()
+        document = document.clone()
+        for option in ("expandFunctionDefinitions", "promoteLocalParameters"):
+            properties = libsbml.ConversionProperties()
+            properties.addOption(option, True)
+            if document.convert(properties) != libsbml.LIBSBML_OPERATION_SUCCESS:
+                raise ModelError(f"SBML: {option} failed: {document.getErrorLog().toString().strip() or 'no reason'}")
+        model = document.getModel()
+        if model is None:
+            raise ModelError("SBML: the document holds no model")
+        found = cls(model.getId() or "sbml")
+        if problems := list(_unsupported(model)):
+            raise ModelError("SBML: not supported: " + "; ".join(problems))
+        found._constants_of(model)
+        formulas.constants |= found.constants
+        found._rules_of(model, formulas)
+        found._slopes_of(model, formulas)
+        found._initial_of(model, formulas, set(overridden))
+        found._events_of(model, formulas)
+        found._sort_rules()
+        return found
+
+    def _constants_of(self, model: Any) -> None:
+        ruled = {rule.getVariable() for rule in model.getListOfRules()}
+        for element in (*model.getListOfParameters(), *model.getListOfCompartments()):
+            if element.getId() not in ruled:
+                self.constants.add(element.getId())
+        moved = set(_stoichiometry(model))
+        for species in model.getListOfSpecies():
+            if species.getId() not in moved | ruled:
+                self.constants.add(species.getId())
+
+    def _rules_of(self, model: Any, formulas: Formulas) -> None:
+        self.rules = {
+            rule.getVariable(): formulas.from_sbml(rule.getMath(), f"SBML rule of {rule.getVariable()}")
+            for rule in model.getListOfRules()
+            if rule.isAssignment()
+        }
+
+    def _sort_rules(self) -> None:
+        left, self.rules = self.rules, {}
+        while left:
+            ready = [n for n, e in left.items() if not left.keys() & set(e.symbols)]
+            if not ready:
+                raise ModelError(f"SBML: the assignment rules of {', '.join(sorted(left))} depend on each other")
+            self.rules |= {n: left.pop(n) for n in ready}
+
+    def _slopes_of(self, model: Any, formulas: Formulas) -> None:
+        rates = {}
+        for reaction in model.getListOfReactions():
+            law, place = reaction.getKineticLaw(), f"SBML reaction {reaction.getId()}"
+            if law is None:
+                raise ModelError(f"{place}: it has no kinetic law")
+            rates[reaction.getId()] = formulas.from_sbml(law.getMath(), place)
+        for species, terms in _stoichiometry(model).items():
+            total = Expr(0.0)
+            for reaction, number in terms:
+                total = Expr(total + number * rates[reaction])
+            element = model.getSpecies(species)
+            if not element.getHasOnlySubstanceUnits():
+                total = Expr(total / Expr.symbol(element.getCompartment()))
+            self.slopes[species] = total
+        for rule in model.getListOfRules():
+            if rule.isRate():
+                name = rule.getVariable()
+                self.slopes[name] = formulas.from_sbml(rule.getMath(), f"SBML rate rule of {name}")
+
+    def _initial_of(self, model: Any, formulas: Formulas, overridden: set[str]) -> None:
+        for parameter in model.getListOfParameters():
+            if parameter.isSetValue():
+                self.initial[parameter.getId()] = Expr(parameter.getValue())
+        for compartment in model.getListOfCompartments():
+            self.initial[compartment.getId()] = Expr(compartment.getSize() if compartment.isSetSize() else 1.0)
+        for species in model.getListOfSpecies():
+            volume = Expr.symbol(species.getCompartment())
+            amounts = species.getHasOnlySubstanceUnits()
+            if species.isSetInitialConcentration():
+                value = Expr(species.getInitialConcentration())
+                value = Expr(value * volume) if amounts else value
+            elif species.isSetInitialAmount():
+                value = Expr(species.getInitialAmount())
+                value = value if amounts else Expr(value / volume)
+            else:
+                continue
+            self.initial[species.getId()] = value
+        for assignment in model.getListOfInitialAssignments():
+            name = assignment.getSymbol()
+            if name not in overridden:
+                self.initial[name] = formulas.from_sbml(assignment.getMath(), f"SBML initial assignment of {name}")
+
+    def _events_of(self, model: Any, formulas: Formulas) -> None:
+        """Events at given times that set constants: a step from one value to another."""
+        for event in model.getListOfEvents():
+            place = f"SBML event {event.getId()}"
+            trigger = formulas.from_sbml(event.getTrigger().getMath(), place)
+            switches = {s.name: s for s in formulas.switches.values()}
+            slope = switches[trigger.name].difference.diff(TIME).constant if trigger.name in switches else None
+            if slope is None or slope <= 0.0:
+                raise ModelError(f"{place}: not supported: its trigger is not that a known time is reached")
+            for assignment in event.getListOfEventAssignments():
+                name = assignment.getVariable()
+                if name not in self.constants:
+                    raise ModelError(f"{place}: not supported: it sets {name}, which is no constant")
+                value = formulas.from_sbml(assignment.getMath(), place)
+                if TIME in value.symbols or set(value.symbols) - self.constants:
+                    raise ModelError(f"{place}: not supported: the value of {name} depends on what changes in time")
+                before = self.rules.pop(name, Expr.symbol(f"{name}_before"))
+                self.initial.setdefault(f"{name}_before", self.initial.pop(name, Expr(0.0)))
+                self.constants.add(f"{name}_before")
+                self.rules[name] = Expr(trigger * substituted(value, {name: before}) + (1.0 - trigger) * before)
+
+
+def _stoichiometry(model: Any) -> dict[str, list[tuple[str, float]]]:
+    """Reactions and numbers by species that they change."""
+    found: dict[str, list[tuple[str, float]]] = {}
+    for reaction in model.getListOfReactions():
+        for sign, references in ((-1.0, reaction.getListOfReactants()), (1.0, reaction.getListOfProducts())):
+            for reference in references:
+                species = model.getSpecies(reference.getSpecies())
+                if not (species.getBoundaryCondition() or species.getConstant()):
+                    number = reference.getStoichiometry() if reference.isSetStoichiometry() else 1.0
+                    found.setdefault(species.getId(), []).append((reaction.getId(), sign * number))
+    return found
+
+
+def _unsupported(model: Any) -> Iterator[str]:
+    """What this reader does not know, in words."""
+    compartments = {c.getId() for c in model.getListOfCompartments()}
+    for rule in model.getListOfRules():
+        if rule.isAlgebraic():
+            yield "an algebraic rule"
+        elif rule.getVariable() in compartments:
+            yield f"the compartment {rule.getVariable()}, whose size changes"
+    for reaction in model.getListOfReactions():
+        if reaction.isSetFast() and reaction.getFast():
+            yield f"the fast reaction {reaction.getId()}"
+        for reference in (*reaction.getListOfReactants(), *reaction.getListOfProducts()):
+            if reference.isSetStoichiometryMath():
+                yield f"the stoichiometry of {reference.getSpecies()} in {reaction.getId()}, which is a formula"
+    for species in model.getListOfSpecies():
+        if species.isSetConversionFactor():
+            yield f"the conversion factor of {species.getId()}"
+    for event in model.getListOfEvents():
+        if event.isSetDelay():
+            yield f"the delay of the event {event.getId()}"
+    for constraint in model.getListOfConstraints():
+        yield f"the constraint {constraint.getId() or constraint.getMetaId()}"

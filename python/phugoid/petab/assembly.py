@@ -18,11 +18,11 @@ from .formulas import TIME, Formulas, substituted
 from .measurements import Measurements, Output
 from .sbml import SbmlModel
 
-__all__ = ["Values", "declared_parameters", "model_of", "prior_outputs"]
+__all__ = ["NamedValues", "declared_parameters", "model_of", "prior_outputs"]
 
 
 @dataclass
-class Values:
+class NamedValues:
     """What stands for each name of the SBML model: constants, and all names at the beginning of a simulation."""
 
     sbml: SbmlModel
@@ -107,7 +107,7 @@ def prior_outputs(table: Any) -> dict[str, tuple[Output, float]]:
 
 def model_of(
     sbml: SbmlModel,
-    values: Values,
+    values: NamedValues,
     formulas: Formulas,
     measured: Measurements,
     parameters: Mapping[str, Parameter],

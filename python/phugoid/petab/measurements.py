@@ -129,7 +129,7 @@ def _phase(row: Any) -> Phase:
 
 
 def _overrides(row: Any, name: str) -> dict[str, float | str]:
-    """Values of the placeholders in the formulas of an observable, by placeholder."""
+    """NamedValues of the placeholders in the formulas of an observable, by placeholder."""
     found: dict[str, float | str] = {}
     for kind, column in (("observableParameter", "observableParameters"), ("noiseParameter", "noiseParameters")):
         text = _get(row, column, "")

@@ -20,7 +20,7 @@ from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..simulate import simulate
 from ..writing import write
-from .assembly import Values, declared_parameters, model_of, prior_outputs
+from .assembly import NamedValues, declared_parameters, model_of, prior_outputs
 from .conditions import Conditions, Phase
 from .formulas import Formulas, petab_library
 from .measurements import Measurements
@@ -182,7 +182,7 @@ def read_petab(path: str | os.PathLike[str]) -> PetabProblem:
         conditions = Conditions()
     else:
         conditions = Conditions.read(problem.condition_df, used, {**sbml.initial, **table})
-    values = Values(sbml, conditions, table)
+    values = NamedValues(sbml, conditions, table)
     measured = Measurements.read(problem.measurement_df, problem.observable_df, formulas, table)
     for label, (output, mean) in prior_outputs(problem.parameter_df).items():
         measured.outputs[label] = output

@@ -14,7 +14,7 @@ from ..data.interpolation import Interpolation
 from ..errors import EvaluationError, ModelError
 from ..modelling.model import Model
 from ..simulate import simulate
-from .assembly import Values
+from .assembly import NamedValues
 from .conditions import Phase
 from .formulas import TIME, Formulas, Switch, substituted
 from .measurements import Measurements
@@ -34,7 +34,7 @@ class Records:
     """Makes experiments; ``nominal`` are values at which a steady state is looked for."""
 
     model: Model
-    values: Values
+    values: NamedValues
     formulas: Formulas
     measured: Measurements
     nominal: Mapping[str, float]

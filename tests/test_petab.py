@@ -231,6 +231,13 @@ def test_an_event_at_a_given_time_is_a_step(tmp_path: Path) -> None:
     assert p.log_likelihood() == pytest.approx(float(expected), abs=1e-6)
 
 
+def test_a_comparison_of_conditions_is_decided_before(tmp_path: Path) -> None:
+    p = ph.read_petab(
+        problem(tmp_path, sbml(_rule("piecewise(0.2, dose == 0.2, 1.5) * piecewise(1, time < half, 0.25)")))
+    )
+    assert p.log_likelihood() == pytest.approx(by_hand(**NOMINAL), abs=1e-6)
+
+
 def _rule(formula: str) -> Callable[[Any], None]:
     return lambda model: model.getRuleByVariable("inflow").setMath(libsbml.parseL3Formula(formula))
 
@@ -252,7 +259,7 @@ def _event_of_a_state(model: Any) -> None:
         (_event_of_a_state, "event full: not supported: its trigger is not that a known time is reached"),
         (_rule("dose * delay(A, 1)"), "rule of inflow: a delay is not supported"),
         (_rule("dose * floor(time)"), "rule of inflow: floor is not supported"),
-        (_rule("dose * piecewise(1, time < k1, 0)"), "depends on k1, which is estimated"),
+        (_rule("dose * piecewise(1, time < k1, 0)"), "is positive depends on k1, which is estimated"),
         (_rule("dose * piecewise(1, time^2 < 2, 0)"), "a condition that is not linear in time"),
     ],
 )

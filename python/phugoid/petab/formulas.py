@@ -31,10 +31,14 @@ def petab_library() -> tuple[ModuleType, ModuleType]:
 
 @dataclass(frozen=True)
 class Switch:
-    """A condition on time: ``difference`` > 0, which depends on time and on numbers known before the estimation."""
+    """A condition on time and on numbers known before the estimation.
+
+    kind  "positive" where it is ``difference`` > 0, "equal" and "unequal" where it compares ``difference`` with 0.
+    """
 
     name: str
     difference: Expr
+    kind: str = "positive"
 
 
 @dataclass
@@ -74,7 +78,8 @@ class Formulas:
             if not getattr(e, "is_Relational", False):
                 return False
             names = {s.name for s in e.free_symbols}
-            return TIME in names and names - {TIME} <= self.constants
+            known = names - {TIME} <= self.constants
+            return known and (TIME in names or type(e).__name__ in _KINDS)
 
         try:
             return Expr(from_sympy(expression.replace(on_time, switched)))
@@ -82,13 +87,19 @@ class Formulas:
             raise ModelError(f"{place}: {error}") from None
 
     def _switch(self, relation: Any, place: str) -> str:
-        if type(relation).__name__ in ("Equality", "Unequality"):
+        kind = _KINDS.get(type(relation).__name__, "positive")
+        names = {s.name for s in relation.free_symbols}
+        if kind != "positive" and TIME in names:
             raise ModelError(f"{place}: a condition that holds at one time only ({relation}) is not supported")
-        text = str(relation.gts - relation.lts)
+        left, right = (relation.gts, relation.lts) if kind == "positive" else (relation.lhs, relation.rhs)
+        text = f"{left - right} {kind}"
         if text not in self.switches:
-            difference = Expr(from_sympy(relation.gts - relation.lts))
-            self.switches[text] = Switch(f"switch_{len(self.switches) + 1}", difference)
+            self.switches[text] = Switch(f"switch_{len(self.switches) + 1}", Expr(from_sympy(left - right)), kind)
         return self.switches[text].name
+
+
+# Comparisons that are no question of time.
+_KINDS = {"Equality": "equal", "Unequality": "unequal"}
 
 
 def _symbol(name: str) -> Any:

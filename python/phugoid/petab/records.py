@@ -100,9 +100,12 @@ class Records:
         difference = substituted(difference, numbers)
         if others := set(difference.symbols) - {TIME}:
             raise ModelError(
-                f"PEtab: not supported: the time at which {switch.difference} becomes positive depends on "
+                f"PEtab: not supported: whether {switch.difference} is {switch.kind} depends on "
                 f"{', '.join(sorted(others))}, which is estimated or changes in time"
             )
+        if switch.kind != "positive":
+            equal = abs(difference.evaluate({})) < 1e-12
+            return (-math.inf if equal == (switch.kind == "equal") else math.inf), 1
         at = [difference.evaluate({TIME: t} if difference.symbols else {}) for t in (0.0, 1.0, 2.0)]
         slope = at[1] - at[0]
         if abs(at[2] - at[1] - slope) > 1e-9 * (abs(slope) + abs(at[0])):

@@ -61,6 +61,7 @@ fn density((kind, numbers, expression, parameters): DensitySpec) -> PyResult<Den
 impl PyNoise {
     /// Independent: a scale and a density an output; an expression takes the place of the scale.
     #[staticmethod]
+    #[pyo3(signature = (sigmas, densities, expressions = Vec::new()))]
     fn independent(
         sigmas: Vec<SigmaSpec>,
         densities: Vec<DensitySpec>,
@@ -69,7 +70,7 @@ impl PyNoise {
         let densities = densities.into_iter().map(density).collect::<PyResult<Vec<_>>>()?;
         let sigmas = sigmas
             .into_iter()
-            .zip(expressions)
+            .zip(expressions.into_iter().chain(std::iter::repeat_with(|| None)))
             .map(|(spec, expr)| expr.map_or_else(|| sigma(spec), |e| Sigma::Expression(e.0)));
         if densities.iter().all(|d| *d == Density::Gaussian) {
             return Ok(Noise::Gaussian(sigmas.collect()).into());

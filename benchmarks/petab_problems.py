@@ -114,9 +114,8 @@ def main():
         ends[folder.name] = (best, found)
         for name, runs in found.items():
             cpu = sum(c for _, c in runs)
-            first = next(
-                (sum(c for _, c in runs[: i + 1]) for i, (v, _) in enumerate(runs) if v <= best + ENOUGH), math.nan
-            )
+            at_best = [i for i, (v, _) in enumerate(runs) if v <= best + ENOUGH]
+            first = sum(c for _, c in runs[: at_best[0] + 1]) if at_best else math.nan
             row = [folder.name.split("_")[0], name, f"{nominal:.3f}", f"{best:.3f}", f"{len(at_best)} of {len(runs)}"]
             row += [f"{cpu / max(len(runs), 1):.2f}", f"{60 * len(at_best) / max(cpu, 1e-9):.1f}", f"{first:.1f}"]
             rows.append(row)

@@ -18,12 +18,15 @@ def main():
     """Run each start until the time is used."""
     warnings.filterwarnings("ignore")
     import numpy as np
+    import petab.v1
     import pypesto.optimize
     import pypesto.petab
 
     path, starts, seconds = sys.argv[1], json.loads(Path(sys.argv[2]).read_text()), float(sys.argv[3])
     logging.disable(logging.CRITICAL)
-    importer = pypesto.petab.PetabImporter.from_yaml(path)
+    flat = petab.v1.Problem.from_yaml(path)
+    petab.v1.flatten_timepoint_specific_output_overrides(flat)  # AMICI takes no others
+    importer = pypesto.petab.PetabImporter(flat, model_name=Path(path).stem)
     problem = importer.create_problem()
     scale = importer.petab_problem.parameter_df["parameterScale"]
     free = [problem.x_names[i] for i in problem.x_free_indices]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +32,7 @@ def petab(
         float | None, typer.Option("--time-limit", help="Most time for all starts together, in s.")
     ] = None,
     time_limit_each: Annotated[float, typer.Option("--time-limit-each", help="Most time for one start, in s.")] = 120.0,
+    jobs: Annotated[int | None, typer.Option("--jobs", help="Starts at a time; default: one a core.")] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Writes a parameter table of PEtab with the best estimate.")
     ] = None,
@@ -39,19 +43,24 @@ def petab(
     """Estimate a problem in the PEtab format from many starts, beside its nominal point."""
     if starts < 0:
         raise OptionError(f"--starts: a whole number from 0, not {starts}")
+    if jobs is not None and jobs < 1:
+        raise OptionError(f"--jobs: a whole number from 1, not {jobs}")
     check_targets([plot], [out])
     read = read_petab(problem)
     nominal = _nominal(read)
     count = max(starts, 1)
     points = read.starts(starts, seed=seed, screened_from=screened_from) if starts else [dict(read.nominal)]
-    many = multistart(
-        read.model,
-        list(read.experiments),
-        starts=points,
-        solver=Newton(time_limit=time_limit_each),
-        progress=not json,
-        time_limit=time_limit,
-    )
+    processes = min((os.cpu_count() or 1) if jobs is None else jobs, count)
+    with ProcessPoolExecutor(processes) if processes > 1 else nullcontext() as pool:
+        many = multistart(
+            read.model,
+            list(read.experiments),
+            starts=points,
+            executor=pool,
+            solver=Newton(time_limit=time_limit_each),
+            progress=not json,
+            time_limit=time_limit,
+        )
     best = many.optima[0] if many.optima else None
     written = []
     if out is not None and best is not None:

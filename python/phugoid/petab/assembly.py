@@ -72,10 +72,12 @@ def declared_parameters(table: Any) -> tuple[dict[str, Parameter], dict[str, Exp
             continue
         low, high = float(row["lowerBound"]), float(row["upperBound"])
         scale = str(row.get("parameterScale", "lin"))
+        if not low < high:
+            raise ModelError(f"PEtab: the bounds of {name} ({low:g}, {high:g}) leave no room")
         if scale not in ("lin", "log", "log10"):
             raise ModelError(f"PEtab: the parameter {name} has the unknown scale {scale}")
-        logarithmic = scale != "lin" and high > 0.0
-        middle = math.sqrt(low * high) if logarithmic and low > 0.0 else 0.5 * (low + high)
+        logarithmic = scale != "lin" and low > 0.0
+        middle = math.sqrt(low * high) if logarithmic else 0.5 * (low + high)
         start = middle if math.isnan(nominal) else min(max(nominal, low), high)
         found[str(name)] = Parameter(start, bounds=(low, high), transform="log" if logarithmic else None)
         values[str(name)] = Expr.symbol(str(name))

@@ -34,6 +34,8 @@ def test_a_fast_transient_between_few_samples() -> None:
     for name, value in truth.items():
         assert abs(fit.parameters[name].value - value) < 4.0 * fit.parameters[name].std_error
     assert not isinstance(fit.transcription.segments, int) and fit.transcription.segments is not None
+    again = ph.estimate(m, fit.experiments[0], noise=fit.noise, start=fit)
+    assert again.log_likelihood == pytest.approx(fit.log_likelihood, abs=0.01)
 
 
 def test_stiff_kinetics_over_eight_decades_of_time() -> None:

@@ -172,7 +172,8 @@ def _estimate(
     given: Mapping[str, Any] = _given(start, noise)
     check_names(model, given, experiments, noise.names(model.output_names))
     parameters = parameter_start(model, given)
-    if _follows_motion(model, experiments, transcription, given) and paths is None and not warm:
+    follows = paths is None and not isinstance(start, EquationError)
+    if follows and _follows_motion(model, experiments, transcription, given):
 
         def on_mesh(mesh: Collocation, paths: Paths, at: Mapping[str, float], most: int | None) -> FitResult:
             most = solver.max_iterations if most is None else min(most, solver.max_iterations)

@@ -38,6 +38,28 @@ def test_a_fast_transient_between_few_samples() -> None:
     assert again.log_likelihood == pytest.approx(fit.log_likelihood, abs=0.01)
 
 
+@pytest.mark.parametrize("order", [2, 3, 6])
+def test_other_orders_are_as_exact(order: int) -> None:
+    m = ph.Model("prey")
+    x, y = m.states("x", "y")
+    a, b = m.parameters(a=ph.Parameter(0.5, transform="log"), b=ph.Parameter(0.05, transform="log"))
+    m.dynamics(x=a * x - b * x * y, y=0.02 * x * y - 0.8 * y)
+    m.initial(x=30, y=4)
+    m.outputs(x=x)
+    t = np.linspace(0.0, 15.0, 16)
+    clean = ph.simulate(m, {"a": 0.6, "b": 0.03}, ph.Experiment(t, outputs={"x": t}))
+    e = ph.Experiment(t, outputs={"x": clean.outputs["x"] + np.random.default_rng(0).standard_normal(t.size)})
+    noise = ph.Gaussian({"x": 1.0})
+    exact = ph.estimate(
+        m, e, noise=noise, transcription=ph.Collocation(order=4, substeps=16), start={"a": 0.6, "b": 0.03}
+    )
+    fit = ph.estimate(m, e, noise=noise, transcription=ph.Collocation(order=order))
+    assert fit.converged
+    for name in ("a", "b"):
+        off = fit.parameters[name].value - exact.parameters[name].value
+        assert abs(off) < 0.05 * exact.parameters[name].std_error
+
+
 def test_stiff_kinetics_over_eight_decades_of_time() -> None:
     m = ph.Model("Robertson")
     x, y, z = m.states("x", "y", "z")

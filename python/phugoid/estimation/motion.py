@@ -25,8 +25,10 @@ Paths: TypeAlias = Sequence[Sequence[tuple[_Array, _Array] | None]]
 _TOLERANCE, _MOST, _LONGEST = 1e-7, 2_000, 5.0
 # Iterations on one mesh before it is moved, and how often it is. The last mesh has no limit of its own.
 _ITERATIONS, _MOVES = 25, 8
+# Each step is a segment; of low orders, and where that does not suit, it is divided into more.
+_PARTS, _FINEST = {2: 8, 3: 2}, 64
 # A mesh suits where outputs differ from those of an integration by less than this part of the residuals.
-_SUITS = 0.02
+_SUITS = 0.01
 
 
 @dataclass(frozen=True)
@@ -90,21 +92,24 @@ def on_moving_meshes(
     fit: FitResult | None = None
     at = dict(values)
     iterations, time = 0, 0.0
+    parts = _PARTS.get(transcription.order, 1)
     for move in range(_MOVES + 1):
         last = move == _MOVES
         found = [simulated(model, e, _values(model, at, e.name), left()) for e in experiments]
         runs = [each for each in found if each is not None]
         if len(runs) == len(found):
-            if fit is not None and fit.status not in _UNFINISHED and _suits(fit, runs):
-                break
-            ends = [r.steps for r in runs]
+            if fit is not None and fit.status not in _UNFINISHED:
+                if _suits(fit, runs) or parts > _FINEST:
+                    break
+                parts *= 2
+            ends = [_divided(r.steps, parts) for r in runs]
             paths = [[(r.times, x) for x in r.states] for r in runs]
         elif fit is None:
             return None
         else:
             # No mesh to move to. A path across a pole of the solution is one of a mesh that is too coarse.
             assert isinstance(fit.transcription, Collocation)
-            ends = [_halved(r.mesh_t[:: fit.transcription.order - 1]) for r in fit.records]
+            ends = [_divided(r.mesh_t[:: fit.transcription.order - 1], 2) for r in fit.records]
             paths = [[(r.mesh_t, r.mesh_states[n]) for n in model.state_names] for r in fit.records]
             last = True
         mesh = replace(transcription, segments=tuple(tuple(e.tolist()) for e in ends), refine=False)
@@ -116,9 +121,9 @@ def on_moving_meshes(
     return None if fit is None else replace(fit, iterations=iterations, time=time)
 
 
-def _halved(ends: _Array) -> _Array:
-    """Segment ends with another half-way between each two."""
-    return np.sort(np.concatenate([ends, 0.5 * (ends[1:] + ends[:-1])]))
+def _divided(ends: _Array, parts: int) -> _Array:
+    """Segment ends with every segment divided into equal parts."""
+    return np.interp(np.arange(parts * (ends.size - 1) + 1) / parts, np.arange(ends.size), ends)
 
 
 _UNFINISHED = ("iteration limit", "infeasible", "diverging")

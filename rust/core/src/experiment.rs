@@ -254,7 +254,8 @@ impl Experiment {
         experiments.iter().try_for_each(|e| e.check_shapes(inputs, outputs))?;
         // What one experiment does not measure another may.
         for (c, name) in outputs.iter().enumerate() {
-            if experiments.iter().all(|e| e.outputs[c].iter().all(|v| v.is_nan())) {
+            let unmeasured = |e: &Experiment| e.outputs[c].iter().all(|v| v.is_nan());
+            if !experiments.is_empty() && experiments.iter().all(unmeasured) {
                 return Err(Error::Data(format!(
                     "output '{name}' has no samples in any experiment (all NaN); take it out of the model"
                 )));

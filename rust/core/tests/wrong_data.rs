@@ -40,7 +40,6 @@ fn records_that_do_not_fit() {
     names(&spoilt(|r| r.outputs[2].truncate(19)), &["'az'", "19", "20"]);
     names(&spoilt(|r| r.inputs.clear()), &["0 inputs", "1 and 3"]);
     names(&spoilt(|r| drop(r.outputs.pop())), &["2 outputs"]);
-    names(&spoilt(|r| r.outputs[0].fill(f64::NAN)), &["'w'", "no samples"]);
     names(
         &spoilt(|r| {
             r.t.truncate(1);
@@ -48,6 +47,20 @@ fn records_that_do_not_fit() {
         }),
         &["1 samples"],
     );
+}
+
+#[test]
+fn an_output_may_be_measured_by_one_record_alone() {
+    let model = linear();
+    let mut records = [record(&model, "one", 20, false, 1), record(&model, "two", 20, false, 2)];
+    records[1].outputs[0].fill(f64::NAN);
+    assert!(build(&records, known_noise(&model), &Settings::default()).is_ok());
+    for unmeasured in [&records[1..], &[records[1].clone(), records[1].clone()]] {
+        match build(unmeasured, known_noise(&model), &Settings::default()) {
+            Err(Error::Data(text)) => assert!(text.contains("'w'") && text.contains("no samples"), "{text}"),
+            other => panic!("{:?}", other.map(|_| ())),
+        }
+    }
 }
 
 #[test]

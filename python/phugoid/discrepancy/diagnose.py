@@ -244,6 +244,8 @@ def diagnose(
                 first = len(held)
                 findings[first : first + len(found)] = [
                     replace(each, advice=each.advice or advice_of(search, result, f.candidate, each.aliases))
+                    if each.status == "named"
+                    else each
                     for each, f in zip(findings[first:], found, strict=False)
                 ]
         elif not ranking and not deadline.passed():

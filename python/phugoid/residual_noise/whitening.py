@@ -137,8 +137,8 @@ class MultivariateWhitening:
         self.orders, self.scale, self.rows = orders, scale, rows
 
     @classmethod
-    def fitted(cls, residuals: _Array, rows: RowStructure) -> list[MultivariateWhitening]:
-        """Models of order 1, 2, ... of residuals (n_rows,), as many as the samples allow."""
+    def fitted(cls, residuals: _Array, rows: RowStructure, order: int | None = None) -> list[MultivariateWhitening]:
+        """Models of order 1, 2, ... of residuals (n_rows,), as many as the samples allow; or that of one order only."""
         n_y = len(rows.segments)
         runs = [residuals[run] for run in rows.complete]
         total = sum(run.shape[0] for run in runs)
@@ -148,7 +148,7 @@ class MultivariateWhitening:
         scale = np.maximum(scale, np.finfo(float).tiny)
         runs = [run / scale for run in runs]
         orders: list[_Order] = []
-        for p in range(_MOST + 1):
+        for p in range((_MOST if order is None else order) + 1):
             if total < _SAMPLES_EACH * n_y * max(p, 1):
                 break
             now, past = _regression(runs, p)
@@ -156,7 +156,7 @@ class MultivariateWhitening:
             e = now - past @ coefficients
             covariance = e.T @ e / e.shape[0] + 1e-12 * np.eye(n_y)
             orders.append(_Order(np.asarray(coefficients), np.asarray(np.linalg.cholesky(covariance))))
-        return [cls(tuple(orders[: p + 1]), scale, rows) for p in range(1, len(orders))]
+        return [cls(tuple(orders[: p + 1]), scale, rows) for p in range(1, len(orders)) if order in (None, p)]
 
     @property
     def parameters(self) -> int:
@@ -201,10 +201,9 @@ class MultivariateWhitening:
         for channel, line in enumerate(self.rows.segments):
             for segment in line:
                 out[segment.rows] -= np.log(self.scale[channel])
-        p, logs = len(self.orders) - 1, [np.log(np.diag(order.root)) for order in self.orders]
+        logs = np.array([np.log(np.diag(order.root)) for order in self.orders])
         for run in self.rows.complete:
-            for t in range(run.shape[0]):
-                out[run[t]] -= logs[min(t, p)]
+            out[run] -= logs[np.minimum(np.arange(run.shape[0]), len(logs) - 1)]
         return out
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,10 @@ _Array = NDArray[np.float64]
 _RIDGE = 1e-10
 # The same for random coefficients, which have a prior already.
 _ROUNDING = 1e-13
+# Steps before the search is left to L-BFGS-B, and twice the log-likelihood below which its steps are no gain.
+_STEPS, _EQUAL = 4, 1e-3
+# Part of the samples that is left beside coefficients, at least.
+_LEFT = 1e-3
 # Variances are sought within these factors of where they start.
 _RANGE = 1e6
 _NOTHING = 1e-300
@@ -47,6 +51,23 @@ class Marginal:
     residuals: _Array
 
 
+class _Evaluated(NamedTuple):
+    """The likelihood at logarithms of the variances.
+
+    value     minus twice its logarithm, maximised over b.
+    gradient  of that.
+    step      of MacKay's fixed-point iteration.
+    solution  (e, b), the mean of the independent coefficients and the parameters.
+    factor    Cholesky factor, lower, of their normal equations.
+    """
+
+    value: float
+    gradient: _Array
+    step: _Array
+    solution: _Array
+    factor: _Array
+
+
 class RandomEffects:
     """Residuals r = T b + G d + v of a fit.
 
@@ -63,15 +84,14 @@ class RandomEffects:
 
     def __init__(self, linear: Linearised, answers: _Array) -> None:
         self.linear, self.k = linear, answers.shape[0]
-        self._free = linear.tangents.shape[1]
-        self._root = np.eye(self._free + self.k)  # (b, d) = root (b, e) with independent e
+        self._root = np.eye(self.k + linear.tangents.shape[1])  # (d, b) = root (e, b) with independent e
         scale = linear.scale()
-        self._columns = columns = np.hstack([linear.tangents / scale[:, None], (answers / scale).T])
+        self._columns = columns = np.hstack([(answers / scale).T, linear.tangents / scale[:, None]])
         r = linear.residuals / scale
         lines = [slice(line[0].start, line[-1].stop) for line in linear.rows]
         self._counts = np.array([s.stop - s.start for s in lines], dtype=float)
-        self._grams = [columns[s].T @ columns[s] for s in lines]
-        self._with_r = [columns[s].T @ r[s] for s in lines]
+        self._grams = np.array([columns[s].T @ columns[s] for s in lines])
+        self._with_r = np.array([columns[s].T @ r[s] for s in lines])
         self._squares = np.array([float(r[s] @ r[s]) for s in lines])
         self._units = np.array([float(scale[s.start]) for s in lines])
 
@@ -80,76 +100,99 @@ class RandomEffects:
         if correlation is None:
             return self
         other = copy(self)
-        root = np.eye(self._free + self.k)
-        root[self._free :, self._free :] = np.linalg.cholesky(correlation + _RIDGE * np.eye(self.k))
+        root = self._root.copy()
+        root[: self.k, : self.k] = np.linalg.cholesky(correlation + _RIDGE * np.eye(self.k))
         other._root = root
-        other._grams = [root.T @ g @ root for g in self._grams]
-        other._with_r = [root.T @ c for c in self._with_r]
+        other._grams = root.T @ self._grams @ root
+        other._with_r = self._with_r @ root
         return other
 
     def at(self, variance: float, noise: _Array) -> Marginal:
         """The likelihood at given variances, maximised over b only."""
-        x = np.log(np.array([variance, *(np.asarray(noise) / self._units**2)]))
-        return self._marginal(x)
+        return self._marginal(np.log(np.array([variance, *(np.asarray(noise) / self._units**2)])))
 
-    def maximised(self, noise: _Array) -> Marginal:
-        """The likelihood at the variances that are likeliest, sought from a variance of the noise for each output."""
+    def maximised(self, noise: _Array, variance: float | None = None) -> Marginal:
+        """The likelihood at the variances that are likeliest, sought from a variance of the noise for each output, and
+        one of the coefficients where it is known nearly.
+
+        First by the steps of MacKay (1992, eq. 5), which go far, then by L-BFGS-B, which settles them.
+        """
         from scipy.optimize import minimize  # not at import: it takes its time
 
         noise = np.maximum(np.asarray(noise) / self._units**2, _NOTHING)
-        power = sum(float(np.trace(g[self._free :, self._free :])) / n for g, n in zip(self._grams, noise, strict=True))
-        first = float(self._squares @ (1.0 / noise)) / max(power, _NOTHING)
-        x0 = np.log(np.array([max(first, _NOTHING), *noise]))
+        power = float(np.trace(self._grams[:, : self.k, : self.k], axis1=1, axis2=2) @ (1.0 / noise))
+        first = variance or float(self._squares @ (1.0 / noise)) / max(power, _NOTHING)
+        x = np.log(np.array([max(first, _NOTHING), *noise]))
         spread = np.log(_RANGE)
-        found = minimize(
-            lambda x: self._evaluated(x)[:2],
-            x0,
+        low, high = x - spread, x + spread
+        best, value = x, np.inf
+        for _ in range(_STEPS):
+            found = self._evaluated(x)
+            if not found.value < value:
+                break
+            best, value = x, found.value
+            x = np.clip(x + found.step, low, high)
+        # n samples tell the logarithm of their variance to sqrt(2 / n): in these units the curvatures are alike.
+        unit = 1.0 / np.sqrt(0.5 * np.array([max(self.k, 1), *self._counts]))
+
+        def function(z: _Array) -> tuple[float, _Array]:
+            at = self._evaluated(best + unit * z)
+            return at.value, at.gradient * unit
+
+        settled = minimize(
+            function,
+            np.zeros(best.size),
             jac=True,
             method="L-BFGS-B",
-            bounds=[(a - spread, a + spread) for a in x0],
-            options={"maxiter": 60, "ftol": 1e-9},
+            bounds=list(zip((low - best) / unit, (high - best) / unit, strict=True)),
+            options={"maxiter": 60, "ftol": _EQUAL / max(abs(value), 1.0), "gtol": 0.0},
         )
-        return self._marginal(found.x)
+        return self._marginal(best + unit * settled.x)
 
     def _marginal(self, x: _Array) -> Marginal:
         from scipy.linalg import cho_solve
 
-        value, _, solution, factor = self._evaluated(x)
+        at = self._evaluated(x)
         noise = np.exp(x[1:]) * self._units**2
         # In units of the noise as fitted the density is another.
-        log_likelihood = -0.5 * value - float(self._counts @ np.log(self._units))
-        covariance = self._root @ cho_solve(factor, self._root.T)
-        mean = self._root @ solution
-        deviations = np.sqrt(np.maximum(np.diag(covariance)[self._free :], 0.0))
+        log_likelihood = -0.5 * at.value - float(self._counts @ np.log(self._units))
+        covariance = self._root @ cho_solve((at.factor, True), self._root.T)
+        mean = self._root @ at.solution
+        deviations = np.sqrt(np.maximum(np.diag(covariance)[: self.k], 0.0))
         left = self.linear.residuals - self.linear.scale() * (self._columns @ mean)
-        return Marginal(log_likelihood, float(np.exp(x[0])), noise, mean[self._free :], deviations, left)
+        return Marginal(log_likelihood, float(np.exp(x[0])), noise, mean[: self.k], deviations, left)
 
-    def _evaluated(self, x: _Array) -> tuple[float, _Array, _Array, Any]:
-        """Minus twice the log-likelihood at logarithms of the variances, its gradient, (b, e), and the factor of their
-        normal equations."""
-        from scipy.linalg import cho_factor, cho_solve
+    def _evaluated(self, x: _Array) -> _Evaluated:
+        """Evaluate the likelihood at logarithms of the variances."""
+        from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
-        s2, noise, p = float(np.exp(x[0])), np.exp(x[1:]), self._free
-        gram = sum(g / n for g, n in zip(self._grams, noise, strict=True))
-        right = sum(c / n for c, n in zip(self._with_r, noise, strict=True))
+        s2, noise, k = float(np.exp(x[0])), np.exp(x[1:]), self.k
+        gram = np.tensordot(1.0 / noise, self._grams, axes=1)
+        right = (1.0 / noise) @ self._with_r
         size = np.diag(gram)
-        diagonal = np.full(gram.shape[0], 1.0 / s2 + _ROUNDING * float(size[p:].max(initial=0.0)))
-        diagonal[:p] = _RIDGE * max(float(size[:p].max(initial=0.0)), _NOTHING)
-        whole = cho_factor(gram + np.diag(diagonal), lower=True)
-        solution = cho_solve(whole, right)
-        random = cho_factor(gram[p:, p:] + np.diag(diagonal[p:]), lower=True)
-        log_det = 2.0 * float(np.log(np.diag(random[0])).sum()) + self.k * float(x[0])
-        covariance = cho_solve(random, np.eye(self.k))
-        squares = self._squares @ (1.0 / noise) - float(right @ solution)
-        value = float(self._counts @ x[1:]) + log_det + squares
-        d = solution[p:]
-        gradient = np.empty(x.size)
-        gradient[0] = self.k - (float(np.trace(covariance)) + float(d @ d)) / s2
-        for i, (g, c) in enumerate(zip(self._grams, self._with_r, strict=True)):
-            left = self._squares[i] - 2.0 * float(solution @ c) + float(solution @ (g @ solution))
-            spread = float(np.sum(covariance * g[p:, p:]))
-            gradient[1 + i] = self._counts[i] - (left + spread) / noise[i]
-        return value, gradient, solution, whole
+        diagonal = np.full(size.size, _RIDGE * max(float(size[k:].max(initial=0.0)), _NOTHING))
+        diagonal[:k] = 1.0 / s2 + _ROUNDING * float(size[:k].max(initial=0.0))
+        gram[np.diag_indices_from(gram)] += diagonal
+        # Coefficients come first, so that their own factor is the first part of the whole one.
+        factor, failed = dpotrf(gram, lower=1)
+        if failed:
+            raise np.linalg.LinAlgError("the normal equations of the random coefficients are not positive definite")
+        solution, _ = dpotrs(factor, right, lower=1)
+        inverse, _ = dpotri(factor[:k, :k], lower=1)
+        covariance = np.tril(inverse) + np.tril(inverse, -1).T
+        log_det = 2.0 * float(np.log(np.diag(factor)[:k]).sum()) + k * float(x[0])
+        value = float(self._counts @ x[1:]) + log_det + float(self._squares @ (1.0 / noise)) - float(right @ solution)
+        d = solution[:k]
+        # Squares that are left, and as many of the samples and coefficients as they tell of, by part.
+        squares, taken = np.empty(x.size), np.empty(x.size)
+        squares[0], taken[0] = float(d @ d) / s2, float(np.trace(covariance)) / s2
+        for i, (g, c, n) in enumerate(zip(self._grams, self._with_r, noise, strict=True), 1):
+            squares[i] = (self._squares[i - 1] - 2.0 * float(solution @ c) + float(solution @ (g @ solution))) / n
+            taken[i] = float(np.vdot(covariance, g[:k, :k])) / n
+        counts = np.array([k, *self._counts])
+        gradient = counts - squares - taken
+        step = np.log(np.maximum(squares, _NOTHING) / np.maximum(counts - taken, _LEFT * counts))
+        return _Evaluated(value, gradient, step, solution, factor)
 
 
 def at_knots(times: _Array, knots: Sequence[float] | _Array) -> _Array:

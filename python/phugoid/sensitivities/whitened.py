@@ -148,11 +148,12 @@ def joint_whitening(own: Whitened) -> Whitened | None:
 
     By Akaike's criterion: it is to doubt what noise channel by channel makes of the evidence, so it is taken early.
     """
-    best = own
+    best, order = own, None
     for _ in range(_ROUNDS):
-        filters = MultivariateWhitening.fitted(best.residuals, own.linear.structure)
-        following = max((Whitened(own.linear, f) for f in filters), key=lambda w: w.lenient_merit, default=best)
+        filters = MultivariateWhitening.fitted(best.residuals, own.linear.structure, order)
+        tried = [(Whitened(own.linear, f), len(f.orders) - 1) for f in filters]
+        following, p = max(tried, key=lambda pair: pair[0].lenient_merit, default=(best, order))
         if following.lenient_merit <= best.lenient_merit:
             break
-        best = following
+        best, order = following, p  # the first round tells the order
     return best if best is not own else None

@@ -193,8 +193,8 @@ class Confirmation:
         others = [c for c in at.candidates if c.name != candidate.name]
         return self._cache.refit(others, at.fit) or self._cache.base
 
-    def found(self, at: Refit, candidate: Candidate) -> Found:
-        """Return what is reported of a term in the end."""
+    def found(self, at: Refit, candidate: Candidate, named: bool) -> Found:
+        """Return what is reported of a term in the end; rivals of one that is not named are those that are known."""
         assess = self._assessment
         others, without = [c for c in at.candidates if c is not candidate], self._without(at, candidate)
         filter = at.own.filter
@@ -203,7 +203,7 @@ class Confirmation:
         rivals, parts = {}, {}
         own = assess.explained(without, at)
         confirmed = bool(self._cache.validation) and candidate.transferable and own is not None and own.part > _MOST
-        for r, _ in self._refitting.rivals(at, candidate):
+        for r, _ in self._refitting.rivals(at, candidate, fit=named):
             if r.names == at.names:
                 continue
             (other,) = r.beside(others)

@@ -124,7 +124,7 @@ def _hypotheses(at: Refit, known: Collection[str]) -> Iterator[Disturbance]:
         for count in _FINER:
             if count >= 2 * samples or count**2 * linear.n_rows > _PRODUCTS:
                 break
-            found = _histories(linear, best.place, noise, min(count, samples))
+            found = _histories(linear, best.place, noise, min(count, samples), finest)
             yield from found
             finest = max([finest, *found], key=lambda h: h.merit)
         event = _event(linear, finest, noise)
@@ -135,8 +135,11 @@ def _hypotheses(at: Refit, known: Collection[str]) -> Iterator[Disturbance]:
             yield from _functions(linear, place, noise)
 
 
-def _histories(linear: Linearised, place: Place, noise: _Array, count: int) -> list[Disturbance]:
-    """A random time history at a place, of several correlation times, the likeliest first."""
+def _histories(
+    linear: Linearised, place: Place, noise: _Array, count: int, near: Disturbance | None = None
+) -> list[Disturbance]:
+    """A random time history at a place, the likeliest first: of several correlation times; or, where one with wider
+    knots is known, as quick as that and quicker."""
     check_time()
     knots, step = _knots(linear.points, count)
     answers = linear.answers(place, _signals(linear.points, knots))
@@ -144,9 +147,16 @@ def _histories(linear: Linearised, place: Place, noise: _Array, count: int) -> l
         return []
     found, effects = [], RandomEffects(linear, answers)
     flat = np.concatenate(knots)
-    for tau in _CORRELATION:
-        correlation = _exponential(knots, tau)
-        marginal = effects.with_correlation(correlation).maximised(noise)
+    variance: float | None = None
+    times = _CORRELATION
+    if near is not None:
+        noise = near.marginal.noise
+        same = near.correlation / step
+        times = (same, same / 2.0) if same else _CORRELATION[:2]
+    for tau in times:
+        if near is not None:  # of white noise the density stays
+            variance = near.marginal.variance * (1.0 if near.correlation else near.step / step)
+        marginal = effects.with_correlation(_exponential(knots, tau)).maximised(noise, variance)
         merit = marginal.log_likelihood - (2.0 if tau else 1.0)
         found.append(Disturbance("noise", place, "", merit, marginal, tau * step, None, flat, step))
     return sorted(found, key=lambda h: -h.merit)

@@ -25,8 +25,9 @@ __all__ = ["RefitCache"]
 
 _Array = NDArray[np.float64]
 
-# Parts of a start at which candidates begin, too, that may end at several optima.
-_STARTS = (0.25, 0.4, 0.65, 1.6)
+# Parts of a start at which candidates begin, too, that may end at several optima: where they explain this part of the
+# residuals' power or more to first order, for small effects are nearly linear.
+_STARTS, _LARGE = (0.25, 0.4, 0.65, 1.6), 0.1
 # Refits side by side: the solver works without the interpreter's lock.
 _WORKERS = 4
 
@@ -100,7 +101,8 @@ class RefitCache:
         """The likeliest refit of a set from several starts of candidates that need them and are new."""
         known = near.parameters if near else {}
         points = self.base.linear.points
-        new = [c for c in candidates if c.several_starts and c.shape_names[0] not in known]
+        shares = {c.name: max((scan.share(c.name) for scan in self._scans.values()), default=1.0) for c in candidates}
+        new = [c for c in candidates if c.several_starts and c.shape_names[0] not in known and shares[c.name] > _LARGE]
         best = refit(self.base.fit, candidates, starts, near, points)
         for c in new:
             (name,) = c.shape_names

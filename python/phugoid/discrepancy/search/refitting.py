@@ -75,16 +75,17 @@ class Refitting:
         """Tell whether the estimates of two candidates hardly depend on each other: none casts doubt on the other."""
         return at.own.correlation(one.parameters, other.parameters) < self.settings.apart
 
-    def rivals(self, at: Refit, candidate: Candidate) -> list[tuple[Refit, float]]:
+    def rivals(self, at: Refit, candidate: Candidate, fit: bool = True) -> list[tuple[Refit, float]]:
         """Refits with another in place of a candidate, and how much more likely they are through the same filter, less
-        what the thresholds differ; the best first."""
+        what the thresholds differ; the best first. Without ``fit`` those that are known already."""
         others = [c for c in at.candidates if c is not candidate]
         without = self._cache.refit(others, at.fit)
         if without is None:
             return [(at, 0.0)]
         filter, s, assess = at.own.filter, self.settings, self._assessment
-        wanted = self._screen.rivals(without, candidate, filter, s.again, s.alike)
-        self._cache.refits([[*others, c] for c in wanted], at.fit)
+        if fit:
+            wanted = self._screen.rivals(without, candidate, filter, s.again, s.alike)
+            self._cache.refits([[*others, c] for c in wanted], at.fit)
         refits = self._cache.with_one_more(others)
         reference = at.through(filter).log_likelihood - assess.penalty(at, others) / 2
 

@@ -101,8 +101,9 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     options: list[_Option] = []
     if _structured(full, s.structure):
         search.cache.watch("looking for a disturbance in what is left")
-        options = _options(full, known, s)
-        if full.names:
+        # Beside terms that explain next to nothing, all is as without them.
+        options = _options(full if result.final.names else base, known, s)
+        if result.final.names:
             # Beside a disturbance terms must be worth their chances, too.
             new = sum(search.assessment.needed(full, c) for c in full.candidates) / 2
             alone = _options(base, known, s)

@@ -180,6 +180,7 @@ class Scan:
         self.lost = tuple(dict.fromkeys(c.name for c in candidates if c.name not in there))
         self._clean: Whitening | None = None
         self._last: list[tuple[Filter, Statistics]] = []
+        self._shares: dict[str, float] = {}
 
     @property
     def columns(self) -> _Array:
@@ -206,6 +207,15 @@ class Scan:
             along[k : k + _AT_ONCE] = block @ taken
             block -= along[k : k + _AT_ONCE] @ put
         return along
+
+    def share(self, name: str) -> float:
+        """The part of the residuals' power, taken as white, that a candidate explains to first order at its best shape;
+        0 of one that has no effect of its own."""
+        if not self._shares:
+            values = self.through(self.white.filter).values / max(self.linear.n_rows, 1)
+            for (candidate, _), value in zip(self.effects, values.tolist(), strict=True):
+                self._shares[candidate.name] = max(value, self._shares.get(candidate.name, 0.0))
+        return self._shares.get(name, 0.0)
 
     def forget(self) -> None:
         """Drops columns that take much space: they can be made again."""

@@ -98,7 +98,7 @@ class Search:
             final = self._named(current)
             named = {c.name: c for c in final.candidates}
             found = [
-                self.confirmation.found(final if c.name in named else current, named.get(c.name, c))
+                self.confirmation.found(final if c.name in named else current, named.get(c.name, c), c.name in named)
                 for c in current.candidates
             ]
         except KeyboardInterrupt:

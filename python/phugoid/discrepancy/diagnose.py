@@ -298,11 +298,14 @@ def _rest(search: Search, result: SearchResult) -> tuple[SearchResult, Remainder
         return result, None, True
     if remainder is None:
         return result, None, False
-    kept = tuple(f for f in result.found if f.candidate is not None)
-    if remainder.at is not result.full:
-        base = search.cache.base
-        return replace(result, final=base, full=base, found=()), remainder, False
-    return replace(result, found=kept), remainder, False
+    if remainder.known is not None:
+        return search.concluded(remainder.known, None, result.remarks), None, False
+    kept = {c.name for c in remainder.at.candidates}
+    found = tuple(f for f in result.found if f.candidate is not None and f.candidate.name in kept)
+    if len(found) == len(result.full.candidates):
+        return replace(result, found=found), remainder, False
+    final = search.cache.refit([c for c in result.final.candidates if c.name in kept], remainder.at.fit)
+    return replace(result, final=final or search.cache.base, full=remainder.at, found=found), remainder, False
 
 
 def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:

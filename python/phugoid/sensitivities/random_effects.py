@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..residual_noise.whitening import Filter
 from .linearised import Linearised
 
 __all__ = ["Marginal", "RandomEffects", "at_knots"]
@@ -41,6 +42,7 @@ class Marginal:
     coefficients    (k,) mean of the random coefficients given the data.
     deviations      (k,) their standard deviations given the data.
     residuals       (n_rows,) what is left beside the parameters and these.
+    unknowns        the effective number of coefficients, at most k: those that the data tell.
     """
 
     log_likelihood: float
@@ -49,6 +51,7 @@ class Marginal:
     coefficients: _Array
     deviations: _Array
     residuals: _Array
+    unknowns: float
 
 
 class _Evaluated(NamedTuple):
@@ -59,6 +62,7 @@ class _Evaluated(NamedTuple):
     step      of MacKay's fixed-point iteration.
     solution  (e, b), the mean of the independent coefficients and the parameters.
     factor    Cholesky factor, lower, of their normal equations.
+    unknowns  the effective number of coefficients.
     """
 
     value: float
@@ -66,6 +70,7 @@ class _Evaluated(NamedTuple):
     step: _Array
     solution: _Array
     factor: _Array
+    unknowns: float
 
 
 class RandomEffects:
@@ -79,21 +84,28 @@ class RandomEffects:
     method, linearised about the fit.
 
     ``answers``: (k, n_rows) rows of G transposed, in the units of the outputs. C is the identity unless
-    `with_correlation` says otherwise.
+    `with_correlation` says otherwise. With a ``filter`` v is coloured as that has it, but for a factor of each output,
+    which ``noise`` then stands for.
     """
 
-    def __init__(self, linear: Linearised, answers: _Array) -> None:
+    def __init__(self, linear: Linearised, answers: _Array, filter: Filter | None = None) -> None:
         self.linear, self.k = linear, answers.shape[0]
         self._root = np.eye(self.k + linear.tangents.shape[1])  # (d, b) = root (e, b) with independent e
-        scale = linear.scale()
-        self._columns = columns = np.hstack([(answers / scale).T, linear.tangents / scale[:, None]])
-        r = linear.residuals / scale
+        self._effects = np.hstack([answers.T, linear.tangents])
         lines = [slice(line[0].start, line[-1].stop) for line in linear.rows]
         self._counts = np.array([s.stop - s.start for s in lines], dtype=float)
+        if filter is None:
+            scale = linear.scale()
+            columns, r = self._effects / scale[:, None], linear.residuals / scale
+            self._units = np.array([float(scale[s.start]) for s in lines])
+            self._constant = -float(self._counts @ np.log(self._units))
+        else:
+            columns, r = filter(np.ascontiguousarray(self._effects.T)).T, filter(linear.residuals)
+            self._units = np.ones(len(lines))
+            self._constant = float(filter.log_densities(np.zeros(linear.n_rows)).sum())
         self._grams = np.array([columns[s].T @ columns[s] for s in lines])
         self._with_r = np.array([columns[s].T @ r[s] for s in lines])
         self._squares = np.array([float(r[s] @ r[s]) for s in lines])
-        self._units = np.array([float(scale[s.start]) for s in lines])
 
     def with_correlation(self, correlation: _Array | None) -> RandomEffects:
         """Return the same with correlated coefficients, C (k, k); None for independent ones."""
@@ -155,12 +167,13 @@ class RandomEffects:
         at = self._evaluated(x)
         noise = np.exp(x[1:]) * self._units**2
         # In units of the noise as fitted the density is another.
-        log_likelihood = -0.5 * at.value - float(self._counts @ np.log(self._units))
+        log_likelihood = -0.5 * at.value + self._constant
         covariance = self._root @ cho_solve((at.factor, True), self._root.T)
         mean = self._root @ at.solution
         deviations = np.sqrt(np.maximum(np.diag(covariance)[: self.k], 0.0))
-        left = self.linear.residuals - self.linear.scale() * (self._columns @ mean)
-        return Marginal(log_likelihood, float(np.exp(x[0])), noise, mean[: self.k], deviations, left)
+        left = self.linear.residuals - self._effects @ mean
+        variance = float(np.exp(x[0]))
+        return Marginal(log_likelihood, variance, noise, mean[: self.k], deviations, left, at.unknowns)
 
     def _evaluated(self, x: _Array) -> _Evaluated:
         """Evaluate the likelihood at logarithms of the variances."""
@@ -192,7 +205,7 @@ class RandomEffects:
         counts = np.array([k, *self._counts])
         gradient = counts - squares - taken
         step = np.log(np.maximum(squares, _NOTHING) / np.maximum(counts - taken, _LEFT * counts))
-        return _Evaluated(value, gradient, step, solution, factor)
+        return _Evaluated(value, gradient, step, solution, factor, k - float(taken[0]))
 
 
 def at_knots(times: _Array, knots: Sequence[float] | _Array) -> _Array:

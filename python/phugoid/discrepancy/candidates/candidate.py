@@ -147,9 +147,12 @@ class Effect(Candidate):
         return f"<{self.name}: {self.explanation}>"
 
 
-def is_function(candidate: Candidate) -> bool:
-    """Tell whether a candidate is a function of the present value of one variable, and neither constant nor linear."""
-    return isinstance(candidate, Effect) and len(candidate.variables) == 1 and candidate.family in _SHAPED
+def is_function(candidate: Candidate, variable: str = "") -> bool:
+    """Tell whether a candidate is a function of the present value of one variable, any unless it is named, and neither
+    constant nor linear."""
+    if not isinstance(candidate, Effect) or len(candidate.variables) != 1 or candidate.family not in _SHAPED:
+        return False
+    return not variable or candidate.variables == (variable,)
 
 
 class ExtensionBuilder:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Place, Points
-from ...symbols import cos, sin, smooth_abs, smooth_sign
+from ...symbols import Table, cos, sin, smooth_abs, smooth_sign
 from .candidate import Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
 
-__all__ = ["FORMS", "LaggedVariable", "Periodic", "Rate", "Term", "where"]
+__all__ = ["FORMS", "LaggedVariable", "Periodic", "Rate", "Term", "tabulated", "where"]
 
 _Array = NDArray[np.float64]
 
@@ -146,6 +146,15 @@ class Term(Effect):
         if self.family in ("bias", "drift"):  # an offset beyond the whole range would have been seen by eye
             largest /= 2.0
         return {self.coefficients[0]: (-largest, largest)}
+
+
+def tabulated(place: Place, variable: str, nodes: _Array, values: _Array, scales: Scales) -> Term:
+    """A function of one variable by its values at nodes, joined by a cubic spline and continued by straight lines."""
+    name = f"{where(place)}:f({variable})"
+    label = "".join(c if c.isalnum() else "_" for c in f"{place.name}_f_{variable}")
+    curve = Table(label, nodes, values)(Expr.symbol(variable))
+    words = f"{where(place)} has a part that is a smooth function of {variable}"
+    return Term(name, place, words, "function", scales, (label,), variables=(variable,), given=Expr(curve))
 
 
 def _less(x: Expr, centre: float) -> Expr:

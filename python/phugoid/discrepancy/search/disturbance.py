@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...modelling.model import Model
-from ...residual_noise.whitening import Whitening
+from ...residual_noise.whitening import Filter, Whitening
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.random_effects import Marginal, RandomEffects, at_knots
 from ...sensitivities.trajectory import Place, Points
 from ...solvers.limits import check_time
 from .refit import Refit
 
-__all__ = ["Disturbance", "Disturbances", "disturbance_at", "function_at"]
+__all__ = ["Disturbance", "Disturbances", "disturbance_at", "functions", "functions_of"]
 
 _Array = NDArray[np.float64]
 
@@ -35,8 +35,9 @@ _LIKELY = 2
 _PRODUCTS = 3e9
 # Correlation times of a disturbance that are tried, in knots; 0 is white.
 _CORRELATION = (0.0, 3.0, 12.0)
-# Nodes of a function of one variable, and the distance, in nodes, over which it bends.
-_NODES, _SMOOTH = 17, 4.0
+# Nodes of a function of one variable, and distances, in nodes, over which it bends: the first for all, the others for
+# the likeliest.
+_NODES, _SMOOTH = 25, (6.0, 2.5)
 # Part of the squares of a time history that an event holds, within this part of the time.
 _EVENT, _SHORT = 0.7, 0.2
 # Parameters of a hypothesis beside the variances of the noise, which an autoregressive noise has too, by kind: a
@@ -130,9 +131,18 @@ def _hypotheses(at: Refit, known: Collection[str]) -> Iterator[Disturbance]:
         event = _event(linear, finest, noise)
         if event is not None:
             yield event
-    for place in every:
-        if place.kind in ("equation", "quantity"):
-            yield from _functions(linear, place, noise)
+    yield from functions_of(at)
+
+
+def functions_of(at: Refit) -> list[Disturbance]:
+    """Random functions of all variables in equations and quantities, the likeliest of them bending more quickly,
+    too."""
+    model = at.linear.model
+    variables = [*model.state_names, *model.declared_inputs]
+    places = sorted((p for p in at.linear.places if p.kind in ("equation", "quantity")), key=lambda p: (p.kind, p.name))
+    found = sorted((h for p in places for h in functions(at, p, variables)), key=lambda h: -h.merit)
+    quicker = [h for best in found[:_LIKELY] for h in functions(at, best.place, [best.variable], _SMOOTH[1:])]
+    return [*found, *quicker]
 
 
 def _histories(
@@ -148,7 +158,7 @@ def _histories(
     found, effects = [], RandomEffects(linear, answers)
     flat = np.concatenate(knots)
     variance: float | None = None
-    times = _CORRELATION
+    times: Sequence[float] = _CORRELATION
     if near is not None:
         noise = near.marginal.noise
         same = near.correlation / step
@@ -185,12 +195,20 @@ def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | 
     return Disturbance("event", of.place, "", merit, marginal, 0.0, span, of.knots[first:last], of.step)
 
 
-def _functions(linear: Linearised, place: Place, noise: _Array) -> Iterator[Disturbance]:
-    """A smooth random function of each variable at a place."""
-    index = np.arange(_NODES)
-    correlation = np.exp(-0.5 * ((index[:, None] - index) / _SMOOTH) ** 2)
-    inputs, states = linear.model.declared_inputs, linear.model.state_names
-    for variable in (*states, *inputs):
+def functions(
+    at: Refit, place: Place, variables: Sequence[str], smooth: Sequence[float] = _SMOOTH[:1]
+) -> list[Disturbance]:
+    """Smooth random functions of variables at a place, beside noise that is white or as coloured as the residuals of
+    the refit are: whichever is likelier with it."""
+    linear, index = at.linear, np.arange(_NODES)
+    white = Whitening.of(linear.residuals, linear.structure)
+    powers = np.array([channel.power for channel in white.channels])
+    coloured = (at.together or at.own).filter
+    noises: list[tuple[Filter | None, _Array, int]] = [(None, powers, 0)]
+    if coloured.parameters:
+        noises.append((coloured, np.ones(len(powers)), coloured.parameters))
+    found = []
+    for variable in variables:
         check_time()
         columns = [p.values[variable] for p in linear.points]
         low, high = min(float(c.min()) for c in columns), max(float(c.max()) for c in columns)
@@ -200,8 +218,14 @@ def _functions(linear: Linearised, place: Place, noise: _Array) -> Iterator[Dist
         answers = linear.answers(place, [at_knots(c, nodes) for c in columns])
         if not np.any(answers):
             continue
-        marginal = RandomEffects(linear, answers).with_correlation(correlation).maximised(noise)
-        yield Disturbance("function", place, variable, marginal.log_likelihood - 2.0, marginal, 0.0, None, nodes, 0.0)
+        for filter, noise, cost in noises:
+            effects = RandomEffects(linear, answers, filter)
+            for length in smooth:
+                correlation = np.exp(-0.5 * ((index[:, None] - index) / length) ** 2)
+                marginal = effects.with_correlation(correlation).maximised(noise)
+                merit = marginal.log_likelihood - 2.0 - cost
+                found.append(Disturbance("function", place, variable, merit, marginal, 0.0, None, nodes, 0.0))
+    return found
 
 
 def disturbance_at(linear: Linearised, of: Disturbance) -> float:
@@ -210,12 +234,6 @@ def disturbance_at(linear: Linearised, of: Disturbance) -> float:
     answers = linear.answers(of.place, _signals(linear.points, knots))
     effects = RandomEffects(linear, answers).with_correlation(_exponential(knots, of.correlation / of.step))
     return effects.at(of.marginal.variance, of.marginal.noise).log_likelihood
-
-
-def function_at(linear: Linearised, of: Disturbance) -> _Array:
-    """(n_rows,) the answer of other records to a function as it was estimated, constant beyond its nodes."""
-    signals = [np.interp(p.values[of.variable], of.knots, of.values)[np.newaxis] for p in linear.points]
-    return np.asarray(linear.answers(of.place, signals)[0])
 
 
 def _knots(points: Sequence[Points], count: int, step: float = 0.0) -> tuple[list[_Array], float]:

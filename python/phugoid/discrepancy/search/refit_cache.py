@@ -104,6 +104,12 @@ class RefitCache:
         shares = {c.name: max((scan.share(c.name) for scan in self._scans.values()), default=1.0) for c in candidates}
         new = [c for c in candidates if c.several_starts and c.shape_names[0] not in known and shares[c.name] > _LARGE]
         best = refit(self.base.fit, candidates, starts, near, points)
+        if best is None:
+            # About a start far off the linearisation that gave it says little: two others.
+            last = candidates[-1] if candidates else None
+            if last is not None and last.unit_amplitude and not last.several_starts and len(last.shapes) > 2:
+                for k in (0, len(last.shapes) // 2):
+                    best = best or refit(self.base.fit, candidates, {**starts, **last.shapes[k]}, near, points)
         for c in new:
             (name,) = c.shape_names
             for factor in _STARTS if name in starts else ():

@@ -20,16 +20,18 @@ from ...residual_noise.resolution import WITHIN, resolution_of
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.collocated import dataset
 from ...sensitivities.linearised import Linearised
+from ...sensitivities.trajectory import Place
 from ...sensitivities.whitened import Whitened
 from ...solvers.limits import Deadline, check_time
 from ...transcription.filter_error import FilterError
 from ...validation.biases import freed_by_default
 from ...validation.frozen_model import freeze_model, freeze_noise
-from ..candidates.candidate import is_function
-from .disturbance import Disturbance, Disturbances, disturbance_at, function_at
+from ..candidates.candidate import Effect, is_function
+from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of
 from .free_run import Explained, Misfitting, Simulated
 from .refit import Refit
 from .search import Search, SearchResult
+from .unknown_function import formula, terms_of, unknown_function
 
 __all__ = ["Remainder", "RemainderSettings", "remainder_of"]
 
@@ -45,6 +47,7 @@ class RemainderSettings:
     alike      other places of the same kind are told beside it where they are behind by less than this.
     seconds    that a fit by the filter-error method may take.
     event      part of the time in which most of a disturbance happens that is a single event.
+    most       part of the misfit below which the terms of a search do not explain most of it.
     motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
     """
 
@@ -53,6 +56,7 @@ class RemainderSettings:
     alike: float = 3.0
     seconds: float = 20.0
     event: float = 0.12
+    most: float = 0.8
     motion: float = 0.35
 
 
@@ -68,6 +72,8 @@ class Remainder:
     filtered     the fit by the filter-error method, of a disturbance on a state.
     moves        whether the time history goes with the motion, as an unknown function of several variables does.
     explained    of a function: the part of the misfit that it explains in free simulation of data held out.
+    fitted       the fit with an unknown function.
+    known        the fit with a candidate that explains as much as the function does; None where there is none.
     """
 
     disturbance: Disturbance
@@ -78,6 +84,8 @@ class Remainder:
     filtered: FitResult | None = None
     moves: bool = False
     explained: Explained | None = None
+    fitted: Refit | None = None
+    known: Refit | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,13 +117,12 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
             alone = _options(base, known, s)
             if alone[0].disturbance is not None and alone[0].merit > options[0].merit - new:
                 options = alone
-    elif any(is_function(c) for c in full.candidates):
-        # A term may be near to the right function of its variable, and yet be another one.
-        search.cache.watch("comparing terms with any function of their variables")
-        ahead = full.merit + s.margin
-        options = [o for o in _functions_only(base, known) if o.merit > ahead]
-        options.append(_Option(base, full.merit))
-    if not options or options[0].disturbance is None:
+    first = options[0].disturbance if options else None
+    if first is None or first.kind == "function":
+        function = _function(search, result, options[0] if options else None, s)
+        if function is not None or first is not None:
+            return function
+    if first is None:
         return None
     # Where data held out speak against the likeliest, those less likely are no better.
     found = _confirmed(search, full, options[0], options[-1].merit, s)
@@ -134,8 +141,36 @@ def _rivals(of: _Option, options: Sequence[_Option], s: RemainderSettings) -> di
     return found
 
 
-def _functions_only(at: Refit, known: Disturbances) -> list[_Option]:
-    return [_Option(at, d.merit, d) for d in known.ranked(at) if d.kind == "function"]
+def _function(search: Search, result: SearchResult, option: _Option | None, s: RemainderSettings) -> Remainder | None:
+    """An unknown function in place of terms that are near to it, or several of which are needed to stand for it."""
+    full, final = result.full, result.final
+    tried: list[tuple[Refit, Place, str, float]] = []  # beside which terms, where, of what, and what it must gain
+    if option is not None and option.disturbance is not None:
+        tried.append((full, option.disturbance.place, option.disturbance.variable, s.margin))
+    for c in final.candidates:
+        if isinstance(c, Effect) and is_function(c):
+            alike = [o for o in terms_of(full, c.place, *c.variables) if is_function(o)]
+            tried.append((full, c.place, c.variables[0], s.margin if len(alike) == 1 else -s.margin))
+    part = search.assessment.explained(search.cache.base, full) if final.names else None
+    if part is not None and part.part < s.most:
+        first = max(functions_of(search.cache.base), key=lambda h: h.merit, default=None)
+        if first is not None and first.merit > search.cache.base.merit + s.margin:
+            tried.append((search.cache.base, first.place, first.variable, s.margin))
+    seen: set[tuple[tuple[str, ...], str]] = set()
+    for at, place, variable, needed in tried:
+        if (at.names, variable) in seen:
+            continue
+        seen.add((at.names, variable))
+        found = unknown_function(search, at, full, place, variable)
+        if found is not None and found.gain > needed:
+            known = formula(search, found)
+            if known is not None and {*known.names} <= {*full.names}:
+                return None  # it has been found
+            nan, explained = float("nan"), found.explained
+            return Remainder(
+                found.curve, found.without, found.gain, nan, explained=explained, fitted=found.fitted, known=known
+            )
+    return None
 
 
 def _is_short(event: Disturbance, linear: Linearised, most: float) -> bool:
@@ -207,16 +242,6 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
         return None
     gain = option.merit - coloured
     other = search.cache.on_validation(option.at)
-    if d.kind == "function":
-        if other is None:
-            return Remainder(d, option.at, gain, float("nan"))
-        explained = _explained(search, other, d)
-        if not explained.significant or explained.part < search.assessment.settings.minor:
-            return None
-        terms = search.assessment.explained(option.at, full) if option.at is not full else None
-        if terms is not None and terms.part > explained.part:
-            return None
-        return Remainder(d, option.at, gain, float("nan"), explained=explained)
     if _share(search, option.at, d) < search.assessment.settings.minor:
         return None
     held_out = float("nan")
@@ -260,17 +285,6 @@ def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised
     except (PhugoidError, np.linalg.LinAlgError):
         return float("nan")
     return found.log_likelihood - coloured if found.status == "converged" else float("nan")
-
-
-def _explained(search: Search, other: Linearised, of: Disturbance) -> Explained:
-    """What a function explains of the misfit in free simulation of data held out, first states and biases free."""
-    scale = other.scale()
-    left = (other.residuals - function_at(other, of)) / scale
-    basis = other.tangents / scale[:, None]
-    left = scale * (left - basis @ np.linalg.lstsq(basis, left, rcond=None)[0])
-    whole = search.cache.on_validation(search.cache.base)
-    assert whole is not None
-    return Simulated.of(other, left).explained(Simulated.of(other), Misfitting.of(whole))
 
 
 # Neighbours in the motion that are asked, and the part of the record about a time that counts as the same pass.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...residual_noise.whitening import Filter
-from ..candidates.candidate import Candidate
+from ..candidates.candidate import Candidate, is_function
 from .refit import Refit
 from .refit_cache import RefitCache
 from .scan import Scan, Statistics
@@ -92,6 +92,23 @@ class Screen:
         """Candidates whose effect on the outputs through a filter is nearly the same, the nearest first."""
         scan = self._cache.scan(at)
         return self._alike(scan, scan.through(filter), candidate)
+
+    def functions(self, at: Refit, variable: str, filter: Filter, count: int) -> list[Candidate]:
+        """The best candidates through a filter that are functions of a variable, however alike they act."""
+        scan = self._cache.scan(at)
+        statistics = scan.through(filter)
+        found: dict[str, Candidate] = {}
+        for i in np.argsort(-(statistics.values - self._thresholds(scan))):
+            candidate, shape = scan.effects[i]
+            if candidate.name in found or not is_function(candidate, variable):
+                continue
+            found[candidate.name] = candidate
+            if candidate.unit_amplitude:
+                shape = scan.effects[_whole(scan, statistics, candidate)][1]
+            self._cache.remember(candidate, shape, statistics.amplitudes[i])
+            if len(found) == count:
+                break
+        return list(found.values())
 
     def lasting(self, at: Refit, filter: Filter, count: int) -> list[Candidate]:
         """The best candidates through a filter, of those that another record has too: the phase of a disturbance is for

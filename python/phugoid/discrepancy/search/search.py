@@ -95,17 +95,21 @@ class Search:
             left = self.cache.ringing(current)
             if left and not (unexplained and unexplained.ringing):
                 remarks = (_rest_rings(left.frequencies),)
-            final = self._named(current)
-            named = {c.name: c for c in final.candidates}
-            found = [
-                self.confirmation.found(final if c.name in named else current, named.get(c.name, c), c.name in named)
-                for c in current.candidates
-            ]
+            return self.concluded(current, unexplained, remarks)
         except KeyboardInterrupt:
             nothing, nan = HeldOut(float("nan"), 0.0, float("nan")), float("nan")
             found = [Found(c, nan, self.assessment.threshold(c) / 2, {}, nothing) for c in current.candidates]
             return SearchResult(current, current, tuple(found), remarks, True)
-        return SearchResult(final, current, (*found, unexplained) if unexplained else tuple(found), remarks)
+
+    def concluded(self, at: Refit, unexplained: Found | None = None, remarks: tuple[str, ...] = ()) -> SearchResult:
+        """Return what is reported of a refit's terms, and of a misfit that none explains."""
+        final = self._named(at)
+        named = {c.name: c for c in final.candidates}
+        found = [
+            self.confirmation.found(final if c.name in named else at, named.get(c.name, c), c.name in named)
+            for c in at.candidates
+        ]
+        return SearchResult(final, at, (*found, unexplained) if unexplained else tuple(found), remarks)
 
     def _pruned(self, at: Refit) -> Refit:
         """Return the refit without terms that later ones have made needless, the least significant first."""

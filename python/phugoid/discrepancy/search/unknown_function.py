@@ -1,0 +1,149 @@
+"""A missing term that no name fits, as a smooth function of one variable: fitted with the model, as a table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...parameters import Estimates
+from ...sensitivities.trajectory import Place
+from ..candidates.candidate import Candidate, Effect, is_function
+from ..candidates.scales import Scales
+from ..candidates.terms import tabulated, where
+from .disturbance import Disturbance, functions
+from .evidence import is_physical
+from .free_run import Explained
+from .refit import Refit, refit
+from .search import Search
+
+__all__ = ["UnknownFunction", "formula", "terms_of", "unknown_function"]
+
+# Rounds of estimating the function about a fit, and fitting the model with it; they end where one gains less than this.
+_ROUNDS, _GAIN = 4, 1.0
+# Distances over which it bends, in nodes.
+_LENGTHS = (6.0, 2.5)
+# Part of what the terms in its place explain that it must explain on other data, unless it gains so much here.
+_AS_MUCH, _REFUTED = 0.9, 30.0
+# Candidates that are tried in place of a function, and log-likelihood by which the function must be ahead of them.
+_FORMULAS, _AHEAD = 6, 3.0
+# Families of terms that a function of the same variable in the same place has in it.
+_PARTS = ("linear", "own", "bias", "function")
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownFunction:
+    """A function of one variable that is missing.
+
+    fitted      the model with it, in place of the terms that stood in for it.
+    without     the same without the function.
+    curve       the function, with standard deviations.
+    unknowns    the effective number of its coefficients.
+    gain        in log-likelihood with coloured noise, less ``unknowns``, over the terms that it replaces.
+    explained   the part of the misfit that it explains in free simulation of data held out.
+    """
+
+    fitted: Refit
+    without: Refit
+    curve: Disturbance
+    unknowns: float
+    gain: float
+    explained: Explained | None
+
+
+def terms_of(at: Refit, place: Place, variable: str) -> list[Candidate]:
+    """The terms of a refit that a function of a variable stands for: functions of it anywhere, for a quantity and the
+    equation that it is in are the same place, and linear ones at the place itself."""
+
+    def is_part(c: Candidate) -> bool:
+        if not isinstance(c, Effect) or not {*c.variables} <= {variable}:
+            return False
+        return is_function(c) or (c.place == place and c.family in _PARTS)
+
+    return [c for c in at.candidates if is_part(c)]
+
+
+def unknown_function(search: Search, at: Refit, full: Refit, place: Place, variable: str) -> UnknownFunction | None:
+    """Return a function of a variable in a place, fitted with the model in place of the terms of a refit that are such
+    functions; None where it cannot be fitted or does not simulate data held out better. Its gain is over ``full``."""
+    assess = search.assessment
+    replaced = {c.name for c in terms_of(at, place, variable)}
+    kept = [c for c in at.candidates if c.name not in replaced]
+    without = search.cache.refit(kept, at.fit)
+    if without is None:
+        kept, without = [], search.cache.base
+    search.cache.watch(f"fitting any function of {variable} in {where(place)}")
+    fitted, curve = _settled(search, without, place, variable)
+    if fitted is None:
+        return None
+    # Beside the function others may be needless.
+    for c in kept:
+        fewer = search.cache.refit([o for o in fitted.candidates[:-1] if o is not c], without.fit)
+        if fewer is None:
+            continue
+        other, its = _settled(search, fewer, place, variable)
+        if other is not None and assess.gain(other, fitted) < assess.needed(fitted, c):
+            fitted, curve = other, its
+    without = search.cache.refit(fitted.candidates[:-1], fitted.fit)
+    if without is None:
+        return None
+    explained, terms = assess.explained(without, fitted), assess.explained(without, full)
+    if explained is None or assess.is_minor(explained):
+        return None
+    unknowns = curve.marginal.unknowns
+    gain = fitted.merit - unknowns - full.merit + len(full.candidates) - len(fitted.candidates) + 1
+    # Beyond the range of the record a function is not known: there a term may do better, and yet be refuted here. Two
+    # terms of one variable are no physics, but a function of it.
+    less = terms is not None and explained.part < _AS_MUCH * terms.part
+    several = sum(is_function(c, variable) for c in full.candidates) > 1
+    return (
+        None
+        if less and gain < _REFUTED and not several
+        else UnknownFunction(fitted, without, curve, unknowns, gain, explained)
+    )
+
+
+def formula(search: Search, of: UnknownFunction) -> Refit | None:
+    """Return the likeliest refit with a candidate that is a function of the same variable and explains as much as any
+    function of it does, here and on data held out; None where there is none."""
+    assess, (term,) = search.assessment, of.fitted.candidates[-1:]
+    (variable,) = term.variables if isinstance(term, Effect) else ("",)
+    names = search.screen.functions(of.without, variable, of.fitted.own.filter, _FORMULAS)
+    refits = search.cache.refits([[*of.without.candidates, c] for c in names], of.without.fit)
+    least = of.fitted.merit - of.unknowns - _AHEAD
+
+    def stands(r: Refit) -> bool:
+        c, explained = r.candidates[-1], assess.explained(of.without, r)
+        if r.merit - len(c.parameters) < least or not is_physical(r, c) or explained is None or of.explained is None:
+            return False
+        enough = explained.part > _AS_MUCH * of.explained.part
+        return enough and assess.gain(of.without, r) > assess.needed(r, c)
+
+    return max((r for r in refits if r is not None and stands(r)), key=lambda r: r.merit, default=None)
+
+
+def _settled(search: Search, without: Refit, place: Place, variable: str) -> tuple[Refit | None, Disturbance]:
+    """The likeliest refit with the function, None where there is none, and its curve."""
+    first = _likeliest(without, place, variable)
+    nodes, values = first.knots, first.values
+    scales, base = Scales.of(without.linear.points), search.cache.base.fit
+    starts = {n: without.fit.parameters[n].value for c in without.candidates for n in c.parameters}
+    best, curve = None, first
+    for _ in range(_ROUNDS):
+        term = tabulated(place, variable, nodes, values, scales)
+        (name,) = term.coefficients
+        near = (best or without).fit
+        near = replace(near, parameters=Estimates(e for n, e in near.parameters.items() if n != name))
+        following = refit(base, [*without.candidates, term], {**starts, name: 1.0}, near)
+        if following is None or (best is not None and following.merit < best.merit + _GAIN):
+            break
+        best, curve = following, replace(first, marginal=replace(first.marginal, coefficients=values))
+        # About this fit: what it has already, and what is still missing.
+        missing = _likeliest(best, place, variable)
+        share = best.fit.parameters[name].value
+        values = share * values + np.interp(nodes, missing.knots, missing.values)
+    return best, curve
+
+
+def _likeliest(at: Refit, place: Place, variable: str) -> Disturbance:
+    return max(functions(at, place, [variable], _LENGTHS), key=lambda h: h.merit)

@@ -13,6 +13,7 @@ from scipy.stats import multivariate_normal
 import phugoid as ph
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.residual_noise.resolution import resolution_of
+from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities.collocated import collocated
 from phugoid.sensitivities.random_effects import RandomEffects, at_knots
 from phugoid.sensitivities.trajectory import Place
@@ -58,6 +59,59 @@ def test_nothing_is_found_where_nothing_is_wrong(what: str) -> None:
 def test_coloured_noise_of_sensors_is_no_disturbance(what: str) -> None:
     d, _, _ = diagnosed(what, "duffing", 530)
     assert not d.found, d.summary()
+
+
+@pytest.mark.parametrize(
+    ("system", "seed", "variable"),
+    [("duffing", 7000, "v"), ("servo", 7001, "rate"), ("lateral", 7000, "r"), ("uav", 7001, "w")],
+)
+def test_a_term_that_no_library_has_is_shown_as_a_function(system: str, seed: int, variable: str) -> None:
+    """Terms near to it were named in its place: v^3, |rate|, |r| with its sign, |w| with the scale of a sensor."""
+    d, _, _ = diagnosed("outside", system, seed)
+    assert not d.found and d.verdict == "unexplained", d.summary()
+    (f,) = [f for f in d.findings if f.curve]
+    assert f.aliases[0].endswith(f":f({variable})") and f.explained > 0.2
+    extended = d.extend(minor=True)
+    assert not d.extend().added and extended.added == f.aliases[:1]
+    assert extended.gain.held_out > 0.0
+    before, after = extended.gain.held_out_rms_before, extended.gain.held_out_rms_after
+    assert sum(after[n] < before[n] for n in before) > len(before) / 2
+
+
+def test_the_curve_of_an_unknown_function_is_the_function() -> None:
+    """A bump in the damping of a mass: the curve and the estimated damping together are the true force."""
+
+    def bump(v: object) -> object:
+        return -0.8 * ph.exp(-(((v - 0.6) / 0.15) ** 2))
+
+    def model(hidden: bool) -> ph.Model:
+        m = ph.Model("mass")
+        (u,), (x, v) = m.inputs("u"), m.states(x="m", v="m/s")
+        k, c = m.parameters(k=2.0, c=0.4)
+        m.dynamics(x=v, v=u - k * x - c * v + (bump(v) if hidden else 0.0))
+        m.outputs(x=x, v=v)
+        return m
+
+    rng, records = np.random.default_rng(3), []
+    t = np.arange(0.0, 60.0, 0.05)
+    for seed in (0, 1):
+        u = 1.5 * np.sin(1.1 * t + 0.013 * t**2 + seed) + np.sin(0.37 * t + 2.0 * seed)
+        run = ph.simulate(
+            model(True), {"k": 2.0, "c": 0.4}, ph.Experiment(t, {"u": u}, {}), initial={"x": 0.0, "v": 0.0}
+        )
+        y = {
+            n: z + s * rng.standard_normal(t.size) for (n, z), s in zip(run.outputs.items(), (0.01, 0.02), strict=True)
+        }
+        records.append(ph.Experiment(t, {"u": u}, y, name=f"record {seed}"))
+    d = ph.diagnose(ph.estimate(model(False), records[0]), validation=records[1])
+    (f,) = d.findings
+    assert f.status == "unexplained" and f.aliases[0] == "v':f(v)" and f.explained > 0.95
+    v = np.array(f.curve["at"])
+    seen = records[0].outputs["v"]
+    inside = (v > np.quantile(seen, 0.02)) & (v < np.quantile(seen, 0.98))
+    c = d.extend(minor=True).fit.parameters["c"].value
+    found, truth = np.array(f.curve["value"]) - c * v, -0.8 * np.exp(-(((v - 0.6) / 0.15) ** 2)) - 0.4 * v
+    assert np.abs(found - truth)[inside].max() < 0.08  # a tenth of the bump
 
 
 def test_a_fit_beside_strong_gusts_converges() -> None:
@@ -121,6 +175,18 @@ def test_a_marginal_likelihood_is_that_of_a_normal_distribution() -> None:
     left = linear.residuals - linear.tangents @ np.linalg.lstsq(t, r, rcond=None)[0]
     expected = multivariate_normal(cov=covariance).logpdf(left) + 0.5 * left.size * np.log(2.0 * np.pi)
     assert found.log_likelihood == pytest.approx(expected, rel=1e-6)
+    # With coloured noise, whitened by hand; a factor of 2 of the variance of each output.
+    filter = Whitening.of(linear.residuals, linear.structure)
+    e = RandomEffects(linear, answers, filter).with_correlation(correlation).at(0.7, np.array([2.0, 2.0]))
+    g, rest = filter(np.ascontiguousarray(answers)), filter(linear.residuals)
+    covariance = 0.7 * g.T @ correlation @ g + 2.0 * np.eye(rest.size)
+    root, tangents = np.linalg.cholesky(covariance), filter(np.ascontiguousarray(linear.tangents.T)).T
+    left = (
+        rest - tangents @ np.linalg.lstsq(np.linalg.solve(root, tangents), np.linalg.solve(root, rest), rcond=None)[0]
+    )
+    expected = multivariate_normal(cov=covariance).logpdf(left) + 0.5 * left.size * np.log(2.0 * np.pi)
+    expected += float(filter.log_densities(np.zeros(rest.size)).sum())
+    assert e.log_likelihood == pytest.approx(expected, rel=1e-6)
     # At the maximum no other variance is likelier.
     best = RandomEffects(linear, answers).with_correlation(correlation).maximised(noise)
     for factor in (0.8, 1.25):

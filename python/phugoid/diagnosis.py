@@ -52,7 +52,8 @@ class Diagnosis(DiagnosisResult):
 
     def extend(self, *, minor: bool = False) -> Extension:
         """The model with all causes that are named, its fit, and the gain over the base model; with ``minor`` minor
-        findings and surrogates too. With nothing to add it is the model as it was, and ``added`` is empty."""
+        findings, surrogates, and unknown functions as tables, too. With nothing to add it is the model as it was, and
+        ``added`` is empty."""
         return self._extended_full if minor else self._extended
 
     @cached_property

@@ -302,10 +302,11 @@ def _rest(search: Search, result: SearchResult) -> tuple[SearchResult, Remainder
         return search.concluded(remainder.known, None, result.remarks), None, False
     kept = {c.name for c in remainder.at.candidates}
     found = tuple(f for f in result.found if f.candidate is not None and f.candidate.name in kept)
+    full = remainder.fitted or remainder.at
     if len(found) == len(result.full.candidates):
-        return replace(result, found=found), remainder, False
+        return replace(result, full=remainder.fitted or result.full, found=found), remainder, False
     final = search.cache.refit([c for c in result.final.candidates if c.name in kept], remainder.at.fit)
-    return replace(result, final=final or search.cache.base, full=remainder.at, found=found), remainder, False
+    return replace(result, final=final or search.cache.base, full=full, found=found), remainder, False
 
 
 def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:

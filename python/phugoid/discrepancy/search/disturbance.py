@@ -23,7 +23,7 @@ from ...sensitivities.trajectory import Place, Points
 from ...solvers.limits import check_time
 from .refit import Refit
 
-__all__ = ["Disturbance", "Disturbances", "disturbance_at", "functions", "functions_of"]
+__all__ = ["BENDS", "Disturbance", "Disturbances", "disturbance_at", "functions", "functions_of"]
 
 _Array = NDArray[np.float64]
 
@@ -35,9 +35,9 @@ _LIKELY = 2
 _PRODUCTS = 3e9
 # Correlation times of a disturbance that are tried, in knots; 0 is white.
 _CORRELATION = (0.0, 3.0, 12.0)
-# Nodes of a function of one variable, and distances, in nodes, over which it bends: the first for all, the others for
-# the likeliest.
-_NODES, _SMOOTH = 25, (6.0, 2.5)
+# Parts of the range of a variable over which a function of it bends, the first for all variables, the others for the
+# likeliest; and nodes in each.
+BENDS, _NODES = (0.25, 0.1, 0.04), 2.5
 # Part of the squares of a time history that an event holds, within this part of the time.
 _EVENT, _SHORT = 0.7, 0.2
 # Parameters of a hypothesis beside the variances of the noise, which an autoregressive noise has too, by kind: a
@@ -96,13 +96,13 @@ class Disturbances:
     adds to it, such as the state of a lag, is no place for a disturbance."""
 
     def __init__(self, base: Model) -> None:
-        self._known = {*base.state_names, *base.declared_inputs, *base.quantity_names}
+        self.known = {*base.state_names, *base.declared_inputs, *base.quantity_names}
         self._best: dict[tuple[str, ...], list[Disturbance]] = {}
 
     def ranked(self, at: Refit) -> list[Disturbance]:
         """All hypotheses beside the terms of a refit, the likeliest first; none where there are too many samples."""
         if at.names not in self._best:
-            self._best[at.names] = sorted(_hypotheses(at, self._known), key=lambda h: -h.merit)
+            self._best[at.names] = sorted(_hypotheses(at, self.known), key=lambda h: -h.merit)
         return self._best[at.names]
 
 
@@ -131,17 +131,18 @@ def _hypotheses(at: Refit, known: Collection[str]) -> Iterator[Disturbance]:
         event = _event(linear, finest, noise)
         if event is not None:
             yield event
-    yield from functions_of(at)
+    yield from functions_of(at, known)
 
 
-def functions_of(at: Refit) -> list[Disturbance]:
-    """Random functions of all variables in equations and quantities, the likeliest of them bending more quickly,
-    too."""
+def functions_of(at: Refit, known: Collection[str]) -> list[Disturbance]:
+    """Random functions of states and inputs in equations and quantities, of those that are known, the likeliest of them
+    bending more quickly, too."""
     model = at.linear.model
-    variables = [*model.state_names, *model.declared_inputs]
-    places = sorted((p for p in at.linear.places if p.kind in ("equation", "quantity")), key=lambda p: (p.kind, p.name))
+    variables = [n for n in (*model.state_names, *model.declared_inputs) if n in known]
+    places = [p for p in at.linear.places if p.kind in ("equation", "quantity") and p.name in known]
+    places.sort(key=lambda p: (p.kind, p.name))
     found = sorted((h for p in places for h in functions(at, p, variables)), key=lambda h: -h.merit)
-    quicker = [h for best in found[:_LIKELY] for h in functions(at, best.place, [best.variable], _SMOOTH[1:])]
+    quicker = [h for best in found[:_LIKELY] for h in functions(at, best.place, [best.variable], BENDS[1:])]
     return [*found, *quicker]
 
 
@@ -196,11 +197,11 @@ def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | 
 
 
 def functions(
-    at: Refit, place: Place, variables: Sequence[str], smooth: Sequence[float] = _SMOOTH[:1]
+    at: Refit, place: Place, variables: Sequence[str], bends: Sequence[float] = BENDS[:1]
 ) -> list[Disturbance]:
     """Smooth random functions of variables at a place, beside noise that is white or as coloured as the residuals of
     the refit are: whichever is likelier with it."""
-    linear, index = at.linear, np.arange(_NODES)
+    linear = at.linear
     white = Whitening.of(linear.residuals, linear.structure)
     powers = np.array([channel.power for channel in white.channels])
     coloured = (at.together or at.own).filter
@@ -214,15 +215,15 @@ def functions(
         low, high = min(float(c.min()) for c in columns), max(float(c.max()) for c in columns)
         if not high - low > 1e-9 * max(abs(low), abs(high)):
             continue
-        nodes = np.linspace(low, high, _NODES)
-        answers = linear.answers(place, [at_knots(c, nodes) for c in columns])
-        if not np.any(answers):
-            continue
-        for filter, noise, cost in noises:
-            effects = RandomEffects(linear, answers, filter)
-            for length in smooth:
-                correlation = np.exp(-0.5 * ((index[:, None] - index) / length) ** 2)
-                marginal = effects.with_correlation(correlation).maximised(noise)
+        for bend in bends:
+            nodes = np.linspace(low, high, round(_NODES / bend) + 1)
+            answers = linear.answers(place, [at_knots(c, nodes) for c in columns])
+            if not np.any(answers):
+                continue
+            index = np.arange(nodes.size)
+            correlation = np.exp(-0.5 * ((index[:, None] - index) / _NODES) ** 2)
+            for filter, noise, cost in noises:
+                marginal = RandomEffects(linear, answers, filter).with_correlation(correlation).maximised(noise)
                 merit = marginal.log_likelihood - 2.0 - cost
                 found.append(Disturbance("function", place, variable, merit, marginal, 0.0, None, nodes, 0.0))
     return found

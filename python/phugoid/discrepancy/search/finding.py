@@ -205,7 +205,9 @@ class DiagnosisResult:
     interrupted: bool
     seconds: float
     _extension: ExtensionResult | None = None  # None where it comes from a file, and nothing was named
-    _full: ExtensionResult | None = None  # with minor findings and surrogates; None where it is the same
+    _full: ExtensionResult | None = (
+        None  # with minor findings, surrogates, unknown functions; None where it is the same
+    )
 
     @property
     def found(self) -> bool:
@@ -237,7 +239,7 @@ class DiagnosisResult:
 
     def extend(self, *, minor: bool = False) -> ExtensionResult:
         """Return the model with all causes that are named, its fit, and the gain over the base model; with ``minor``
-        minor findings and surrogates too."""
+        minor findings, surrogates, and unknown functions as tables, too."""
         found = self._full or self._extension if minor else self._extension
         if found is None:
             raise OptionError("extend: nothing was named when this diagnosis was saved, so there is no extended model")

@@ -48,6 +48,7 @@ class RemainderSettings:
     seconds    that a fit by the filter-error method may take.
     event      part of the time in which most of a disturbance happens that is a single event.
     most       part of the misfit below which the terms of a search do not explain most of it.
+    functions  unknown functions that are fitted, the likeliest to first order.
     motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
     """
 
@@ -57,6 +58,7 @@ class RemainderSettings:
     seconds: float = 20.0
     event: float = 0.12
     most: float = 0.8
+    functions: int = 2
     motion: float = 0.35
 
 
@@ -118,12 +120,10 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
             if alone[0].disturbance is not None and alone[0].merit > options[0].merit - new:
                 options = alone
     first = options[0].disturbance if options else None
-    if first is None or first.kind == "function":
-        function = _function(search, result, options[0] if options else None, s)
-        if function is not None or first is not None:
-            return function
-    if first is None:
-        return None
+    # The path itself may change much with a function: it is fitted, and then compared with what is else likely.
+    function = _function(search, result, options, known, s)
+    if function is not None or first is None or first.kind == "function":
+        return function
     # Where data held out speak against the likeliest, those less likely are no better.
     found = _confirmed(search, full, options[0], options[-1].merit, s)
     return found and replace(found, rivals=_rivals(options[0], options, s))
@@ -141,21 +141,26 @@ def _rivals(of: _Option, options: Sequence[_Option], s: RemainderSettings) -> di
     return found
 
 
-def _function(search: Search, result: SearchResult, option: _Option | None, s: RemainderSettings) -> Remainder | None:
+def _function(
+    search: Search, result: SearchResult, options: Sequence[_Option], known: Disturbances, s: RemainderSettings
+) -> Remainder | None:
     """An unknown function in place of terms that are near to it, or several of which are needed to stand for it."""
     full, final = result.full, result.final
+    others = [o.merit - full.merit for o in options if o.disturbance is not None and o.disturbance.kind != "function"]
+    least = max([s.margin, *others])
     tried: list[tuple[Refit, Place, str, float]] = []  # beside which terms, where, of what, and what it must gain
-    if option is not None and option.disturbance is not None:
-        tried.append((full, option.disturbance.place, option.disturbance.variable, s.margin))
+    for o in [o for o in options if o.disturbance is not None and o.disturbance.kind == "function"][: s.functions]:
+        assert o.disturbance is not None
+        tried.append((o.at, o.disturbance.place, o.disturbance.variable, least))
     for c in final.candidates:
         if isinstance(c, Effect) and is_function(c):
             alike = [o for o in terms_of(full, c.place, *c.variables) if is_function(o)]
-            tried.append((full, c.place, c.variables[0], s.margin if len(alike) == 1 else -s.margin))
+            tried.append((full, c.place, c.variables[0], least if len(alike) == 1 else min(-s.margin, least)))
     part = search.assessment.explained(search.cache.base, full) if final.names else None
     if part is not None and part.part < s.most:
-        first = max(functions_of(search.cache.base), key=lambda h: h.merit, default=None)
+        first = max(functions_of(search.cache.base, known.known), key=lambda h: h.merit, default=None)
         if first is not None and first.merit > search.cache.base.merit + s.margin:
-            tried.append((search.cache.base, first.place, first.variable, s.margin))
+            tried.append((search.cache.base, first.place, first.variable, least))
     seen: set[tuple[tuple[str, ...], str]] = set()
     for at, place, variable, needed in tried:
         if (at.names, variable) in seen:
@@ -163,12 +168,12 @@ def _function(search: Search, result: SearchResult, option: _Option | None, s: R
         seen.add((at.names, variable))
         found = unknown_function(search, at, full, place, variable)
         if found is not None and found.gain > needed:
-            known = formula(search, found)
-            if known is not None and {*known.names} <= {*full.names}:
+            named = formula(search, found)
+            if named is not None and {*named.names} <= {*full.names}:
                 return None  # it has been found
             nan, explained = float("nan"), found.explained
             return Remainder(
-                found.curve, found.without, found.gain, nan, explained=explained, fitted=found.fitted, known=known
+                found.curve, found.without, found.gain, nan, explained=explained, fitted=found.fitted, known=named
             )
     return None
 

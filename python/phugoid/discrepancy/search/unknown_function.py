@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...parameters import Estimates
 from ...sensitivities.trajectory import Place
 from ..candidates.candidate import Candidate, Effect, is_function
 from ..candidates.scales import Scales
 from ..candidates.terms import tabulated, where
-from .disturbance import Disturbance, functions
+from .disturbance import BENDS, Disturbance, functions
 from .evidence import is_physical
 from .free_run import Explained
 from .refit import Refit, refit
@@ -19,10 +20,14 @@ from .search import Search
 
 __all__ = ["UnknownFunction", "formula", "terms_of", "unknown_function"]
 
+_Array = NDArray[np.float64]
+
 # Rounds of estimating the function about a fit, and fitting the model with it; they end where one gains less than this.
-_ROUNDS, _GAIN = 4, 1.0
-# Distances over which it bends, in nodes.
-_LENGTHS = (6.0, 2.5)
+_ROUNDS, _GAIN = 6, 1.0
+# Parts of the step to what is missing that are tried: far from the fit it is not linear.
+_STEPS = (1.0, 0.5, 0.2)
+# Nodes of its table.
+_NODES = 64
 # Part of what the terms in its place explain that it must explain on other data, unless it gains so much here.
 _AS_MUCH, _REFUTED = 0.9, 30.0
 # Candidates that are tried in place of a function, and log-likelihood by which the function must be ahead of them.
@@ -125,25 +130,34 @@ def formula(search: Search, of: UnknownFunction) -> Refit | None:
 def _settled(search: Search, without: Refit, place: Place, variable: str) -> tuple[Refit | None, Disturbance]:
     """The likeliest refit with the function, None where there is none, and its curve."""
     first = _likeliest(without, place, variable)
-    nodes, values = first.knots, first.values
+    nodes = np.linspace(first.knots[0], first.knots[-1], _NODES)
+    values = np.interp(nodes, first.knots, first.values)
+    deviations = np.interp(nodes, first.knots, first.marginal.deviations)
     scales, base = Scales.of(without.linear.points), search.cache.base.fit
     starts = {n: without.fit.parameters[n].value for c in without.candidates for n in c.parameters}
-    best, curve = None, first
-    for _ in range(_ROUNDS):
+
+    def fitted(values: _Array, near: Refit) -> Refit | None:
         term = tabulated(place, variable, nodes, values, scales)
         (name,) = term.coefficients
-        near = (best or without).fit
-        near = replace(near, parameters=Estimates(e for n, e in near.parameters.items() if n != name))
-        following = refit(base, [*without.candidates, term], {**starts, name: 1.0}, near)
-        if following is None or (best is not None and following.merit < best.merit + _GAIN):
-            break
-        best, curve = following, replace(first, marginal=replace(first.marginal, coefficients=values))
+        # The coefficient is 1 with every table.
+        start = replace(near.fit, parameters=Estimates(e for n, e in near.fit.parameters.items() if n != name))
+        return refit(base, [*without.candidates, term], {**starts, name: 1.0}, start)
+
+    best = fitted(values, without)
+    for _ in range(_ROUNDS if best is not None else 0):
+        assert best is not None
         # About this fit: what it has already, and what is still missing.
         missing = _likeliest(best, place, variable)
-        share = best.fit.parameters[name].value
-        values = share * values + np.interp(nodes, missing.knots, missing.values)
-    return best, curve
+        more = np.interp(nodes, missing.knots, missing.values)
+        known = best.fit.parameters[best.candidates[-1].coefficients[0]].value * values
+        tries = ((part, fitted(known + part * more, best)) for part in _STEPS)
+        part, following = next(((p, r) for p, r in tries if r and r.merit > best.merit + _GAIN), (0.0, None))
+        if following is None:
+            break
+        best, values = following, known + part * more
+    marginal = replace(first.marginal, coefficients=values, deviations=deviations)
+    return best, replace(first, knots=nodes, marginal=marginal)
 
 
 def _likeliest(at: Refit, place: Place, variable: str) -> Disturbance:
-    return max(functions(at, place, [variable], _LENGTHS), key=lambda h: h.merit)
+    return max(functions(at, place, [variable], BENDS), key=lambda h: h.merit)

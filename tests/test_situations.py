@@ -82,7 +82,7 @@ def test_the_curve_of_an_unknown_function_is_the_function() -> None:
     """A bump in the damping of a mass: the curve and the estimated damping together are the true force."""
 
     def bump(v: object) -> object:
-        return -0.8 * ph.exp(-(((v - 0.6) / 0.15) ** 2))
+        return -0.8 * ph.exp(-(((v - 0.6) / 0.3) ** 2))
 
     def model(hidden: bool) -> ph.Model:
         m = ph.Model("mass")
@@ -110,7 +110,7 @@ def test_the_curve_of_an_unknown_function_is_the_function() -> None:
     seen = records[0].outputs["v"]
     inside = (v > np.quantile(seen, 0.02)) & (v < np.quantile(seen, 0.98))
     c = d.extend(minor=True).fit.parameters["c"].value
-    found, truth = np.array(f.curve["value"]) - c * v, -0.8 * np.exp(-(((v - 0.6) / 0.15) ** 2)) - 0.4 * v
+    found, truth = np.array(f.curve["value"]) - c * v, -0.8 * np.exp(-(((v - 0.6) / 0.3) ** 2)) - 0.4 * v
     assert np.abs(found - truth)[inside].max() < 0.08  # a tenth of the bump
 
 

@@ -143,18 +143,22 @@ def _settled(search: Search, without: Refit, place: Place, variable: str) -> tup
         start = replace(near.fit, parameters=Estimates(e for n, e in near.fit.parameters.items() if n != name))
         return refit(base, [*without.candidates, term], {**starts, name: 1.0}, start)
 
+    def factor(r: Refit) -> float:
+        return r.fit.parameters[r.candidates[-1].coefficients[0]].value
+
     best = fitted(values, without)
     for _ in range(_ROUNDS if best is not None else 0):
         assert best is not None
         # About this fit: what it has already, and what is still missing.
         missing = _likeliest(best, place, variable)
         more = np.interp(nodes, missing.knots, missing.values)
-        known = best.fit.parameters[best.candidates[-1].coefficients[0]].value * values
+        known = factor(best) * values
         tries = ((part, fitted(known + part * more, best)) for part in _STEPS)
         part, following = next(((p, r) for p, r in tries if r and r.merit > best.merit + _GAIN), (0.0, None))
         if following is None:
             break
         best, values = following, known + part * more
+    values = values if best is None else factor(best) * values
     marginal = replace(first.marginal, coefficients=values, deviations=deviations)
     return best, replace(first, knots=nodes, marginal=marginal)
 

@@ -166,7 +166,7 @@ def _function(
         if (at.names, variable) in seen:
             continue
         seen.add((at.names, variable))
-        found = unknown_function(search, at, full, place, variable)
+        found = unknown_function(search, at, result, place, variable)
         if found is not None and found.gain > needed:
             named = formula(search, found)
             if named is not None and {*named.names} <= {*full.names}:

@@ -16,7 +16,7 @@ from .disturbance import BENDS, Disturbance, functions
 from .evidence import is_physical
 from .free_run import Explained
 from .refit import Refit, refit
-from .search import Search
+from .search import Search, SearchResult
 
 __all__ = ["UnknownFunction", "formula", "terms_of", "unknown_function"]
 
@@ -28,8 +28,10 @@ _ROUNDS, _GAIN = 6, 1.0
 _STEPS = (1.0, 0.5, 0.2)
 # Nodes of its table.
 _NODES = 64
-# Part of what the terms in its place explain that it must explain on other data, unless it gains so much here.
-_AS_MUCH, _REFUTED = 0.9, 30.0
+# Part of what it explains of data held out that a term, or several, in its place must not reach; and what is much more.
+_ONE, _SEVERAL, _MUCH = 0.95, 1.1, 0.2
+# Part of it that a candidate must explain to be its formula.
+_AS_MUCH = 0.9
 # Candidates that are tried in place of a function, and log-likelihood by which the function must be ahead of them.
 _FORMULAS, _AHEAD = 6, 3.0
 # Families of terms that a function of the same variable in the same place has in it.
@@ -68,9 +70,12 @@ def terms_of(at: Refit, place: Place, variable: str) -> list[Candidate]:
     return [c for c in at.candidates if is_part(c)]
 
 
-def unknown_function(search: Search, at: Refit, full: Refit, place: Place, variable: str) -> UnknownFunction | None:
+def unknown_function(
+    search: Search, at: Refit, result: SearchResult, place: Place, variable: str
+) -> UnknownFunction | None:
     """Return a function of a variable in a place, fitted with the model in place of the terms of a refit that are such
-    functions; None where it cannot be fitted or does not simulate data held out better. Its gain is over ``full``."""
+    functions; None where it cannot be fitted, or where what a search found explains as much of data held out. Its gain
+    is over all that was found."""
     assess = search.assessment
     replaced = {c.name for c in terms_of(at, place, variable)}
     kept = [c for c in at.candidates if c.name not in replaced]
@@ -92,20 +97,33 @@ def unknown_function(search: Search, at: Refit, full: Refit, place: Place, varia
     without = search.cache.refit(fitted.candidates[:-1], fitted.fit)
     if without is None:
         return None
-    explained, terms = assess.explained(without, fitted), assess.explained(without, full)
-    if explained is None or assess.is_minor(explained):
+    explained = assess.explained(without, fitted)
+    if explained is None or assess.is_minor(explained) or not _is_better(search, result, without, explained, variable):
         return None
-    unknowns = curve.marginal.unknowns
+    unknowns, full = curve.marginal.unknowns, result.full
     gain = fitted.merit - unknowns - full.merit + len(full.candidates) - len(fitted.candidates) + 1
-    # Beyond the range of the record a function is not known: there a term may do better, and yet be refuted here. Two
-    # terms of one variable are no physics, but a function of it.
-    less = terms is not None and explained.part < _AS_MUCH * terms.part
-    several = sum(is_function(c, variable) for c in full.candidates) > 1
-    return (
-        None
-        if less and gain < _REFUTED and not several
-        else UnknownFunction(fitted, without, curve, unknowns, gain, explained)
-    )
+    return UnknownFunction(fitted, without, curve, unknowns, gain, explained)
+
+
+def _is_better(search: Search, result: SearchResult, without: Refit, explained: Explained, variable: str) -> bool:
+    """Tell whether a function explains more of data held out than the named causes in whose place it is.
+
+    No record is without a misfit beside its causes, and with little noise a function that follows all of it is likelier
+    than any formula: a cause that explains nearly as much is the better answer.
+    """
+    lost = [c for c in result.final.candidates if c.name not in without.names]
+    if not lost:
+        return True
+    terms = search.assessment.explained(without, result.final)
+    if terms is None or explained.part > terms.part + _MUCH:
+        return True
+    functions_lost = [c for c in lost if is_function(c, variable)]
+    for c in lost:
+        own = None if c in functions_lost else search.confirmation.explained(result.final, c)
+        if own is not None and own.part > _MUCH:
+            return False
+    # Two terms of one variable stand for a function of it sooner than one.
+    return terms.part < (_ONE if len(functions_lost) < 2 else _SEVERAL) * explained.part
 
 
 def formula(search: Search, of: UnknownFunction) -> Refit | None:

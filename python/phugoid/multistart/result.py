@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import EvaluationError, MissingDependency, PhugoidError
+from ..errors import EvaluationError, MissingDependency, OptionError, PhugoidError
 from ..fit_result import FitResult
 from ..parameters import text_table
 from ..result import Fit
 from ..starts.outcome import Outcome, Problem
 from ..summary import _duration
 from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, plot_waterfall, same
+from .remarks import at_bounds, below_best, local_optima
 
 if TYPE_CHECKING:
     import pandas
@@ -71,11 +72,27 @@ class Multistart:
         Outcomes are kept without time histories, so it is solved again when first asked for: from the values of the
         best outcome, and where this leads elsewhere, from its start. Where no start converged, it is the fit from the
         start that reached the highest log-likelihood, or from the first where none ended at a solution of the
-        equations; ``best.status`` tells.
+        equations; ``best.status`` tells. Its warnings say where other starts ended at local optima.
 
         Raises EvaluationError where no start led anywhere.
         """
-        return Fit._of(self._solved_again())
+        fit = self._solved_again()
+        others = local_optima(self.optima, len(self.outcomes))
+        return Fit._of(replace(fit, warnings=(*fit.warnings, *filter(None, [others]))))
+
+    def fit(self, index: int) -> Fit:
+        """Return the fit from one start, solved again, with states, outputs and residuals.
+
+        Where it ends at an optimum below the best one known, its warnings say that the optimum is local.
+        Raises OptionError for a number of no finished start.
+        """
+        outcome = next((o for o in self.outcomes if o.index == index), None)
+        if outcome is None:
+            raise OptionError(f"fit: start {index!r} is none of the {len(self.outcomes)} finished starts")
+        fit = self.problem.fit(outcome.start)
+        reached = replace(outcome, status=fit.status, log_likelihood=float(fit.log_likelihood))
+        remark = below_best(reached, self.optima, len(self.outcomes))
+        return Fit._of(replace(fit, warnings=(*fit.warnings, *filter(None, [remark]))))
 
     def _solved_again(self) -> FitResult:
         if not self.optima:
@@ -127,7 +144,8 @@ class Multistart:
     def to_pandas(self) -> pandas.DataFrame:
         """One row a finished start, its number as index.
 
-        Columns: optimum (from 1, NA where none was reached), status, log_likelihood, iterations, time (s), message;
+        Columns: optimum (from 1, NA where none was reached), status, log_likelihood, iterations, time (s), message
+        (with a remark where the optimum is below the best one known);
         then each parameter by its name, ``std_error_<name>``, and ``start_<name>`` of what was drawn or given.
         Raises MissingDependency without pandas.
         """
@@ -141,6 +159,7 @@ class Multistart:
             {
                 "optimum": number.get(o.index),
                 **{name: getattr(o, name) for name in plain_fields},
+                "message": self._message(o),
                 **o.parameters,
                 **{f"std_error_{name}": value for name, value in o.std_errors.items()},
                 **{f"start_{name}": value for name, value in o.start.items()},
@@ -153,6 +172,10 @@ class Multistart:
         for prefix, key in (("", "parameters"), ("std_error_", "std_errors"), ("start_", "start")):
             names += dict.fromkeys(f"{prefix}{name}" for o in self.outcomes for name in getattr(o, key))
         return frame.reindex(columns=names).astype({"optimum": "Int64"})
+
+    def _message(self, outcome: Outcome) -> str:
+        remark = below_best(outcome, self.optima, len(self.outcomes))
+        return "; ".join(filter(None, [outcome.message, remark]))
 
     def _best_optima(self) -> list[Optimum]:
         return [o for o in self.optima if self.optima[0].log_likelihood - o.log_likelihood <= LOG_LIKELIHOOD]
@@ -219,7 +242,10 @@ class Multistart:
             text += (
                 f"\nIt is {len(best)} optima with the same log-likelihood: the data do not tell their parameters apart."
             )
-        return text
+        others = local_optima(self.optima, done)
+        bounds = at_bounds(self.optima[0].parameters, self.problem.model.declared_parameters)
+        text += f"\n{others}." if others else ""
+        return text + (f"\nAt bounds in optimum 1: {bounds}." if bounds else "")
 
     def _failures(self) -> str:
         lines = []

@@ -23,8 +23,8 @@ _Array = NDArray[np.float64]
 # out 0.5 to 1 % too large, with 0.02 in its place 4 %; with 0.002 Newton's method takes three times the steps where a
 # servo sticks for a third of the time.
 _KINK, _JUMP = 0.003, 0.005
-# Nodes beyond those of a table, after which its slope, that of a straight line, is zero.
-_FLAT = 4
+# Nodes beyond those of a table, after which it is the straight line that it is to go on with.
+_BEYOND = 4
 
 
 @dataclass(frozen=True)
@@ -151,12 +151,17 @@ class Term(Effect):
 
 
 def tabulated(place: Place, variable: str, nodes: _Array, values: _Array, scales: Scales) -> Term:
-    """A function of one variable by its values at equally spaced nodes, joined by a cubic spline, constant beyond."""
+    """A function of one variable by its values at equally spaced nodes, joined by a cubic spline.
+
+    Beyond them it goes on with its mean slope, which is what it makes up for in a linear term of the model.
+    """
     name = f"{where(place)}:f({variable})"
     label = "".join(c if c.isalnum() else "_" for c in f"{place.name}_f_{variable}")
     h = float(nodes[1] - nodes[0])
-    wider = np.r_[nodes[0] - h * np.arange(_FLAT, 0, -1), nodes, nodes[-1] + h * np.arange(1, _FLAT + 1)]
-    curve = Table(label, wider, np.pad(values, _FLAT, mode="edge"))(Expr.symbol(variable))
+    beyond, slope = h * np.arange(1, _BEYOND + 1), float(np.polyfit(nodes, values, 1)[0])
+    wider = np.r_[nodes[0] - beyond[::-1], nodes, nodes[-1] + beyond]
+    going_on = np.r_[values[0] - slope * beyond[::-1], values, values[-1] + slope * beyond]
+    curve = Table(label, wider, going_on)(Expr.symbol(variable))
     words = f"{where(place)} has a part that is a smooth function of {variable}"
     return Term(name, place, words, "function", scales, (label,), variables=(variable,), given=Expr(curve))
 

@@ -137,12 +137,12 @@ class Assessment:
     def explained(self, base: Refit, more: Refit) -> Explained | None:
         """The part of the misfit that a model explains more of than another, in free simulation of held-out data; None
         where it cannot be fitted to them."""
-        return self._compared(base, base, more)
+        return self.compared(base, base, more)
 
     def is_worse(self, base: Refit, one: Refit, other: Refit) -> bool:
         """Tell whether, beside the terms of a base, free simulation of held-out data is clearly worse with those of
         one model than with those of another."""
-        found = self._compared(base, one, other)
+        found = self.compared(base, one, other)
         return found is not None and found.significant and found.part > self.settings.minor
 
     def is_named(self, at: Refit, candidate: Candidate, explained: Explained | None) -> bool:
@@ -153,7 +153,7 @@ class Assessment:
         """Tell whether a finding explains less of the misfit than is worth a name, or no more than by chance."""
         return explained is not None and not (explained.significant and explained.part >= self.settings.minor)
 
-    def _compared(self, base: Refit, one: Refit, other: Refit) -> Explained | None:
+    def compared(self, base: Refit, one: Refit, other: Refit) -> Explained | None:
         """What another model explains that one does not, by blocks of the records beside the terms of a base where
         there are no other data."""
         new = [*one.beside(base.candidates), *other.beside(base.candidates)]

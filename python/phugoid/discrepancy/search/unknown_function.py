@@ -28,8 +28,9 @@ _ROUNDS, _GAIN = 6, 1.0
 _STEPS = (1.0, 0.5, 0.2)
 # Nodes of its table.
 _NODES = 64
-# Part of what it explains of data held out that a term, or several, in its place must not reach; and what is much more.
-_ONE, _SEVERAL, _MUCH = 0.95, 1.1, 0.2
+# Part of the misfit of data held out that it must explain beside a term in its place, by which it may be behind several,
+# and what is much more.
+_MORE, _SEVERAL, _MUCH = 0.01, 0.1, 0.2
 # Part of it that a candidate must explain to be its formula.
 _AS_MUCH = 0.9
 # Candidates that are tried in place of a function, and log-likelihood by which the function must be ahead of them.
@@ -98,32 +99,33 @@ def unknown_function(
     if without is None:
         return None
     explained = assess.explained(without, fitted)
-    if explained is None or assess.is_minor(explained) or not _is_better(search, result, without, explained, variable):
+    if explained is None or assess.is_minor(explained) or not _is_better(search, result, without, fitted, variable):
         return None
     unknowns, full = curve.marginal.unknowns, result.full
     gain = fitted.merit - unknowns - full.merit + len(full.candidates) - len(fitted.candidates) + 1
     return UnknownFunction(fitted, without, curve, unknowns, gain, explained)
 
 
-def _is_better(search: Search, result: SearchResult, without: Refit, explained: Explained, variable: str) -> bool:
+def _is_better(search: Search, result: SearchResult, without: Refit, fitted: Refit, variable: str) -> bool:
     """Tell whether a function explains more of data held out than the named causes in whose place it is.
 
     No record is without a misfit beside its causes, and with little noise a function that follows all of it is likelier
-    than any formula: a cause that explains nearly as much is the better answer.
+    than any formula: a cause that simulates other data as well is the better answer.
     """
-    lost = [c for c in result.final.candidates if c.name not in without.names]
+    assess, final = search.assessment, result.final
+    lost = [c for c in final.candidates if c.name not in without.names]
     if not lost:
         return True
-    terms = search.assessment.explained(without, result.final)
-    if terms is None or explained.part > terms.part + _MUCH:
-        return True
     functions_lost = [c for c in lost if is_function(c, variable)]
+    more = assess.compared(without, final, fitted)
+    if more is None or more.part > _MUCH:
+        return True
     for c in lost:
-        own = None if c in functions_lost else search.confirmation.explained(result.final, c)
+        own = None if c in functions_lost else search.confirmation.explained(final, c)
         if own is not None and own.part > _MUCH:
             return False
     # Two terms of one variable stand for a function of it sooner than one.
-    return terms.part < (_ONE if len(functions_lost) < 2 else _SEVERAL) * explained.part
+    return more.part > -_SEVERAL if len(functions_lost) > 1 else more.significant and more.part > _MORE
 
 
 def formula(search: Search, of: UnknownFunction) -> Refit | None:

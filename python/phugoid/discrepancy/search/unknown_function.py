@@ -28,8 +28,8 @@ _ROUNDS, _GAIN = 6, 1.0
 _STEPS = (1.0, 0.5, 0.2)
 # Nodes of its table.
 _NODES = 64
-# Part of the misfit of data held out that it must explain beside a term in its place, by which it may be behind several,
-# and what is much more.
+# Part of the misfit of data held out that it must explain beside a term in its place, by which it may be behind
+# several, and what is much more.
 _MORE, _SEVERAL, _MUCH = 0.01, 0.1, 0.2
 # Part of it that a candidate must explain to be its formula.
 _AS_MUCH = 0.9

@@ -28,7 +28,7 @@ pub fn kkt_for(nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
         return Box::new(arrow);
     }
     let (hessian, jacobian) = (structures.0.clone(), structures.1.clone());
-    Box::new(Either { arrow, sparse: None, hessian, jacobian, scales: scales(nlp, units) })
+    Box::new(Either { arrow, sparse: None, by_arrow: true, hessian, jacobian, scales: scales(nlp, units) })
 }
 
 fn sparse(nlp: &dyn Nlp, units: &[f64]) -> SparseKkt {
@@ -65,12 +65,14 @@ impl KktSolver for Unmade {
     }
 }
 
-/// The arrow as long as it serves. Boundary conditions may determine parameters instead of states, as when an
-/// integrator without feedback is to end where it began; the ends of the chain cannot meet these, and the
-/// sparse factorisation takes over.
+/// The arrow where it serves. Where constraints depend on each other the sparse factorisation takes over, which knows
+/// better which ones. That may be so at one iterate only, and the sparse one takes many times as long where there are
+/// many parameters: the next iterate is for the arrow again.
 struct Either {
     arrow: ArrowKkt,
     sparse: Option<SparseKkt>,
+    /// Whether the last factorisation is that of the arrow.
+    by_arrow: bool,
     /// What the sparse one is made from.
     hessian: Structure,
     jacobian: Structure,
@@ -79,14 +81,14 @@ struct Either {
 
 impl KktSolver for Either {
     fn factorize(&mut self, entries: &Entries<'_>, effort: Effort) -> Result<&mut dyn Factor, KktError> {
-        if self.sparse.is_none() {
-            match self.arrow.eliminate_all(entries, effort) {
-                Ok(()) => return Ok(&mut self.arrow),
-                // Of these the other knows better; everything else would stop it, too.
-                Err(KktError::Boundary | KktError::Dependent { .. }) => {}
-                Err(error) => return Err(error),
-            }
+        self.by_arrow = true;
+        match self.arrow.eliminate_all(entries, effort) {
+            Ok(()) => return Ok(&mut self.arrow),
+            // Of these the other knows better; everything else would stop it, too.
+            Err(KktError::Boundary | KktError::Dependent { .. }) => {}
+            Err(error) => return Err(error),
         }
+        self.by_arrow = false;
         let (hessian, jacobian, (columns, rows)) = (&self.hessian, &self.jacobian, &self.scales);
         let make = || SparseKkt::new(columns.len(), rows.len(), hessian, jacobian, columns, rows);
         self.sparse.get_or_insert_with(make).factorize(entries, effort)
@@ -94,12 +96,13 @@ impl KktSolver for Either {
 
     fn factor(&mut self) -> Option<&mut dyn Factor> {
         match &mut self.sparse {
-            Some(sparse) => sparse.factor(),
-            None => self.arrow.factor(),
+            Some(sparse) if !self.by_arrow => sparse.factor(),
+            _ => self.arrow.factor(),
         }
     }
 
     fn flops(&self) -> u64 {
-        self.sparse.as_ref().map_or_else(|| self.arrow.flops(), KktSolver::flops)
+        let sparse = self.sparse.as_ref().filter(|_| !self.by_arrow);
+        sparse.map_or_else(|| self.arrow.flops(), KktSolver::flops)
     }
 }

@@ -121,6 +121,16 @@ pub trait Factor {
     /// Solves for one right-hand side p (n), q (m).
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]);
 
+    /// Reduces a right-hand side to the variables that couple all others, so that [`Factor::solve_reduced`] gives their
+    /// part of solutions at little cost. Their number: they are the first ones; 0 where the factorisation has none such.
+    fn reduce(&mut self, _p: &[f64], _q: &[f64]) -> usize {
+        0
+    }
+
+    /// For the right-hand side that was reduced the first variables of the solution, `d`, with those held that the last
+    /// `finish` held, each at its entry of `to`; and what holds these: z = p − H d − Aᵀλ.
+    fn solve_reduced(&mut self, _to: &[f64], _d: &mut [f64], _z: &mut [f64]) {}
+
     /// Directions of no curvature, or negative, found by the last `finish`: for each, variables and
     /// their part in it (in units of the diagonal's root), the greatest first.
     fn weak_directions(&self) -> &[Vec<(usize, f64)>];

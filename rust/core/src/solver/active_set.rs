@@ -109,6 +109,39 @@ impl ActiveSet {
         z: &mut [f64],
         release: bool,
     ) -> bool {
+        let any = self.hold(program, iterate, &step.d);
+        self.update_multipliers(program, iterate, step, z);
+        any || release && self.release(program, iterate)
+    }
+
+    /// The same, of the first variables alone, where they are all that may be held: `d` is their step, `z` what holds them.
+    pub fn change_first(
+        &mut self,
+        program: &Program<'_>,
+        iterate: &Iterate,
+        (d, z): (&[f64], &[f64]),
+        release: bool,
+    ) -> bool {
+        let any = self.hold(program, iterate, d);
+        for k in 0..self.bounded.len() {
+            let i = self.bounded[k];
+            self.multiplier[i] = if self.binds(i) { z[i] } else { 0.0 };
+        }
+        any || release && self.release(program, iterate)
+    }
+
+    /// Whether variables that may be held are all among the first.
+    pub fn are_first(&self, count: usize) -> bool {
+        self.bounded.last().is_none_or(|&i| i < count)
+    }
+
+    /// The steps of held variables.
+    pub fn to(&self) -> &[f64] {
+        &self.to
+    }
+
+    /// Holds what left its bounds: all parameters that did, else the state that did so farthest. Whether there are any.
+    fn hold(&mut self, program: &Program<'_>, iterate: &Iterate, d: &[f64]) -> bool {
         self.last = None;
         let mut any = false;
         let mut farthest: Option<(usize, f64)> = None; // a state, and how far it left its bounds
@@ -117,7 +150,7 @@ impl ActiveSet {
                 continue;
             }
             let (x, low, high) = (iterate.point.xi[i], program.lower[i], program.upper[i]);
-            let to = x + step.d[i];
+            let to = x + d[i];
             if to < low || to > high {
                 self.to[i] = if to < low { low - x } else { high - x };
                 if i < self.border {
@@ -138,10 +171,12 @@ impl ActiveSet {
             self.last = Some(i);
             any = true;
         }
-        self.update_multipliers(program, iterate, step, z);
-        if any || !release {
-            return any;
-        }
+        any
+    }
+
+    /// Releases what its multiplier holds back from a gain; whether there is any.
+    fn release(&mut self, program: &Program<'_>, iterate: &Iterate) -> bool {
+        let mut any = false;
         for k in 0..self.bounded.len() {
             let i = self.bounded[k];
             if !self.binds(i) {

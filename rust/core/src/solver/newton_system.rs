@@ -145,9 +145,10 @@ impl Factored<'_> {
 
     /// Solves for the step within bounds.
     pub fn step(&mut self, program: &Program<'_>, iterate: &Iterate, step: &mut Step) -> Promise {
-        self.solve(program, iterate, step);
         let most = self.active.rounds();
-        for round in 0..most {
+        let before = self.settle(program, iterate, step);
+        self.solve(program, iterate, step);
+        for round in before..most {
             // Releasing is given up at last, so that this ends.
             if !self.active.change(program, iterate, step, self.p, round < most / 2) {
                 break;
@@ -165,6 +166,31 @@ impl Factored<'_> {
         }
         self.active.end();
         Promise::of(program, iterate, step, self.active)
+    }
+
+    /// Changes what is held in the system of the first variables, as long as there is anything to change: with many
+    /// parameters at bounds that takes dozens of rounds, and a solution for all states in each would cost more than the
+    /// factorisation. The number of rounds.
+    fn settle(&mut self, program: &Program<'_>, iterate: &Iterate, step: &mut Step) -> usize {
+        let most = self.active.rounds();
+        if most == 0 {
+            return 0;
+        }
+        self.p.iter_mut().zip(&iterate.gradient).for_each(|(p, g)| *p = -g);
+        self.q.iter_mut().zip(&iterate.point.c).for_each(|(q, c)| *q = -c);
+        let count = self.factor.reduce(self.p, self.q);
+        if count == 0 || !self.active.are_first(count) {
+            return 0;
+        }
+        let (d, z) = (&mut step.d[..count], &mut self.p[..count]);
+        for round in 0..most {
+            self.factor.solve_reduced(&self.active.to()[..count], d, z);
+            if !self.active.change_first(program, iterate, (d, z), round < most / 2) {
+                return round;
+            }
+            self.factor.finish(self.active.held(), self.damping.shift());
+        }
+        most
     }
 
     /// Solves for the step with the variables held as they are.

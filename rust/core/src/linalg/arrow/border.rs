@@ -1,4 +1,12 @@
 //! The dense border: what is left when all chains are eliminated.
+//!
+//! ```text
+//!   [ K  Eᵀ ] [ x ]   [ p ]
+//!   [ E  0  ] [ f ] = [ c ]
+//! ```
+//!
+//! x are the border variables and the ends of chains that stay beside them, E the few constraints that are
+//! [deferred](super::top), most often none. These are met in an orthonormal basis of their null space, [Y₁ Y₂] R = Eᵀ.
 
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::thread;
@@ -6,6 +14,7 @@ use std::time::Duration;
 
 use nalgebra::{DMatrix, Dyn, SymmetricEigen};
 
+use super::deferred::Deferred;
 use super::dense::{backward, cholesky, forward};
 use crate::interrupt::current;
 use crate::linalg::Curvature;
@@ -20,24 +29,29 @@ const ASK: Duration = Duration::from_millis(5);
 /// The dense border, factorised.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Border {
+    /// Factor of the matrix, or of what is left of it where constraints are met.
     l: Vec<f64>,
     scale: Vec<f64>,
+    /// How constraints are met, those of the last factorisation.
+    deferred: Deferred,
 }
 
 impl Border {
-    /// Factorises a B × B matrix, with `shift` times the diagonal `of` added and some variables held.
+    /// Factorises a matrix as large as `of`, with `shift` times the diagonal `of` added and some variables held, along
+    /// the `constraints`, rows as long.
     pub fn factorize(
         &mut self,
-        s: &[f64],
+        (s, constraints): (&[f64], &[f64]),
         of: &[f64],
         held: &[bool],
         shift: f64,
         weak: &mut Vec<Vec<(usize, f64)>>,
     ) -> Curvature {
-        let b = of.len();
         self.scale.clear();
         self.scale.extend(of.iter().map(|d| scale_of(*d)));
+        self.deferred.turn(constraints, &self.scale, held);
         self.fill(s, held, shift);
+        let b = of.len() - self.deferred.met();
         if cholesky(&mut self.l, b, TINY).is_ok() {
             return Curvature::default();
         }
@@ -45,16 +59,29 @@ impl Border {
             return Curvature { negative: 0, zero: 1 };
         }
         self.fill(s, held, shift);
-        let (found, vectors) = directions(&self.l, b);
+        let (found, vectors) = directions(&self.l[..b * b], b);
         for v in vectors {
-            let mut part: Vec<(usize, f64)> = v.iter().copied().enumerate().collect();
+            let mut part: Vec<(usize, f64)> = self.deferred.outward(v).into_iter().enumerate().collect();
             part.sort_by(|x, y| y.1.abs().total_cmp(&x.1.abs()));
             weak.push(part);
         }
         found
     }
 
-    /// The matrix with a diagonal near 1, the shift added, and identity rows for what is held.
+    /// Whether there are values of the variables that meet constraints, whatever stands on their right; `of` is the
+    /// diagonal of the matrix.
+    pub fn can_meet(&mut self, constraints: &[f64], of: &[f64]) -> bool {
+        if constraints.is_empty() {
+            return true;
+        }
+        self.scale.clear();
+        self.scale.extend(of.iter().map(|d| scale_of(*d)));
+        self.deferred.turn(constraints, &self.scale, &vec![false; of.len()]);
+        self.deferred.met() * of.len() == constraints.len()
+    }
+
+    /// The matrix with a diagonal near 1, the shift added, and identity rows for what is held; then what is left of
+    /// it along the constraints.
     fn fill(&mut self, s: &[f64], held: &[bool], shift: f64) {
         let b = self.scale.len();
         self.l.clear();
@@ -71,14 +98,21 @@ impl Border {
                 self.l[i * b + i] += shift;
             }
         }
+        self.deferred.project(&mut self.l);
     }
 
-    /// Solves in place.
-    pub fn solve(&self, p: &mut [f64]) {
-        let b = p.len();
+    /// Solves in place for p; the constraints have `right` on their right, and get their multipliers in its place.
+    pub fn solve(&self, p: &mut [f64], right: &mut [f64]) {
         p.iter_mut().zip(&self.scale).for_each(|(p, s)| *p *= s);
-        forward(&self.l, b, p);
-        backward(&self.l, b, p);
+        let inner = |p: &mut [f64]| {
+            forward(&self.l, p.len(), p);
+            backward(&self.l, p.len(), p);
+        };
+        if right.is_empty() {
+            inner(p);
+        } else {
+            self.deferred.solve(p, right, inner);
+        }
         p.iter_mut().zip(&self.scale).for_each(|(p, s)| *p *= s);
     }
 }

@@ -12,21 +12,24 @@ impl ArrowKkt {
     /// Reads it off the reduced Hessian; whether all that is wanted are parameters and first states, which that tells.
     pub(super) fn read_covariance(&mut self, wanted: &[usize], out: &mut [f64]) -> bool {
         let (n, border, k) = (self.plan.shape.n, self.plan.shape.border, wanted.len());
-        let mut of_border = DMatrix::<f64>::identity(border, border);
+        // With the end states that stay in the border beside the parameters.
+        let size = self.diagonal.len();
+        let mut of_border = DMatrix::<f64>::identity(size, size);
         let interrupt = current();
         for mut column in of_border.column_iter_mut() {
             if interrupt.stops() {
                 out.fill(f64::NAN);
                 return true;
             }
-            self.border.solve(column.as_mut_slice());
+            self.constraint_side.fill(0.0);
+            self.border.solve(column.as_mut_slice(), &mut self.constraint_side);
         }
         for i in (0..border).filter(|&i| self.held[i]) {
             of_border.row_mut(i).fill(0.0);
             of_border.column_mut(i).fill(0.0);
         }
         // Everything wanted follows θ, and first states of one chain vary beside.
-        let mut follow = DMatrix::zeros(k, border);
+        let mut follow = DMatrix::zeros(k, size);
         let mut beside = DMatrix::<f64>::zeros(k, k);
         let mut found = 0;
         for (row, &i) in wanted.iter().enumerate().filter(|w| *w.1 < border) {
@@ -45,7 +48,7 @@ impl ArrowKkt {
                 continue;
             }
             found += here.len();
-            let (along, free) = tree.top.first_states(&self.plan.shape);
+            let (along, free) = tree.top.first_states(&self.plan.shape, size);
             for &(row, i) in &here {
                 follow.row_mut(row).copy_from(&(along.row(i) / self.units[i]));
                 for &(other, j) in &here {

@@ -90,6 +90,19 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     ((a + e) + (b + f)) + ((c + g) + (d + h))
 }
 
+/// Σ a·b over rows of any length, in a fixed order. Outside of kernels a fused product would be a call.
+pub(super) fn dot_of(a: &[f64], b: &[f64]) -> f64 {
+    let mut sum = [0.0; 8];
+    let (a, b) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    for (a, b) in a.0.iter().zip(b.0) {
+        for l in 0..8 {
+            sum[l] += a[l] * b[l];
+        }
+    }
+    let tail: f64 = a.1.iter().zip(b.1).map(|(a, b)| a * b).sum();
+    sum.iter().sum::<f64>() + tail
+}
+
 /// Householder's QR of the first `k` columns of a (rows × columns); the reflections are applied to the
 /// other columns, and to `q` (rows × rows) if given, which then becomes Qᵀ q. R stands in the upper
 /// triangle, zeros below it.

@@ -32,6 +32,7 @@
 mod border;
 mod chain;
 mod covariance;
+mod deferred;
 pub(crate) mod dense;
 mod forest;
 mod form;
@@ -55,6 +56,7 @@ mod work;
 use std::sync::Mutex;
 
 use border::Border;
+use dense::dot_of;
 use forest::Forest;
 use group::Context;
 use plan::Plan;
@@ -89,8 +91,12 @@ pub struct ArrowKkt {
     jacobian: Vec<f64>,
     /// Hessian of the border alone.
     outer: Vec<f64>,
-    /// Reduced Hessian of the border without what the chains take off.
+    /// Reduced Hessian of the border without what the chains take off. Its rows are those of the border variables, then
+    /// of end states that stay beside them, one for each constraint that is deferred.
     s: Vec<f64>,
+    /// The constraints that are deferred, rows as long, their right-hand sides and then their multipliers.
+    constraints: Vec<f64>,
+    constraint_side: Vec<f64>,
     diagonal: Vec<f64>,
     eliminated: Vec<f64>,
     border: Border,
@@ -100,6 +106,8 @@ pub struct ArrowKkt {
     right: Vec<f64>,
     theta: Vec<f64>,
     solution: Vec<f64>,
+    /// What is left of a right-hand side in the border, and of that of its constraints, with nothing held.
+    reduced: (Vec<f64>, Vec<f64>),
     weak: Vec<Vec<(usize, f64)>>,
     effort: Effort,
     is_eliminated: bool,
@@ -134,6 +142,8 @@ impl ArrowKkt {
             jacobian: vec![0.0; jacobian.len()],
             outer: vec![0.0; border * border],
             s: vec![0.0; border * border],
+            constraints: Vec::new(),
+            constraint_side: Vec::new(),
             diagonal: vec![0.0; border],
             eliminated: vec![0.0; border * border],
             border: Border::default(),
@@ -142,6 +152,7 @@ impl ArrowKkt {
             right: vec![0.0; border],
             theta: vec![0.0; border],
             solution: vec![0.0; border],
+            reduced: (Vec::new(), Vec::new()),
             weak: Vec::new(),
             effort: Effort::FULL,
             is_eliminated: false,
@@ -196,15 +207,35 @@ impl ArrowKkt {
                 self.outer[column * shape.border + row] += value;
             }
         }
-        self.s.copy_from_slice(&self.outer);
+        let border = shape.border;
+        let mut size = border;
         for (tree, plan) in self.forest.trees.iter_mut().zip(&self.plan.chains) {
             tree.merge(&Context { shape, plan }, &self.units, jacobian, self.parallel)?;
-            tree.top.add_border(shape, &mut self.s);
+            tree.top.place = size;
+            size += tree.top.deferred();
         }
-        for (i, d) in self.diagonal.iter_mut().enumerate() {
-            *d = self.s[i * shape.border + i];
+        self.s.clear();
+        self.s.resize(size * size, 0.0);
+        for (to, from) in self.s.chunks_exact_mut(size.max(1)).zip(self.outer.chunks_exact(border.max(1))) {
+            to[..border].copy_from_slice(from);
         }
-        if self.s.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(KktError::NotFinite) }
+        self.constraints.resize((size - border) * size, 0.0);
+        self.constraint_side.resize(size - border, 0.0);
+        for tree in &self.forest.trees {
+            let own =
+                (tree.top.place - border) * size..(tree.top.place + tree.top.deferred() - border) * size;
+            tree.top.add_border(shape, &mut self.s, size);
+            tree.top.put_constraints(shape, &mut self.constraints[own], size.max(1));
+        }
+        self.diagonal.clear();
+        self.diagonal.extend((0..size).map(|i| self.s[i * size + i]));
+        self.held.resize(size, false);
+        self.theta.resize(size, 0.0);
+        if !all_finite(&self.s) || !all_finite(&self.constraints) {
+            return Err(KktError::NotFinite);
+        }
+        let fine = self.border.can_meet(&self.constraints, &self.diagonal);
+        if fine { Ok(()) } else { Err(KktError::Boundary) }
     }
 
     /// Eliminates everything but the border.
@@ -239,7 +270,7 @@ impl ArrowKkt {
     fn take(&mut self, p: &[f64], q: &[f64]) {
         let border = self.plan.shape.border;
         self.right.copy_from_slice(&p[..border]);
-        self.theta.copy_from_slice(&p[..border]);
+        self.theta[..border].copy_from_slice(&p[..border]);
         self.solution.fill(0.0);
         for (tree, plan) in self.forest.trees.iter_mut().zip(&self.plan.chains) {
             tree.right.take(plan, (&self.units, &self.inverse), p, q);
@@ -256,16 +287,27 @@ impl ArrowKkt {
         }
     }
 
-    /// Solves for what is left of the right-hand side, and adds that to the solution.
-    fn solve_rest(&mut self) {
+    /// Brings what is left of the right-hand side to the border.
+    fn reduce_rest(&mut self) {
         let (shape, parallel) = (&self.plan.shape, self.parallel);
+        self.theta[shape.border..].fill(0.0);
         for (tree, plan) in self.forest.trees.iter_mut().zip(&self.plan.chains) {
             tree.reduce(&Context { shape, plan }, &mut self.theta, parallel);
+            let own = tree.top.place - shape.border..tree.top.place - shape.border + tree.top.deferred();
+            self.constraint_side[own].copy_from_slice(&tree.top.right);
         }
+    }
+
+    /// Solves for what is left of the right-hand side, and adds that to the solution.
+    fn solve_rest(&mut self) {
+        self.reduce_rest();
+        let (shape, parallel) = (&self.plan.shape, self.parallel);
         clear_held(&mut self.theta, &self.held);
-        self.border.solve(&mut self.theta);
+        self.border.solve(&mut self.theta, &mut self.constraint_side);
         add(&mut self.solution, &self.theta);
         for (tree, plan) in self.forest.trees.iter_mut().zip(&self.plan.chains) {
+            let own = tree.top.place - shape.border..tree.top.place - shape.border + tree.top.deferred();
+            tree.top.forces.copy_from_slice(&self.constraint_side[own]);
             tree.expand(&Context { shape, plan }, &self.theta, parallel);
         }
     }
@@ -303,6 +345,7 @@ impl ArrowKkt {
     }
 }
 
+/// Zeros where a variable is held.
 fn clear_held(theta: &mut [f64], held: &[bool]) {
     theta.iter_mut().zip(held).filter(|(_, held)| **held).for_each(|(t, _)| *t = 0.0);
 }
@@ -332,15 +375,16 @@ impl Factor for ArrowKkt {
         let shape = &self.plan.shape;
         self.weak.clear();
         self.shift = shift;
-        self.held.copy_from_slice(&held[..shape.border]);
-        self.eliminated.copy_from_slice(&self.s);
+        self.held[..shape.border].copy_from_slice(&held[..shape.border]);
+        self.eliminated.clone_from(&self.s);
+        let size = self.diagonal.len();
         let mut found = Curvature::default();
         if current().stops() {
             return Curvature { zero: 1, ..found };
         }
         for (tree, plan) in self.forest.trees.iter_mut().zip(&self.plan.chains) {
             let before = self.weak.len();
-            let here = tree.top.eliminate(shape, shift, &mut self.eliminated, &mut self.weak);
+            let here = tree.top.eliminate(shape, shift, (&mut self.eliminated, size), &mut self.weak);
             found.negative += here.negative;
             found.zero += here.zero;
             // Ends of the chain as variables of the program.
@@ -354,7 +398,12 @@ impl Factor for ArrowKkt {
         if !found.is_positive() {
             return found;
         }
-        self.border.factorize(&self.eliminated, &self.diagonal, &self.held, shift, &mut self.weak)
+        let matrix = (&*self.eliminated, &*self.constraints);
+        let before = self.weak.len();
+        let found = self.border.factorize(matrix, &self.diagonal, &self.held, shift, &mut self.weak);
+        // End states that stay in the border are no variables of the program.
+        self.weak[before..].iter_mut().for_each(|direction| direction.retain(|(i, _)| *i < shape.border));
+        found
     }
 
     fn solve(&mut self, p: &[f64], q: &[f64], d: &mut [f64], lambda: &mut [f64]) {
@@ -377,6 +426,44 @@ impl Factor for ArrowKkt {
             }
             arrow.give(d, lambda);
         });
+    }
+
+    fn reduce(&mut self, p: &[f64], q: &[f64]) -> usize {
+        if current().stops() {
+            return 0;
+        }
+        self.on_threads(|arrow| {
+            arrow.take(p, q);
+            arrow.reduce_rest();
+        });
+        self.reduced.0.clone_from(&self.theta);
+        self.reduced.1.clone_from(&self.constraint_side);
+        self.plan.shape.border
+    }
+
+    fn solve_reduced(&mut self, to: &[f64], d: &mut [f64], z: &mut [f64]) {
+        let (border, size) = (self.plan.shape.border, self.diagonal.len());
+        // right −= K x, of rows as long as x.
+        let less = |right: &mut [f64], rows: &[f64], x: &[f64]| {
+            for (r, row) in right.iter_mut().zip(rows.chunks_exact(size.max(1))) {
+                *r -= dot_of(&row[..x.len()], x);
+            }
+        };
+        let held = &self.held[..border];
+        d.iter_mut().zip(to).zip(held).for_each(|((d, to), held)| *d = if *held { *to } else { 0.0 });
+        self.theta.copy_from_slice(&self.reduced.0);
+        less(&mut self.theta, &self.eliminated, d);
+        clear_held(&mut self.theta, &self.held);
+        self.constraint_side.copy_from_slice(&self.reduced.1);
+        less(&mut self.constraint_side, &self.constraints, d);
+        self.border.solve(&mut self.theta, &mut self.constraint_side);
+        d.iter_mut().zip(&self.theta).for_each(|(d, x)| *d += x);
+        self.theta[..border].copy_from_slice(d);
+        z.copy_from_slice(&self.reduced.0[..border]);
+        less(z, &self.eliminated, &self.theta);
+        for (force, row) in self.constraint_side.iter().zip(self.constraints.chunks_exact(size.max(1))) {
+            z.iter_mut().zip(row).for_each(|(z, e)| *z -= force * e);
+        }
     }
 
     fn weak_directions(&self) -> &[Vec<(usize, f64)>] {

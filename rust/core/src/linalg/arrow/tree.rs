@@ -167,11 +167,12 @@ impl Tree {
     }
 
     /// From the border's solution down to every point; adds to the solution.
-    pub fn expand(&mut self, context: &Context<'_>, theta: &[f64], parallel: bool) {
+    pub fn expand(&mut self, context: &Context<'_>, border: &[f64], parallel: bool) {
         let (shape, n) = (context.shape, context.shape.n);
         let Tree { groups, levels, root, top, rest, solution, ends, .. } = self;
         let (form, side) = of_mut(groups, levels, *root);
-        top.expand(shape, form, side, theta);
+        top.expand(shape, form, side, border);
+        let theta = &border[..shape.border];
         // Which groups a node spans follows from its place: from the left, each takes those it covers.
         let last = groups.len();
         ends[..n].copy_from_slice(&top.v[..n]);

@@ -133,7 +133,7 @@ fn the_arrow_solves_as_dense_algebra_and_the_sparse_factorisation_do() {
     for (number, case) in cases().iter().enumerate() {
         let (n, m) = (case.problem.n(), case.problem.m());
         let (h, a) = case.dense();
-        for hold in [None, Some(0), Some(2)] {
+        for hold in [None, Some(1), Some(3)] {
             let mut held = vec![false; n];
             hold.into_iter().for_each(|i| held[i] = true);
             let right = case.right();
@@ -184,9 +184,16 @@ fn the_covariance_is_that_of_the_sparse_factorisation() {
         let of_sparse = covariance(sparse.factorize(&case.entries(), Effort::FULL).unwrap());
         for i in 0..4 {
             for j in 0..4 {
+                // Of what a motion that grows by 10²⁶ determines there is no variance left, but for rounding.
+                let rounding = 1e-14 * of_sparse.diagonal().max();
                 let scale = (of_sparse[(i, i)] * of_sparse[(j, j)]).sqrt();
                 let apart = (of_arrow[(i, j)] - of_sparse[(i, j)]).abs();
-                assert!(apart <= 1e-6 * scale, "case {number}: {} {}", of_arrow[(i, j)], of_sparse[(i, j)]);
+                assert!(
+                    apart <= 1e-6 * scale + rounding,
+                    "case {number}: {} {}",
+                    of_arrow[(i, j)],
+                    of_sparse[(i, j)]
+                );
             }
         }
     }
@@ -203,7 +210,7 @@ fn the_reduced_system_gives_the_parameters_of_the_whole_solution() {
         let factor = arrow.factorize(&case.entries(), Effort::FULL).unwrap();
         let count = factor.reduce(&p, &q);
         assert_eq!(count, case.problem.layout.n_theta);
-        for hold in [None, Some(0), Some(3)] {
+        for hold in [None, Some(1), Some(3)] {
             let (mut held, mut to) = (vec![false; n], DVector::zeros(n));
             hold.into_iter().for_each(|i| (held[i], to[i]) = (true, 0.25));
             assert!(factor.finish(&held, 0.0).is_positive());

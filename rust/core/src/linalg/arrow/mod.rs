@@ -304,6 +304,8 @@ impl ArrowKkt {
         let (shape, parallel) = (&self.plan.shape, self.parallel);
         clear_held(&mut self.theta, &self.held);
         self.border.solve(&mut self.theta, &mut self.constraint_side);
+        // Rounding in the basis of what constraints leave.
+        clear_held(&mut self.theta, &self.held);
         add(&mut self.solution, &self.theta);
         for (tree, plan) in self.forest.trees.iter_mut().zip(&self.plan.chains) {
             let own = tree.top.place - shape.border..tree.top.place - shape.border + tree.top.deferred();
@@ -457,6 +459,7 @@ impl Factor for ArrowKkt {
         self.constraint_side.copy_from_slice(&self.reduced.1);
         less(&mut self.constraint_side, &self.constraints, d);
         self.border.solve(&mut self.theta, &mut self.constraint_side);
+        clear_held(&mut self.theta, &self.held);
         d.iter_mut().zip(&self.theta).for_each(|(d, x)| *d += x);
         self.theta[..border].copy_from_slice(d);
         z.copy_from_slice(&self.reduced.0[..border]);

@@ -31,7 +31,8 @@ class Extension(ExtensionResult):
 class Diagnosis(DiagnosisResult):
     """What `diagnose` finds.
 
-    fit         that was diagnosed.
+    fit         that was diagnosed; with inputs between samples as the data tell where ``notes`` say that straight lines
+                are wrong there.
     misfit      what it gets wrong: per channel, when, in which regime, at which frequencies.
     findings    what is missing, in the order in which it was found.
     verdict     "named", "unexplained", "surrogate", "minor" or "nothing": what it comes to.

@@ -23,7 +23,7 @@ from ...sensitivities.trajectory import Place, Points
 from ...solvers.limits import check_time
 from .refit import Refit
 
-__all__ = ["BENDS", "Disturbance", "Disturbances", "disturbance_at", "functions", "functions_of"]
+__all__ = ["BENDS", "Disturbance", "Disturbances", "disturbance_at", "functions", "functions_of", "noises_of"]
 
 _Array = NDArray[np.float64]
 
@@ -202,12 +202,7 @@ def functions(
     """Smooth random functions of variables at a place, beside noise that is white or as coloured as the residuals of
     the refit are: whichever is likelier with it."""
     linear = at.linear
-    white = Whitening.of(linear.residuals, linear.structure)
-    powers = np.array([channel.power for channel in white.channels])
-    coloured = (at.together or at.own).filter
-    noises: list[tuple[Filter | None, _Array, int]] = [(None, powers, 0)]
-    if coloured.parameters:
-        noises.append((coloured, np.ones(len(powers)), coloured.parameters))
+    noises = noises_of(at)
     found = []
     for variable in variables:
         check_time()
@@ -227,6 +222,19 @@ def functions(
                 merit = marginal.log_likelihood - 2.0 - cost
                 found.append(Disturbance("function", place, variable, merit, marginal, 0.0, None, nodes, 0.0))
     return found
+
+
+def noises_of(at: Refit) -> list[tuple[Filter | None, _Array, int]]:
+    """The noise of the sensors beside random effects: white, or as coloured as the residuals of a refit are. Each with
+    variances to begin with and the number of its parameters beside these."""
+    linear = at.linear
+    white = Whitening.of(linear.residuals, linear.structure)
+    powers = np.array([channel.power for channel in white.channels])
+    coloured = (at.together or at.own).filter
+    noises: list[tuple[Filter | None, _Array, int]] = [(None, powers, 0)]
+    if coloured.parameters:
+        noises.append((coloured, np.ones(len(powers)), coloured.parameters))
+    return noises
 
 
 def disturbance_at(linear: Linearised, of: Disturbance) -> float:

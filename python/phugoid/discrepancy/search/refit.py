@@ -30,6 +30,7 @@ __all__ = [
     "HeldOut",
     "Refit",
     "across_blocks",
+    "fitted_to",
     "gain_on_other_data",
     "on_other_data",
     "predicted_blocks",
@@ -135,6 +136,24 @@ def refit(
     if fit.status == "interrupted":
         raise KeyboardInterrupt
     return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None
+
+
+def fitted_to(at: Refit, data: Sequence[Experiment]) -> Refit | None:
+    """The same model estimated from other records, such as those with inputs that are held; None where the solver does
+    not come to an end."""
+    fit = at.fit
+    try:
+        found = estimate(
+            fit.model,
+            data,
+            transcription=fit.transcription,
+            noise=fit.noise,
+            start=fit,
+            solver=Newton(max_iterations=_ITERATIONS),
+        )
+    except PhugoidError:
+        return None
+    return Refit(at.candidates, found) if found.status in ("converged", "acceptable") else None
 
 
 def _with_paths(

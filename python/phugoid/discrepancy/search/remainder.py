@@ -115,9 +115,8 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
         options = _options(full if result.final.names else base, known, s)
         if result.final.names:
             # Beside a disturbance terms must be worth their chances, too.
-            new = sum(search.assessment.needed(full, c) for c in full.candidates) / 2
             alone = _options(base, known, s)
-            if alone[0].disturbance is not None and alone[0].merit > options[0].merit - new:
+            if alone[0].disturbance is not None and alone[0].merit > options[0].merit - search.chances(full):
                 options = alone
     first = options[0].disturbance if options else None
     # The path itself may change much with a function: it is fitted, and then compared with what is else likely.

@@ -9,7 +9,7 @@ from ..candidates.terms import where
 from ..misfit.phrases import number
 from .disturbance import Disturbance
 from .finding import Finding
-from .held_input import HeldInput
+from .input_interpolation import InputInterpolation
 from .remainder import Remainder
 
 __all__ = ["finding_of_held_input", "finding_of_remainder"]
@@ -53,7 +53,7 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
     )
 
 
-def finding_of_held_input(h: HeldInput, threshold: float) -> Finding:
+def finding_of_held_input(h: InputInterpolation, threshold: float) -> Finding:
     """Return an input that is held between its samples as it is told."""
     nan = float("nan")
     return Finding(

@@ -68,11 +68,17 @@ class Search:
         settings: SearchSettings | None = None,
     ) -> None:
         self.settings = s = settings or SearchSettings()
+        self._listed = candidates
         self.cache = RefitCache(base, candidates, validation, watch, biases)
         self.assessment = Assessment(self.cache, s.assessment)
         self.screen = Screen(self.cache, self.assessment.threshold, s.screen)
         self.refitting = Refitting(self.cache, self.screen, self.assessment, s.refitting)
         self.confirmation = Confirmation(self.cache, self.screen, self.refitting, self.assessment, s.confirmation)
+
+    def on(self, base: Refit, validation: Sequence[Experiment]) -> Search:
+        """Return the same search at another fit of the model, with other data held out."""
+        cache = self.cache
+        return Search(base, self._listed, validation, cache.watch, cache.biases, self.settings)
 
     def run(self) -> SearchResult:
         """Screen, refit and confirm, one term after the other."""
@@ -100,6 +106,10 @@ class Search:
             nothing, nan = HeldOut(float("nan"), 0.0, float("nan")), float("nan")
             found = [Found(c, nan, self.assessment.threshold(c) / 2, {}, nothing) for c in current.candidates]
             return SearchResult(current, current, tuple(found), remarks, True)
+
+    def chances(self, at: Refit) -> float:
+        """Return the log-likelihood that a refit's terms must gain, as many as were tried."""
+        return sum(self.assessment.needed(at, c) for c in at.candidates) / 2.0
 
     def concluded(self, at: Refit, unexplained: Found | None = None, remarks: tuple[str, ...] = ()) -> SearchResult:
         """Return what is reported of a refit's terms, and of a misfit that none explains."""

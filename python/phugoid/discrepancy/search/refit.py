@@ -21,7 +21,7 @@ from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Points
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
 from ...solvers import Newton
-from ...solvers.limits import TimeUp, check_time
+from ...solvers.limits import check_time
 from ...validation.biases import freed_by_default
 from ...validation.frozen_model import estimates_of, freeze_model, freeze_noise, mesh_for
 from ..candidates.candidate import Candidate
@@ -159,12 +159,16 @@ def fitted_to(at: Refit, data: Sequence[Experiment]) -> Refit | None:
 def _with_paths(
     near: FitResult, candidates: Sequence[Candidate], points: Sequence[Points], starts: Mapping[str, float]
 ) -> FitResult:
-    """A start with paths of the states that candidates add, where it has none of them."""
+    """A start with paths of the states that candidates add, where it has none of them, and of others as they let them
+    be."""
     records = []
     for record, p in zip(near.records, points, strict=False):
-        new = {n: z for c in candidates for n, z in c.paths(p, starts).items() if n not in record.mesh_states}
-        at_mesh = {n: np.interp(record.mesh_t, p.t, z) for n, z in new.items()}
-        records.append(replace(record, mesh_states={**record.mesh_states, **at_mesh}) if new else record)
+        states = dict(record.mesh_states)
+        for c in candidates:
+            added = {n: z for n, z in c.paths(p, starts).items() if n not in states}
+            states |= {n: np.interp(record.mesh_t, p.t, z) for n, z in added.items()}
+            states |= c.reachable(states, starts)
+        records.append(replace(record, mesh_states=states))
     return replace(near, records=records) if records else near
 
 
@@ -284,14 +288,20 @@ def on_other_data(
         )
     model, noise = freeze_model(fit.model, values, free), freeze_noise(fit)[0]
     known = {n: [e.value for e in estimates_of(fit.parameters, [n]).values()] for n in free}
-    start = started_from(near.fit, ()) if near else {n: float(np.mean(v)) for n, v in known.items() if v}
     mesh = mesh_for(fit, data)
-    found = estimate(model, list(data), transcription=mesh, noise=noise, start=start)
-    if found.status == "time limit":
-        raise TimeUp
-    if found.status == "interrupted":
-        raise KeyboardInterrupt
-    if found.status not in ("converged", "acceptable", "unidentifiable"):
+    starts: list[FitResult | dict[str, float]] = [{n: float(np.mean(v)) for n, v in known.items() if v}]
+    if near is not None:  # its path may be out of reach of this model: then the measured one
+        starts.insert(0, started_from(near.fit, ()))
+    for start in starts:
+        solver = Newton(time_limit=max(2.0 * _SECONDS, _TIMES * fit.time))
+        found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
+        if found.status == "time limit":
+            check_time()  # that of the diagnosis
+        if found.status == "interrupted":
+            raise KeyboardInterrupt
+        if found.status in ("converged", "acceptable", "unidentifiable"):
+            break
+    else:
         raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")
     return Linearised(found)
 

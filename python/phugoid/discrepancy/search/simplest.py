@@ -8,10 +8,11 @@ from ...residual_noise.whitening import Whitening
 from ..candidates.candidate import Candidate
 from .refit import Refit
 
-__all__ = ["complexity", "is_as_good"]
+__all__ = ["RICH", "complexity", "is_as_good"]
 
 # A constant before a linear term before any other, and those with states of their own or two unknowns last.
-_ORDER = {"bias": 0, "linear": 1, "scale": 1, "stribeck": 3, "hysteresis": 3, "mode": 3}
+RICH = 3
+_ORDER = {"bias": 0, "linear": 1, "scale": 1, "stribeck": RICH, "hysteresis": RICH, "mode": RICH}
 _OTHER = 2
 # Twice the difference in log-likelihood, of as many samples as coloured residuals are worth, below which two refits are
 # equally good: chance exceeds it once in a hundred times with two parameters that differ.

@@ -221,7 +221,8 @@ class Confirmation:
             d = d[np.isfinite(d)]
             gain = assess.gain(without, r) / 2
             # One with more unknowns can always be as good.
-            if complexity(other) > complexity(candidate) and gain < assess.gain(without, at) / 2 + self.settings.richer:
+            richer = complexity(other) == RICH > complexity(candidate)
+            if richer and gain < assess.gain(without, at) / 2 + self.settings.richer:
                 continue
             like = other.name in alike and gain > 0.5 * assess.gain(without, at) / 2
             if not like and assess.is_worse(without, r, at):

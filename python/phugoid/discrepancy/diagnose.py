@@ -24,13 +24,22 @@ from .candidates.library import candidates as library
 from .discrimination.advice import discrimination_advice
 from .misfit.misfit import misfit
 from .search.confirmation import Found
+from .search.data_suspects import (
+    with_changes,
+    with_inputs_as_sampled,
+    with_interpolation,
+    with_record_changes,
+    with_remainder,
+    words_of_inputs,
+)
 from .search.evidence import is_physical
 from .search.finding import DiagnosisResult, Finding, Scored
-from .search.input_interpolation import InputInterpolation, input_interpolation
-from .search.refit import Refit, fitted_to
-from .search.remainder import Remainder, RemainderSettings, remainder_of
-from .search.remainder_finding import finding_of_held_input, finding_of_remainder
-from .search.sampled_input import SampledInputs, sampled_inputs
+from .search.input_interpolation import InputInterpolation
+from .search.record_change import RecordChange
+from .search.refit import Refit
+from .search.remainder import Remainder, RemainderSettings
+from .search.remainder_finding import finding_of_held_input, finding_of_record_change, finding_of_remainder
+from .search.sampled_input import SampledInputs
 from .search.scan import NEARLY, Scan
 from .search.search import Search, SearchResult
 
@@ -214,34 +223,42 @@ def diagnose(
         remainder: Remainder | None = None
         between: list[InputInterpolation] = []
         sampled: SampledInputs | None = None
+        changes: list[RecordChange] = []
         with deadline.in_force():
             # Now, while what the search needs next is at hand.
             ranking, interrupted = _ranked(search, base)
             if not interrupted:
-                following, interrupted = _between(search)
+                following, interrupted = with_interpolation(search)
                 while following is not None:
                     # All else is sought with the input as it acts.
                     between.append(following)
                     search = search.on(following.refit, following.validation)
                     result = SearchResult(following.refit, following.refit)
-                    following, interrupted = _between(search)
+                    following, interrupted = with_interpolation(search)
             if not interrupted:
                 result = search.run()
                 interrupted = result.interrupted
+            before = search
             if not interrupted:
-                search, result, sampled, interrupted = _sampled(search, result)
+                search, result, changes, interrupted = with_record_changes(search, result)
             if not interrupted:
-                result, remainder, interrupted = _rest(search, result)
+                search, result, sampled, interrupted = with_inputs_as_sampled(search, result)
+            if not interrupted:
+                result, remainder, interrupted = with_remainder(search, result)
         ended = deadline.ended() if interrupted else ""
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
             findings = [finding_of(result, f, _is_minor(search, result, f)) for f in found]
             held = [finding_of_held_input(b, RemainderSettings().margin) for b in between if b.kind == "hold"]
+            held += [finding_of_record_change(c) for c in changes]
             findings[:0] = held
             if remainder is not None:
                 findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))
             extension = search.extension(final, known=interrupted)
             full = search.extension(result.full, known=interrupted) if result.full is not final else None
+            if changes:
+                extension = with_changes(extension, before, changes)
+                full = full and with_changes(full, before, changes)
             interrupted = interrupted or pressed() > 0
         ended = ended or ("interrupted" if interrupted else "")
         if not interrupted:
@@ -261,9 +278,9 @@ def diagnose(
             ranking = tuple(ranking_of(search, search.cache.scan(corrected)))
         scan = search.cache.scan(corrected) if ranking or not ended else None
         notes = (*_notes(scan, final, listed, others, free, ended, search.settings.most), *result.remarks)
-        notes = (*notes, *_inputs_between(between, sampled))
+        notes = (*notes, *words_of_inputs(between, sampled))
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
-        diagnosed = corrected.fit if corrected is not base and len(held) < len(between) + bool(sampled) else fit
+        diagnosed = corrected.fit if sampled or any(b.kind == "cubic" for b in between) else fit
         return DiagnosisResult(
             fit=diagnosed,
             misfit=misfit(diagnosed),
@@ -276,87 +293,6 @@ def diagnose(
             _extension=extension,
             _full=full,
         )
-
-
-def _between(search: Search) -> tuple[InputInterpolation | None, bool]:
-    """An input that is held between its samples, which explains more than a delay or a lag of it, or that is smooth
-    there; and whether the comparison was interrupted."""
-    cache = search.cache
-    try:
-        cache.watch("comparing inputs that are held between samples, or smooth")
-        found = input_interpolation(cache.base, cache.validation, cache.biases)
-        if found is None:
-            return None, False
-        search.screen.shortlist(cache.base)
-        late = [c for c in cache.candidates if c.name in (f"{found.name}:delay", f"{found.name}:lag")]
-        rivals = [r for r in cache.refits([[c] for c in late if cache.has_start(c.name)]) if r is not None]
-        best = max((r.merit - len(r.candidates[0].parameters) for r in rivals), default=-np.inf)
-        return (found if found.refit.merit > best else None), False
-    except PhugoidError:
-        return None, False
-    except KeyboardInterrupt:
-        return None, True
-
-
-def _sampled(search: Search, result: SearchResult) -> tuple[Search, SearchResult, SampledInputs | None, bool]:
-    """The search once more with inputs between samples as the outputs tell, where these say that they jumped there;
-    what that was; and whether it was interrupted."""
-    cache, full = search.cache, result.full
-    least = full.merit - search.chances(full) + RemainderSettings().margin
-    try:
-        cache.watch("comparing inputs that jump between samples")
-        fits = [full] if full is cache.base else [full, cache.base]
-        each = [(s, s.merit - search.chances(at)) for at in fits if (s := sampled_inputs(at)) is not None]
-        found, merit = max(each, key=lambda one: one[1], default=(None, -np.inf))
-        base = fitted_to(cache.base, found.records) if found is not None and merit > least else None
-        if found is None or base is None:
-            return search, result, None, False
-        again = search.on(base, found.on(cache.validation, cache.biases))
-        following = again.run()
-        return again, following, found, following.interrupted
-    except (PhugoidError, np.linalg.LinAlgError):
-        return search, result, None, False
-    except KeyboardInterrupt:
-        return search, result, None, True
-
-
-def _rest(search: Search, result: SearchResult) -> tuple[SearchResult, Remainder | None, bool]:
-    """What is left beside the terms of a search, which fall where they stand in for it; and whether that was
-    interrupted."""
-    try:
-        remainder = remainder_of(search, result)
-    except (PhugoidError, np.linalg.LinAlgError):
-        return result, None, False
-    except KeyboardInterrupt:
-        return result, None, True
-    if remainder is None:
-        return result, None, False
-    if remainder.known is not None:
-        return search.concluded(remainder.known, None, result.remarks), None, False
-    kept = {c.name for c in remainder.at.candidates}
-    found = tuple(f for f in result.found if f.candidate is not None and f.candidate.name in kept)
-    full = remainder.fitted or remainder.at
-    if len(found) == len(result.full.candidates):
-        return replace(result, full=remainder.fitted or result.full, found=found), remainder, False
-    final = search.cache.refit([c for c in result.final.candidates if c.name in kept], remainder.at.fit)
-    return replace(result, final=final or search.cache.base, full=full, found=found), remainder, False
-
-
-def _inputs_between(between: Sequence[InputInterpolation], sampled: SampledInputs | None) -> list[str]:
-    """What was found of inputs between their samples, in words, but for those that are held, which are findings."""
-    notes = [
-        f"{b.name} is smooth between its samples: all else was sought with cubic splines through them in place of "
-        f"straight lines (interpolation={{'{b.name}': 'cubic'}})."
-        for b in between
-        if b.kind == "cubic"
-    ]
-    if sampled is not None:
-        jumps = ", ".join(f"{name} in {count} intervals" for name, count in sampled.jumps.items())
-        notes.append(
-            f"Inputs change faster than their samples tell ({jumps} of up to {sampled.step:.3g} s): what they were "
-            "halfway through was estimated, and all else was sought with that. Record inputs at a higher rate."
-        )
-    return notes
 
 
 def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:

@@ -75,10 +75,13 @@ class Search:
         self.refitting = Refitting(self.cache, self.screen, self.assessment, s.refitting)
         self.confirmation = Confirmation(self.cache, self.screen, self.refitting, self.assessment, s.confirmation)
 
-    def on(self, base: Refit, validation: Sequence[Experiment]) -> Search:
-        """Return the same search at another fit of the model, with other data held out."""
+    def on(
+        self, base: Refit, validation: Sequence[Experiment] | None = None, biases: Sequence[str] | None = None
+    ) -> Search:
+        """Return the same search at another fit, with other data held out and other biases where they are given."""
         cache = self.cache
-        return Search(base, self._listed, validation, cache.watch, cache.biases, self.settings)
+        data, free = cache.validation if validation is None else validation, cache.biases if biases is None else biases
+        return Search(base, self._listed, data, cache.watch, free, self.settings)
 
     def run(self) -> SearchResult:
         """Screen, refit and confirm, one term after the other."""

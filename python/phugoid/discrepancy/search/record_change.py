@@ -1,0 +1,237 @@
+"""Parameters and offsets that differ from record to record: another mass, another trim, a sensor set up anew.
+
+A model with one value for all records takes such a difference for a disturbance. Each parameter, and a constant in each
+equation and output, is tried with a value for each record, beside the terms that a search found and without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._core import Expr
+from ...errors import PhugoidError
+from ...estimation.estimate import estimate
+from ...modelling.model import Model
+from ...parameters import Parameter
+from ...sensitivities.collocated import dataset
+from ...sensitivities.linearised import Linearised
+from ...sensitivities.trajectory import Place
+from ...solvers import Newton
+from ..candidates.terms import where
+from .free_run import Explained, Misfitting, Simulated
+from .refit import Refit
+from .search import Search, SearchResult
+
+__all__ = ["RecordChange", "record_changes"]
+
+_Array = NDArray[np.float64]
+
+# Differences that are fitted, of those that explain most to first order; and those that are found one after the other.
+_TRIED, _MOST = 4, 3
+# Probability that any is found where there is none; log-likelihood by which they must be ahead of terms of the physics.
+_FALSE_ALARM, _MARGIN = 0.01, 8.0
+# Log-likelihood by which two are not told apart.
+_ALIKE = 2.0
+_ITERATIONS = 60
+# Of an option's effect on the outputs: below it parameters that are there can do the same.
+_NOTHING = 1e-6
+
+
+@dataclass(frozen=True)
+class _Option:
+    """What may differ: a parameter of the model, or a constant at a place that has none."""
+
+    place: Place
+    parameter: str
+
+    @property
+    def name(self) -> str:
+        """Canonical, ``what:per_experiment``."""
+        p = self.place
+        at = f"{p.name}'" if p.kind == "equation" else p.name
+        return f"{at}:per_experiment" if p.kind == "parameter" else f"{at}:bias_per_experiment"
+
+    def in_model(self, model: Model) -> Model:
+        """Return the model with a value for each record."""
+        if self.place.kind == "parameter":
+            declared = model.declared_parameters[self.parameter]
+            return model.with_parameters({self.parameter: replace(declared, per_experiment=True)})
+        to = {"equation": f"{self.place.name}'", "output": f"y:{self.place.name}"}.get(self.place.kind, self.place.name)
+        unit = model.units.get(self.place.name, "") if self.place.kind == "output" else ""
+        new = Parameter(0.0, per_experiment=True, unit=unit)
+        return model.with_terms({to: Expr.symbol(self.parameter)}, {self.parameter: new})
+
+
+@dataclass(frozen=True, eq=False)
+class RecordChange:
+    """A difference between records that was found.
+
+    name       canonical: ``k:per_experiment``, ``x:bias_per_experiment``.
+    aliases    names of others that the data do not tell from it.
+    place      of the parameter or the constant.
+    values     record -> value and standard error.
+    unit       of these.
+    gain       in log-likelihood with coloured noise, over the model without.
+    threshold  that it had to pass.
+    explained  the part of the misfit that it explains, in the records themselves.
+    """
+
+    name: str
+    aliases: tuple[str, ...]
+    place: Place
+    values: dict[str, tuple[float, float]]
+    unit: str
+    gain: float
+    threshold: float
+    explained: Explained
+
+    @property
+    def explanation(self) -> str:
+        """What it says, in words."""
+        what = self.place.name if self.place.kind == "parameter" else f"the constant part of {where(self.place)}"
+        return f"{what} differs from record to record"
+
+
+def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, list[RecordChange], list[str]]:
+    """Return the base model with differences between records, fitted; what these are; and names of their parameters.
+
+    None where the terms that the search found are likelier, or nothing differs.
+    """
+    base, full = search.cache.base, result.full
+    if len(dataset(base.fit)) < 2:
+        return None, [], []
+    best = -np.inf
+    options: list[tuple[_Option, tuple[str, ...]]] = []
+    for at in [base] if full is base else [base, full]:
+        found, chosen = _differing(at)
+        merit = found.merit - search.chances(at) - len(chosen) * _threshold(len(dataset(at.fit)) - 1, 1)
+        if chosen and merit > best:
+            best, options = merit, chosen
+    if best <= full.merit - search.chances(full) + _MARGIN:
+        return None, [], []
+    current, changes = base, []
+    for option, aliases in options:
+        more = _with(current, option)
+        if more is None:
+            return None, [], []
+        changes.append(_change(search, current, more, option, aliases))
+        current = more
+    return current, changes, [o.parameter for o, _ in options]
+
+
+def _threshold(unknowns: int, tries: int) -> float:
+    from scipy.stats import chi2
+
+    return float(chi2.isf(_FALSE_ALARM / tries, unknowns)) / 2.0
+
+
+def _differing(at: Refit) -> tuple[Refit, list[tuple[_Option, tuple[str, ...]]]]:
+    """Differences that are each significant beside those before, the clearest first, each with its aliases, and the fit
+    with all."""
+    chosen: list[tuple[_Option, tuple[str, ...]]] = []
+    while len(chosen) < _MOST:
+        options = _options(at)
+        ranked = _ranked(at.linear, options)[:_TRIED]
+        refits = [(r, o) for o in ranked if (r := _with(at, o)) is not None]
+        if not refits:
+            break
+        best = max(r.merit for r, _ in refits)
+        alike = [pair for pair in refits if pair[0].merit > best - _ALIKE]
+        # A parameter that the model has, or a sensor, before an equation that is complete without it.
+        following, option = min(alike, key=lambda pair: (pair[1].place.kind == "equation", -pair[0].merit))
+        if following.merit - at.merit < _threshold(len(dataset(at.fit)) - 1, len(options)):
+            break
+        chosen.append((option, tuple(o.name for _, o in alike if o is not option)))
+        at = following
+    return at, chosen
+
+
+def _options(at: Refit) -> list[_Option]:
+    model, added = at.fit.model, {n for c in at.candidates for n in c.parameters}
+    declared = model.declared_parameters
+    found = [
+        _Option(Place("parameter", n), n)
+        for n, p in declared.items()
+        if not (p.fixed or p.per_experiment or n in added) and n in model.parameter_names
+    ]
+    taken = {*declared, *model.state_names, *model.quantity_names, *model.declared_inputs, *model.output_names}
+    for place in sorted(at.linear.places, key=lambda p: (p.kind, p.name)):
+        name = f"bias_{place.name}"
+        if place.kind in ("output", "equation") and name not in taken:
+            found.append(_Option(place, name))
+    return [o for o in found if o.place in at.linear.places]
+
+
+def _ranked(linear: Linearised, options: Sequence[_Option]) -> list[_Option]:
+    """Options by the part of the residuals that they explain to first order, white noise; those that explain none are
+    left out."""
+    scale = linear.scale()
+    basis = np.linalg.qr(linear.tangents / scale[:, None])[0]
+    residuals = linear.residuals / scale
+    residuals = residuals - basis @ (basis.T @ residuals)
+    gains = []
+    for option in options:
+        columns = (linear.answers(option.place, _each(linear)) / scale).T
+        size = np.linalg.norm(columns)
+        left = columns - basis @ (basis.T @ columns)
+        u, sizes, _ = np.linalg.svd(left, full_matrices=False)
+        told = u[:, sizes > _NOTHING * max(float(size), 1e-300)]
+        gains.append(float(np.sum((told.T @ residuals) ** 2)) if told.shape[1] else 0.0)
+    order = np.argsort(gains)[::-1]
+    return [options[i] for i in order if gains[i] > 0.0]
+
+
+def _each(linear: Linearised) -> list[_Array]:
+    """(n, points) for each record: 1 in the row of its number."""
+    n = len(linear.points)
+    found = []
+    for e, p in enumerate(linear.points):
+        signal = np.zeros((n, p.n))
+        signal[e] = 1.0
+        found.append(signal)
+    return found
+
+
+def _with(at: Refit, option: _Option) -> Refit | None:
+    """The fit with a difference; None where the solver does not come to an end, or the data do not tell it."""
+    fit = at.fit
+    try:
+        model = option.in_model(fit.model)
+        found = estimate(
+            model,
+            dataset(fit),
+            transcription=fit.transcription,
+            noise=fit.noise,
+            start=fit,
+            solver=Newton(max_iterations=_ITERATIONS, time_limit=max(5.0, 20.0 * fit.time)),
+        )
+    except PhugoidError:
+        return None
+    return Refit(at.candidates, found) if found.status in ("converged", "acceptable") else None
+
+
+def _change(search: Search, before: Refit, after: Refit, option: _Option, aliases: tuple[str, ...]) -> RecordChange:
+    names = {e.name: f"{option.parameter}[{e.name}]" for e in dataset(after.fit)}
+    inflation = np.sqrt(max(after.own.inflation(n) for n in names.values()))
+    values = {}
+    for record, name in names.items():
+        value, error = after.own.parameter(name)
+        values[record] = float(value), float(error * inflation)
+    whole = search.cache.base.linear
+    explained = Simulated.of(after.linear).explained(Simulated.of(before.linear), Misfitting.of(whole))
+    unit = after.fit.model.declared_parameters[option.parameter].unit
+    gain = after.merit - before.merit
+    return RecordChange(
+        option.name,
+        aliases,
+        option.place,
+        values,
+        unit,
+        gain,
+        _threshold(len(names) - 1, len(_options(before))),
+        explained,
+    )

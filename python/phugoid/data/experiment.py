@@ -181,16 +181,23 @@ class Experiment(Preprocessing):
         return self._resolve(name, self._outputs, "output")
 
     def check_for(
-        self, model_inputs: Sequence[str], model_outputs: Sequence[str], known_sigma: Collection[str] = ()
+        self,
+        model_inputs: Sequence[str],
+        model_outputs: Sequence[str],
+        known_sigma: Collection[str] = (),
+        *,
+        conditions: Collection[str] = (),
     ) -> None:
         """Raises DataError unless a model with these inputs and outputs can be estimated from this record.
 
         Every name must be there, inputs without gaps, outputs with at least one sample. An output that never
-        changes is refused, since its σ cannot be estimated, unless it is in ``known_sigma``.
+        changes is refused, since its σ cannot be estimated, unless it is in ``known_sigma``. ``conditions``: those of
+        the inputs that errors call so.
         """
         for name in model_inputs:
-            where = checked.where(self._name, "input", name)
-            checked.check_input(where, self.input(name), self._t)
+            role = "condition" if name in conditions else "input"
+            where = checked.where(self._name, role, name)
+            checked.check_input(where, self._resolve(name, self._inputs, role), self._t)
             if name in self._signals:
                 checked.check_input(where, self._signals[name][1], self._signals[name][0])
         for name in model_outputs:
@@ -420,10 +427,10 @@ class Experiment(Preprocessing):
             if name in source:
                 return source[name]
         if name in self._names():
-            other = "output" if kind == "input" else "input"
+            other, side = ("input", "output") if kind == "output" else ("output", "input")
             raise DataError(
                 f"{self._absent(kind, name)} It is there as an {other}: "
-                f"give it among the {kind}s too if the model uses it as an {kind}."
+                f"give it among the {side}s too if the model uses it as {'a' if kind == 'condition' else 'an'} {kind}."
             )
         if name in self._left_out:
             raise DataError(f"{self._absent(kind, name)} The file has it, but it {self._left_out[name]}.")

@@ -349,7 +349,9 @@ def _validation(fit: FitResult, given: Any) -> Sequence[Experiment]:
         return ()
     others = as_experiments(given, "diagnose: validation")
     for e in others:
-        e.check_for(fit.model.input_names, fit.model.output_names, fit.model.output_names)
+        e.check_for(
+            fit.model.input_names, fit.model.output_names, fit.model.output_names, conditions=fit.model.condition_names
+        )
         if any(shared(fit.model, record, e) == e.n == record.n for record in fit.records):
             raise DataError(
                 f"diagnose: the validation record '{e.name}' is one that the fit was made on: give another, or none"

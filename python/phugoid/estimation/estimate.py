@@ -160,7 +160,7 @@ def _estimate(
         # An output that stands still in this experiment may move in another, which then gives its sigma.
         elsewhere = set().union(*moving[:i], *moving[i + 1 :])
         known_sigma = {*noise.known_sigmas(model.output_names), *noise.expressions, *elsewhere}
-        experiment.check_for(model.input_names, model.output_names, known_sigma)
+        experiment.check_for(model.input_names, model.output_names, known_sigma, conditions=model.condition_names)
 
     if isinstance(transcription, FilterError):
         if isinstance(start, EquationError):

@@ -69,6 +69,8 @@ FAMILIES = (
 )
 # Those with a signal that depends on no shape: only they can be seen to be the same at single points.
 _STATIC = FAMILIES[: FAMILIES.index("lag")]
+# What can be wrong with a condition, which is measured and not commanded: nothing that an actuator does.
+_OF_CONDITIONS = ("scale", "bias", "delay")
 
 
 def candidates(
@@ -87,7 +89,8 @@ def candidates(
     squares, products and cubes of states and inputs, x^2 v for rates v, x|x|, |x|, sign(x), first-order lags,
     friction that is larger at rest, hysteresis, a lightly damped mode, a periodic disturbance. States that go no
     further than a limit. In outputs: bias, scale, drift, delay, lag, clipping, linear terms, squares and products of
-    rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay.
+    rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
+    conditions (`Model.conditions`) scale, bias and delay.
     Parameters of the state equations may change in the course of a record. What the model's parameters can do already
     is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
 
@@ -170,6 +173,7 @@ def _stem(place: Place) -> str:
 
 
 def _library(structure: ModelStructure, scales: Scales, names: _Names) -> Iterator[Effect]:
+    model = structure.model
     for place in structure.places:
         if place.kind == "output":
             yield from _in_output(structure, place, scales, names)
@@ -177,7 +181,8 @@ def _library(structure: ModelStructure, scales: Scales, names: _Names) -> Iterat
             yield from _in_equation(structure, place, scales, names)
     for variable in structure.variables:
         if variable.kind == "input" and structure.used(variable.symbol):
-            yield from _on_input(structure, variable, scales, names)
+            of = _OF_CONDITIONS if model.is_condition(variable.symbol) else FAMILIES
+            yield from (c for c in _on_input(structure, variable, scales, names) if c.family in of)
     yield from _limits(structure, scales, names)
     for name in structure.acting:
         words = f"{name} changes in the course of the record"

@@ -48,7 +48,7 @@ _PREDICTED, _RANK = 0.3, 1e-6
 
 
 @dataclass(frozen=True)
-class _Option:
+class _Difference:
     """What may differ: a parameter of the model, or a constant at a place that has none."""
 
     place: Place
@@ -111,7 +111,7 @@ def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, 
     if len(dataset(base.fit)) < 2:
         return None, [], []
     best = -np.inf
-    options: list[tuple[_Option, tuple[str, ...]]] = []
+    options: list[tuple[_Difference, tuple[str, ...]]] = []
     for at in [base] if full is base else [base, full]:
         found, chosen = _differing(at)
         unknowns = len(chosen) * (len(dataset(at.fit)) - 1)
@@ -136,10 +136,10 @@ def _threshold(unknowns: int, tries: int) -> float:
     return float(chi2.isf(_FALSE_ALARM / tries, unknowns)) / 2.0
 
 
-def _differing(at: Refit) -> tuple[Refit, list[tuple[_Option, tuple[str, ...]]]]:
+def _differing(at: Refit) -> tuple[Refit, list[tuple[_Difference, tuple[str, ...]]]]:
     """Differences that are each significant beside those before, the clearest first, each with its aliases, and the fit
     with all."""
-    chosen: list[tuple[_Option, tuple[str, ...]]] = []
+    chosen: list[tuple[_Difference, tuple[str, ...]]] = []
     while len(chosen) < _MOST:
         options = _options(at)
         ranked = _ranked(at.linear, options)[:_TRIED]
@@ -161,22 +161,22 @@ def _differing(at: Refit) -> tuple[Refit, list[tuple[_Option, tuple[str, ...]]]]
     return at, chosen
 
 
-def _options(at: Refit) -> list[_Option]:
+def _options(at: Refit) -> list[_Difference]:
     model, added = at.fit.model, {n for c in at.candidates for n in c.parameters}
     declared = model.declared_parameters
     found = [
-        _Option(Place("parameter", n), n)
+        _Difference(Place("parameter", n), n)
         for n, p in declared.items()
         if not (p.fixed or p.per_experiment or n in added) and n in model.parameter_names
     ]
     taken = {*declared, *model.state_names, *model.quantity_names, *model.declared_inputs, *model.output_names}
     for place in ModelStructure(model).places:
         if place.kind in ("output", "equation") and f"bias_{place.name}" not in taken:
-            found.append(_Option(place, f"bias_{place.name}"))
+            found.append(_Difference(place, f"bias_{place.name}"))
     return [o for o in found if o.place in at.linear.places]
 
 
-def _ranked(linear: Linearised, options: Sequence[_Option]) -> list[_Option]:
+def _ranked(linear: Linearised, options: Sequence[_Difference]) -> list[_Difference]:
     """Options by the part of the residuals that differences explain to first order, white noise; those that do not
     predict blocks of the records from the others are left out."""
     scale = linear.scale()
@@ -223,7 +223,7 @@ def _each(linear: Linearised) -> list[_Array]:
     return found
 
 
-def _with(at: Refit, option: _Option, each: bool = True) -> Refit | None:
+def _with(at: Refit, option: _Difference, each: bool = True) -> Refit | None:
     """The fit with a difference, or with the same value for all; None where the solver does not come to an end, or the
     data do not tell it."""
     fit = at.fit
@@ -247,7 +247,7 @@ def _explained(of: Refit, before: Refit, after: Refit) -> Explained:
     return Simulated.of(after.linear).explained(Simulated.of(before.linear), Misfitting.of(of.linear))
 
 
-def _change(search: Search, before: Refit, after: Refit, option: _Option, aliases: tuple[str, ...]) -> RecordChange:
+def _change(search: Search, before: Refit, after: Refit, option: _Difference, aliases: tuple[str, ...]) -> RecordChange:
     names = {e.name: f"{option.parameter}[{e.name}]" for e in dataset(after.fit)}
     inflation = np.sqrt(max(after.own.inflation(n) for n in names.values()))
     values = {}

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import DataError, listing, refuse_attribute
+from ..notebook import bullets, channels_table, notebook_page
 from ..tabular import experiment_dataset, experiment_frame
 from . import checked
 from .checked import FloatArray, checked_gaps, gap_intervals, pieces
@@ -171,6 +172,13 @@ class Experiment(Preprocessing):
         parts += [f"{kind}: {' '.join(group)}" for kind, group in groups.items() if group]
         missing = sum(int(np.isnan(values).sum()) for values in self._outputs.values())
         return f"Experiment('{self._name}', {', '.join(parts)}{f' ({missing} missing)' if missing else ''})"
+
+    def _repr_html_(self) -> str:
+        groups = {"input": self._inputs, "output": self._outputs, "": self._channels}
+        note = f"{self.n} samples, {self._t[0]:g} to {self._t[-1]:g} s"
+        return notebook_page(
+            self._name, channels_table(groups, self._units, self._t), bullets(self._history), note=note
+        )
 
     def input(self, name: str) -> FloatArray:
         """The input channel ``name``, shape (N,); DataError where there is none."""

@@ -22,6 +22,9 @@ from .rebuilt import Key, added_parameters, changed, changed_parameters, declare
 
 __all__ = ["Model"]
 
+# Characters of LaTeX: notebooks show longer models as text.
+_LONGEST = 20_000
+
 
 class Model:
     """A model of ordinary differential equations: x' = f(x, u, theta), y = g(x, u, theta).
@@ -333,6 +336,10 @@ class Model:
             symbols = ",\\ ".join(Expr.symbol(n).latex() for n in self.condition_names)
             lines.append(rf"\text{{conditions: }} & {symbols}")
         return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+
+    def _repr_latex_(self) -> str | None:
+        text = self.latex()
+        return f"$$\n{text}\n$$" if len(text) <= _LONGEST else None  # a notebook shows its text then
 
     def to_json(self) -> str:
         """The model as text that `from_json`, and the Rust crate, read back exactly."""

@@ -172,6 +172,9 @@ class Plans(Mapping[str, Plan]):
         except KeyError:
             raise UnknownName(f"there is no plan '{name}'.{did_you_mean(str(name), self._plans)}") from None
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self)
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._plans)
 

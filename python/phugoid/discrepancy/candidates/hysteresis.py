@@ -16,7 +16,7 @@ from ...symbols import exp, smooth_abs, smooth_sign
 from .candidate import Effect, ExtensionBuilder, largest_coefficient
 from .scales import evaluated, mode_grid, of, rate_key, second_order
 
-__all__ = ["Hysteresis", "Mode", "Stribeck"]
+__all__ = ["FlexibleMode", "Hysteresis", "Stribeck"]
 
 _Array = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ class Stribeck(Effect):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Mode(Effect):
+class FlexibleMode(Effect):
     """A lightly damped mode that what stands at the place excites, and that acts there: it becomes it + c z with
     z'' = w^2 (it - z) - 2 zeta w z', at rest at first."""
 

@@ -29,7 +29,7 @@ from .channel_effects import (
 )
 from .collection import Candidates, read_terms
 from .directions import Directions
-from .hysteresis import Hysteresis, Mode, Stribeck
+from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .model_structure import ANGLES, ModelStructure, Variable
 from .parameter_drift import ParameterDrift
 from .scales import Scales, output_key, trim_of
@@ -283,7 +283,7 @@ def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names:
                 (names(f"yield_{stem}_{v.shown}"),),
                 variables=(v.symbol,),
             )
-    yield Mode(
+    yield FlexibleMode(
         f"{shown}:mode",
         place,
         f"{words} excites a lightly damped mode that the model lacks",

@@ -26,6 +26,7 @@ __all__ = [
     "lagged",
     "late",
     "late_smooth",
+    "levels_of",
     "longest_delay",
     "longest_lag",
     "mode_grid",
@@ -108,7 +109,7 @@ class Scales:
             | {key: float(y.min()) for key, y in of_others.items()},
             high={name: max(float(p.values[name].max()) for p in points) for name in names}
             | {key: float(y.max()) for key, y in of_others.items()},
-            levels={n: k for n in names if (k := _levels(np.concatenate([p.values[n] for p in points])))},
+            levels={n: k for n in names if (k := levels_of(np.concatenate([p.values[n] for p in points])))},
             begin=min(float(p.t[0]) for p in points),
             duration=max(float(p.t[-1] - p.t[0]) for p in points),
             interval=min(float(np.median(np.diff(p.t))) for p in points),
@@ -148,7 +149,7 @@ class Scales:
         return min(self.high[name], -self.low[name]) > _CROSSES * (self.high[name] - self.low[name])
 
 
-def _levels(values: _Array) -> int:
+def levels_of(values: _Array) -> int:
     """Return the number of levels of what switches between a few, as a relay does; 0 for what takes other values more
     often than in passing."""
     span = float(np.ptp(values))

@@ -33,7 +33,7 @@ _CROWDED, _OFTEN, _MORE, _FEW = 0.04, 0.06, 1.5, 40
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Limited(Effect):
+class _StateEffect(Effect):
     """A state with a limit: an upper one where it lies above the median, else a lower."""
 
     stage: int = 5
@@ -79,7 +79,7 @@ class _Limited(Effect):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StateLimit(_Limited):
+class StateLimit(_StateEffect):
     """A store that is full, or empty: beyond the limit its rate is 0 where it would go further (an overflow)."""
 
     def _change(self, rate: Expr, limit: Any, side: float) -> Expr:
@@ -142,7 +142,7 @@ def _full(t: _Array, x: _Array, rate: _Array, limit: float) -> _Array:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EndStop(_Limited):
+class EndStop(_StateEffect):
     """A position that meets a stop: beyond the limit a stiff spring acts on its rate, c (x - limit)."""
 
     def _beyond(self, limit: Any, side: float) -> Expr:

@@ -21,6 +21,7 @@ from ...sensitivities.linearised import Linearised
 from ...sensitivities.random_effects import Marginal, RandomEffects, at_knots
 from ...sensitivities.trajectory import Place, Points
 from ...solvers.limits import check_time
+from ..candidates.scales import levels_of
 from .refit import Refit
 
 __all__ = ["BENDS", "Disturbance", "Disturbances", "disturbance_at", "functions", "functions_of", "noises_of"]
@@ -38,6 +39,7 @@ _CORRELATION = (0.0, 3.0, 12.0)
 # Parts of the range of a variable over which a function of it bends, the first for all variables, the others for the
 # likeliest; and nodes in each.
 BENDS, _NODES = (0.25, 0.1, 0.04), 2.5
+_FEW_LEVELS = 3
 # Part of the squares of a time history that an event holds, within this part of the time.
 _EVENT, _SHORT = 0.7, 0.2
 # Parameters of a hypothesis beside the variances of the noise, which an autoregressive noise has too, by kind: a
@@ -209,6 +211,9 @@ def functions(
         columns = [p.values[variable] for p in linear.points]
         low, high = min(float(c.min()) for c in columns), max(float(c.max()) for c in columns)
         if not high - low > 1e-9 * max(abs(low), abs(high)):
+            continue
+        # Any function of two levels, as a relay has, is a constant and a linear part; three tell little more.
+        if 0 < levels_of(np.concatenate(columns)) <= _FEW_LEVELS:
             continue
         for bend in bends:
             nodes = np.linspace(low, high, round(_NODES / bend) + 1)

@@ -27,9 +27,11 @@ from ...validation.frozen_model import estimates_of, freeze_model, freeze_noise,
 from ..candidates.candidate import Candidate
 
 __all__ = [
+    "BLOCKS",
     "HeldOut",
     "Refit",
     "across_blocks",
+    "blocks_of",
     "fitted_to",
     "gain_on_other_data",
     "on_other_data",
@@ -181,7 +183,7 @@ def started_from(near: FitResult, names: Collection[str]) -> FitResult:
 _Array = NDArray[np.float64]
 
 # Blocks of each record that are left out in turn.
-_BLOCKS = 4
+BLOCKS = 4
 # Of what a block says of a parameter: the precision that all data together have is 1.
 _LOOSE, _TINY = 0.01, 1e-9
 # Directions of the parameters that a block says less of, in parts of the clearest, stay as they are there.
@@ -208,11 +210,11 @@ def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut
 
     See `predicted_blocks` for how blocks are predicted.
     """
-    block = _blocks(base.linear)
+    block = blocks_of(base.linear)
     without, with_new = (errors for errors, _ in predicted_blocks(base, more, new))
     gain = 0.5 * (without**2 - with_new**2)
     total = float(gain.sum())
-    best = max(float(gain[block == b].sum()) for b in range(_BLOCKS))
+    best = max(float(gain[block == b].sum()) for b in range(BLOCKS))
     return HeldOut(total, float(np.sqrt(gain.size) * gain.std()), total - best)
 
 
@@ -226,7 +228,7 @@ def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list
     """
     linear = base.linear
     whitened = base.through(more.own.filter)
-    e, block, k = whitened.errors, _blocks(linear), whitened.basis.shape[1]
+    e, block, k = whitened.errors, blocks_of(linear), whitened.basis.shape[1]
     parts, added = whitened.basis, np.empty((linear.n_rows, 0))
     scale = linear.scale()
     found = []
@@ -238,7 +240,7 @@ def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list
             parts, added = np.hstack([whitened.basis, c / size]), columns.T / size
         damping = np.r_[np.full(k, _LOOSE), np.full(parts.shape[1] - k, _TINY)]
         white, plain = e.copy(), whitened.residuals.copy()
-        for b in range(_BLOCKS):
+        for b in range(BLOCKS):
             inside = block == b
             seen = parts[~inside]
             step = np.linalg.solve(seen.T @ seen + np.diag(damping), seen.T @ e[~inside])
@@ -250,14 +252,14 @@ def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list
     return found
 
 
-def _blocks(linear: Linearised) -> NDArray[np.intp]:
+def blocks_of(linear: Linearised) -> NDArray[np.intp]:
     """The block of each row."""
     block = np.empty(linear.n_rows, dtype=np.intp)
     for line in linear.rows:
         for e, rows in enumerate(line):
             t = linear.experiments[e].t
             share = (linear.times[rows] - t[0]) / (t[-1] - t[0])
-            block[rows] = np.minimum((share * _BLOCKS).astype(np.intp), _BLOCKS - 1)
+            block[rows] = np.minimum((share * BLOCKS).astype(np.intp), BLOCKS - 1)
     return block
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ...data.experiment import Experiment
 from ..candidates.candidate import Candidate
 from .confirmation import Confirmation, ConfirmationSettings, Found
-from .evidence import Assessment, AssessmentSettings
+from .evidence import Assessment, AssessmentSettings, is_structured
 from .finding import ExtensionResult, Gain
 from .refit import HeldOut, Refit
 from .refit_cache import RefitCache
@@ -23,7 +23,9 @@ __all__ = ["Search", "SearchResult", "SearchSettings"]
 @dataclass(frozen=True)
 class SearchSettings:
     """Settings of all stages, and ``most`` findings: what is left then is for another diagnosis, of the extended
-    model. The search ends after ``minor`` steps one after the other that explain next to nothing."""
+    model. The search ends after ``minor`` steps one after the other that explain next to nothing. Where the screen
+    proposes nothing that is confirmed, though this part of the residuals' power, ``error``, is predictable, constants
+    and linear terms are tried all."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
@@ -31,6 +33,7 @@ class SearchSettings:
     assessment: AssessmentSettings = field(default_factory=AssessmentSettings)
     most: int = 4
     minor: int = 2
+    error: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +95,9 @@ class Search:
         try:
             while len(current.candidates) < self.settings.most:
                 following, unexplained = self.confirmation.accepted(current, self.refitting.tries(current))
+                if following is None and not current.candidates and is_structured(current, self.settings.error):
+                    # What a candidate does to first order says little of what a fit with it does.
+                    following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
                 if following is None or following.names in seen:
                     break
                 seen.add(following.names)

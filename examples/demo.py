@@ -23,11 +23,11 @@ SPLIT = 20.0  # s
 
 
 def records() -> tuple[ph.Experiment, ph.Experiment, ph.Experiment, str]:
-    """Return the records to estimate from, to fit and to validate on, and a sentence on where they come from."""
+    """Return the whole record, the part to diagnose, that to validate on, and a sentence on where they come from."""
     path = find(hfb320.RECORD)
     if path is None:
         hidden = " and ".join(f"{name} = {value:g}" for name, value in missing_physics.HIDDEN.items())
-        about = f"{hfb320.RECORD} is not there (see README): two manoeuvres are simulated, with {hidden} hidden."
+        about = f"{hfb320.RECORD} is not there (see README). Two manoeuvres are simulated, with {hidden} hidden."
         first, second = missing_physics.twins()
         return first, first, second, about
     flight = hfb320.experiment(path)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 import phugoid as ph
 from phugoid.cli.app import app
 from phugoid.cli.model_file import load_model
-from phugoid.figures.style import BAND, MEASURED, MODEL, RESIDUAL, STYLE, WIDTH
+from phugoid.figures.style import BAND, MEASURED, MODEL, RESIDUAL, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +35,8 @@ FOLDER = ROOT / "docs" / "_static"
 TRUTH = {"Mq": -0.4, "Mtheta": -2.0, "Mde": -6.0}
 DAMPING = -2.0
 SIGMA = 0.005
-_DPI = 160
+# Letters of 8 points on so narrow a picture can be read on a phone.
+_WIDTH, _DPI = 5.6, 200
 
 
 def pitch() -> ph.Model:
@@ -73,6 +74,7 @@ def fit_picture(folder: Path) -> tuple[Figure, dict[str, float]]:
         app(["example", "hfb320", "--out", str(folder)], standalone_mode=False)
     fit = ph.estimate(load_model(str(folder / "hfb320.py")), ph.read(folder / "hfb320.csv", name="simulated record"))
     figure, _ = fit.plot(channels=["alpha", "q"])
+    figure.set_size_inches(1.13 * _WIDTH, 0.8 * _WIDTH)  # narrower, labels would touch numbers
     return figure, {
         "log-likelihood": fit.log_likelihood,
         "CLa": fit.parameters["CLa"].value,
@@ -92,13 +94,19 @@ def diagnosis_picture() -> tuple[Figure, dict[str, float]]:
     titles = (f"before: RMS {was:.3f} rad/s", f"with {extension.added[0]}: RMS {now:.4f} rad/s")
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(
-            2, 2, figsize=(WIDTH, 3.4), sharex=True, sharey="row", layout="constrained", height_ratios=[1.7, 1.0]
+            2,
+            2,
+            figsize=(_WIDTH, 0.56 * _WIDTH),
+            sharex=True,
+            sharey="row",
+            layout="constrained",
+            height_ratios=[1.7, 1.0],
         )
         for (top, bottom), record, title in zip(axes.T, (before, after), titles, strict=True):
-            top.plot(record.t, record.measured["q"], ".", color=MEASURED, ms=2.2, label="measured, not used in the fit")
+            top.plot(record.t, record.measured["q"], ".", color=MEASURED, ms=2.2, label="measured")
             top.plot(record.t, record.outputs["q"], color=MODEL, linewidth=1.2, label="predicted")
             top.set_title(title, loc="left", fontsize=9.0)
-            bottom.axhspan(-2 * SIGMA, 2 * SIGMA, color=BAND, linewidth=0.0, label="±2σ of the sensor's noise")
+            bottom.axhspan(-2 * SIGMA, 2 * SIGMA, color=BAND, linewidth=0.0, label="±2σ of the sensor")
             bottom.plot(record.t, record.residuals["q"], color=RESIDUAL, linewidth=0.8, label="residual")
             bottom.set_xlabel("time, s")
             bottom.margins(x=0.01)

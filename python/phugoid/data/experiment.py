@@ -350,6 +350,35 @@ class Experiment(Preprocessing):
         )
         return other._sampled(self._signals, self._mesh_times)._after(self, f"outputs replaced: {', '.join(outputs)}")
 
+    def with_channels(
+        self, channels: Mapping[str, ArrayLike], units: Mapping[str, str] | None = None, name: str | None = None
+    ) -> Experiment:
+        """Return the record with ``channels`` (name -> (N,)) added, or in place of those of the same name, such as a
+        corrected angle or a dynamic pressure. An input replaced so has its samples at the times of the record.
+
+        Raises DataError as the constructor does.
+
+        >>> run = Experiment([0.0, 0.1, 0.2], inputs={"de": [0, 1, 1]}, outputs={"q": [0.0, 0.1, 0.2]})
+        >>> run.with_channels({"V": [100, 101, 102], "q": run.output("q") - 0.1})
+        Experiment('experiment', 3 samples, 0 to 0.2 s, inputs: de, outputs: q, channels: V)
+        """
+
+        def replaced(group: Mapping[str, FloatArray]) -> dict[str, ArrayLike]:
+            return {key: channels.get(key, values) for key, values in group.items()}
+
+        new = {key: values for key, values in channels.items() if key not in (*self._inputs, *self._outputs)}
+        other = Experiment(
+            self._t,
+            replaced(self._inputs),
+            replaced(self._outputs),
+            self._name if name is None else name,
+            self._interpolation,
+            channels={**self._channels, **new},
+            units={**self._units, **(units or {})},
+        )
+        other._sampled({key: s for key, s in self._signals.items() if key not in channels}, self._mesh_times)
+        return other._after(self, f"channels given: {', '.join(channels)}")
+
     def to_pandas(self) -> pandas.DataFrame:
         """The channels by time (s), one column each.
 

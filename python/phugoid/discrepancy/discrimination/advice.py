@@ -86,9 +86,9 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
 
     Manoeuvres of each control that moved in the records are tried, the other inputs held, from the state in which the
     first record begins. Those that leave the envelope of the records before they are over are not flown: what the
-    models say there is not known, and nobody would let an unstable vehicle go so far. That is chosen which tells the cause from
-    most rivals, of such the one with the greatest least gain. On a disturbance, which is another in another record,
-    there is no advice.
+    models say there is not known, and nobody would let an unstable vehicle go so far. That is chosen which tells the
+    cause from most rivals, of such the one with the greatest least gain. On a disturbance, which is another in another
+    record, there is no advice.
     """
     names = [next(n for n in r.names if n not in final.names) for r in rivals]
     nothing = Advice((), tuple(names), (), 0.0)

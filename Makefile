@@ -1,5 +1,6 @@
 # `make test` and `make demo` each do all that they need, from Python 3.10 and Rust alone: they create .venv, build the
-# package in release mode, and install it there with Ipopt. A second run rebuilds what has changed.
+# package and install it there. A second run rebuilds what has changed. The tests need Ipopt and other packages; the demo
+# does without, and with a build that is compiled faster (the profile `demo` in Cargo.toml), unless there is a better one.
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -21,7 +22,7 @@ export OMP_NUM_THREADS := 1
 .PHONY: help test test-rust test-python demo bench docs lint format develop clean
 
 help:
-	@echo "make test     all tests, Rust and Python       make demo     examples/hfb320.py, results in out/"
+	@echo "make test     all tests, Rust and Python       make demo     examples/demo.py, results in out/"
 	@echo "make lint     what CI checks besides tests     make bench    benchmarks against other packages"
 	@echo "make format   formats Rust and Python          make develop  installs the package for editing"
 	@echo "make docs     the documentation, in out/docs   make clean    removes .venv, target and out"
@@ -37,9 +38,8 @@ test-rust:
 test-python: $(VENV)/.package $(VENV)/.ipopt
 	$(py) -m pytest -n auto --dist loadfile --doctest-modules --pyargs phugoid tests $(PYTEST)
 
-demo: $(VENV)/.package $(VENV)/.ipopt
-	mkdir -p out
-	$(py) examples/hfb320.py
+demo: $(if $(wildcard $(VENV)/.package),$(VENV)/.package,$(VENV)/.demo)
+	$(py) examples/demo.py
 
 bench: $(VENV)/.package $(VENV)/.ipopt
 	$(py) benchmarks/compare.py
@@ -78,6 +78,10 @@ $(VENV)/.created:
 
 $(VENV)/.package: $(sources) | $(VENV)/.created
 	$(py) -m pip install --quiet ".[test]"
+	touch $@
+
+$(VENV)/.demo: $(sources) | $(VENV)/.created
+	MATURIN_PEP517_ARGS="--profile demo" $(py) tools/show_progress.py "Building the package" $(py) -m pip install -v .
 	touch $@
 
 $(VENV)/.lint: pyproject.toml | $(VENV)/.created

@@ -112,6 +112,9 @@ def test_the_library_of_the_hfb320_model() -> None:
         "rate_limit": 2,
         "clipped": 7,
         "variation": 11,
+        "stribeck": 6,
+        "hysteresis": 6,
+        "mode": 3,
     }
     assert library.only("Cm:*").names == (
         *("Cm:theta", "Cm:T", "Cm:V^2", "Cm:alpha^2", "Cm:theta^2", "Cm:q^2", "Cm:de^2", "Cm:T^2"),
@@ -122,7 +125,8 @@ def test_the_library_of_the_hfb320_model() -> None:
         *("Cm:V|V|", "Cm:alpha|alpha|", "Cm:theta|theta|", "Cm:q|q|", "Cm:de|de|", "Cm:T|T|"),
         *("Cm:|V|", "Cm:|alpha|", "Cm:|theta|", "Cm:|q|", "Cm:|de|", "Cm:|T|"),
         *("Cm:sign(V)", "Cm:sign(q)", "Cm:sign(de)", "Cm:sign(T)"),
-        *("Cm:lag_V", "Cm:lag_alpha", "Cm:lag_theta", "Cm:lag_q", "Cm:lag_de", "Cm:lag_T", "Cm:periodic"),
+        *("Cm:lag_V", "Cm:lag_alpha", "Cm:lag_theta", "Cm:lag_q", "Cm:lag_de", "Cm:lag_T"),
+        *("Cm:stribeck_V", "Cm:hysteresis_alpha", "Cm:hysteresis_theta", "Cm:stribeck_q", "Cm:mode", "Cm:periodic"),
     )
     # Its own bias is there; q' + bias is what it measures, so that q' is its scale.
     assert library.only("aq:*").names == (
@@ -234,7 +238,8 @@ def test_signals_are_what_extensions_add(path: ph.results.Points, library: ph.re
             continue
         if c.family in ("backlash", "rate_limit"):  # what they do depends on the past: see below
             continue
-        after = right_sides(extended, {**TRUTH, **size, **shape}, p, more)
+        more |= c.paths(p, shape)
+        after = right_sides(extended, {**starts, **TRUTH, **size, **shape}, p, more)
         if c.family == "variation":  # the equations are linear in each parameter
             own = c.place.name
             by_one = right_sides(m, {**TRUTH, own: TRUTH[own] + 1.0}, p, {})

@@ -47,6 +47,17 @@ def test_options_reach_the_estimation(here: Path) -> None:
     assert found["experiments"][0]["samples"] == 41 and "order 3" in found["transcription"]
 
 
+def test_a_file_without_times_has_a_rate(here: Path) -> None:
+    lines = (here / "run1.csv").read_text().splitlines()
+    (here / "bare.csv").write_text("\n".join(line.partition(",")[2] for line in lines))
+    times = [float(line.partition(",")[0]) for line in lines[1:3]]
+    done = run("fit", "model.py", "bare.csv", "--rate", 1.0 / (times[1] - times[0]), "--json")
+    assert done.exit_code == 0, done.output
+    same = json.loads(run("fit", "model.py", "run1.csv", "--json").stdout)
+    assert abs(json.loads(done.stdout)["log_likelihood"] - same["log_likelihood"]) < 1e-3
+    assert run("fit", "model.py", "bare.csv", "--rate", 0).exit_code == 2
+
+
 def test_not_converged_is_exit_code_1(here: Path) -> None:
     done = run("fit", "model.py", "run1.csv", "--iterations", 0)
     assert done.exit_code == 1 and "iteration limit" in done.stdout
@@ -129,7 +140,10 @@ def test_bad_input_is_a_line_and_exit_code_2(here: Path, args: list[str], words:
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (["--time", "zz"], "run1.csv: has no time column 'zz'. There are: t, u, x. Give --time NAME."),
+        (
+            ["--time", "zz"],
+            "has no time column 'zz'. There are: t, u, x. Give --time NAME, or for even sampling --rate HZ.",
+        ),
         (["--inputs", "zz"], "has no column 'zz' (--inputs)."),
         (["--outputs", "zz"], "has no column 'zz' (--outputs)."),
         (["--rename", "zz=u"], "--rename: there is no column 'zz'"),

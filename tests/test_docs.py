@@ -143,9 +143,17 @@ def agreeing(n: dict[str, Any]) -> None:
     assert abs(n["path"].fit.parameters["b_ax"].value + 0.1208) < 4 * n["path"].coloured_errors["b_ax"]
 
 
+def featured(n: dict[str, Any]) -> None:
+    assert n["fit"].converged and [r.name for r in n["fit"].records] == ["unstable", "unstable_other"]
+    assert "sigma_az" not in n["fit"].parameters and ph.load("fit.json").log_likelihood == n["fit"].log_likelihood
+    close(n["pitch"], **n["truth"], **{"b[run1]": 0.02, "b[run2]": -0.01})
+    assert n["axes"].keys() == {"q", "theta"}
+
+
 # What has come out at the end of a page, beyond that it ran.
 CLAIMS: dict[str, Callable[[dict[str, Any]], None]] = {
     "start.md": started,
+    "features.md": featured,
     "howto/gaps.md": with_gaps,
     "howto/several.md": several,
     "howto/biases_delays.md": late,

@@ -262,3 +262,14 @@ def test_every_error_is_a_phugoid_error_and_a_value_error() -> None:
 def test_did_you_mean_ignores_case_and_keeps_silent_when_far() -> None:
     assert did_you_mean("ALPHA", ["alpha", "q"]) == " Did you mean 'alpha'?"
     assert did_you_mean("xyz", ["alpha", "q"]) == ""
+
+
+def test_with_channels_adds_and_replaces() -> None:
+    e = Experiment([0, 1, 2], {"de": [0, 1, 1]}, {"q": [0.0, 0.1, 0.2]}, "r", {"de": "hold"}, units={"q": "rad/s"})
+    other = e.window(0, 1).with_channels({"V": [90, 91], "q": [5.0, 6.0]}, units={"V": "m/s"}, name="more")
+    assert other.output("q").tolist() == [5.0, 6.0] and other.input("V").tolist() == [90.0, 91.0]
+    assert other.interpolation_of("de") == "hold" and other.units == {"q": "rad/s", "V": "m/s"} and other.name == "more"
+    assert other.history[-1] == "channels given: V, q" and len(other.history) == 2
+    assert e.output("q")[0] == 0.0  # which stays as it was
+    with pytest.raises(DataError, match="'V'"):
+        e.with_channels({"V": [1.0]})

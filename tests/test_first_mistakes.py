@@ -174,3 +174,10 @@ def test_names_that_are_exchanged_are_those_after_renaming(tmp_path: Path) -> No
     path.write_text("t,a,b\n0,1,2\n1,2,3\n")
     run = ph.read(path, inputs=["a"], outputs=["b"], rename={"a": "b", "b": "a"})
     assert np.array_equal(run.inputs["a"], [2.0, 3.0])
+
+
+def test_numbers_for_noise_are_told_what_to_write() -> None:
+    with pytest.raises(ph.OptionError, match=r"ph\.Gaussian\(\{'x': 0\.1\}\)"):
+        ph.estimate(lag(), lag_record(20), noise={"x": 0.1})  # type: ignore[arg-type]
+    with pytest.raises(ph.OptionError, match=r"by output, as in ph\.Gaussian"):
+        ph.multistart(lag(), lag_record(20), {"a": (-1, 0)}, n=2, noise=0.1)  # type: ignore[arg-type]

@@ -215,6 +215,23 @@ def test_absent_file_names_its_neighbour(table: Any) -> None:
     assert has(refusal(path.with_name("fligth12.csv")), "no such file", "Did you mean 'flight12.csv'?")
 
 
+def test_an_absent_record_is_not_another_record(table: Any) -> None:
+    path = table("t,q\n0,1\n1,2\n", "flight12.csv")
+    for name in ("flight13.csv", "flight12.py", "elsewhere/flight12.csv"):
+        message = refusal(path.parent / name)
+        assert has(message, "no such file", str(path.parent)) and "Did you mean" not in message
+
+
+@pytest.mark.parametrize("header", ["Time (s)", "Time [s]", "time_s", "TIME"])
+def test_a_column_called_time_needs_no_name(table: Any, header: str) -> None:
+    path = table(f"{header},T,q\n0,5,1\n0.5,6,2\n")
+    for named in (None, header, header.replace(" ", "")):
+        e = read(path, time=named)
+        assert e.t.tolist() == [0.0, 0.5] and list(e.channels) == ["T", "q"]
+    assert has(refusal(table("T,q\n0,1\n1,2\n")), "no time column 't'")
+    assert has(refusal(table("time,Time,q\n0,0,1\n1,1,2\n")), "no time column 't'")
+
+
 @pytest.mark.parametrize(("text", "words"), [("", "is empty"), ("# c\n\n", "is empty"), ("t,q\n", "no rows")])
 def test_file_without_data(table: Any, text: str, words: str) -> None:
     assert words in refusal(table(text))

@@ -1,112 +1,80 @@
-"""The README's code runs as it stands."""
+"""The README is short, its code runs as it stands, and it can be shown where only absolute links work."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
-import numpy as np
 import pages
+import pictures
+import pypi_readme
 import pytest
 
 import phugoid as ph
 
 README = pages.ROOT / "README.md"
+TEXT = README.read_text(encoding="utf-8")
 
 
-def blocks() -> list[str]:
-    return [b.code for b in pages.blocks(README, "python")]
+def test_it_is_read_in_three_minutes() -> None:
+    assert len(TEXT.split()) <= 700
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the run1.csv that the README reads: a simulated record with noise and empty cells."""
-    monkeypatch.chdir(tmp_path)
-    import unstable_aircraft
-
-    e = unstable_aircraft.twin()
-    rows = np.column_stack([e.t, e.input("de"), *(e.output(n) for n in ("w", "q", "az"))])
-    lines = ["t,de,w,q,az", *(",".join(f"{v:.9g}" for v in row) for row in rows)]
-    cells = lines[50].split(",")
-    lines[50] = ",".join([*cells[:3], "", cells[4]])
-    (tmp_path / "run1.csv").write_text("\n".join(lines) + "\n")
-    return tmp_path
-
-
-def test_first_example_estimates_plots_and_saves(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names: dict[str, object] = {}
-    exec(blocks()[0], names)
-    fit = names["fit"]
-    assert isinstance(fit, ph.Fit) and fit.converged
-    assert abs(fit.parameters["Mw"].value - 0.2166) < 4 * fit.parameters["Mw"].std_error
-    assert "Mw" in capsys.readouterr().out
-    assert np.isnan(fit.residuals["q"]).sum() == 1
-    assert ph.load("fit.json").parameters["Mw"].value == fit.parameters["Mw"].value
-
-
-def test_second_example_takes_several_runs_and_options(folder: Path) -> None:
-    names: dict[str, object] = {}
-    exec(blocks()[0], names)
-    data = names["data"]
-    assert isinstance(data, ph.Experiment)
-    names.update(run1=data.window(0, 7, name="run1"), run2=data.window(7.05, 12.5, name="run2"))
-    exec(blocks()[1], names)
-    fit = names["fit"]
-    assert isinstance(fit, ph.Fit) and fit.converged
-    assert [r.name for r in fit.records] == ["run1", "run2"]
-    assert "sigma_az" not in fit.parameters
-
-
-def test_flights_with_biases_and_a_late_actuator(capsys: pytest.CaptureFixture[str]) -> None:
-    (block,) = (b for b in blocks() if "m.delay" in b)
-    t = np.arange(0, 10, 0.05)
-    de = 0.1 * np.sign(np.sin(1.5 * t))
-    names: dict[str, object] = {"ph": ph}
-    exec(block[: block.index("fit =")], names)
-    m = names["m"]
-    assert isinstance(m, ph.Model)
-    random = np.random.default_rng(0)
-    truth = {"Mq": -2.0, "Mde": -6.0, "tau": 0.12}
-    for name, bias in (("run1", 0.02), ("run2", -0.01), ("run3", 0.03)):
-        e = ph.Experiment(t, {"de": de}, name=name)
-        path = ph.simulate(m, {**truth, "b": bias}, e, initial={"theta": 0.1})
-        z = {n: y + 0.002 * random.standard_normal(t.size) for n, y in path.outputs.items()}
-        names[name] = e.with_outputs(z)
-    exec(block[block.index("fit =") :], names)
-    fit = names["fit"]
-    assert isinstance(fit, ph.Fit) and fit.converged
-    for name, true in {**truth, "b[run1]": 0.02, "b[run2]": -0.01}.items():
-        assert abs(fit.parameters[name].value - true) < 4 * fit.parameters[name].std_error, name
-    exec(next(b for b in blocks() if "fit.coloured" in b), names)
-    said = capsys.readouterr().out
-    assert "ratio" in said and "profile likelihood, complete" in said and "50 of 50 runs converged" in said
-    assert names["axes"].keys() == {"q", "theta"}  # type: ignore[attr-defined]
-
-
-def test_a_diagnosis_names_what_the_model_misses(
+def test_code_fits_arrays_and_finds_what_the_model_misses(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The flights have a damping that grows with the rate, which their model has not."""
+    """The arrays are those of the picture: damping that grows with the rate, which the model has not."""
     monkeypatch.chdir(tmp_path)
-    (block,) = (b for b in blocks() if "m.delay" in b)
-    t = np.arange(0, 10, 0.05)
-    de = 0.3 * np.sign(np.sin(1.5 * t)) * np.sin(0.4 * t)
-    names: dict[str, object] = {"ph": ph}
-    exec(block[: block.index("fit =")], names)
-    m = names["m"]
-    assert isinstance(m, ph.Model)
-    true = ph.candidates(m)["q':q|q|"].extended(m)
-    (damping,) = {*true.parameter_names} - {*m.parameter_names}
-    random = np.random.default_rng(0)
-    for name, bias in (("run1", 0.02), ("run2", -0.01), ("run3", 0.03)):
-        e = ph.Experiment(t, {"de": (1 if name == "run1" else 0.8) * de}, name=name)
-        path = ph.simulate(true, {"Mq": -2.0, "Mde": -6.0, "tau": 0.12, "b": bias, damping: -2.0}, e)
-        names[name] = e.with_outputs({n: y + 0.002 * random.standard_normal(t.size) for n, y in path.outputs.items()})
-    exec(block[block.index("fit =") :], names)
-    exec(next(b for b in blocks() if "ph.diagnose" in b), names)
+    first, second = pictures.flights()
+    names: dict[str, object] = {}
+    for run, number in ((first, ""), (second, "2")):
+        arrays = {"t": run.t, "elevator": run.input("de"), "rate": run.output("q"), "attitude": run.output("theta")}
+        names |= {f"{name}{number}": array for name, array in arrays.items()}
+    fitting, diagnosing = pages.blocks(README, "python")
+    pages.run(fitting, README, names)
+    fit = names["fit"]
+    assert isinstance(fit, ph.Fit) and fit.converged
+    assert (tmp_path / "fit.html").exists() and "Mtheta" in capsys.readouterr().out
+    pages.run(diagnosing, README, names)
     extended = names["extended"]
     assert isinstance(extended, ph.results.Extension) and extended.added == ("q':q|q|",)
-    assert extended.gain.held_out > 10
-    assert abs(extended.fit.parameters[damping].value + 2.0) < 4 * extended.fit.parameters[damping].std_error
-    printed = capsys.readouterr().out
-    assert "The model misses" in printed and "q':q|q|" in printed and damping in printed
     assert (tmp_path / "missing.html").exists()
+    printed = capsys.readouterr().out
+    (said,) = re.findall(r'# "(.*)"', diagnosing.code)
+    assert said in printed and extended.gain.held_out > 1000
+    for name, true in pictures.TRUTH.items():
+        estimate = extended.fit.parameters[name]
+        assert abs(estimate.value - true) < 4 * estimate.std_error, name
+
+
+def test_what_it_names_is_there() -> None:
+    for target in re.findall(r"\]\(([^)\s:#]+)\)", TEXT):
+        assert (pages.ROOT / target).exists(), target
+    makefile = (pages.ROOT / "Makefile").read_text(encoding="utf-8")
+    for command in ("demo", "test"):
+        assert f"make {command} " in TEXT and re.search(rf"^{command}:", makefile, re.M)
+    for needed in ("Python 3.10", "Rust 1.89", "tools/ipopt.py", "PHUGOID_DATA", "hfb320_1_10.asc"):
+        assert needed in TEXT, needed
+    assert 'rust-version = "1.89"' in (pages.ROOT / "Cargo.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "number", ["7.8 ms", "468 ms", "6.5 s", "1000 of 1000", "600,000", "52 of 52", "60 of 61", "267 of 273"]
+)
+def test_its_numbers_are_those_of_the_benchmarks(number: str) -> None:
+    sources = [pages.ROOT / "docs" / "comparison.md", pages.ROOT / "benchmarks" / "README.md"]
+    assert number in TEXT and any(number in page.read_text(encoding="utf-8") for page in sources)
+
+
+def test_links_become_absolute_where_relative_ones_do_not_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "README.md"
+    page.write_text(TEXT, encoding="utf-8")
+    monkeypatch.setattr(pypi_readme, "ROOT", tmp_path)
+    assert pypi_readme.main(["no address", "v1"]) == 2 and page.read_text(encoding="utf-8") == TEXT
+    assert pypi_readme.main(["https://host/owner/project/", "v1"]) == 0
+    text = page.read_text(encoding="utf-8")
+    targets = re.findall(r"\]\(([^)\s]+)\)", text)
+    assert targets and all(t.startswith("https://") for t in targets)
+    assert "![" in text and "(https://host/owner/project/raw/v1/docs/_static/fit.png)" in text
+    assert "(https://host/owner/project/blob/v1/CONTRIBUTING.md)" in text
+    assert [b.code for b in pages.blocks(page)] == [b.code for b in pages.blocks(README)]

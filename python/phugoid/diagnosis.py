@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from .discrepancy.improve import ImprovementResult
 from .discrepancy.page.figures import diagnosis_figures
 from .discrepancy.page.page import report
-from .discrepancy.page.words import diagnosis_summary
+from .discrepancy.page.words import diagnosis_summary, headline
 from .discrepancy.saved import save_diagnosis
 from .discrepancy.search.finding import DiagnosisResult, ExtensionResult
+from .notebook import Html, bullets, notebook_page, paragraph, table
 from .result import Fit
 
 if TYPE_CHECKING:
@@ -27,11 +28,16 @@ class Extension(ExtensionResult):
 
     fit: Fit
 
+    def _repr_html_(self) -> str:
+        title = f"{self.model.name}, extended by {', '.join(self.added) or 'nothing'}"
+        return notebook_page(title, Html(self.gain._repr_html_()), Html(self.fit._repr_html_()))
+
 
 class Diagnosis(DiagnosisResult):
     """What `diagnose` finds.
 
-    fit         that was diagnosed.
+    fit         that was diagnosed; with inputs between samples as the data tell where ``notes`` say that straight lines
+                are wrong there.
     misfit      what it gets wrong: per channel, when, in which regime, at which frequencies.
     findings    what is missing, in the order in which it was found.
     verdict     "named", "unexplained", "surrogate", "minor" or "nothing": what it comes to.
@@ -88,6 +94,20 @@ class Diagnosis(DiagnosisResult):
         fit's residuals.
         """
         save_diagnosis(self, path)
+
+    def _repr_html_(self) -> str:
+        rows = [f.cells() for f in self.findings]
+        heads = list(rows[0]) if rows else []
+        found = table(heads, [list(row.values()) for row in rows], "llllrrr")
+        worst = self.misfit.table_html(most=3)
+        return notebook_page(
+            f"{self.fit.model.name}: diagnosis",
+            paragraph(headline(self)),
+            found,
+            worst,
+            bullets(self.notes),
+            note=self.verdict,
+        )
 
     def __str__(self) -> str:
         return self.summary()

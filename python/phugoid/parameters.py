@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ._core import Expr
 from .errors import ModelError, UnknownName, did_you_mean
+from .notebook import Html, notebook_page, table
 from .tabular import estimates_frame
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ __all__ = [
     "Parameter",
     "correlation_matrix",
     "derived",
+    "estimates_html",
     "estimates_table",
     "plus_minus",
     "text_table",
@@ -206,6 +208,12 @@ class Estimates(Mapping[str, Estimate]):
         bounds_active ("lower", "upper" or ""). Raises MissingDependency without pandas."""
         return estimates_frame(self._by_name.values())
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._by_name)
+
+    def _repr_html_(self) -> str:
+        return notebook_page(f"{len(self)} estimates", estimates_html(self._by_name.values()))
+
     def __str__(self) -> str:
         return estimates_table(self._by_name.values())
 
@@ -247,6 +255,20 @@ def estimates_table(
 
     ``coloured``: by name the same with standard errors corrected for coloured residuals, a column of their own.
     """
+    return text_table([title, *_HEADS], _estimates_rows(estimates, coloured), _ALIGN)
+
+
+def estimates_html(
+    estimates: Iterable[Estimate], title: str = "parameter", coloured: Mapping[str, Estimate] | None = None
+) -> Html:
+    """Return the table of `estimates_table` as HTML, for notebooks."""
+    return table([title, *_HEADS], _estimates_rows(estimates, coloured), _ALIGN)
+
+
+_HEADS, _ALIGN = ("estimate", "std error", "in %", "coloured", "unit", "remark"), "lrrrrll"
+
+
+def _estimates_rows(estimates: Iterable[Estimate], coloured: Mapping[str, Estimate] | None) -> list[list[str]]:
     rows = []
     for e in estimates:
         value, std_error = _rounded(e.value, e.std_error)
@@ -255,8 +277,7 @@ def estimates_table(
         other = coloured[e.name].std_error if coloured and e.name in coloured else math.nan
         corrected = _rounded(e.value, other)[1]
         rows.append([e.name, value, std_error, percent if math.isfinite(relative) else "", corrected, e.unit, e.remark])
-    heads = [title, "estimate", "std error", "in %", "coloured", "unit", "remark"]
-    return text_table(heads, rows, "lrrrrll")
+    return rows
 
 
 def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .notebook import channels_table, notebook_page
 from .tabular import record_dataset, record_frame
 
 if TYPE_CHECKING:
@@ -112,6 +113,11 @@ class Record:
         ``mesh_t`` and ``mesh_states`` alone. Raises MissingDependency without xarray.
         """
         return record_dataset(self)
+
+    def _repr_html_(self) -> str:
+        groups = {"input": self.inputs, "output": self.outputs, "state": self.states, "residual": self.residuals}
+        note = f"{self.n} samples, {self.t[0]:g} to {self.t[-1]:g} s"
+        return notebook_page(self.name, channels_table(groups, self.units, self.t), note=note)
 
     def __repr__(self) -> str:
         def names(group: Mapping[str, _Array]) -> str:

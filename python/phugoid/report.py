@@ -297,7 +297,7 @@ def _number(value: float, spec: str) -> str:
 
 
 def _equations(fit: FitResult) -> tuple[dict[str, list[str]], list[str]]:
-    """Equations in groups, as HTML; and, as text, what is late and what holds at an end."""
+    """Equations in groups, as HTML; and, as text, what is late, what is a condition, and what holds at an end."""
     groups: dict[str, list[str]] = {"Quantities": [], "Dynamics": [], "Measured outputs y": []}
     for name, e in fit.model.equations.items():
         rate, measured = name.endswith("'"), name.startswith("y:")
@@ -307,7 +307,8 @@ def _equations(fit: FitResult) -> tuple[dict[str, list[str]], list[str]]:
     delays = fit.model.delays
     late = [f"{name}(t) = {of}(t − {tau})" for name, (of, tau) in delays.inputs.items()]
     late += [f"{output} is measured late, by {tau}" for output, tau in delays.outputs.items()]
-    late += [f"{state} at the {end} sample = {e}" for end, state, e in fit.model.conditions]
+    late += [f"{name} is a measured condition" for name in fit.model.condition_names]
+    late += [f"{state} at the {end} sample = {e}" for end, state, e in fit.model.end_conditions]
     return groups, late
 
 

@@ -23,7 +23,7 @@ from .parameters import Estimates, derived
 from .report import report
 from .saving.fit_file import save
 from .starts.outcome import Outcome
-from .summary import fit_summary
+from .summary import fit_html, fit_summary
 from .tolerance import Tolerance
 from .uncertainty.bands import Bands, prediction_bands
 from .uncertainty.bootstrap import Bootstrap, bootstrap
@@ -287,6 +287,9 @@ class Fit(FitResult):
         """Writes the fit with its data to a versioned file, which `load` reads: HDF5 for ``.h5`` and ``.hdf5``, where
         arrays are datasets with units (extra ``hdf5``); JSON else. Raises DataError where that cannot be done."""
         save(self, path)
+
+    def _repr_html_(self) -> str:
+        return fit_html(self)
 
     def __str__(self) -> str:
         return self.summary()

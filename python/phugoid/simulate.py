@@ -61,7 +61,7 @@ def simulate(
         raise OptionError(f"simulate: rtol is a number between 0 and 1, not {rtol!r}")
     deadline = limited("simulate", time_limit)
     model.check()
-    data.check_for(model.input_names, [])
+    data.check_for(model.input_names, [], conditions=model.condition_names)
     check_units(model, [data], "simulate")
     values = _values(model, parameters, data.name)
     x0 = first_values(model, values, parameters, data, initial or {})

@@ -9,20 +9,19 @@ import numpy as np
 from .errors import PhugoidError
 from .fit_result import FitResult
 from .match import match
-from .parameters import Estimates, estimates_table, text_table
+from .notebook import bullets, notebook_page, sparkline, table
+from .parameters import Estimate, Estimates, estimates_html, estimates_table, text_table
 from .sensitivities.collocated import cheap
 from .uncertainty.coloured import coloured
 from .uncertainty.correlation import correlation
 
-__all__ = ["corrected", "fit_summary"]
+__all__ = ["corrected", "fit_html", "fit_summary"]
 
 
 def fit_summary(fit: FitResult) -> str:
     """Return aligned tables for the terminal, and the warnings; see `Fit.summary`."""
-    outputs = list(dict.fromkeys(name for record in fit.records for name in record.outputs))
-    of_noise = fit.noise_parameters - fit._intensities
-    noise = [e for e in fit.parameters.values() if e.name in of_noise]
-    physical = [e for e in fit.parameters.values() if e.name not in of_noise]
+    outputs = _outputs(fit)
+    physical, noise = _groups(fit)
     parts = [_header(fit)]
     errors = corrected(fit) if fit.experiments else None
     if physical:
@@ -39,6 +38,41 @@ def fit_summary(fit: FitResult) -> str:
     return "\n\n".join(parts)
 
 
+def fit_html(fit: FitResult) -> str:
+    """Return the fit as a notebook shows it: how it ended, parameters, how each output matches, and the warnings."""
+    physical, _ = _groups(fit)
+    errors = corrected(fit) if fit.experiments else None
+    entries = _entries(fit)
+    ended = f"{entries['iterations']} ({entries['transcription']}), {entries['data']}"
+    heads, rows = _match_rows(fit, _outputs(fit))
+    pictured = [[*row, _picture(fit, row[0])] for row in rows]
+    return notebook_page(
+        str(fit.model.name),
+        bullets([f"iterations: {ended}", f"log-likelihood {entries['log-likelihood']}"]),
+        estimates_html(physical, coloured=errors),
+        table([*heads, "measured and model"], pictured, _MATCH + "l"),
+        bullets(fit.warnings),
+        note=entries["status"],
+    )
+
+
+def _picture(fit: FitResult, name: str) -> str:
+    """The output in the first record that measured it."""
+    record = next((r for r in fit.records if name in r.measured), None)
+    return "" if record is None else sparkline(record.measured[name], record.outputs[name], record.t)
+
+
+def _outputs(fit: FitResult) -> list[str]:
+    return list(dict.fromkeys(name for record in fit.records for name in record.outputs))
+
+
+def _groups(fit: FitResult) -> tuple[list[Estimate], list[Estimate]]:
+    """Estimates of the model, and of the noise."""
+    of_noise = fit.noise_parameters - fit._intensities
+    noise = [e for e in fit.parameters.values() if e.name in of_noise]
+    return [e for e in fit.parameters.values() if e.name not in of_noise], noise
+
+
 def corrected(fit: FitResult, again: bool = False) -> Estimates | None:
     """The estimates with standard errors for coloured residuals; None where a fit has none, or where they take much
     more time than the fit. ``again``: also where they need another estimation."""
@@ -52,6 +86,14 @@ def corrected(fit: FitResult, again: bool = False) -> Estimates | None:
 
 
 def _header(fit: FitResult) -> str:
+    entries = _entries(fit)
+    width = max(map(len, entries))
+    lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
+    return "\n".join([str(fit.model.name), *lines])
+
+
+def _entries(fit: FitResult) -> dict[str, str]:
+    """How the run went, by heading."""
     samples = sum(record.n for record in fit.records)
     mesh = sum(record.mesh_t.size for record in fit.records)
     runs = f"{len(fit.records)} experiments, " if len(fit.records) > 1 else ""
@@ -64,12 +106,17 @@ def _header(fit: FitResult) -> str:
     }
     if fit.noise.description:
         entries["noise"] = fit.noise.description
-    width = max(map(len, entries))
-    lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
-    return "\n".join([str(fit.model.name), *lines])
+    return entries
 
 
 def _match_table(fit: FitResult, outputs: list[str]) -> str:
+    return text_table(*_match_rows(fit, outputs), _MATCH)
+
+
+_MATCH = "lrrlrr"
+
+
+def _match_rows(fit: FitResult, outputs: list[str]) -> tuple[list[str], list[list[str]]]:
     """Per output, over all experiments: σ, RMS of residuals or innovations, R² about the mean of each, samples."""
     rows = []
     for name in outputs:
@@ -79,7 +126,7 @@ def _match_table(fit: FitResult, outputs: list[str]) -> str:
         known = (rms if math.isfinite(m.rms) else "", r_squared if math.isfinite(m.r_squared) else "")
         rows.append([name, "" if sigma is None else f"{sigma.value:.4g}", known[0], m.unit, known[1], str(m.samples)])
     size = "RMS innovation" if any(record.innovations for record in fit.records) else "RMS residual"
-    return text_table(["output", "σ", size, "unit", "R²", "samples"], rows, "lrrlrr")
+    return ["output", "σ", size, "unit", "R²", "samples"], rows
 
 
 def _duration(seconds: float) -> str:

@@ -100,6 +100,7 @@ def documents(folder: Path) -> dict[str, list[bytes]]:
     late.noise(x=ph.StudentT())
     table = ph.Model("table")
     (x,) = table.states("x")
+    table.conditions(V="m/s")
     (k,) = table.parameters(k=ph.Parameter(0.5, bounds=(0, 9), transform="log"))
     table.quantities(lift=ph.Table("lift", [0.0, 1.0, 2.0, 4.0], [0.0, 1.0, 1.5, 1.0])(x))
     table.dynamics(x=-k * x**3 + ph.where(x > 1, ph.exp(-x), ph.cos(x)))

@@ -34,6 +34,13 @@ DRIVEN = {
 }
 """States whose equations hold what a disturbance acts on."""
 
+POSITIONS = {"servo": ("angle", "rate", "torque")}
+"""A position, its rate, and the place of the model where its force stands, of systems that have one that no sensor
+measures too."""
+
+COARSE = 4
+"""Of so many samples a coarse record has one."""
+
 NOISES = ("white", "quantised", "growing", "outliers", "autoregressive", "pink", "random walk")
 
 
@@ -270,9 +277,37 @@ def _twist(what: str, s: System, vehicle: Vehicle, rng: np.random.Generator, siz
             return force
 
         return _Twist(force=odd), (), {}
+    if what == "hysteresis":
+        x, v, place = POSITIONS[s.name]
+        much = size * 0.4 * s.limits[v] / float(np.mean(s.pulse))
+        width = rng.uniform(0.05, 0.2) * s.limits[x]
+        i, force = list(s.states).index(v), _yielding(s, x, width)
+        unit = np.eye(len(s.states))[i]
+        truth = (f"{place}:hysteresis_{x}",)
+        return _Twist(force=lambda z, acting, now: -much * force(z, now) * unit), truth, {"yield": width}
     if what == "closed loop":
         return _Twist(control=_feedback(s, vehicle)), (), {}
-    return _Twist(noise=what), (), {}
+    return _Twist(noise="white" if what == "coarse" else what), (), {}
+
+
+def _yielding(s: System, x: str, width: float) -> Callable[[Any, float], float]:
+    """A force of unit size that follows a state elastically and yields (Bouc and Wen), by its exact steps."""
+    i, memory = list(s.states).index(x), {"x": np.nan, "z": 0.0, "t": -np.inf}
+
+    def follows(z: Any, now: float) -> float:
+        if now == 0.0 or np.isnan(memory["x"]):
+            memory.update(x=float(z[i]), z=0.0, t=now)
+        step = (float(z[i]) - memory["x"]) / width
+        side, left, it = np.sign(step), abs(step), memory["z"]
+        if it * side < 0.0:
+            back = min(left, -it * side)
+            it, left = it + side * back, left - back
+        it = side - (side - it) * float(np.exp(-left)) if left else it
+        if now >= memory["t"] + 0.99 * s.step / STEPS:  # the first stage of a new step
+            memory.update(x=float(z[i]), z=it, t=now)
+        return it
+
+    return follows
 
 
 def _feedback(s: System, vehicle: Vehicle) -> Callable[..., Any]:
@@ -286,7 +321,7 @@ def _feedback(s: System, vehicle: Vehicle) -> Callable[..., Any]:
 
 SITUATIONS = (
     "gust", "noisy input", "drift", "backlash", "rate limit", "event", "held input", "outside", "clipped",
-    "closed loop", *NOISES,
+    "hysteresis", "closed loop", "coarse", *NOISES,
 )  # fmt: skip
 
 
@@ -297,6 +332,8 @@ def situation(what: str, system: str, seed: int) -> Situation:
     """
     if what not in SITUATIONS:
         raise ValueError(f"situation is one of {SITUATIONS}, not {what!r}")
+    if what == "hysteresis" and system not in POSITIONS:
+        raise Unreachable(f"{what}: {system} has no position with a force")
     s = SYSTEMS[system]
     rng = np.random.default_rng([seed, zlib.crc32(f"{what} {system}".encode())])
     for _ in range(4):
@@ -314,8 +351,15 @@ def situation(what: str, system: str, seed: int) -> Situation:
         data, validation = first[0], other[0]
         if what in ("quantised", "growing", "clipped"):
             data, validation, truth, sizes = _sensed(what, s, (first, other), rng)
+        if what == "coarse":
+            data, validation = _coarse(data), _coarse(validation)
         return Situation(f"{what} {system} {seed}", system, what, seed, s.model(), data, validation, truth, sizes)
     raise Unreachable(f"{what}, {system}, seed {seed}")
+
+
+def _coarse(e: ph.Experiment) -> ph.Experiment:
+    inputs, outputs = ({n: v[::COARSE] for n, v in group.items()} for group in (e.inputs, e.outputs))
+    return ph.Experiment(e.t[::COARSE], inputs, outputs, name=e.name)
 
 
 def _again(twist: _Twist, s: System, rng: np.random.Generator) -> _Twist:

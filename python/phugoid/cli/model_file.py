@@ -42,7 +42,7 @@ def load_source(source: str) -> Model | Fit:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise DataError(f"{path}: there is no such file") from None
+        raise DataError(f"{path}: there is no such file in {path.parent.resolve()}") from None
     except UnicodeDecodeError:
         raise DataError(f"{path}: is neither Python nor a saved model (it is no text)") from None
     if path.suffix == ".json":

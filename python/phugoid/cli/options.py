@@ -129,9 +129,9 @@ def _number(option: str, text: str, number: str) -> float:
     return value
 
 
-# Options of `read` as its errors call them, and as the command does; it has no rate.
+# Options of `read` as its errors call them, and as the command does.
 _CALLED = {
-    ", or for even sampling rate=... in Hz": "",
+    "rate=... in Hz": "--rate HZ",
     "time='...'": "--time NAME",
     "inputs=[...]": "--inputs A,B",
     "outputs=[...]": "--outputs A,B",
@@ -146,7 +146,12 @@ _CALLED = {
 class Reading:
     """Hold the options of `read` for data files, as texts. Raises OptionError for what they cannot be."""
 
-    time: Annotated[str, Option("--time", help="Column of time, in s.", metavar="NAME")] = "t"
+    time: Annotated[
+        str | None, Option("--time", help="Column of time, in s; default: t, or one called time.", metavar="NAME")
+    ] = None
+    rate: Annotated[
+        float | None, Option("--rate", help="Samples a second, of a file without a column of time.", metavar="HZ")
+    ] = None
     rename: Annotated[
         list[str] | None, Option("--rename", help="OLD=NEW: a column as the model calls it.", metavar="OLD=NEW")
     ] = None
@@ -178,6 +183,7 @@ class Reading:
         """The arguments of `read`."""
         return {
             "time": self.time,
+            "rate": self.rate,
             "units": pairs("--units", self.units),
             "rename": pairs("--rename", self.rename),
             "inputs": names(self.inputs),

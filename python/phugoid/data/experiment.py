@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import DataError, listing, refuse_attribute
+from ..notebook import bullets, channels_table, notebook_page
 from ..tabular import experiment_dataset, experiment_frame
 from . import checked
 from .checked import FloatArray, checked_gaps, gap_intervals, pieces
@@ -172,6 +173,13 @@ class Experiment(Preprocessing):
         missing = sum(int(np.isnan(values).sum()) for values in self._outputs.values())
         return f"Experiment('{self._name}', {', '.join(parts)}{f' ({missing} missing)' if missing else ''})"
 
+    def _repr_html_(self) -> str:
+        groups = {"input": self._inputs, "output": self._outputs, "": self._channels}
+        note = f"{self.n} samples, {self._t[0]:g} to {self._t[-1]:g} s"
+        return notebook_page(
+            self._name, channels_table(groups, self._units, self._t), bullets(self._history), note=note
+        )
+
     def input(self, name: str) -> FloatArray:
         """The input channel ``name``, shape (N,); DataError where there is none."""
         return self._resolve(name, self._inputs, "input")
@@ -181,16 +189,23 @@ class Experiment(Preprocessing):
         return self._resolve(name, self._outputs, "output")
 
     def check_for(
-        self, model_inputs: Sequence[str], model_outputs: Sequence[str], known_sigma: Collection[str] = ()
+        self,
+        model_inputs: Sequence[str],
+        model_outputs: Sequence[str],
+        known_sigma: Collection[str] = (),
+        *,
+        conditions: Collection[str] = (),
     ) -> None:
         """Raises DataError unless a model with these inputs and outputs can be estimated from this record.
 
         Every name must be there, inputs without gaps, outputs with at least one sample. An output that never
-        changes is refused, since its σ cannot be estimated, unless it is in ``known_sigma``.
+        changes is refused, since its σ cannot be estimated, unless it is in ``known_sigma``. ``conditions``: those of
+        the inputs that errors call so.
         """
         for name in model_inputs:
-            where = checked.where(self._name, "input", name)
-            checked.check_input(where, self.input(name), self._t)
+            role = "condition" if name in conditions else "input"
+            where = checked.where(self._name, role, name)
+            checked.check_input(where, self._resolve(name, self._inputs, role), self._t)
             if name in self._signals:
                 checked.check_input(where, self._signals[name][1], self._signals[name][0])
         for name in model_outputs:
@@ -335,6 +350,35 @@ class Experiment(Preprocessing):
         )
         return other._sampled(self._signals, self._mesh_times)._after(self, f"outputs replaced: {', '.join(outputs)}")
 
+    def with_channels(
+        self, channels: Mapping[str, ArrayLike], units: Mapping[str, str] | None = None, name: str | None = None
+    ) -> Experiment:
+        """Return the record with ``channels`` (name -> (N,)) added, or in place of those of the same name, such as a
+        corrected angle or a dynamic pressure. An input replaced so has its samples at the times of the record.
+
+        Raises DataError as the constructor does.
+
+        >>> run = Experiment([0.0, 0.1, 0.2], inputs={"de": [0, 1, 1]}, outputs={"q": [0.0, 0.1, 0.2]})
+        >>> run.with_channels({"V": [100, 101, 102], "q": run.output("q") - 0.1})
+        Experiment('experiment', 3 samples, 0 to 0.2 s, inputs: de, outputs: q, channels: V)
+        """
+
+        def replaced(group: Mapping[str, FloatArray]) -> dict[str, ArrayLike]:
+            return {key: channels.get(key, values) for key, values in group.items()}
+
+        new = {key: values for key, values in channels.items() if key not in (*self._inputs, *self._outputs)}
+        other = Experiment(
+            self._t,
+            replaced(self._inputs),
+            replaced(self._outputs),
+            self._name if name is None else name,
+            self._interpolation,
+            channels={**self._channels, **new},
+            units={**self._units, **(units or {})},
+        )
+        other._sampled({key: s for key, s in self._signals.items() if key not in channels}, self._mesh_times)
+        return other._after(self, f"channels given: {', '.join(channels)}")
+
     def to_pandas(self) -> pandas.DataFrame:
         """The channels by time (s), one column each.
 
@@ -420,10 +464,10 @@ class Experiment(Preprocessing):
             if name in source:
                 return source[name]
         if name in self._names():
-            other = "output" if kind == "input" else "input"
+            other, side = ("input", "output") if kind == "output" else ("output", "input")
             raise DataError(
                 f"{self._absent(kind, name)} It is there as an {other}: "
-                f"give it among the {kind}s too if the model uses it as an {kind}."
+                f"give it among the {side}s too if the model uses it as {'a' if kind == 'condition' else 'an'} {kind}."
             )
         if name in self._left_out:
             raise DataError(f"{self._absent(kind, name)} The file has it, but it {self._left_out[name]}.")

@@ -28,14 +28,21 @@ class _Columns:
     """The columns of a source under the names that the user gave them, as numbers in the units that he asked for."""
 
     def __init__(
-        self, source: Source, rename: Mapping[str, str], time: str, rate: float | None, units: Units, convert: bool
+        self,
+        source: Source,
+        rename: Mapping[str, str],
+        named: str | None,
+        rate: float | None,
+        units: Units,
+        convert: bool,
     ) -> None:
         self.where, self.name, self.rate = source.where, source.name, rate
-        self.left_out, self._time, self._units, self._convert = source.left_out, time, units, convert
+        self.left_out, self._units, self._convert = source.left_out, units, convert
         self._steps: dict[str, str] = {}
         self._labels: dict[str, str] = {}
         self._read: dict[str, FloatArray] = {}
         names = _renamed(source, rename)
+        time = _time_of(source, names, named)
         self._columns = dict(zip(names, source.columns, strict=True))
         by_file = {column.name: new for new, column in self._columns.items()}
         if rate is not None and not (isinstance(rate, Real) and 0 < rate < float("inf")):
@@ -145,6 +152,23 @@ def _renamed(source: Source, rename: Mapping[str, str]) -> list[str]:
     return renamed
 
 
+# Names of a time column that need no `time=`, in any case; of several none is taken. ("T" is no time but a thrust.)
+_TIMES = ("time", "time_s", "t_s")
+
+
+def _time_of(source: Source, names: Sequence[str], named: str | None) -> str:
+    """The name of the time column: as given, or one whose whole header is as given; else ``t`` or one of `_TIMES`."""
+    wanted = "t" if named is None else named
+    if wanted in names:
+        return wanted
+    if named is None:
+        found = [n for n in names if n.lower() in _TIMES]
+    else:
+        header = _bare(named)
+        found = [n for n, c in zip(names, source.columns, strict=True) if header and _bare(c.header) == header]
+    return found[0] if len(found) == 1 else wanted
+
+
 def _bare(header: str) -> str:
     """A header without its blanks: whether one stands before the unit is no matter."""
     return "".join(header.split())
@@ -229,7 +253,8 @@ def read(
                begin with) or of ArduPilot (``.bin``); or a table of pandas, polars or xarray. Variables in structures
                and groups are called ``group.name``, those of logs ``topic.field`` (of a second instance
                ``topic[1].field``), columns of matrices ``name[0]``.
-    time       name of the time column, in s; None: ``t``, or what the file itself takes for time.
+    time       name of the time column, in s, with its unit as in the header or without; None: ``t``, or what the file
+               itself takes for time, or the one column that is called ``time``, ``Time``, ``time_s`` or the like.
                In a log, the field with the stamps, such as ``timestamp_sample``, of each topic that has it.
     inputs     names of the input columns; None: a model finds its inputs among all columns.
     outputs    the same for outputs. With both given, the other columns are not even looked at.
@@ -280,7 +305,7 @@ def read(
     asked = {*(inputs or ()), *(outputs or ()), *labels}
     wanted_names = {*asked, *(old for old, new in renaming.items() if new in asked)}
     source = open_source(path, called[0] if called else None, wanted_names, columns, delimiter)
-    record = _Columns(source, renaming, "t" if time is None else time, rate, labels, convert)
+    record = _Columns(source, renaming, time, rate, labels, convert)
     record.check(inputs, "inputs")
     record.check(outputs, "outputs")
     record.check([n for n in labels if n not in record.clocks], "units")

@@ -179,8 +179,9 @@ def check_units(model: Model, runs: Sequence[Experiment], caller: str) -> None:
     """
     declared = model.units
     for run in runs:
-        for kind, names in (("input", model.input_names), ("output", model.output_names)):
+        for side, names in (("input", model.input_names), ("output", model.output_names)):
             for name in names:
+                kind = "condition" if side == "input" and model.is_condition(name) else side
                 told, wanted = run.units.get(name, ""), declared.get(name, "")
                 if told and wanted and differ(told, wanted):
                     raise DataError(

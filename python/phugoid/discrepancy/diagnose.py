@@ -24,12 +24,22 @@ from .candidates.library import candidates as library
 from .discrimination.advice import discrimination_advice
 from .misfit.misfit import misfit
 from .search.confirmation import Found
+from .search.data_suspects import (
+    with_changes,
+    with_inputs_as_sampled,
+    with_interpolation,
+    with_record_changes,
+    with_remainder,
+    words_of_inputs,
+)
 from .search.evidence import is_physical
 from .search.finding import DiagnosisResult, Finding, Scored
-from .search.held_input import HeldInput, held_input
+from .search.input_interpolation import InputInterpolation
+from .search.record_change import RecordChange
 from .search.refit import Refit
-from .search.remainder import Remainder, RemainderSettings, remainder_of
-from .search.remainder_finding import finding_of_held_input, finding_of_remainder
+from .search.remainder import Remainder, RemainderSettings
+from .search.remainder_finding import finding_of_held_input, finding_of_record_change, finding_of_remainder
+from .search.sampled_input import SampledInputs
 from .search.scan import NEARLY, Scan
 from .search.search import Search, SearchResult
 
@@ -211,32 +221,44 @@ def diagnose(
         search = Search(base, listed, others, step, free)
         result = SearchResult(base, base)
         remainder: Remainder | None = None
-        held: list[HeldInput] = []
+        between: list[InputInterpolation] = []
+        sampled: SampledInputs | None = None
+        changes: list[RecordChange] = []
         with deadline.in_force():
             # Now, while what the search needs next is at hand.
             ranking, interrupted = _ranked(search, base)
             if not interrupted:
-                following, interrupted = _held(search)
+                following, interrupted = with_interpolation(search)
                 while following is not None:
                     # All else is sought with the input as it acts.
-                    held.append(following)
-                    search = Search(following.refit, listed, following.validation, step, free)
+                    between.append(following)
+                    search = search.on(following.refit, following.validation)
                     result = SearchResult(following.refit, following.refit)
-                    following, interrupted = _held(search)
+                    following, interrupted = with_interpolation(search)
             if not interrupted:
                 result = search.run()
                 interrupted = result.interrupted
+            before = search
             if not interrupted:
-                result, remainder, interrupted = _rest(search, result)
+                search, result, changes, interrupted = with_record_changes(search, result)
+            if not interrupted:
+                search, result, sampled, interrupted = with_inputs_as_sampled(search, result)
+            if not interrupted:
+                result, remainder, interrupted = with_remainder(search, result)
         ended = deadline.ended() if interrupted else ""
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
             findings = [finding_of(result, f, _is_minor(search, result, f)) for f in found]
-            findings[:0] = [finding_of_held_input(h, RemainderSettings().margin) for h in held]
+            held = [finding_of_held_input(b, RemainderSettings().margin) for b in between if b.kind == "hold"]
+            held += [finding_of_record_change(c) for c in changes]
+            findings[:0] = held
             if remainder is not None:
                 findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))
             extension = search.extension(final, known=interrupted)
             full = search.extension(result.full, known=interrupted) if result.full is not final else None
+            if changes:
+                extension = with_changes(extension, before, changes)
+                full = full and with_changes(full, before, changes)
             interrupted = interrupted or pressed() > 0
         ended = ended or ("interrupted" if interrupted else "")
         if not interrupted:
@@ -251,11 +273,17 @@ def diagnose(
         elif not ranking and not deadline.passed():
             ranking, _ = _ranked(search, base)
     with interrupts():
-        scan = search.cache.scan(base) if ranking or not ended else None
+        corrected = search.cache.base
+        if corrected is not base and ranking and not ended:
+            ranking = tuple(ranking_of(search, search.cache.scan(corrected)))
+        scan = search.cache.scan(corrected) if ranking or not ended else None
         notes = (*_notes(scan, final, listed, others, free, ended, search.settings.most), *result.remarks)
+        notes = (*notes, *words_of_inputs(between, sampled))
+        # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
+        diagnosed = corrected.fit if sampled or any(b.kind == "cubic" for b in between) else fit
         return DiagnosisResult(
-            fit=fit,
-            misfit=misfit(fit),
+            fit=diagnosed,
+            misfit=misfit(diagnosed),
             findings=tuple(findings),
             ranking=ranking,
             threshold=search.assessment.threshold(),
@@ -265,48 +293,6 @@ def diagnose(
             _extension=extension,
             _full=full,
         )
-
-
-def _held(search: Search) -> tuple[HeldInput | None, bool]:
-    """An input that is held between its samples, which explains more than a delay or a lag of it; and whether the
-    comparison was interrupted."""
-    cache = search.cache
-    try:
-        cache.watch("comparing inputs that are held between samples")
-        held = held_input(cache.base, cache.validation, cache.biases)
-        if held is None:
-            return None, False
-        search.screen.shortlist(cache.base)
-        late = [c for c in cache.candidates if c.name in (f"{held.name}:delay", f"{held.name}:lag")]
-        rivals = [r for r in cache.refits([[c] for c in late if cache.has_start(c.name)]) if r is not None]
-        best = max((r.merit - len(r.candidates[0].parameters) for r in rivals), default=-np.inf)
-        return (held if held.refit.merit > best else None), False
-    except PhugoidError:
-        return None, False
-    except KeyboardInterrupt:
-        return None, True
-
-
-def _rest(search: Search, result: SearchResult) -> tuple[SearchResult, Remainder | None, bool]:
-    """What is left beside the terms of a search, which fall where they stand in for it; and whether that was
-    interrupted."""
-    try:
-        remainder = remainder_of(search, result)
-    except (PhugoidError, np.linalg.LinAlgError):
-        return result, None, False
-    except KeyboardInterrupt:
-        return result, None, True
-    if remainder is None:
-        return result, None, False
-    if remainder.known is not None:
-        return search.concluded(remainder.known, None, result.remarks), None, False
-    kept = {c.name for c in remainder.at.candidates}
-    found = tuple(f for f in result.found if f.candidate is not None and f.candidate.name in kept)
-    full = remainder.fitted or remainder.at
-    if len(found) == len(result.full.candidates):
-        return replace(result, full=remainder.fitted or result.full, found=found), remainder, False
-    final = search.cache.refit([c for c in result.final.candidates if c.name in kept], remainder.at.fit)
-    return replace(result, final=final or search.cache.base, full=full, found=found), remainder, False
 
 
 def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:
@@ -363,7 +349,9 @@ def _validation(fit: FitResult, given: Any) -> Sequence[Experiment]:
         return ()
     others = as_experiments(given, "diagnose: validation")
     for e in others:
-        e.check_for(fit.model.input_names, fit.model.output_names, fit.model.output_names)
+        e.check_for(
+            fit.model.input_names, fit.model.output_names, fit.model.output_names, conditions=fit.model.condition_names
+        )
         if any(shared(fit.model, record, e) == e.n == record.n for record in fit.records):
             raise DataError(
                 f"diagnose: the validation record '{e.name}' is one that the fit was made on: give another, or none"

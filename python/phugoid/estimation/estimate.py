@@ -20,7 +20,7 @@ from ..integration import coarse_mesh_warning
 from ..interrupts import interrupts
 from ..modelling.model import Model
 from ..modelling.scaling import scalings
-from ..noise.noise import KINDS, Noise
+from ..noise.noise import Noise, not_noise
 from ..process_noise.fit import better, doubtful, filter_error
 from ..process_noise.variables import split
 from ..progress import Progress
@@ -122,7 +122,7 @@ def _estimate(
             f"not {transcription!r}"
         )
     if not isinstance(noise, Noise):
-        raise OptionError(f"estimate: noise is {KINDS}, not {noise!r}")
+        raise OptionError(f"estimate: {not_noise(noise)}")
     if noise.expressions and noise is not model.noise_model:
         model = model.with_noise(noise)
     if isinstance(transcription, FilterError) and solver is not None:
@@ -160,7 +160,7 @@ def _estimate(
         # An output that stands still in this experiment may move in another, which then gives its sigma.
         elsewhere = set().union(*moving[:i], *moving[i + 1 :])
         known_sigma = {*noise.known_sigmas(model.output_names), *noise.expressions, *elsewhere}
-        experiment.check_for(model.input_names, model.output_names, known_sigma)
+        experiment.check_for(model.input_names, model.output_names, known_sigma, conditions=model.condition_names)
 
     if isinstance(transcription, FilterError):
         if isinstance(start, EquationError):

@@ -51,6 +51,9 @@ class Trim(Mapping[str, float]):
     def __getitem__(self, name: str) -> float:
         return {**self.states, **self.inputs, "time": self.time}[name]
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self)
+
     def __iter__(self) -> Iterator[str]:
         return iter([*self.states, *self.inputs, "time"])
 

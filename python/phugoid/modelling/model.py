@@ -22,6 +22,9 @@ from .rebuilt import Key, added_parameters, changed, changed_parameters, declare
 
 __all__ = ["Model"]
 
+# Characters of LaTeX: notebooks show longer models as text.
+_LONGEST = 20_000
+
 
 class Model:
     """A model of ordinary differential equations: x' = f(x, u, theta), y = g(x, u, theta).
@@ -39,6 +42,8 @@ class Model:
 
     # Parameters of the core, and the same as declared.
     _made: tuple[list[Any], dict[str, Parameter]] = ([], {})
+    # Inputs that are measured conditions, in order; the core takes all inputs alike.
+    _condition_names: tuple[str, ...] = ()
 
     def __init__(self, name: str = "model") -> None:
         self._core = _core.Model(str(name))
@@ -64,9 +69,33 @@ class Model:
         return Declared(self._core.state(name, s.unit, s.start, *s.bounds) for name, s in each.items())
 
     def inputs(self, *names: str, **units: str) -> tuple[Expr, ...]:
-        """Declares inputs, ``name="unit"`` or ``"a b c"``; returns their symbols in order."""
+        """Declares inputs, ``name="unit"`` or ``"a b c"``; returns their symbols in order.
+
+        They are controls: what a pilot, a test engineer or an actuator moves. What is only measured is declared by
+        `conditions`.
+        """
         declared = check_units("inputs", read_names("inputs", names, units))
         return Declared(self._core.input(n, u) for n, u in declared.items())
+
+    def conditions(self, *names: str, **units: str) -> tuple[Expr, ...]:
+        """Declares measured conditions: airspeed, dynamic pressure, mass, a wind; returns their symbols in order.
+
+        They are inputs, which records must have, as those of `inputs` are, but nobody commands them. So `candidates`
+        offers a scale, a bias and a delay of their measurement, but no dead-band, saturation, backlash, limited rate or
+        lag; no manoeuvre is advised on them; and `plan` keeps them where they are unless they are given.
+
+        >>> m = Model("roll")
+        >>> p, = m.states(p="rad/s")
+        >>> da, = m.inputs(da="rad")
+        >>> V, = m.conditions(V="m/s")
+        >>> m.input_names, m.condition_names
+        (('da', 'V'), ('V',))
+        """
+        symbols = []
+        for name, unit in check_units("conditions", read_names("conditions", names, units)).items():
+            symbols.append(self._core.input(name, unit))
+            self._condition_names = (*self._condition_names, name)
+        return Declared(symbols)
 
     def parameters(self, *names: str, **parameters: Parameter | float) -> tuple[Expr, ...]:
         """Declares unknown parameters: ``"a b"`` (start 0), ``a=start`` or ``a=Parameter(...)``.
@@ -139,18 +168,18 @@ class Model:
 
         An expression may hold parameters, and inputs, time and other states at that sample: a trim condition.
         """
-        self._conditions("initial", expressions)
+        self._end_conditions("initial", expressions)
 
     def final(self, **expressions: Any) -> None:
         """Gives states at the last sample, as `initial` does at the first."""
-        self._conditions("final", expressions)
+        self._end_conditions("final", expressions)
 
     def periodic(self, *states: str, **differences: Any) -> None:
         """Lets states end as they began: ``periodic("q")``; ``periodic(psi=2*math.pi)`` but for a difference, which may
         depend on parameters."""
-        self._conditions("periodic", {**dict.fromkeys(states, 0.0), **differences})
+        self._end_conditions("periodic", {**dict.fromkeys(states, 0.0), **differences})
 
-    def _conditions(self, end: str, expressions: Mapping[str, Any]) -> None:
+    def _end_conditions(self, end: str, expressions: Mapping[str, Any]) -> None:
         source = source_line()
         self._each(f"{end} condition", expressions, lambda n, e: self._core.condition(end, n, e, source))
 
@@ -204,8 +233,18 @@ class Model:
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs that data must have, in order."""
+        """Names of the inputs that data must have, in order: controls and conditions."""
         return tuple(name for name, _ in self._core.inputs if name not in self._delays.inputs)
+
+    @property
+    def condition_names(self) -> tuple[str, ...]:
+        """Names of the inputs that `conditions` declared, in order."""
+        return self._condition_names
+
+    def is_condition(self, name: str) -> bool:
+        """Tell whether an input is a measured condition, also a delayed one."""
+        of, _ = self._delays.inputs.get(name, (name, ""))
+        return of in self._condition_names
 
     @property
     def quantity_names(self) -> tuple[str, ...]:
@@ -260,7 +299,7 @@ class Model:
         return found | {f"y:{name}": e for name, e, *_ in self._core.outputs}
 
     @property
-    def conditions(self) -> tuple[tuple[str, str, Expr], ...]:
+    def end_conditions(self) -> tuple[tuple[str, str, Expr], ...]:
         """Conditions on the ends of records: the end ("initial", "final" or "periodic"), the state, the expression."""
         return tuple((end, state, e) for end, state, e, _ in self._core.conditions)
 
@@ -293,12 +332,21 @@ class Model:
         lines = [f"{Expr.symbol(n).latex()} &= {e.latex()}" for n, e, *_ in self._core.quantities]
         lines += [rf"\dot{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in self._core.dynamics]
         lines += [rf"\tilde{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in self._core.outputs]
+        if self.condition_names:
+            symbols = ",\\ ".join(Expr.symbol(n).latex() for n in self.condition_names)
+            lines.append(rf"\text{{conditions: }} & {symbols}")
         return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+
+    def _repr_latex_(self) -> str | None:
+        text = self.latex()
+        return f"$$\n{text}\n$$" if len(text) <= _LONGEST else None  # a notebook shows its text then
 
     def to_json(self) -> str:
         """The model as text that `from_json`, and the Rust crate, read back exactly."""
         text = self._equations_to_json()
-        more = {"noise": self._noise.to_dict(), "delays": self._delays.to_dict()}
+        more: dict[str, Any] = {"noise": self._noise.to_dict(), "delays": self._delays.to_dict()}
+        # Of an own name: "conditions" are those at the ends of records.
+        more["measured_conditions"] = list(self._condition_names)
         more = {key: value for key, value in more.items() if value}
         return json.dumps({**json.loads(text), **more}) if more else text
 
@@ -315,6 +363,7 @@ class Model:
             saved = json.loads(text)
             model._with_noise(noise_from_dict(saved.get("noise", {})))
             model._delays = Delays.from_dict(saved.get("delays", {}))
+            model._condition_names = _saved_conditions(saved.get("measured_conditions", []), model.input_names)
         except ModelError:
             raise
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
@@ -420,9 +469,9 @@ class Model:
         return self._around(self._core.smoothed(widths), self._delays)
 
     def _around(self, core: _core.Model, delays: Delays) -> Model:
-        """A model with another core and the noise of this one."""
+        """A model with another core, and the noise and the roles of inputs of this one."""
         model = type(self).__new__(type(self))
-        model._core, model._delays = core, delays
+        model._core, model._delays, model._condition_names = core, delays, self._condition_names
         return model._with_noise(self._noise)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -446,7 +495,10 @@ class Model:
         return Model.from_json, (self.to_json(),)
 
     def __repr__(self) -> str:
-        counts = f"{len(self.state_names)} states, {len(self.input_names)} inputs, {len(self.output_names)} outputs"
+        inputs, conditions = len(self.input_names), len(self.condition_names)
+        counts = f"{len(self.state_names)} states, {inputs - conditions} inputs, "
+        counts += f"{conditions} conditions, " if conditions else ""
+        counts += f"{len(self.output_names)} outputs"
         return f"<Model '{self.name}': {counts}, {len(self.parameter_names)} parameters>"
 
     def __str__(self) -> str:
@@ -454,4 +506,14 @@ class Model:
         lines += [f"{name}' = {e}" for name, e, *_ in self._core.dynamics]
         lines += [f"{name} (measured) = {e}" for name, e, *_ in self._core.outputs]
         lines += [f"{state} ({end}) = {e}" for end, state, e, _ in self._core.conditions]
+        units = {n: f" ({unit})" if unit else "" for n, unit in self._core.inputs}
+        listed = ", ".join(f"{n}{units[n]}" for n in self.condition_names)
+        lines += [f"conditions: {listed}"] if listed else []
         return "\n".join([self.name, *(f"  {line}" for line in lines)])
+
+
+def _saved_conditions(names: Any, inputs: Sequence[str]) -> tuple[str, ...]:
+    """The names of conditions as saved; ModelError for what is no list of names of inputs, each once."""
+    if not isinstance(names, list) or any(n not in inputs for n in names) or len(set(names)) < len(names):
+        raise ModelError(f"saved model: measured_conditions are inputs of the model, each once, not {names!r}")
+    return tuple(names)

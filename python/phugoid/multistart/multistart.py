@@ -12,7 +12,7 @@ from ..data.experiment import Experiment, as_experiments, completed
 from ..errors import ModelError, OptionError
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..noise.noise import KINDS, Noise
+from ..noise.noise import Noise, not_noise
 from ..solvers.limits import limited
 from ..starts.collect import Watch, check_progress, collect
 from ..starts.outcome import Problem
@@ -141,7 +141,7 @@ def _problem(model: Any, data: Any, transcription: Any, noise: Any, start: Any, 
         )
     noise = noise or model.noise_model
     if not isinstance(noise, Noise):
-        raise OptionError(f"multistart: noise is {KINDS}, not {noise!r}")
+        raise OptionError(f"multistart: {not_noise(noise)}")
     if not isinstance(start, (Mapping, FitResult, type(None))):
         raise OptionError(f"multistart: start holds values by name, or is a fit, not {start!r}")
     common = start.as_start() if isinstance(start, FitResult) else start or {}

@@ -14,10 +14,25 @@ from .. import _core
 from .._core import Expr
 from ..errors import ModelError, did_you_mean
 
-__all__ = ["KINDS", "Gaussian", "Noise", "Sigma", "SigmaSpec", "saved_sigma"]
+__all__ = ["KINDS", "Gaussian", "Noise", "Sigma", "SigmaSpec", "not_noise", "saved_sigma"]
 
 KINDS = "a Gaussian, StudentT, Huber, Laplace, Density or PerOutput"
 """What a noise model is, for messages."""
+
+
+def not_noise(given: object) -> str:
+    """Return the end of a message on what is no noise model: what one is, and what was meant by numbers.
+
+    >>> not_noise({"az": 0.1}).partition("; ")[2]
+    "known standard deviations are given as ph.Gaussian({'az': 0.1})"
+    """
+    text = f"noise is {KINDS}, not {given!r}"
+    if isinstance(given, Mapping) and given and all(isinstance(x, (int, float)) for x in given.values()):
+        return f"{text}; known standard deviations are given as ph.Gaussian({dict(given)!r})"
+    if isinstance(given, (int, float)) and not isinstance(given, bool):
+        return f"{text}; a known standard deviation is given by output, as in ph.Gaussian({{'q': {given!r}}})"
+    return text
+
 
 SigmaSpec = tuple[bool, float, float, float]
 """Known?, value or start, lower bound, upper bound."""

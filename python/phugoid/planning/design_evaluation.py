@@ -18,6 +18,7 @@ from ..records import Record
 from ..sensitivities.linearised import Linearised
 from ..sensitivities.tangents import parameter_sensitivities
 from ..transcription.collocation import Collocation
+from .conditions import condition_warnings, with_conditions
 from .plan import Criterion, Excursion, Information, Plan, Plans
 from .predicted_record import predicted
 
@@ -49,7 +50,8 @@ def plan(
     source     a model, with its ``values``; or a fit, whose values and noise are taken where not given.
     manoeuvre  inputs over the times of the samples, ``Experiment(t, inputs={...})``, see `phugoid.inputs`; a list is
                flown one after the other. Where it has a channel of an output, that output is missing where the channel
-               is NaN: so sensors of lower rates are said.
+               is NaN: so sensors of lower rates are said. Measured conditions (`Model.conditions`) are held at their
+               mean in the records of the fit where it does not give them; one that it changes has a warning.
     values     of parameters, by name; of those not named the model's starts, or the fit's.
     noise      output -> standard deviation, in its unit. Flight records have coloured residuals: take three to five
                times what the sensor's noise is, or expect errors so much larger than planned.
@@ -82,6 +84,7 @@ def plan(
     """
     runs = as_experiments(manoeuvre, "plan")
     model, fit = source_of(source)
+    runs = with_conditions(model, fit, runs)
     given = values_of(model, fit, runs, values)
     sigmas = sigmas_of(model, fit, noise)
     first = first_states(model, fit, initial)
@@ -121,6 +124,7 @@ def plan(
         criteria=_criteria(information, measure, of),
         sigmas=sigmas,
         added=added,
+        warnings=condition_warnings(model, runs),
     )
 
 
@@ -304,7 +308,7 @@ def sigmas_of(model: Model, fit: FitResult | None, noise: Mapping[str, float] | 
 def first_states(model: Model, fit: FitResult | None, initial: Mapping[str, float] | None) -> dict[str, float]:
     found = {} if fit is None else {n: e.value for n, e in fit.initial_states[fit.records[0].name].items()}
     # What the model's conditions say follows from the values.
-    held = {state for end, state, _ in model.conditions if end == "initial"}
+    held = {state for end, state, _ in model.end_conditions if end == "initial"}
     found = {n: v for n, v in found.items() if n not in held}
     for n, v in (initial or {}).items():
         if n not in model.state_names:

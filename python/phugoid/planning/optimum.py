@@ -40,7 +40,8 @@ def optimal_plan(
 ) -> Plan:
     """The manoeuvre of a family that tells most and keeps its limits.
 
-    make         gives the manoeuvre for numbers by name: ``make(width=0.5, amplitude=0.03)``.
+    make         gives the manoeuvre for numbers by name: ``make(width=0.5, amplitude=0.03)``. Measured conditions need
+                 not be in it: they are held, as by `plan`.
     bounds       name -> (lower, upper) of these numbers.
     criterion    what is to be small: "D", "A" or "worst" (`Plan.criteria`), of the parameters in the option ``of``.
     generations  of differential evolution (Storn and Price, J. Global Optim. 11, 1997), which does not mind widths that
@@ -115,4 +116,4 @@ def optimal_plan(
     if best is None:
         early = f" before the end ({ended})" if ended else ""
         raise OptionError(f"optimal_plan: nothing that was tried{early} keeps its limits. The nearest: {nearest[1]}")
-    return replace(best, warnings=(f"{ended}: this is the best plan so far",)) if ended else best
+    return replace(best, warnings=(*best.warnings, f"{ended}: this is the best plan so far")) if ended else best

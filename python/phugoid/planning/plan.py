@@ -72,7 +72,8 @@ class Plan:
                  mean of their squares; "worst": the greatest relative error of a parameter. Small is good, infinite is
                  not told.
     choice       what `optimal_plan` chose.
-    warnings     what to beware of, in words: that the search for it was ended before.
+    warnings     what to beware of, in words: a measured condition that the manoeuvre changes; that the search was
+                 ended early.
     """
 
     name: str
@@ -170,6 +171,9 @@ class Plans(Mapping[str, Plan]):
             return self._plans[name]
         except KeyError:
             raise UnknownName(f"there is no plan '{name}'.{did_you_mean(str(name), self._plans)}") from None
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._plans)

@@ -60,7 +60,7 @@ def predicted(
 
 def _stepped(model: Model, values: Mapping[str, float], run: Experiment, *, initial: Mapping[str, float]) -> Record:
     """`simulate` by Runge-Kutta steps of fixed length, in the core."""
-    run.check_for(model.input_names, [])
+    run.check_for(model.input_names, [], conditions=model.condition_names)
     silent = run.with_outputs({n: np.zeros(run.n) for n in model.output_names})
     noise = Gaussian(dict.fromkeys(model.output_names, 1.0)).resolve(model.output_names, {}, {})
     problem = SingleShooting("dopri5", substeps=_STEPS, threads=1).problem(model, [silent], noise)

@@ -159,7 +159,7 @@ def equation_error(
     if not isinstance(start, (Mapping, type(None))):
         raise OptionError(f"equation_error: start holds values by name, not {start!r}")
     for run in runs:
-        run.check_for(model.input_names, model.output_names, model.output_names)
+        run.check_for(model.input_names, model.output_names, model.output_names, conditions=model.condition_names)
     check_units(model, runs, "equation_error")
     check_names(model, start or {}, runs)
     values = [parameter_start(model, start or {}, run.name) for run in runs]  # those of each experiment

@@ -159,7 +159,12 @@ def _experiments(fit: FitResult) -> None:
             _times(where, times)
             _array(where, values, (times.size,))
             _require(math.isfinite(delay) and order in range(3), f"{where}: delay {delay}, order {order}")
-        e.check_for(fit.model.input_names, fit.model.output_names, known_sigma=fit.model.output_names)
+        e.check_for(
+            fit.model.input_names,
+            fit.model.output_names,
+            known_sigma=fit.model.output_names,
+            conditions=fit.model.condition_names,
+        )
 
 
 def _mesh(place: str, e: Experiment) -> None:

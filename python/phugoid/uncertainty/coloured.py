@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import EvaluationError
 from ..fit_result import FitResult
+from ..notebook import notebook_page, table
 from ..parameters import Estimates, plus_minus, text_table
 from ..residual_noise.autoregression import Autoregression
 from ..residual_noise.restricted_likelihood import (
@@ -59,6 +60,13 @@ class Coloured:
 
     def summary(self) -> str:
         """Both standard errors of each parameter, and how long the noise of each output remembers."""
+        return "\n\n".join(text_table(*each) for each in self._tables())
+
+    def _repr_html_(self) -> str:
+        return notebook_page("Standard errors for coloured residuals", *(table(*each) for each in self._tables()))
+
+    def _tables(self) -> tuple[tuple[list[str], list[list[str]], str], ...]:
+        """Heads, rows and alignment of both tables."""
         rows = []
         for (name, ratio), e, plain in zip(self.inflation.items(), self.parameters.values(), self.plain, strict=True):
             error = "" if math.isnan(plain) else f"{plain:.2g}"
@@ -70,9 +78,7 @@ class Coloured:
         noise = [
             [n, f"{r[1] if r.size > 1 else 0.0:.2f}", f"{self.times[n]:.3g}"] for n, r in self.autocorrelation.items()
         ]
-        return (
-            f"{text_table(heads, rows, 'lrrrrl')}\n\n{text_table(['noise of', 'lag-1', 'memory in s'], noise, 'lrr')}"
-        )
+        return (heads, rows, "lrrrrl"), (["noise of", "lag-1", "memory in s"], noise, "lrr")
 
     def __str__(self) -> str:
         return self.summary()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import UnknownName, did_you_mean
 from ..fit_result import FitResult
+from ..notebook import bullets, notebook_page, table
 from ..parameters import correlation_matrix, text_table
 
 __all__ = ["Correlation", "WeakDirection", "correlation"]
@@ -98,6 +99,12 @@ class Correlation:
         ]
         table = text_table(["", *self.names], rows, "l" + "r" * len(self.names))
         return "\n\n".join([table, *self.notes])
+
+    def _repr_html_(self) -> str:
+        pairs = [[a, b, f"{rho:+.3f}"] for a, b, rho in self.pairs()]
+        note = f"{len(self.names)} parameters, {len(pairs)} pairs above {_STRONG:g}"
+        weak = bullets(f"Weakly identified: {w}." for w in self.weak)
+        return notebook_page("Correlation", table(["", "", "correlation"], pairs, "llr"), weak, note=note)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> _Array:
         return np.array(self.matrix, dtype=dtype)

@@ -108,6 +108,9 @@ class Profiles(Mapping[str, Profile]):
             raise UnknownName(f"there is no profile of '{name}'.{did_you_mean(str(name), self.profiles)}")
         return self.profiles[name]
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self)
+
     def __iter__(self) -> Any:
         return iter(self.profiles)
 

@@ -30,14 +30,14 @@ def freed_by_default(model: Model) -> tuple[str, ...]:
 def _symbols_of_motion(model: Model, with_initial: bool) -> set[str]:
     """Symbols in state equations and conditions, quantities put in."""
     found = [*model.state_expressions().values()]
-    found += [e for end, _, e in model.conditions if with_initial or end != "initial"]
+    found += [e for end, _, e in model.end_conditions if with_initial or end != "initial"]
     return {symbol for e in found for symbol in e.simplify().symbols}
 
 
 def _entering_outputs_only(model: Model, motion: set[str]) -> tuple[str, ...]:
     parameters = {*model.parameter_names}
     outputs = [Expr(e).simplify() for e in model.output_expressions().values()]
-    initial = {s for end, _, e in model.conditions if end == "initial" for s in e.symbols}
+    initial = {s for end, _, e in model.end_conditions if end == "initial" for s in e.symbols}
     coefficients: dict[str, set[str]] = {}
     for name in model.parameter_names:
         if name in motion or name in model.delays.parameters:

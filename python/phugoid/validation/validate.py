@@ -178,7 +178,8 @@ def _check(fit: FitResult, e: Experiment, free: Sequence[str]) -> tuple[str, ...
     model = fit.model
     check_units(model, [e], "validate")
     there = {*e.channels}
-    lacking = [f"input '{n}'" for n in model.input_names if n not in there | {*e.inputs}]
+    role = {n: "condition" if model.is_condition(n) else "input" for n in model.input_names}
+    lacking = [f"{role[n]} '{n}'" for n in model.input_names if n not in there | {*e.inputs}]
     lacking += [f"output '{n}'" for n in model.output_names if n not in there | {*e.outputs}]
     if lacking:
         names = [*dict.fromkeys([*e.inputs, *e.outputs, *e.channels])]
@@ -231,7 +232,7 @@ def _start(fit: FitResult, slim: Model, held: Mapping[str, float], free: Sequenc
 def _degrees(model: Model, free: Sequence[str], found: FitResult) -> int:
     """Measured values minus what was estimated."""
     values = sum(int(np.isfinite(r.residuals[name]).sum()) for r in found.records for name in model.output_names)
-    conditions = len({(end, state) for end, state, _ in model.conditions})
+    conditions = len({(end, state) for end, state, _ in model.end_conditions})
     states = max(len(model.state_names) - conditions, 0) * len(found.records)
     return values - states - len(estimates_of(found.parameters, free))
 

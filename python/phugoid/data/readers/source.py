@@ -59,12 +59,20 @@ def stem(path: Path) -> str:
 
 
 def existing(path: Path) -> None:
-    """Raises DataError unless the path leads to a file; it names the one that may be meant."""
+    """Raises DataError unless the path leads to a file; it names the folder, and a file there that may be meant."""
     if path.is_dir():
         raise DataError(f"{path}: is a folder, not a file")
     if not path.is_file():
-        near = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
-        raise DataError(f"{path}: there is no such file.{did_you_mean(path.name, near)}")
+        folder = path.parent.resolve()
+        if not folder.is_dir():
+            raise DataError(f"{path}: there is no such file; there is no folder {folder} either")
+        # A record with another number is another record, and one with another ending is no slip of a finger.
+        near = [p.name for p in folder.iterdir() if p.suffix == path.suffix and _digits(p.name) == _digits(path.name)]
+        raise DataError(f"{path}: there is no such file in {folder}.{did_you_mean(path.name, near)}")
+
+
+def _digits(name: str) -> str:
+    return "".join(filter(str.isdigit, name))
 
 
 def contents(path: Path) -> bytes:

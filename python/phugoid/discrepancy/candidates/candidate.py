@@ -48,6 +48,7 @@ class Candidate(ABC):
     shapes       values of those to try in a scan, a mapping each (one empty mapping where there are none).
     transferable whether its parameters are those of the vehicle, so the same in another record: the phase of a
                  disturbance is not.
+    beside       name of the candidate that must be there already, for this one refines it; "" for none.
     stage        terms (0) are added before inputs are transformed: dead-band (1), saturation (2), lag (3), delay (4).
     """
 
@@ -59,6 +60,7 @@ class Candidate(ABC):
     shapes: Sequence[Mapping[str, float]] = ({},)
     unit_amplitude: bool = False
     transferable: bool = True
+    beside: str = ""
     stage: int = 0
 
     @property
@@ -78,6 +80,10 @@ class Candidate(ABC):
     def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
         """Return (n,) at the points of each state that `extended` adds, for parameters that start there; nothing where
         a fit finds them from any start."""
+        return {}
+
+    def reachable(self, states: Mapping[str, _Array], start: Mapping[str, float]) -> Mapping[str, _Array]:
+        """Return those of a fitted path's states (n,) that the effect does not let be, as it lets them be."""
         return {}
 
     @abstractmethod
@@ -116,6 +122,7 @@ class Effect(Candidate):
     coefficients: tuple[str, ...] = ()
     shape_names: tuple[str, ...] = ()
     variables: tuple[str, ...] = ()
+    beside: str = ""
     shapes: Sequence[Mapping[str, float]] = field(init=False, default=({},))
     unit_amplitude: bool = field(init=False, default=False)
 
@@ -194,6 +201,15 @@ class ExtensionBuilder:
             known[quantity] = self.equations["quantity", quantity].substitute(known)
         self._states[name] = (unit, Expr(right(symbol)), Expr(Expr(initial).substitute(known)))
         return symbol
+
+    def states(self, wanted: Sequence[str], right: Callable[..., Sequence[Any]]) -> list[Expr]:
+        """Several more states that depend on each other, without units, and 0 at the first sample: right-hand sides by
+        their symbols."""
+        names = [self._unused(name) for name in wanted]
+        symbols = [Expr.symbol(name) for name in names]
+        for name, e in zip(names, right(*symbols), strict=True):
+            self._states[name] = ("", Expr(e), Expr(0.0))
+        return symbols
 
     def late_input(self, of: str, tau: str) -> Expr:
         """The symbol of an input that is late by a parameter."""

@@ -9,6 +9,7 @@ from typing import Any, overload
 from ..._core import Expr
 from ...errors import DataError, ModelError, UnknownName, did_you_mean
 from ...modelling.model import Model
+from ...notebook import notebook_page, table
 from ...parameters import text_table
 from ...sensitivities.trajectory import Place, Points
 from .candidate import Candidate, Effect
@@ -129,9 +130,21 @@ class Candidates(Sequence[Candidate]):
         counts = ", ".join(f"{count} {family}" for family, count in self.families.items())
         return f"<{len(self)} candidates: {counts}>" if counts else "<no candidates>"
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._by_name)
+
+    def _repr_html_(self) -> str:
+        counts = ", ".join(f"{count} {family}" for family, count in self.families.items())
+        return notebook_page(f"{len(self)} candidates", table(_HEADS, self._rows(), _ALIGN), note=counts)
+
     def __str__(self) -> str:
-        rows = [[c.name, c.explanation, ", ".join(c.parameters), str(len(c.shapes))] for c in self._all]
-        return text_table(["candidate", "explanation", "parameters", "shapes"], rows, "lllr")
+        return text_table(_HEADS, self._rows(), _ALIGN)
+
+    def _rows(self) -> list[list[str]]:
+        return [[c.name, c.explanation, ", ".join(c.parameters), str(len(c.shapes))] for c in self._all]
+
+
+_HEADS, _ALIGN = ("candidate", "explanation", "parameters", "shapes"), "lllr"
 
 
 _JUMPS = {

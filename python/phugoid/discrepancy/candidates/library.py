@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any, Literal
 
+from ..._core import Expr
 from ...errors import ModelError, OptionError, did_you_mean
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Place, Points
@@ -27,9 +29,11 @@ from .channel_effects import (
 )
 from .collection import Candidates, read_terms
 from .directions import Directions
-from .model_structure import ModelStructure, Variable
+from .hysteresis import FlexibleMode, Hysteresis, Stribeck
+from .model_structure import ANGLES, ModelStructure, Variable
 from .parameter_drift import ParameterDrift
 from .scales import Scales, output_key, trim_of
+from .stops import EndStop, StateLimit
 from .terms import FORMS, LaggedVariable, Periodic, Rate, Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
@@ -57,10 +61,16 @@ FAMILIES = (
     "rate_limit",
     "clipped",
     "variation",
+    "stribeck",
+    "limit",
+    "hysteresis",
+    "mode",
     "periodic",
 )
 # Those with a signal that depends on no shape: only they can be seen to be the same at single points.
 _STATIC = FAMILIES[: FAMILIES.index("lag")]
+# What can be wrong with a condition, which is measured and not commanded: nothing that an actuator does.
+_OF_CONDITIONS = ("scale", "bias", "delay")
 
 
 def candidates(
@@ -76,9 +86,11 @@ def candidates(
     """Everything that the library can think of that the model may be missing, with canonical names.
 
     In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms,
-    squares, products and cubes of states and inputs, x^2 v for rates v, x|x|, |x|, sign(x), first-order lags, a
-    periodic disturbance. In outputs: bias, scale, drift, delay, lag, clipping, linear terms, squares and products of
-    rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay.
+    squares, products and cubes of states and inputs, x^2 v for rates v, x|x|, |x|, sign(x), first-order lags,
+    friction that is larger at rest, hysteresis, a lightly damped mode, a periodic disturbance. States that go no
+    further than a limit. In outputs: bias, scale, drift, delay, lag, clipping, linear terms, squares and products of
+    rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
+    conditions (`Model.conditions`) scale, bias and delay.
     Parameters of the state equations may change in the course of a record. What the model's parameters can do already
     is left out, and so is what another candidate says too: names of `FAMILIES` that stand first win.
 
@@ -161,6 +173,7 @@ def _stem(place: Place) -> str:
 
 
 def _library(structure: ModelStructure, scales: Scales, names: _Names) -> Iterator[Effect]:
+    model = structure.model
     for place in structure.places:
         if place.kind == "output":
             yield from _in_output(structure, place, scales, names)
@@ -168,7 +181,9 @@ def _library(structure: ModelStructure, scales: Scales, names: _Names) -> Iterat
             yield from _in_equation(structure, place, scales, names)
     for variable in structure.variables:
         if variable.kind == "input" and structure.used(variable.symbol):
-            yield from _on_input(structure, variable, scales, names)
+            of = _OF_CONDITIONS if model.is_condition(variable.symbol) else FAMILIES
+            yield from (c for c in _on_input(structure, variable, scales, names) if c.family in of)
+    yield from _limits(structure, scales, names)
     for name in structure.acting:
         words = f"{name} changes in the course of the record"
         coefficient = names(f"drift_{name}")
@@ -227,6 +242,7 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
             (names(f"tau_{stem}_{v.shown}"),),
             variables=(v.symbol,),
         )
+    yield from _with_memory(structure, place, scales, names)
     coefficients = names(f"{stem}_sin"), names(f"{stem}_cos")
     yield Periodic(
         f"{shown}:periodic",
@@ -237,6 +253,66 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
         coefficients,
         (names(f"{stem}_frequency"),),
     )
+
+
+def _with_memory(structure: ModelStructure, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
+    """Friction that is larger at rest, hysteresis of what moves, and a mode."""
+    shown, stem, words = structure.shown(place), _stem(place), where(place)
+    for v in structure.variables:
+        if v.kind == "state" and v.speed:
+            yield Stribeck(
+                f"{shown}:stribeck_{v.shown}",
+                place,
+                f"{words} has dry friction that is larger where {v.shown} is small (Stribeck effect)",
+                "stribeck",
+                scales,
+                (names(f"{stem}_stribeck_{v.shown}"),),
+                (names(f"speed_{stem}_{v.shown}"),),
+                variables=(v.symbol,),
+                beside=f"{shown}:sign({v.shown})",
+            )
+        moves = v.rate or structure.model.units.get(v.symbol, "").endswith("/s")
+        if v.kind == "state" and v.symbol in structure.dynamics and not moves:
+            yield Hysteresis(
+                f"{shown}:hysteresis_{v.shown}",
+                place,
+                f"{words} depends on where {v.shown} turned (hysteresis, or dry friction that yields)",
+                "hysteresis",
+                scales,
+                (names(f"{stem}_hysteresis_{v.shown}"),),
+                (names(f"yield_{stem}_{v.shown}"),),
+                variables=(v.symbol,),
+            )
+    yield FlexibleMode(
+        f"{shown}:mode",
+        place,
+        f"{words} excites a lightly damped mode that the model lacks",
+        "mode",
+        scales,
+        (names(f"{stem}_mode"),),
+        (names(f"frequency_{stem}_mode"), names(f"damping_{stem}_mode")),
+    )
+
+
+def _limits(structure: ModelStructure, scales: Scales, names: _Names) -> Iterator[Effect]:
+    """States that go no further: positions meet a stop, stores are full."""
+    places = {place.name for place in structure.places if place.kind == "equation"}
+    units = structure.model.units
+    for v in structure.variables:
+        x = v.symbol
+        if v.kind != "state" or x not in structure.dynamics or v.rate or units.get(x, "") in ANGLES:
+            continue
+        e, limit = structure.dynamics[x], names(f"limit_of_{x}")
+        speed = next((w.symbol for w in structure.variables if w.kind == "state" and e == Expr.symbol(w.symbol)), "")
+        if speed in places:
+            words = f"{x} meets an end stop, which acts on {speed} like a stiff spring"
+            stiffness = names(f"stop_of_{x}")
+            yield EndStop(
+                f"{x}:limit", Place("equation", speed), words, "limit", scales, (stiffness,), (limit,), variables=(x,)
+            )
+        elif x in places and not units.get(x, "").endswith("/s"):
+            words = f"{x} goes no further than a limit (overflow, a store that is full or empty)"
+            yield StateLimit(f"{x}:limit", Place("equation", x), words, "limit", scales, (), (limit,), variables=(x,))
 
 
 def _in_output(structure: ModelStructure, place: Place, scales: Scales, names: _Names) -> Iterator[Effect]:
@@ -301,4 +377,7 @@ def _distinct(own: Sequence[Effect], made: Sequence[Effect], directions: Directi
             raise ModelError(f"terms: {c.name} and {twin} are the same but for a factor and what the model has")
         if verdict.spanned or verdict.twin is not None:
             dropped.add(id(c))
-    return [c for c in (*made, *own) if id(c) not in dropped]
+    kept = [c for c in (*made, *own) if id(c) not in dropped]
+    there = {c.name for c in kept}
+    # What the model has already need not be found first.
+    return [c if not c.beside or c.beside in there else replace(c, beside="") for c in kept]

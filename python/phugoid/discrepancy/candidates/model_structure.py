@@ -8,7 +8,10 @@ from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Place
 
-__all__ = ["ModelStructure", "Variable"]
+__all__ = ["ANGLES", "ModelStructure", "Variable"]
+
+ANGLES = ("rad", "deg", "°")
+"""Units of angles."""
 
 _ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
 

@@ -26,10 +26,14 @@ __all__ = [
     "lagged",
     "late",
     "late_smooth",
+    "levels_of",
     "longest_delay",
     "longest_lag",
+    "mode_grid",
     "of",
     "output_key",
+    "rate_key",
+    "second_order",
     "trim_of",
 ]
 
@@ -70,10 +74,15 @@ def output_key(name: str) -> str:
     return f"y:{name}"
 
 
+def rate_key(name: str) -> str:
+    """Return the name of the rate of a state or an input among scales."""
+    return f"{name}'"
+
+
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Trims, least and greatest values by name (states, inputs, quantities; outputs by `output_key`), numbers of levels
-    of what takes a few values only, and of time (s): first, longest record, sample interval.
+    """Trims, least and greatest values by name (states, inputs, quantities; outputs by `output_key`, rates by
+    `rate_key`), numbers of levels of what takes a few values only, and of time (s): first, longest record, interval.
 
     What is not known is taken as centred at 0, with a range of 1, over 20 s at 50 Hz: a library without data.
     """
@@ -91,14 +100,16 @@ class Scales:
         """Scales over some records; trims as given, others by `trim_of`."""
         names = _names(points)
         of_outputs = {output_key(n): np.concatenate([p.outputs[n] for p in points]) for n in points[0].outputs}
+        shared = [n for n in points[0].rates if all(n in p.rates for p in points)]
+        of_others = of_outputs | {rate_key(n): np.concatenate([p.rates[n] for p in points]) for n in shared}
         medians = {key: float(np.median(y)) for key, y in of_outputs.items()}
         return Scales(
             trim={**medians, **trim_of(points), **(trim or {})},
             low={name: min(float(p.values[name].min()) for p in points) for name in names}
-            | {key: float(y.min()) for key, y in of_outputs.items()},
+            | {key: float(y.min()) for key, y in of_others.items()},
             high={name: max(float(p.values[name].max()) for p in points) for name in names}
-            | {key: float(y.max()) for key, y in of_outputs.items()},
-            levels={n: k for n in names if (k := _levels(np.concatenate([p.values[n] for p in points])))},
+            | {key: float(y.max()) for key, y in of_others.items()},
+            levels={n: k for n in names if (k := levels_of(np.concatenate([p.values[n] for p in points])))},
             begin=min(float(p.t[0]) for p in points),
             duration=max(float(p.t[-1] - p.t[0]) for p in points),
             interval=min(float(np.median(np.diff(p.t))) for p in points),
@@ -138,7 +149,7 @@ class Scales:
         return min(self.high[name], -self.low[name]) > _CROSSES * (self.high[name] - self.low[name])
 
 
-def _levels(values: _Array) -> int:
+def levels_of(values: _Array) -> int:
     """Return the number of levels of what switches between a few, as a relay does; 0 for what takes other values more
     often than in passing."""
     span = float(np.ptp(values))
@@ -156,6 +167,8 @@ _SAME, _OFTEN, _PASSING = 1e-3, 0.05, 0.1
 # Transport delays of actuators, air data and telemetry; slower ones would have been noticed.
 _DELAY = 0.3
 _FREQUENCIES = 200
+# Times of a motion that is simulated, at most.
+_FINEST = 200_000
 
 
 def _longest_delay(duration: float, interval: float) -> float:
@@ -207,6 +220,12 @@ def frequency_grid(scales: Scales) -> _Array:
     return np.asarray(step * np.arange(2, 2 + min(max(count, 1), _FREQUENCIES)))
 
 
+def mode_grid(scales: Scales) -> _Array:
+    """Frequencies of a mode, rad/s: from four cycles a record to a third of the sampling rate, by factors of 1.2."""
+    low, high = 8.0 * np.pi / scales.duration, 2.0 * np.pi / (3.0 * scales.interval)
+    return np.geomspace(low, max(high, 2.0 * low), max(int(np.ceil(np.log(high / low) / np.log(1.2))), 4) + 1)
+
+
 def of(group: Mapping[str, _Array], name: str, points: Points, what: str) -> _Array:
     """A time history by name; DataError where the points have none."""
     try:
@@ -237,6 +256,18 @@ def lagged(t: _Array, u: _Array, tau: float) -> _Array:
     right[0] = u[0]
     right[1:] = u[1:] - u[:-1] * decay - np.diff(u) * share
     return np.asarray(solve_banded((1, 0), band, right, overwrite_b=True, check_finite=False))
+
+
+def second_order(t: _Array, u: _Array, w: float, damping: float) -> tuple[_Array, _Array]:
+    """(n,) solution z of z'' = w^2 (u - z) - 2 damping w z', at rest at first, and z'; for u linear between equally
+    spaced times, as many as such a motion needs."""
+    from scipy.signal import cont2discrete, lfilter
+
+    count = min(max(2 * t.size, int(np.ceil((t[-1] - t[0]) * w / 0.2))), _FINEST) + 1
+    even = np.linspace(t[0], t[-1], count)
+    b, a, _ = cont2discrete(([w * w], [1.0, 2.0 * damping * w, w * w]), even[1] - even[0], method="foh")
+    z = lfilter(np.ravel(b), a, np.interp(even, t, u))
+    return np.interp(t, even, z), np.interp(t, even, np.gradient(z, even))
 
 
 def late(t: _Array, u: _Array, tau: float) -> _Array:

@@ -84,11 +84,11 @@ def discrimination_advice(final: Refit, rivals: Sequence[Refit]) -> str:
 def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
     """The manoeuvre that would tell the cause in ``final`` best from another one in its place, in each of ``rivals``.
 
-    Manoeuvres of each input that moved in the records are tried, the others held, from the state in which the first
-    record begins. Those that leave the envelope of the records before they are over are not flown: what the models say
-    there is not known, and nobody would let an unstable vehicle go so far. That is chosen which tells the cause from
-    most rivals, of such the one with the greatest least gain. On a disturbance, which is another in another record,
-    there is no advice.
+    Manoeuvres of each control that moved in the records are tried, the other inputs held, from the state in which the
+    first record begins. Those that leave the envelope of the records before they are over are not flown: what the
+    models say there is not known, and nobody would let an unstable vehicle go so far. That is chosen which tells the
+    cause from most rivals, of such the one with the greatest least gain. On a disturbance, which is another in another
+    record, there is no advice.
     """
     names = [next(n for n in r.names if n not in final.names) for r in rivals]
     nothing = Advice((), tuple(names), (), 0.0)

@@ -134,11 +134,11 @@ class CandidateManoeuvres:
         self.inputs = self._inputs(self.manoeuvres)
 
     def _listed(self) -> list[Manoeuvre]:
-        """All, the greatest first."""
+        """All, the greatest first; none of conditions, which nobody commands."""
         model, data = self.final.fit.model, self._data
         listed: list[Manoeuvre] = []
         self._sizes: list[float] = []
-        for name in model.input_names:
+        for name in [n for n in model.input_names if not model.is_condition(n)]:
             away = np.concatenate([e.input(name) - e.input(name)[0] for e in data])
             farthest = float(away[np.argmax(np.abs(away))])
             if abs(farthest) <= 1e-9 * float(np.abs(data[0].input(name)).max()):

@@ -182,7 +182,7 @@ class ManoeuvreResponse:
         self._low, self._high = np.array([p.bounds for p in declared]).reshape(-1, 2).T
         first = fit.initial_states[record.name]
         self._first = np.array([float(first[n]) for n in model.state_names])
-        held = {state for end, state, _ in model.conditions if end == "initial"}
+        held = {state for end, state, _ in model.end_conditions if end == "initial"}
         self._free = [
             i
             for i, (p, e) in enumerate(zip(declared, estimates, strict=True))
@@ -222,7 +222,7 @@ class ManoeuvreResponse:
 
     def _conditioned(self, values: _Array, first: _Array) -> _Array:
         """First states (L, n_x) that the model's initial conditions ask for."""
-        conditions = [(state, e) for end, state, e in self.model.conditions if end == "initial"]
+        conditions = [(state, e) for end, state, e in self.model.end_conditions if end == "initial"]
         if not conditions:
             return first
         known = dict(zip(self.model.input_names, self.trim.tolist(), strict=True)) | {"time": self._t0}

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from ...errors import DataError
 from ...fit_result import FitResult
+from ...notebook import Html, bullets, notebook_page, sparkline, table
 from ...residual_noise.autoregression import Autoregression, CorrelatedNoise, burg
 from ...residual_noise.residual_series import Series, autocorrelation_of, channel_series, same_rate
 from ...residual_noise.resolution import WITHIN, resolution_of
 from ...residual_noise.spectrum import Spectrum, Tone, spectrum_of, tones_of
-from .phrases import channel_phrases, number
+from .phrases import channel_phrases, number, what_stands_out
 from .regimes import Dependence, Regime, Running, Span, correlations_of, regimes_of, spans_of
 
 if TYPE_CHECKING:
@@ -188,6 +189,23 @@ class Misfit:
         from .figure import misfit_figure
 
         return misfit_figure(self, self.fit, channels)
+
+    def table_html(self, most: int | None = None) -> Html:
+        """Return a row for each channel, or for the ``most`` worst of them, for notebooks."""
+        rows = []
+        for name in self.worst[:most]:
+            c = self.channels[name]
+            record = next(r for r in self.fit.records if name in r.residuals)
+            picture = sparkline((record.innovations or record.residuals)[name], t=record.t)
+            noise, ratio = (number(x) if math.isfinite(x) else "" for x in (c.noise, c.ratio))
+            rows.append([name, c.unit, number(c.rms), noise, ratio, picture, what_stands_out(c)])
+        return table(["output", "unit", "RMS", "noise", "RMS/noise", "residual", ""], rows, "llrrrll")
+
+    def _repr_html_(self) -> str:
+        notes = dict.fromkeys(note for name in self.worst for note in self.channels[name].notes)
+        return notebook_page(
+            "Misfit", self.table_html(), bullets(notes), note=f"of '{self.fit.model.name}', worst first"
+        )
 
     def __str__(self) -> str:
         return self.summary()

@@ -111,6 +111,8 @@ def _estimated(finding: Finding) -> list[str]:
         repr(Estimate(name, value, error if error > 0.0 else math.nan, finding.units.get(name, "")))
         for name, (value, error) in list(finding.parameters.items())[1:]
     ]
+    if not value:  # those of each record are listed before
+        return []
     return [*lines, f"With {', '.join(others)}."] if others else lines
 
 

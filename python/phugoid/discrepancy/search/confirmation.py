@@ -14,7 +14,7 @@ from .refit import HeldOut, Refit
 from .refit_cache import RefitCache
 from .refitting import Refitting
 from .screen import Screen
-from .simplest import complexity, is_as_good
+from .simplest import RICH, complexity, is_as_good
 
 __all__ = ["Confirmation", "ConfirmationSettings", "Found"]
 
@@ -30,11 +30,15 @@ class ConfirmationSettings:
     chances  next best candidates that are tried when the best gains nothing on held-out data.
     ringing  candidates that are refitted where residuals ring.
     vuong    a rival is an alias unless Vuong's test tells them apart by this.
+    richer   log-likelihood by which one with more unknowns must be ahead to be an alias.
+    left     times as much of the misfit that a term may leave that stands in place of one with more unknowns.
     """
 
     chances: int = 3
     ringing: int = 2
     vuong: float = 2.0
+    richer: float = 6.0
+    left: float = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +163,9 @@ class Confirmation:
             own, part = assess.gain(below, r), assess.explained(below, r)
             if part is None or own <= assess.needed(r, new):
                 return False
+            # More unknowns leave a little less of any misfit.
+            if rank == RICH and 1.0 - part.part < self.settings.left * (1.0 - explained.part):
+                return True
             return is_as_good(at, r, own / gain, (explained.part, part.part)) and not assess.is_worse(below, r, at)
 
         found = [r for r in self._cache.with_one_more(others) if stands(r)]
@@ -213,6 +220,10 @@ class Confirmation:
             d = mine - r.through(filter).log_densities
             d = d[np.isfinite(d)]
             gain = assess.gain(without, r) / 2
+            # One with more unknowns can always be as good.
+            richer = complexity(other) == RICH > complexity(candidate)
+            if richer and gain < assess.gain(without, at) / 2 + self.settings.richer:
+                continue
             like = other.name in alike and gain > 0.5 * assess.gain(without, at) / 2
             if not like and assess.is_worse(without, r, at):
                 continue

@@ -21,9 +21,10 @@ from ...sensitivities.linearised import Linearised
 from ...sensitivities.random_effects import Marginal, RandomEffects, at_knots
 from ...sensitivities.trajectory import Place, Points
 from ...solvers.limits import check_time
+from ..candidates.scales import levels_of
 from .refit import Refit
 
-__all__ = ["BENDS", "Disturbance", "Disturbances", "disturbance_at", "functions", "functions_of"]
+__all__ = ["BENDS", "Disturbance", "Disturbances", "disturbance_at", "functions", "functions_of", "noises_of"]
 
 _Array = NDArray[np.float64]
 
@@ -38,6 +39,7 @@ _CORRELATION = (0.0, 3.0, 12.0)
 # Parts of the range of a variable over which a function of it bends, the first for all variables, the others for the
 # likeliest; and nodes in each.
 BENDS, _NODES = (0.25, 0.1, 0.04), 2.5
+_FEW_LEVELS = 3
 # Part of the squares of a time history that an event holds, within this part of the time.
 _EVENT, _SHORT = 0.7, 0.2
 # Parameters of a hypothesis beside the variances of the noise, which an autoregressive noise has too, by kind: a
@@ -202,18 +204,16 @@ def functions(
     """Smooth random functions of variables at a place, beside noise that is white or as coloured as the residuals of
     the refit are: whichever is likelier with it."""
     linear = at.linear
-    white = Whitening.of(linear.residuals, linear.structure)
-    powers = np.array([channel.power for channel in white.channels])
-    coloured = (at.together or at.own).filter
-    noises: list[tuple[Filter | None, _Array, int]] = [(None, powers, 0)]
-    if coloured.parameters:
-        noises.append((coloured, np.ones(len(powers)), coloured.parameters))
+    noises = noises_of(at)
     found = []
     for variable in variables:
         check_time()
         columns = [p.values[variable] for p in linear.points]
         low, high = min(float(c.min()) for c in columns), max(float(c.max()) for c in columns)
         if not high - low > 1e-9 * max(abs(low), abs(high)):
+            continue
+        # Any function of two levels, as a relay has, is a constant and a linear part; three tell little more.
+        if 0 < levels_of(np.concatenate(columns)) <= _FEW_LEVELS:
             continue
         for bend in bends:
             nodes = np.linspace(low, high, round(_NODES / bend) + 1)
@@ -227,6 +227,19 @@ def functions(
                 merit = marginal.log_likelihood - 2.0 - cost
                 found.append(Disturbance("function", place, variable, merit, marginal, 0.0, None, nodes, 0.0))
     return found
+
+
+def noises_of(at: Refit) -> list[tuple[Filter | None, _Array, int]]:
+    """The noise of the sensors beside random effects: white, or as coloured as the residuals of a refit are. Each with
+    variances to begin with and the number of its parameters beside these."""
+    linear = at.linear
+    white = Whitening.of(linear.residuals, linear.structure)
+    powers = np.array([channel.power for channel in white.channels])
+    coloured = (at.together or at.own).filter
+    noises: list[tuple[Filter | None, _Array, int]] = [(None, powers, 0)]
+    if coloured.parameters:
+        noises.append((coloured, np.ones(len(powers)), coloured.parameters))
+    return noises
 
 
 def disturbance_at(linear: Linearised, of: Disturbance) -> float:

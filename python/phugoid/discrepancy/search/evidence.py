@@ -8,13 +8,15 @@ from functools import cache
 
 import numpy as np
 
+from ...residual_noise.resolution import WITHIN, resolution_of
+from ...residual_noise.whitening import Whitening
 from ..candidates.candidate import Candidate
 from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks
 from .refit_cache import RefitCache
 from .ringing import is_near
 
-__all__ = ["Assessment", "AssessmentSettings", "Evidence", "is_physical"]
+__all__ = ["Assessment", "AssessmentSettings", "Evidence", "is_physical", "is_structured"]
 
 
 @dataclass(frozen=True)
@@ -225,3 +227,15 @@ def _quantile(freedom: int, probability: float) -> float:
     from scipy.special import chdtri  # not at import: it takes its time
 
     return float(chdtri(freedom, probability))
+
+
+def is_structured(at: Refit, least: float) -> bool:
+    """Tell whether the past of any output's residuals predicts more than this part of their power."""
+    linear = at.linear
+    filter = Whitening.of(linear.residuals, linear.structure)
+    for name, line, channel in zip(linear.model.output_names, linear.rows, filter.channels, strict=True):
+        power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
+        rounded = (WITHIN * resolution_of([e.output(name) for e in linear.experiments])) ** 2
+        if channel.power < (1.0 - least) * power and power > rounded:
+            return True
+    return False

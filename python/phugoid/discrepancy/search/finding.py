@@ -10,7 +10,8 @@ from typing import Literal
 from ...errors import OptionError
 from ...fit_result import FitResult
 from ...modelling.model import Model
-from ...parameters import text_table
+from ...notebook import notebook_page, paragraph, sparkline, table
+from ...parameters import plus_minus, text_table
 from ..misfit.misfit import ChannelMisfit, Misfit
 
 __all__ = ["DiagnosisResult", "ExtensionResult", "Finding", "Gain", "Scored"]
@@ -110,6 +111,28 @@ class Finding:
     rivals_explained: Mapping[str, float] = field(default_factory=dict)
     curve: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
+    def cells(self) -> dict[str, str]:
+        """Return what tables in notebooks show of it: a short text by heading, "" where there is none."""
+        known = {"explains": 100.0 * self.explained, "gain": self.gain, "held out": self.held_out_gain}
+        cells = {name: f"{value:.3g}" if math.isfinite(value) else "" for name, value in known.items()}
+        estimate = f"{plus_minus(self.coefficient, self.std_error)} {self.unit}".strip()
+        return {
+            "cause": self.cause or "not established",
+            "status": self.status,
+            "not told from": ", ".join(self.aliases),
+            "estimate": estimate if math.isfinite(self.coefficient) else "",
+            "explains": f"{cells['explains']} %" if cells["explains"] else "",
+            "gain": cells["gain"],
+            "held out": cells["held out"],
+        }
+
+    def _repr_html_(self) -> str:
+        rows = [[name, text] for name, text in self.cells().items() if name != "cause" and text]
+        if self.curve:
+            rows.append(["curve", sparkline(self.curve["value"], t=self.curve["at"])])
+        parts = paragraph(self.explanation), table(["", ""], rows, "ll"), paragraph(self.advice)
+        return notebook_page(self.cells()["cause"], *parts)
+
 
 @dataclass(frozen=True)
 class Gain:
@@ -149,6 +172,24 @@ class Gain:
 
     def summary(self) -> str:
         """A table for the terminal."""
+        heads, rows = self._table()
+        lines = [
+            f"log-likelihood  {self.log_likelihood:+.1f} (residuals taken as white)",
+            f"                {self.log_likelihood_whitened:+.1f} (residuals whitened)",
+        ]
+        if self.held_out == self.held_out:
+            lines.append(f"                {self.held_out:+.1f} (held out, whitened)")
+        lines.append(f"BIC             {self.bic:+.1f} (below zero is better)")
+        return "\n".join(lines) + "\n\n" + text_table(heads, rows, "l" + "r" * (len(heads) - 1))
+
+    def _repr_html_(self) -> str:
+        heads, rows = self._table()
+        note = f"in log-likelihood {self.log_likelihood_whitened:+.1f}, residuals whitened"
+        if self.held_out == self.held_out:
+            note += f"; {self.held_out:+.1f} on data held out"
+        return notebook_page("Gain", table(heads, rows, "l" + "r" * (len(heads) - 1)), note=note)
+
+    def _table(self) -> tuple[list[str], list[list[str]]]:
         held_out = bool(self.held_out_rms_before)
         rows = []
         for name in self.channels:
@@ -159,15 +200,7 @@ class Gain:
                 row.append(_percent(self.change(name, held_out=True)))
             rows.append(row)
         heads = ["channel", "RMS before", "after", "change"]
-        heads += ["held out before", "after", "change"] if held_out else []
-        lines = [
-            f"log-likelihood  {self.log_likelihood:+.1f} (residuals taken as white)",
-            f"                {self.log_likelihood_whitened:+.1f} (residuals whitened)",
-        ]
-        if self.held_out == self.held_out:
-            lines.append(f"                {self.held_out:+.1f} (held out, whitened)")
-        lines.append(f"BIC             {self.bic:+.1f} (below zero is better)")
-        return "\n".join(lines) + "\n\n" + text_table(heads, rows, "l" + "r" * (len(heads) - 1))
+        return heads + (["held out before", "after", "change"] if held_out else []), rows
 
 
 @dataclass(frozen=True, eq=False, repr=False)

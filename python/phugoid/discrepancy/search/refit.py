@@ -21,15 +21,18 @@ from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Points
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
 from ...solvers import Newton
-from ...solvers.limits import TimeUp, check_time
+from ...solvers.limits import check_time
 from ...validation.biases import freed_by_default
 from ...validation.frozen_model import estimates_of, freeze_model, freeze_noise, mesh_for
 from ..candidates.candidate import Candidate
 
 __all__ = [
+    "BLOCKS",
     "HeldOut",
     "Refit",
     "across_blocks",
+    "blocks_of",
+    "fitted_to",
     "gain_on_other_data",
     "on_other_data",
     "predicted_blocks",
@@ -137,15 +140,37 @@ def refit(
     return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None
 
 
+def fitted_to(at: Refit, data: Sequence[Experiment]) -> Refit | None:
+    """The same model estimated from other records, such as those with inputs that are held; None where the solver does
+    not come to an end."""
+    fit = at.fit
+    try:
+        found = estimate(
+            fit.model,
+            data,
+            transcription=fit.transcription,
+            noise=fit.noise,
+            start=fit,
+            solver=Newton(max_iterations=_ITERATIONS),
+        )
+    except PhugoidError:
+        return None
+    return Refit(at.candidates, found) if found.status in ("converged", "acceptable") else None
+
+
 def _with_paths(
     near: FitResult, candidates: Sequence[Candidate], points: Sequence[Points], starts: Mapping[str, float]
 ) -> FitResult:
-    """A start with paths of the states that candidates add, where it has none of them."""
+    """A start with paths of the states that candidates add, where it has none of them, and of others as they let them
+    be."""
     records = []
     for record, p in zip(near.records, points, strict=False):
-        new = {n: z for c in candidates for n, z in c.paths(p, starts).items() if n not in record.mesh_states}
-        at_mesh = {n: np.interp(record.mesh_t, p.t, z) for n, z in new.items()}
-        records.append(replace(record, mesh_states={**record.mesh_states, **at_mesh}) if new else record)
+        states = dict(record.mesh_states)
+        for c in candidates:
+            added = {n: z for n, z in c.paths(p, starts).items() if n not in states}
+            states |= {n: np.interp(record.mesh_t, p.t, z) for n, z in added.items()}
+            states |= c.reachable(states, starts)
+        records.append(replace(record, mesh_states=states))
     return replace(near, records=records) if records else near
 
 
@@ -158,7 +183,7 @@ def started_from(near: FitResult, names: Collection[str]) -> FitResult:
 _Array = NDArray[np.float64]
 
 # Blocks of each record that are left out in turn.
-_BLOCKS = 4
+BLOCKS = 4
 # Of what a block says of a parameter: the precision that all data together have is 1.
 _LOOSE, _TINY = 0.01, 1e-9
 # Directions of the parameters that a block says less of, in parts of the clearest, stay as they are there.
@@ -185,11 +210,11 @@ def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut
 
     See `predicted_blocks` for how blocks are predicted.
     """
-    block = _blocks(base.linear)
+    block = blocks_of(base.linear)
     without, with_new = (errors for errors, _ in predicted_blocks(base, more, new))
     gain = 0.5 * (without**2 - with_new**2)
     total = float(gain.sum())
-    best = max(float(gain[block == b].sum()) for b in range(_BLOCKS))
+    best = max(float(gain[block == b].sum()) for b in range(BLOCKS))
     return HeldOut(total, float(np.sqrt(gain.size) * gain.std()), total - best)
 
 
@@ -203,7 +228,7 @@ def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list
     """
     linear = base.linear
     whitened = base.through(more.own.filter)
-    e, block, k = whitened.errors, _blocks(linear), whitened.basis.shape[1]
+    e, block, k = whitened.errors, blocks_of(linear), whitened.basis.shape[1]
     parts, added = whitened.basis, np.empty((linear.n_rows, 0))
     scale = linear.scale()
     found = []
@@ -215,7 +240,7 @@ def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list
             parts, added = np.hstack([whitened.basis, c / size]), columns.T / size
         damping = np.r_[np.full(k, _LOOSE), np.full(parts.shape[1] - k, _TINY)]
         white, plain = e.copy(), whitened.residuals.copy()
-        for b in range(_BLOCKS):
+        for b in range(BLOCKS):
             inside = block == b
             seen = parts[~inside]
             step = np.linalg.solve(seen.T @ seen + np.diag(damping), seen.T @ e[~inside])
@@ -227,14 +252,14 @@ def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list
     return found
 
 
-def _blocks(linear: Linearised) -> NDArray[np.intp]:
+def blocks_of(linear: Linearised) -> NDArray[np.intp]:
     """The block of each row."""
     block = np.empty(linear.n_rows, dtype=np.intp)
     for line in linear.rows:
         for e, rows in enumerate(line):
             t = linear.experiments[e].t
             share = (linear.times[rows] - t[0]) / (t[-1] - t[0])
-            block[rows] = np.minimum((share * _BLOCKS).astype(np.intp), _BLOCKS - 1)
+            block[rows] = np.minimum((share * BLOCKS).astype(np.intp), BLOCKS - 1)
     return block
 
 
@@ -265,14 +290,20 @@ def on_other_data(
         )
     model, noise = freeze_model(fit.model, values, free), freeze_noise(fit)[0]
     known = {n: [e.value for e in estimates_of(fit.parameters, [n]).values()] for n in free}
-    start = started_from(near.fit, ()) if near else {n: float(np.mean(v)) for n, v in known.items() if v}
     mesh = mesh_for(fit, data)
-    found = estimate(model, list(data), transcription=mesh, noise=noise, start=start)
-    if found.status == "time limit":
-        raise TimeUp
-    if found.status == "interrupted":
-        raise KeyboardInterrupt
-    if found.status not in ("converged", "acceptable", "unidentifiable"):
+    starts: list[FitResult | dict[str, float]] = [{n: float(np.mean(v)) for n, v in known.items() if v}]
+    if near is not None:  # its path may be out of reach of this model: then the measured one
+        starts.insert(0, started_from(near.fit, ()))
+    for start in starts:
+        solver = Newton(time_limit=max(2.0 * _SECONDS, _TIMES * fit.time))
+        found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
+        if found.status == "time limit":
+            check_time()  # that of the diagnosis
+        if found.status == "interrupted":
+            raise KeyboardInterrupt
+        if found.status in ("converged", "acceptable", "unidentifiable"):
+            break
+    else:
         raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")
     return Linearised(found)
 

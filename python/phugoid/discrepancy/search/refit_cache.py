@@ -111,7 +111,7 @@ class RefitCache:
                 for k in (0, len(last.shapes) // 2):
                     best = best or refit(self.base.fit, candidates, {**starts, **last.shapes[k]}, near, points)
         for c in new:
-            (name,) = c.shape_names
+            name = c.shape_names[0]
             for factor in _STARTS if name in starts else ():
                 other = refit(self.base.fit, candidates, {**starts, name: factor * starts[name]}, near, points)
                 if other and (best is None or other.fit.log_likelihood > best.fit.log_likelihood):
@@ -126,7 +126,8 @@ class RefitCache:
                 scan.forget()
         if key not in self._scans:
             self.watch("scanning all candidates" + (" beside " + ", ".join(at.names) if at.names else ""))
-            self._scans[key] = Scan(at.linear, [c for c in self.candidates if c.name not in key])
+            others = [c for c in self.candidates if c.name not in key and (not c.beside or c.beside in key)]
+            self._scans[key] = Scan(at.linear, others)
         return self._scans[key]
 
     def with_one_more(self, others: Sequence[Candidate]) -> list[Refit]:

@@ -36,10 +36,10 @@ class Refitting:
     def __init__(self, cache: RefitCache, screen: Screen, assessment: Assessment, settings: RefittingSettings) -> None:
         self._cache, self._screen, self._assessment, self.settings = cache, screen, assessment, settings
 
-    def tries(self, at: Refit) -> list[Refit]:
-        """Refits with one more candidate."""
-        tries = self._cache.refits([[*at.candidates, c] for c in self._screen.shortlist(at)], at.fit)
-        return [t for t in tries if t is not None]
+    def tries(self, at: Refit, simple: bool = False) -> list[Refit]:
+        """Return refits with one more candidate, of those that a screen proposes or of the simple ones."""
+        chosen = self._screen.simple(at) if simple else self._screen.shortlist(at)
+        return [t for t in self._cache.refits([[*at.candidates, c] for c in chosen], at.fit) if t is not None]
 
     def settled(self, at: Refit, rejected: Collection[str] = ()) -> Refit:
         """With terms replaced by better ones where there are any, until nothing changes; without those that are no

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from ...errors import PhugoidError
 from ...estimation.estimate import estimate
 from ...fit_result import FitResult
-from ...residual_noise.resolution import WITHIN, resolution_of
-from ...residual_noise.whitening import Whitening
 from ...sensitivities.collocated import dataset
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Place
@@ -28,6 +26,7 @@ from ...validation.biases import freed_by_default
 from ...validation.frozen_model import freeze_model, freeze_noise
 from ..candidates.candidate import Effect, is_function
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of
+from .evidence import is_structured
 from .free_run import Explained, Misfitting, Simulated
 from .refit import Refit
 from .search import Search, SearchResult
@@ -109,15 +108,14 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     full, base = result.full, search.cache.base
     known = Disturbances(base.fit.model)
     options: list[_Option] = []
-    if _structured(full, s.structure):
+    if is_structured(full, s.structure):
         search.cache.watch("looking for a disturbance in what is left")
         # Beside terms that explain next to nothing, all is as without them.
         options = _options(full if result.final.names else base, known, s)
         if result.final.names:
             # Beside a disturbance terms must be worth their chances, too.
-            new = sum(search.assessment.needed(full, c) for c in full.candidates) / 2
             alone = _options(base, known, s)
-            if alone[0].disturbance is not None and alone[0].merit > options[0].merit - new:
+            if alone[0].disturbance is not None and alone[0].merit > options[0].merit - search.chances(full):
                 options = alone
     first = options[0].disturbance if options else None
     # The path itself may change much with a function: it is fitted, and then compared with what is else likely.
@@ -183,18 +181,6 @@ def _is_short(event: Disturbance, linear: Linearised, most: float) -> bool:
     assert event.span is not None
     _, begin, end = event.span
     return end - begin < most * sum(float(p.t[-1] - p.t[0]) for p in linear.points)
-
-
-def _structured(at: Refit, least: float) -> bool:
-    """Tell whether the past of any output's residuals predicts more than this part of their power."""
-    linear = at.linear
-    filter = Whitening.of(linear.residuals, linear.structure)
-    for name, line, channel in zip(linear.model.output_names, linear.rows, filter.channels, strict=True):
-        power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
-        rounded = (WITHIN * resolution_of([e.output(name) for e in linear.experiments])) ** 2
-        if channel.power < (1.0 - least) * power and power > rounded:
-            return True
-    return False
 
 
 def _options(at: Refit, known: Disturbances, s: RemainderSettings) -> list[_Option]:

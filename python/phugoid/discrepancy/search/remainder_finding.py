@@ -6,16 +6,19 @@ import numpy as np
 
 from ...fit_result import FitResult
 from ..candidates.terms import where
-from ..misfit.phrases import number
+from ..misfit.phrases import number, percent
 from .disturbance import Disturbance
 from .finding import Finding
-from .held_input import HeldInput
+from .input_interpolation import InputInterpolation
+from .record_change import RecordChange
 from .remainder import Remainder
 
-__all__ = ["finding_of_held_input", "finding_of_remainder"]
+__all__ = ["finding_of_held_input", "finding_of_record_change", "finding_of_remainder"]
 
 _INTERVAL = 1.959963984540054  # 95 % of a normal distribution
 _ALIASES = 3
+# Records that are listed with their values.
+_LISTED = 6
 
 
 def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Finding:
@@ -53,7 +56,7 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
     )
 
 
-def finding_of_held_input(h: HeldInput, threshold: float) -> Finding:
+def finding_of_held_input(h: InputInterpolation, threshold: float) -> Finding:
     """Return an input that is held between its samples as it is told."""
     nan = float("nan")
     return Finding(
@@ -75,6 +78,42 @@ def finding_of_held_input(h: HeldInput, threshold: float) -> Finding:
         explained=h.explained.part if h.explained else nan,
         explained_interval=h.explained.interval if h.explained else (nan, nan),
         explained_outputs=dict(h.explained.outputs) if h.explained else {},
+    )
+
+
+def finding_of_record_change(c: RecordChange) -> Finding:
+    """Return a difference between records as it is told."""
+    nan = float("nan")
+    unit = f" {c.unit}" if c.unit else ""
+    listed = [f"{number(v, 4)} ± {number(e, 2)}{unit} in '{record}'" for record, (v, e) in c.values.items()]
+    more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
+    if c.place.kind == "output":
+        advice = f"Declare a bias of {c.place.name} with per_experiment=True, or set the sensor up anew."
+    elif c.place.kind == "parameter":
+        advice = (
+            f"Declare {c.place.name} with per_experiment=True, or find what was changed between the records: mass, "
+            "centre of gravity, configuration, trim."
+        )
+    else:
+        advice = "Declare such a constant with per_experiment=True, or find what was changed between the records: trim."
+    return Finding(
+        cause=c.name,
+        aliases=c.aliases[:_ALIASES],
+        status="named",
+        coefficient=nan,
+        std_error=nan,
+        interval=(nan, nan),
+        unit="",
+        parameters={f"{c.place.name}[{record}]": value for record, value in c.values.items()},
+        gain=c.gain,
+        held_out_gain=nan,
+        threshold=c.threshold,
+        explanation=(
+            f"{c.explanation}: {', '.join(listed[:_LISTED])}{more}; that explains "
+            f"{percent(min(c.explained.part, 1.0))} of the misfit of these records"
+        ),
+        advice=advice,
+        units={f"{c.place.name}[{record}]": c.unit for record in c.values},
     )
 
 

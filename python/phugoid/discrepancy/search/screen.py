@@ -13,6 +13,7 @@ from ..candidates.candidate import Candidate, is_function
 from .refit import Refit
 from .refit_cache import RefitCache
 from .scan import Scan, Statistics
+from .simplest import complexity
 
 __all__ = ["Screen", "ScreenSettings"]
 
@@ -80,6 +81,11 @@ class Screen:
                 names[c.name] = c
                 self._cache.remember(c, suggested, np.empty(0))
         return list(names.values())
+
+    def simple(self, at: Refit) -> list[Candidate]:
+        """Return constants and linear terms, whatever they gain to first order, which says little where it is far."""
+        found = {c.name: c for c, _ in self._cache.scan(at).effects if c.transferable and complexity(c) <= 1}
+        return list(found.values())
 
     def rivals(self, at: Refit, candidate: Candidate, filter: Filter, best: int, alike: int) -> list[Candidate]:
         """Candidates that may stand in a candidate's place beside those of ``at``: some of the best through a filter,

@@ -10,7 +10,7 @@ import numpy as np
 from ...data.experiment import Experiment
 from ..candidates.candidate import Candidate
 from .confirmation import Confirmation, ConfirmationSettings, Found
-from .evidence import Assessment, AssessmentSettings
+from .evidence import Assessment, AssessmentSettings, is_structured
 from .finding import ExtensionResult, Gain
 from .refit import HeldOut, Refit
 from .refit_cache import RefitCache
@@ -23,7 +23,9 @@ __all__ = ["Search", "SearchResult", "SearchSettings"]
 @dataclass(frozen=True)
 class SearchSettings:
     """Settings of all stages, and ``most`` findings: what is left then is for another diagnosis, of the extended
-    model. The search ends after ``minor`` steps one after the other that explain next to nothing."""
+    model. The search ends after ``minor`` steps one after the other that explain next to nothing. Where the screen
+    proposes nothing that is confirmed, though this part of the residuals' power, ``error``, is predictable, constants
+    and linear terms are tried all."""
 
     screen: ScreenSettings = field(default_factory=ScreenSettings)
     refitting: RefittingSettings = field(default_factory=RefittingSettings)
@@ -31,6 +33,7 @@ class SearchSettings:
     assessment: AssessmentSettings = field(default_factory=AssessmentSettings)
     most: int = 4
     minor: int = 2
+    error: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +71,20 @@ class Search:
         settings: SearchSettings | None = None,
     ) -> None:
         self.settings = s = settings or SearchSettings()
+        self._listed = candidates
         self.cache = RefitCache(base, candidates, validation, watch, biases)
         self.assessment = Assessment(self.cache, s.assessment)
         self.screen = Screen(self.cache, self.assessment.threshold, s.screen)
         self.refitting = Refitting(self.cache, self.screen, self.assessment, s.refitting)
         self.confirmation = Confirmation(self.cache, self.screen, self.refitting, self.assessment, s.confirmation)
+
+    def on(
+        self, base: Refit, validation: Sequence[Experiment] | None = None, biases: Sequence[str] | None = None
+    ) -> Search:
+        """Return the same search at another fit, with other data held out and other biases where they are given."""
+        cache = self.cache
+        data, free = cache.validation if validation is None else validation, cache.biases if biases is None else biases
+        return Search(base, self._listed, data, cache.watch, free, self.settings)
 
     def run(self) -> SearchResult:
         """Screen, refit and confirm, one term after the other."""
@@ -83,6 +95,9 @@ class Search:
         try:
             while len(current.candidates) < self.settings.most:
                 following, unexplained = self.confirmation.accepted(current, self.refitting.tries(current))
+                if following is None and not current.candidates and is_structured(current, self.settings.error):
+                    # What a candidate does to first order says little of what a fit with it does.
+                    following, _ = self.confirmation.accepted(current, self.refitting.tries(current, simple=True))
                 if following is None or following.names in seen:
                     break
                 seen.add(following.names)
@@ -100,6 +115,10 @@ class Search:
             nothing, nan = HeldOut(float("nan"), 0.0, float("nan")), float("nan")
             found = [Found(c, nan, self.assessment.threshold(c) / 2, {}, nothing) for c in current.candidates]
             return SearchResult(current, current, tuple(found), remarks, True)
+
+    def chances(self, at: Refit) -> float:
+        """Return the log-likelihood that a refit's terms must gain, as many as were tried."""
+        return sum(self.assessment.needed(at, c) for c in at.candidates) / 2.0
 
     def concluded(self, at: Refit, unexplained: Found | None = None, remarks: tuple[str, ...] = ()) -> SearchResult:
         """Return what is reported of a refit's terms, and of a misfit that none explains."""

@@ -8,10 +8,11 @@ from ...residual_noise.whitening import Whitening
 from ..candidates.candidate import Candidate
 from .refit import Refit
 
-__all__ = ["complexity", "is_as_good"]
+__all__ = ["RICH", "complexity", "is_as_good"]
 
-# A constant before a linear term before any other.
-_ORDER = {"bias": 0, "linear": 1, "scale": 1}
+# A constant before a linear term before any other, and those with states of their own or two unknowns last.
+RICH = 3
+_ORDER = {"bias": 0, "linear": 1, "scale": 1, "stribeck": RICH, "hysteresis": RICH, "mode": RICH}
 _OTHER = 2
 # Twice the difference in log-likelihood, of as many samples as coloured residuals are worth, below which two refits are
 # equally good: chance exceeds it once in a hundred times with two parameters that differ.
@@ -25,7 +26,8 @@ _MOST, _AS_MUCH = 0.5, 0.95
 
 
 def complexity(candidate: Candidate) -> int:
-    """Return the rank of a candidate: 0 for constants, 1 for linear terms, 2 for others."""
+    """Return the rank of a candidate: 0 for constants, 1 for linear terms, 3 for those with more unknowns or
+    states, 2 for others."""
     return _ORDER.get(getattr(candidate, "family", ""), _OTHER)
 
 

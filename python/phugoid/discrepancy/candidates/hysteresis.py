@@ -1,0 +1,183 @@
+"""Terms whose answer depends on the past of the motion: hysteresis, friction at rest, a mode that the model lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._core import Expr
+from ...modelling.model import Model
+from ...sensitivities.trajectory import Place, Points
+from ...symbols import exp, smooth_abs, smooth_sign
+from .candidate import Effect, ExtensionBuilder, largest_coefficient
+from .scales import evaluated, mode_grid, of, rate_key, second_order
+
+__all__ = ["FlexibleMode", "Hysteresis", "Stribeck"]
+
+_Array = NDArray[np.float64]
+
+# Kinks are rounded over this part of the range of a rate, or of 1.
+_KINK = 0.01
+# The jump of dry friction is rounded over this part of a velocity's range, as that of Coulomb friction is.
+_JUMP = 0.005
+# Damping ratio of a mode that is looked for, and those that it may have.
+_DAMPING, _DAMPINGS = 0.05, (0.0005, 0.5)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Hysteresis(Effect):
+    """A force c z that follows the motion x elastically until it yields, and remembers where it turned (Bouc 1967, Wen
+    1976, with exponent 1 and sharp return): d z' = x' - (|x'| z + x' |z|) / 2, z = 0 at first.
+
+    With a small yield displacement d it is dry friction with presliding (Dahl 1968), with a large one a spring.
+    """
+
+    stage: int = 5  # after all that changes the equation of the motion
+
+    @property
+    def several_starts(self) -> bool:
+        return True
+
+    def grid(self) -> Iterable[float]:
+        return self.scales.span(self.variables[0]) * np.array([0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.6])
+
+    def path(self, x: _Array, size: float) -> _Array:
+        """Return z (n,) along the motion, exact for one that turns at no other than its points."""
+        z, now = np.empty(x.size), 0.0
+        for k, step in enumerate((np.diff(x, prepend=x[0]) / size).tolist()):
+            side = 1.0 if step > 0.0 else -1.0
+            left = abs(step)
+            if now * side < 0.0:  # it unloads, with the stiffness that it begins with
+                unloading = min(left, -now * side)
+                now, left = now + side * unloading, left - unloading
+            if left:
+                now = side - (side - now) * float(np.exp(-left))
+            z[k] = now
+        return z
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        x = of(points.values, self.variables[0], points, "state")
+        return self.path(x, shape[self.shape_names[0]])[np.newaxis]
+
+    @property
+    def _state(self) -> str:
+        return f"{self.place.name}_hysteresis"
+
+    def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
+        (name,) = self.shape_names
+        x = of(points.values, self.variables[0], points, "state")
+        return {self._state: self.path(x, start[name])} if name in start else {}
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        (name,), (x,) = self.shape_names, self.variables
+        span, unit = self.scales.span(x), model.units.get(x, "")
+        c = extension.parameter(self.coefficients[0])
+        bounds = (1e-3 * span, 10.0 * span)
+        d = extension.parameter(name, self.shapes[2][name], bounds=bounds, unit=unit, transform="log")
+        rate = extension.at(Place("equation", x))
+        size = smooth_abs(rate, _KINK * self.scales.span(rate_key(x)))
+        z = extension.state(self._state, "", lambda z: (rate - 0.5 * (size * z + rate * smooth_abs(z, _KINK))) / d, 0.0)
+        extension.put(self.place, extension.at(self.place) + c * z)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        (name,) = self.shape_names
+        largest = largest_coefficient(self, self.shapes[2], points)
+        span = self.scales.span(self.variables[0])
+        return {self.coefficients[0]: (-largest, largest), name: (0.002 * span, span)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Stribeck(Effect):
+    """Dry friction that is larger at rest: c sign(v) exp(-(v / v_s)^2), beside Coulomb friction (Armstrong-Helouvry,
+    Dupont and Canudas de Wit 1994, eq. 5): sought where that is there, for a wide one is nearly the same."""
+
+    @property
+    def several_starts(self) -> bool:
+        return True
+
+    def grid(self) -> Iterable[float]:
+        return self.scales.peak(self.variables[0]) * np.array([0.02, 0.04, 0.08, 0.15, 0.3])
+
+    def _shape(self, size: Any) -> Expr:
+        v = Expr.symbol(self.variables[0])
+        return Expr(smooth_sign(v, _JUMP * self.scales.span(self.variables[0])) * exp(-((v / size) ** 2)))
+
+    def worthwhile(self) -> bool:
+        return super().worthwhile() and self.scales.crosses(self.variables[0])
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        return evaluated(self._shape(shape[self.shape_names[0]]), points)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        (name,), (v,) = self.shape_names, self.variables
+        peak = self.scales.peak(v)
+        c = extension.parameter(self.coefficients[0])
+        size = extension.parameter(
+            name, self.shapes[2][name], bounds=(2e-3 * peak, 5.0 * peak), unit=model.units.get(v, ""), transform="log"
+        )
+        extension.put(self.place, extension.at(self.place) + c * self._shape(size))
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        largest = largest_coefficient(self, self.shapes[2], points)
+        peak = self.scales.peak(self.variables[0])
+        # Friction is no less at rest than in motion, and beyond half the greatest speed it is no effect of low ones.
+        return {self.coefficients[0]: (-largest, 0.0), self.shape_names[0]: (0.005 * peak, 0.5 * peak)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FlexibleMode(Effect):
+    """A lightly damped mode that what stands at the place excites, and that acts there: it becomes it + c z with
+    z'' = w^2 (it - z) - 2 zeta w z', at rest at first."""
+
+    stage: int = 5
+
+    @property
+    def several_starts(self) -> bool:
+        return True
+
+    def grid(self) -> Iterable[float]:
+        return mode_grid(self.scales)
+
+    @property
+    def _states(self) -> tuple[str, str]:
+        return f"{self.place.name}_resonance", f"{self.place.name}_resonance_rate"
+
+    def _it(self, points: Points) -> _Array:
+        group = points.values if self.place.kind == "quantity" else points.rates
+        return of(group, self.place.name, points, self.place.kind)
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        z, _ = second_order(points.t, self._it(points), shape[self.shape_names[0]], _DAMPING)
+        return z[np.newaxis]
+
+    def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
+        name, _ = self.shape_names
+        if name not in start:
+            return {}
+        z, rate = second_order(points.t, self._it(points), start[name], _DAMPING)
+        return dict(zip(self._states, (z, rate), strict=True))
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        frequency, damping = self.shape_names
+        low, high = self.shapes[0][frequency], self.shapes[-1][frequency]
+        c = extension.parameter(self.coefficients[0])
+        w = extension.parameter(frequency, low, bounds=(0.5 * low, 2.0 * high), unit="rad/s", transform="log")
+        zeta = extension.parameter(damping, _DAMPING, bounds=_DAMPINGS, transform="log")
+        it = extension.at(self.place)
+        z, _ = extension.states(self._states, lambda z, rate: (rate, w**2 * (it - z) - 2 * zeta * w * rate))
+        extension.put(self.place, it + c * z)
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        frequency, damping = self.shape_names
+        low, high = self.shapes[0][frequency], self.shapes[-1][frequency]
+        return {self.coefficients[0]: (-2.0, 2.0), frequency: (low, high), damping: (0.001, 0.3)}

@@ -1,0 +1,151 @@
+"""Suspects in the data of a search: inputs between samples, differences between records, disturbances.
+
+Each ends with a search that goes on as if the data were as they were found to be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...errors import PhugoidError
+from ...validation.biases import freed_by_default
+from .finding import ExtensionResult
+from .input_interpolation import InputInterpolation, input_interpolation
+from .record_change import RecordChange, record_changes
+from .refit import fitted_to
+from .remainder import Remainder, RemainderSettings, remainder_of
+from .sampled_input import SampledInputs, sampled_inputs
+from .search import Search, SearchResult
+
+__all__ = [
+    "with_changes",
+    "with_inputs_as_sampled",
+    "with_interpolation",
+    "with_record_changes",
+    "with_remainder",
+    "words_of_inputs",
+]
+
+
+def with_interpolation(search: Search) -> tuple[InputInterpolation | None, bool]:
+    """An input that is held between its samples, which explains more than a delay or a lag of it, or that is smooth
+    there; and whether the comparison was interrupted."""
+    cache = search.cache
+    try:
+        cache.watch("comparing inputs that are held between samples, or smooth")
+        found = input_interpolation(cache.base, cache.validation, cache.biases)
+        if found is None:
+            return None, False
+        search.screen.shortlist(cache.base)
+        late = [c for c in cache.candidates if c.name in (f"{found.name}:delay", f"{found.name}:lag")]
+        rivals = [r for r in cache.refits([[c] for c in late if cache.has_start(c.name)]) if r is not None]
+        best = max((r.merit - len(r.candidates[0].parameters) for r in rivals), default=-np.inf)
+        return (found if found.refit.merit > best else None), False
+    except PhugoidError:
+        return None, False
+    except KeyboardInterrupt:
+        return None, True
+
+
+def with_record_changes(search: Search, result: SearchResult) -> tuple[Search, SearchResult, list[RecordChange], bool]:
+    """The search once more with what differs from record to record, where that is likelier than what was found; what
+    that is; and whether it was interrupted."""
+    cache = search.cache
+    try:
+        cache.watch("comparing parameters and offsets that differ from record to record")
+        base, changes, names = record_changes(search, result)
+        if base is None:
+            return search, result, [], False
+        free = freed_by_default(cache.base.fit.model) if cache.biases is None else cache.biases
+        again = search.on(base, biases=[*free, *names])
+        if cache.validation:
+            again.cache.try_validation()
+        following = again.run()
+        return again, following, changes, following.interrupted
+    except (PhugoidError, np.linalg.LinAlgError):
+        return search, result, [], False
+    except KeyboardInterrupt:
+        return search, result, [], True
+
+
+def with_changes(extension: ExtensionResult, before: Search, changes: Sequence[RecordChange]) -> ExtensionResult:
+    """An extension whose gain is over the model without what differs from record to record."""
+    base, gain = before.cache.base, extension.gain
+    old = before.extension(base).gain
+    white = extension.fit.log_likelihood - base.fit.log_likelihood
+    more = len(extension.fit.parameters) - len(base.fit.parameters)
+    gain = replace(
+        gain,
+        log_likelihood=white,
+        log_likelihood_whitened=gain.log_likelihood_whitened + sum(c.gain for c in changes),
+        bic=-2.0 * white + more * float(np.log(base.linear.n_rows)),
+        rms_before=old.rms_before,
+        held_out_rms_before=old.held_out_rms_before,
+    )
+    return replace(extension, added=(*(c.name for c in changes), *extension.added), gain=gain)
+
+
+def with_inputs_as_sampled(
+    search: Search, result: SearchResult
+) -> tuple[Search, SearchResult, SampledInputs | None, bool]:
+    """The search once more with inputs between samples as the outputs tell, where these say that they jumped there;
+    what that was; and whether it was interrupted."""
+    cache, full = search.cache, result.full
+    least = full.merit - search.chances(full) + RemainderSettings().margin
+    try:
+        cache.watch("comparing inputs that jump between samples")
+        fits = [full] if full is cache.base else [full, cache.base]
+        each = [(s, s.merit - search.chances(at)) for at in fits if (s := sampled_inputs(at)) is not None]
+        found, merit = max(each, key=lambda one: one[1], default=(None, -np.inf))
+        base = fitted_to(cache.base, found.records) if found is not None and merit > least else None
+        if found is None or base is None:
+            return search, result, None, False
+        again = search.on(base, found.on(cache.validation, cache.biases))
+        following = again.run()
+        return again, following, found, following.interrupted
+    except (PhugoidError, np.linalg.LinAlgError):
+        return search, result, None, False
+    except KeyboardInterrupt:
+        return search, result, None, True
+
+
+def with_remainder(search: Search, result: SearchResult) -> tuple[SearchResult, Remainder | None, bool]:
+    """What is left beside the terms of a search, which fall where they stand in for it; and whether that was
+    interrupted."""
+    try:
+        remainder = remainder_of(search, result)
+    except (PhugoidError, np.linalg.LinAlgError):
+        return result, None, False
+    except KeyboardInterrupt:
+        return result, None, True
+    if remainder is None:
+        return result, None, False
+    if remainder.known is not None:
+        return search.concluded(remainder.known, None, result.remarks), None, False
+    kept = {c.name for c in remainder.at.candidates}
+    found = tuple(f for f in result.found if f.candidate is not None and f.candidate.name in kept)
+    full = remainder.fitted or remainder.at
+    if len(found) == len(result.full.candidates):
+        return replace(result, full=remainder.fitted or result.full, found=found), remainder, False
+    final = search.cache.refit([c for c in result.final.candidates if c.name in kept], remainder.at.fit)
+    return replace(result, final=final or search.cache.base, full=full, found=found), remainder, False
+
+
+def words_of_inputs(between: Sequence[InputInterpolation], sampled: SampledInputs | None) -> list[str]:
+    """What was found of inputs between their samples, in words, but for those that are held, which are findings."""
+    notes = [
+        f"{b.name} is smooth between its samples: all else was sought with cubic splines through them in place of "
+        f"straight lines (interpolation={{'{b.name}': 'cubic'}})."
+        for b in between
+        if b.kind == "cubic"
+    ]
+    if sampled is not None:
+        jumps = ", ".join(f"{name} in {count} intervals" for name, count in sampled.jumps.items())
+        notes.append(
+            f"Inputs change faster than their samples tell ({jumps} of up to {sampled.step:.3g} s): what they were "
+            "halfway through was estimated, and all else was sought with that. Record inputs at a higher rate."
+        )
+    return notes

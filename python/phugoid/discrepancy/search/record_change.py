@@ -1,0 +1,269 @@
+"""Parameters and offsets that differ from record to record: another mass, another trim, a sensor set up anew.
+
+A model with one value for all records takes such a difference for a disturbance. Each parameter, and a constant in each
+equation and output, is tried with a value for each record, beside the terms that a search found and without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._core import Expr
+from ...errors import PhugoidError
+from ...estimation.estimate import estimate
+from ...modelling.model import Model
+from ...parameters import Parameter
+from ...sensitivities.collocated import dataset
+from ...sensitivities.linearised import Linearised
+from ...sensitivities.trajectory import Place
+from ...solvers import Newton
+from ..candidates.model_structure import ModelStructure
+from ..candidates.terms import where
+from .free_run import Explained, Misfitting, Simulated
+from .refit import BLOCKS, Refit, blocks_of
+from .search import Search, SearchResult
+
+__all__ = ["RecordChange", "record_changes"]
+
+_Array = NDArray[np.float64]
+
+# Differences that are fitted, of those that explain most to first order; and those that are found one after the other.
+_TRIED, _MOST = 4, 3
+# Probability that any is found where there is none; log-likelihood by which they must be ahead of terms of the physics.
+_FALSE_ALARM, _MARGIN = 0.01, 8.0
+# Part of what is left of the misfit that they must explain, together and each: own values of each record fit a little
+# of any misfit.
+_PART, _EACH = 0.8, 0.2
+# Log-likelihood by which two are not told apart.
+_ALIKE = 2.0
+_ITERATIONS = 60
+# Of an option's effect on the outputs: below it parameters that are there can do the same.
+_NOTHING = 1e-6
+# Part of blocks left out that they must predict from the others, and the rank of what these tell.
+_PREDICTED, _RANK = 0.3, 1e-6
+
+
+@dataclass(frozen=True)
+class _Difference:
+    """What may differ: a parameter of the model, or a constant at a place that has none."""
+
+    place: Place
+    parameter: str
+
+    @property
+    def name(self) -> str:
+        """Canonical, ``what:per_experiment``."""
+        p = self.place
+        at = f"{p.name}'" if p.kind == "equation" else p.name
+        return f"{at}:per_experiment" if p.kind == "parameter" else f"{at}:bias_per_experiment"
+
+    def in_model(self, model: Model, each: bool = True) -> Model:
+        """Return the model with a value for each record, or with one for all."""
+        if self.place.kind == "parameter":
+            declared = model.declared_parameters[self.parameter]
+            return model.with_parameters({self.parameter: replace(declared, per_experiment=each)})
+        to = {"equation": f"{self.place.name}'", "output": f"y:{self.place.name}"}.get(self.place.kind, self.place.name)
+        unit = model.units.get(self.place.name, "") if self.place.kind == "output" else ""
+        new = Parameter(0.0, per_experiment=each, unit=unit)
+        return model.with_terms({to: Expr.symbol(self.parameter)}, {self.parameter: new})
+
+
+@dataclass(frozen=True, eq=False)
+class RecordChange:
+    """A difference between records that was found.
+
+    name       canonical: ``k:per_experiment``, ``x:bias_per_experiment``.
+    aliases    names of others that the data do not tell from it.
+    place      of the parameter or the constant.
+    values     record -> value and standard error.
+    unit       of these.
+    gain       in log-likelihood with coloured noise, over the model without.
+    threshold  that it had to pass.
+    explained  the part of the misfit that it explains, in the records themselves.
+    """
+
+    name: str
+    aliases: tuple[str, ...]
+    place: Place
+    values: dict[str, tuple[float, float]]
+    unit: str
+    gain: float
+    threshold: float
+    explained: Explained
+
+    @property
+    def explanation(self) -> str:
+        """What it says, in words."""
+        what = self.place.name if self.place.kind == "parameter" else f"the constant part of {where(self.place)}"
+        return f"{what} differs from record to record"
+
+
+def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, list[RecordChange], list[str]]:
+    """Return the base model with differences between records, fitted; what these are; and names of their parameters.
+
+    None where the terms that the search found are likelier, or nothing differs.
+    """
+    base, full = search.cache.base, result.full
+    if len(dataset(base.fit)) < 2:
+        return None, [], []
+    best = -np.inf
+    options: list[tuple[_Difference, tuple[str, ...]]] = []
+    for at in [base] if full is base else [base, full]:
+        found, chosen = _differing(at)
+        unknowns = len(chosen) * (len(dataset(at.fit)) - 1)
+        merit = found.merit - search.chances(at) - 0.5 * unknowns * float(np.log(at.linear.n_rows))
+        if chosen and merit > best and _explained(at, at, found).part > _PART:
+            best, options = merit, chosen
+    if best <= full.merit - search.chances(full) + _MARGIN:
+        return None, [], []
+    current, changes = base, []
+    for option, aliases in options:
+        more = _with(current, option)
+        if more is None:
+            return None, [], []
+        changes.append(_change(search, current, more, option, aliases))
+        current = more
+    return current, changes, [o.parameter for o, _ in options]
+
+
+def _threshold(unknowns: int, tries: int) -> float:
+    from scipy.stats import chi2
+
+    return float(chi2.isf(_FALSE_ALARM / tries, unknowns)) / 2.0
+
+
+def _differing(at: Refit) -> tuple[Refit, list[tuple[_Difference, tuple[str, ...]]]]:
+    """Differences that are each significant beside those before, the clearest first, each with its aliases, and the fit
+    with all."""
+    chosen: list[tuple[_Difference, tuple[str, ...]]] = []
+    while len(chosen) < _MOST:
+        options = _options(at)
+        ranked = _ranked(at.linear, options)[:_TRIED]
+        refits = [(r, o) for o in ranked if (r := _with(at, o)) is not None]
+        if not refits:
+            break
+        best = max(r.merit for r, _ in refits)
+        alike = [pair for pair in refits if pair[0].merit > best - _ALIKE]
+        # A parameter that the model has, or a sensor, before an equation that is complete without it.
+        following, option = min(alike, key=lambda pair: (pair[1].place.kind == "equation", -pair[0].merit))
+        # A constant that is the same in all records is no difference.
+        same = _with(at, option, each=False) if option.place.kind != "parameter" else None
+        before = same if same is not None and same.merit > at.merit else at
+        needed = _threshold(len(dataset(at.fit)) - 1, len(options))
+        if following.merit - before.merit < needed or _explained(at, before, following).part < _EACH:
+            break
+        chosen.append((option, tuple(o.name for _, o in alike if o is not option)))
+        at = following
+    return at, chosen
+
+
+def _options(at: Refit) -> list[_Difference]:
+    model, added = at.fit.model, {n for c in at.candidates for n in c.parameters}
+    declared = model.declared_parameters
+    found = [
+        _Difference(Place("parameter", n), n)
+        for n, p in declared.items()
+        if not (p.fixed or p.per_experiment or n in added) and n in model.parameter_names
+    ]
+    taken = {*declared, *model.state_names, *model.quantity_names, *model.declared_inputs, *model.output_names}
+    for place in ModelStructure(model).places:
+        if place.kind in ("output", "equation") and f"bias_{place.name}" not in taken:
+            found.append(_Difference(place, f"bias_{place.name}"))
+    return [o for o in found if o.place in at.linear.places]
+
+
+def _ranked(linear: Linearised, options: Sequence[_Difference]) -> list[_Difference]:
+    """Options by the part of the residuals that differences explain to first order, white noise; those that do not
+    predict blocks of the records from the others are left out."""
+    scale = linear.scale()
+    tangents = linear.tangents / scale[:, None]
+    residuals = linear.residuals / scale
+    gains = []
+    for option in options:
+        columns = (linear.answers(option.place, _each(linear)) / scale).T
+        same = np.hstack([tangents, columns.sum(axis=1, keepdims=True)])
+        basis = np.linalg.svd(same, full_matrices=False)[0]
+        left = columns - basis @ (basis.T @ columns)
+        u, sizes, _ = np.linalg.svd(left, full_matrices=False)
+        told = u[:, sizes > _NOTHING * max(float(np.linalg.norm(columns)), 1e-300)]
+        gain = float(np.sum((told.T @ residuals) ** 2)) if told.shape[1] else 0.0
+        predicted = _predicted(blocks_of(linear), same, columns, residuals) if gain else 0.0
+        gains.append(gain if predicted > _PREDICTED else 0.0)
+    order = np.argsort(gains)[::-1]
+    return [options[i] for i in order if gains[i] > 0.0]
+
+
+def _predicted(block: NDArray[np.intp], same: _Array, each: _Array, residuals: _Array) -> float:
+    """The part of the mean square of blocks that coefficients of columns explain which the other blocks tell; all else
+    is as it fits a block best."""
+    without, with_each, n = 0.0, 0.0, same.shape[1]
+    for b in range(BLOCKS):
+        inside = block == b
+        both = np.hstack([same, each])[~inside]
+        found = np.linalg.lstsq(both, residuals[~inside], rcond=_RANK)[0][n:]
+        own = np.linalg.svd(same[inside], full_matrices=False)[0]
+        for which, r in enumerate((residuals[inside], residuals[inside] - each[inside] @ found)):
+            power = float(np.sum((r - own @ (own.T @ r)) ** 2))
+            without, with_each = (without + power, with_each) if which == 0 else (without, with_each + power)
+    return 1.0 - with_each / max(without, 1e-300)
+
+
+def _each(linear: Linearised) -> list[_Array]:
+    """(n, points) for each record: 1 in the row of its number."""
+    n = len(linear.points)
+    found = []
+    for e, p in enumerate(linear.points):
+        signal = np.zeros((n, p.n))
+        signal[e] = 1.0
+        found.append(signal)
+    return found
+
+
+def _with(at: Refit, option: _Difference, each: bool = True) -> Refit | None:
+    """The fit with a difference, or with the same value for all; None where the solver does not come to an end, or the
+    data do not tell it."""
+    fit = at.fit
+    try:
+        model = option.in_model(fit.model, each)
+        found = estimate(
+            model,
+            dataset(fit),
+            transcription=fit.transcription,
+            noise=fit.noise,
+            start=fit,
+            solver=Newton(max_iterations=_ITERATIONS, time_limit=max(5.0, 20.0 * fit.time)),
+        )
+    except PhugoidError:
+        return None
+    return Refit(at.candidates, found) if found.status in ("converged", "acceptable") else None
+
+
+def _explained(of: Refit, before: Refit, after: Refit) -> Explained:
+    """The part of the misfit of a fit that one explains and another does not, in the records themselves."""
+    return Simulated.of(after.linear).explained(Simulated.of(before.linear), Misfitting.of(of.linear))
+
+
+def _change(search: Search, before: Refit, after: Refit, option: _Difference, aliases: tuple[str, ...]) -> RecordChange:
+    names = {e.name: f"{option.parameter}[{e.name}]" for e in dataset(after.fit)}
+    inflation = np.sqrt(max(after.own.inflation(n) for n in names.values()))
+    values = {}
+    for record, name in names.items():
+        value, error = after.own.parameter(name)
+        values[record] = float(value), float(error * inflation)
+    explained = _explained(search.cache.base, before, after)
+    unit = after.fit.model.declared_parameters[option.parameter].unit
+    gain = after.merit - before.merit
+    return RecordChange(
+        option.name,
+        aliases,
+        option.place,
+        values,
+        unit,
+        gain,
+        _threshold(len(names) - 1, len(_options(before))),
+        explained,
+    )

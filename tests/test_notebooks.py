@@ -1,0 +1,138 @@
+"""What notebooks show: short tables with the names and numbers of an object, small pictures, and all text escaped."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as xml
+from typing import Any
+
+import numpy as np
+import pictures
+import pytest
+
+import phugoid as ph
+from phugoid.notebook import MOST, Html, bullets, notebook_page, paragraph, sparkline, table
+from phugoid.parameters import Estimate, Estimates
+
+EVIL = "<script>alert('1')</script> & more"
+
+
+def parsed(html: str) -> Any:
+    """The element; raises where the HTML is not well-formed."""
+    return xml.fromstring(html)
+
+
+def texts(html: str) -> str:
+    return " ".join("".join(parsed(html).itertext()).split())
+
+
+def rows(html: str) -> list[list[str]]:
+    return [["".join(cell.itertext()) for cell in row] for row in parsed(html).iter("tr")]
+
+
+@pytest.fixture(scope="module")
+def fit() -> ph.Fit:
+    return ph.estimate(pictures.pitch(), pictures.flights()[0])
+
+
+@pytest.fixture(scope="module")
+def diagnosis(fit: ph.Fit) -> ph.results.Diagnosis:
+    return ph.diagnose(fit, validation=pictures.flights()[1])
+
+
+def test_a_fit_shows_estimates_outputs_and_how_it_ended(fit: ph.Fit) -> None:
+    shown = rows(fit._repr_html_())
+    mtheta = next(row for row in shown if row[0] == "Mtheta")
+    assert mtheta[1] in fit.summary() and mtheta[3]  # the estimate, and its error in %
+    q = next(row for row in shown if row[0] == "q")
+    assert f"{fit.records[0].rms()['q']:.4g}" in q
+    text = texts(fit._repr_html_())
+    assert "converged" in text and "pitch" in text and f"log-likelihood {fit.log_likelihood:.3f}" in text
+    assert fit._repr_html_().count("<svg") == 2 and len(fit._repr_html_()) < 40_000
+
+
+def test_tables_of_a_fit(fit: ph.Fit) -> None:
+    names = [row[0] for row in rows(fit.parameters._repr_html_())[1:]]
+    assert names == list(fit.parameters)
+    coloured = rows(fit.coloured._repr_html_())
+    ratio = fit.coloured.inflation["Mq"]
+    assert next(row for row in coloured if row[0] == "Mq")[4] == f"{ratio:.2f}"
+    correlation = fit.correlation
+    assert f"{len(correlation.pairs())} pairs" in texts(correlation._repr_html_())
+
+
+def test_an_experiment_shows_its_channels(fit: ph.Fit) -> None:
+    t = np.arange(0, 10, 0.1)
+    q = np.sin(t)
+    q[5:8] = np.nan
+    run = ph.Experiment(t, {"de": np.cos(t)}, {"q": q}, name="run 7", units={"q": "rad/s"}).window(0, 5)
+    html = run._repr_html_()
+    assert rows(html)[2][:3] == ["q", "output", "rad/s"] and "3" in rows(html)[2]
+    assert "run 7" in texts(html) and f"{run.n} samples" in texts(html) and html.count("<svg") == 2
+    assert all(step in texts(html) for step in run.history)
+    record = fit.records[0]._repr_html_()
+    assert {"input", "output", "state", "residual"} <= {row[1] for row in rows(record)[1:]}
+
+
+def test_a_diagnosis_and_what_it_found(diagnosis: ph.results.Diagnosis) -> None:
+    text = texts(diagnosis._repr_html_())
+    assert "The model misses q':q|q|." in text and "named" in text and "100 %" in text
+    finding = diagnosis.findings[0]
+    said = texts(finding._repr_html_())
+    assert "q':q|q|" in said and finding.explanation in said and "-1.99" in said
+    misfit = diagnosis.misfit
+    assert [row[0] for row in rows(misfit._repr_html_())[1:]] == list(misfit.worst)
+    assert misfit._repr_html_().count("<svg") == len(misfit.worst)
+    extension = diagnosis.extend()
+    assert "-95 %" in texts(extension._repr_html_()) and "q_dot_q_abs_q" in texts(extension._repr_html_())
+    assert "-95 %" in texts(extension.gain._repr_html_())
+
+
+def test_candidates_are_cut_short(fit: ph.Fit) -> None:
+    library = ph.candidates(fit.model)
+    html = library._repr_html_()
+    assert len(rows(html)) == MOST + 1 and f"and {len(library) - MOST} more" in texts(html)
+    assert rows(html)[1][0] == library.names[0]
+
+
+def test_a_model_shows_its_equations() -> None:
+    m = pictures.pitch()
+    latex = m._repr_latex_()
+    assert latex is not None and m.latex() in latex and latex.startswith("$$") and latex.endswith("$$")
+    m = ph.Model("long")
+    x = m.states(" ".join(f"x{i}" for i in range(60)))
+    m.dynamics(**{f"x{i}": sum(x, 0 * x[0]) for i in range(60)})
+    m.outputs(y=x[0])
+    assert m._repr_latex_() is None
+
+
+def test_keys_are_completed(fit: ph.Fit) -> None:
+    assert fit.parameters._ipython_key_completions_() == list(fit.parameters)
+    library = ph.candidates(fit.model)
+    assert library._ipython_key_completions_() == list(library.names)
+    profiles = fit.profile("Mq")
+    assert profiles._ipython_key_completions_() == ["Mq"]
+
+
+def test_text_is_escaped(fit: ph.Fit) -> None:
+    for html in (
+        notebook_page(EVIL, paragraph(EVIL), bullets([EVIL]), table([EVIL], [[EVIL]], "l"), note=EVIL),
+        ph.Experiment([0, 1], {EVIL: [0, 1]}, name=EVIL, units={EVIL: EVIL})._repr_html_(),
+        Estimates([Estimate(EVIL, 1.0, 0.1, EVIL)])._repr_html_(),
+    ):
+        assert "<script" not in html and "&lt;script&gt;" in html and EVIL in texts(html)
+    assert table(["a"], [[Html("<i>b</i>")]], "l").count("<i>") == 1
+
+
+def test_a_sparkline_is_small_keeps_peaks_and_gaps() -> None:
+    long = np.zeros(1_000_000)
+    long[123_456] = 5.0
+    html = sparkline(long)
+    assert len(html) < 6000 and "0 to 5" in html
+    (points,) = (line.get("points") for line in parsed(html).iter("polyline"))
+    assert min(float(y) for _, y in (p.split(",") for p in points.split())) == 2.0  # the top
+    gap = np.sin(np.arange(100.0))
+    gap[40:60] = np.nan
+    assert len(re.findall("<polyline", sparkline(gap, gap))) == 4
+    assert sparkline([np.nan, 1.0]) == "" and sparkline([]) == ""
+    assert "<polyline" in sparkline([1.0, 1.0])  # a constant

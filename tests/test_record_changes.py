@@ -1,0 +1,82 @@
+"""A diagnosis of several records between which a parameter or an offset changed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import phugoid as ph
+
+T = np.arange(0.0, 25.0, 0.05)
+
+
+def mass(cubic: float = 0.0) -> ph.Model:
+    m = ph.Model("mass")
+    (u,), (x, v) = m.inputs("u"), m.states(x="m", v="m/s")
+    k, c = m.parameters(k=4.0, c=0.5)
+    m.dynamics(x=v, v=u - k * x - c * v - (cubic * x**3 if cubic else 0.0))
+    m.outputs(x=x, v=v)
+    return m
+
+
+def flights(
+    seed: int, stiffness: tuple[float, ...], offset: tuple[float, ...] | None = None, cubic: float = 0.0
+) -> list[ph.Experiment]:
+    """A record for each stiffness, of other inputs."""
+    rng, found = np.random.default_rng(seed), []
+    for i, k in enumerate(stiffness):
+        f, p = rng.uniform(0.05, 1.2, 8), rng.uniform(0.0, 2.0 * np.pi, 8)
+        u = 1.5 * np.sum(np.sin(2.0 * np.pi * f[:, None] * T + p[:, None]), axis=0)
+        run = ph.simulate(mass(cubic), {"k": k, "c": 0.5}, ph.Experiment(T, {"u": u}), initial={"x": 0.0, "v": 0.0})
+        y = {
+            n: z + s * rng.standard_normal(T.size) for (n, z), s in zip(run.outputs.items(), (5e-3, 0.01), strict=True)
+        }
+        y["x"] = y["x"] + (offset[i] if offset else 0.0)
+        found.append(ph.Experiment(T, {"u": u}, y, name=f"flight {i + 1}"))
+    return found
+
+
+def test_a_parameter_that_was_another_in_one_record_is_named() -> None:
+    """It was called noise on the input."""
+    runs = flights(1, (4.0, 4.0, 4.6, 4.0))
+    d = ph.diagnose(ph.estimate(mass(), runs))
+    (f,) = d.findings
+    assert (f.cause, f.status) == ("k:per_experiment", "named"), d.summary()
+    for record, truth in zip(("flight 1", "flight 2", "flight 3", "flight 4"), (4.0, 4.0, 4.6, 4.0), strict=True):
+        value, error = f.parameters[f"k[{record}]"]
+        assert abs(value - truth) < 4.0 * error < 0.02
+    extended = d.extend()
+    assert extended.added == ("k:per_experiment",)
+    assert extended.fit.parameters["k[flight 3]"].value == pytest.approx(4.6, abs=0.01)
+    assert extended.gain.log_likelihood > 1000.0
+    assert all(extended.gain.rms_after[n] < 0.2 * extended.gain.rms_before[n] for n in ("x", "v"))
+    assert "4.6" in d.summary() and "'flight 3'" in d.summary()
+
+
+def test_an_offset_of_a_sensor_in_one_record_is_named() -> None:
+    runs = flights(2, (4.0, 4.0, 4.0), offset=(0.0, 0.05, 0.0))
+    d = ph.diagnose(ph.estimate(mass(), runs))
+    (f,) = d.findings
+    assert f.cause == "x:bias_per_experiment" and f.status == "named", d.summary()
+    assert f.aliases == ("v':bias_per_experiment",)  # a constant force on the spring is the same
+    assert f.parameters["x[flight 2]"][0] == pytest.approx(0.05, abs=0.002)
+
+
+def test_the_other_record_has_a_value_of_its_own_too() -> None:
+    *runs, other = flights(3, (4.0, 4.7, 4.3))
+    d = ph.diagnose(ph.estimate(mass(), runs), validation=other)
+    assert [f.cause for f in d.findings] == ["k:per_experiment"], d.summary()
+    gain = d.extend().gain
+    assert all(gain.held_out_rms_after[n] < 0.3 * gain.held_out_rms_before[n] for n in ("x", "v"))
+
+
+def test_what_is_missing_in_all_records_is_no_difference_between_them() -> None:
+    runs = flights(4, (4.0, 4.0, 4.0), cubic=0.3)
+    d = ph.diagnose(ph.estimate(mass(), runs))
+    named = [f for f in d.findings if f.status == "named"]
+    assert [f.cause for f in named] == ["v':x^3"], d.summary()
+
+
+def test_nothing_differs_where_nothing_does() -> None:
+    d = ph.diagnose(ph.estimate(mass(), flights(5, (4.0, 4.0, 4.0))))
+    assert not d.findings and d.verdict == "nothing", d.summary()

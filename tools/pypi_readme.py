@@ -1,0 +1,49 @@
+"""Make the links and pictures of the README absolute, as PyPI needs them: it shows neither relative pictures nor files.
+
+    python tools/pypi_readme.py https://HOST/OWNER/PROJECT REVISION
+
+changes README.md in place. The workflow *Wheels* runs it with its own repository and revision before it builds; nobody
+else has to, and the change is not for committing. A picture becomes .../raw/REVISION/..., a file .../blob/REVISION/...
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+_LINK = re.compile(r"(?P<picture>!?)\[(?P<text>[^\]]*)\]\((?P<target>[^)\s]+)\)")
+
+
+def absolute(text: str, repository: str, revision: str) -> str:
+    """Return a page of Markdown with each relative link and picture made absolute; code blocks are left as they are.
+
+    >>> absolute("![a fit](docs/fit.png), [MIT](LICENSE), [there](https://a.org/)", "https://host/me/phugoid", "v1")
+    '![a fit](https://host/me/phugoid/raw/v1/docs/fit.png), [MIT](https://host/me/phugoid/blob/v1/LICENSE), [there](https://a.org/)'
+    """
+
+    def changed(link: re.Match[str]) -> str:
+        target = link["target"]
+        if re.match(r"[a-z]+:|#", target):
+            return link[0]
+        kind = "raw" if link["picture"] else "blob"
+        return f"{link['picture']}[{link['text']}]({repository.rstrip('/')}/{kind}/{revision}/{target})"
+
+    pieces = re.split(r"(^```.*?^```$)", text, flags=re.M | re.S)
+    return "".join(piece if piece.startswith("```") else _LINK.sub(changed, piece) for piece in pieces)
+
+
+def main(arguments: list[str]) -> int:
+    """Change README.md, or say how this is called."""
+    if len(arguments) != 2 or not re.match(r"https?://[^/]+/.+", arguments[0]):
+        print(__doc__, file=sys.stderr)
+        return 2
+    page = ROOT / "README.md"
+    page.write_text(absolute(page.read_text(encoding="utf-8"), *arguments), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -136,11 +136,11 @@ def _hypotheses(at: Refit, known: Collection[str]) -> Iterator[Disturbance]:
     yield from functions_of(at, known)
 
 
-def functions_of(at: Refit, known: Collection[str]) -> list[Disturbance]:
+def functions_of(at: Refit, known: Collection[str], only: Sequence[str] = ()) -> list[Disturbance]:
     """Random functions of states and inputs in equations and quantities, of those that are known, the likeliest of them
-    bending more quickly, too."""
+    bending more quickly, too. ``only``: variables, all where none is given."""
     model = at.linear.model
-    variables = [n for n in (*model.state_names, *model.declared_inputs) if n in known]
+    variables = [n for n in (*model.state_names, *model.declared_inputs) if n in known and (not only or n in only)]
     places = [p for p in at.linear.places if p.kind in ("equation", "quantity") and p.name in known]
     places.sort(key=lambda p: (p.kind, p.name))
     found = sorted((h for p in places for h in functions(at, p, variables)), key=lambda h: -h.merit)

@@ -24,7 +24,7 @@ from ...solvers.limits import Deadline, check_time
 from ...transcription.filter_error import FilterError
 from ...validation.biases import freed_by_default
 from ...validation.frozen_model import freeze_model, freeze_noise
-from ..candidates.candidate import Effect, is_function
+from ..candidates.candidate import Candidate, Effect, is_function
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of
 from .evidence import is_structured
 from .free_run import Explained, Misfitting, Simulated
@@ -153,17 +153,22 @@ def _function(
     for c in final.candidates:
         if isinstance(c, Effect) and is_function(c):
             alike = [o for o in terms_of(full, c.place, *c.variables) if is_function(o)]
-            tried.append((full, c.place, c.variables[0], least if len(alike) == 1 else min(-s.margin, least)))
+            if len(alike) == 1:
+                tried.append((full, c.place, c.variables[0], least))
+                continue
+            # Several stand for one function, which need not be where they are.
+            places = dict.fromkeys([c.place, *_likeliest_place(search, full, alike, c.variables[0], known)])
+            tried += [(full, place, c.variables[0], min(-s.margin, least)) for place in places]
     part = search.assessment.explained(search.cache.base, full) if final.names else None
     if part is not None and part.part < s.most:
         first = max(functions_of(search.cache.base, known.known), key=lambda h: h.merit, default=None)
         if first is not None and first.merit > search.cache.base.merit + s.margin:
             tried.append((search.cache.base, first.place, first.variable, least))
-    seen: set[tuple[tuple[str, ...], str]] = set()
+    seen: set[tuple[tuple[str, ...], Place, str]] = set()
     for at, place, variable, needed in tried:
-        if (at.names, variable) in seen:
+        if (at.names, place, variable) in seen:
             continue
-        seen.add((at.names, variable))
+        seen.add((at.names, place, variable))
         found = unknown_function(search, at, result, place, variable)
         if found is not None and found.gain > needed:
             named = formula(search, found)
@@ -174,6 +179,15 @@ def _function(
                 found.curve, found.without, found.gain, nan, explained=explained, fitted=found.fitted, known=named
             )
     return None
+
+
+def _likeliest_place(
+    search: Search, full: Refit, terms: Sequence[Candidate], variable: str, known: Disturbances
+) -> list[Place]:
+    """The likeliest place for a function of a variable that replaces terms; empty where these cannot be left out."""
+    without = search.cache.refit([c for c in full.candidates if c not in terms], full.fit)
+    found = functions_of(without, known.known, (variable,)) if without is not None else []
+    return [max(found, key=lambda h: h.merit).place] if found else []
 
 
 def _is_short(event: Disturbance, linear: Linearised, most: float) -> bool:

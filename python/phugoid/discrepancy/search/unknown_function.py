@@ -116,7 +116,8 @@ def _is_better(search: Search, result: SearchResult, without: Refit, fitted: Ref
     lost = [c for c in final.candidates if c.name not in without.names]
     if not lost:
         return True
-    functions_lost = [c for c in lost if is_function(c, variable)]
+    # Linear terms of the variable belong to what stands for its function.
+    functions_lost = [c for c in lost if isinstance(c, Effect) and {*c.variables} == {variable}]
     more = assess.compared(without, final, fitted)
     if more is None or more.part > _MUCH:
         return True

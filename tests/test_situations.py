@@ -31,6 +31,8 @@ def diagnosed(what: str, system: str, seed: int) -> tuple[ph.Diagnosis, tuple[st
         ("gust", "uav", 501),
         ("noisy input", "servo", 503),
         ("noisy input", "lateral", 504),
+        ("noisy input", "hfb320", 8100),
+        ("noisy input", "duffing", 8101),
         ("event", "duffing", 505),
         ("event", "servo", 506),
         ("held input", "servo", 507),

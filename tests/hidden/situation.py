@@ -262,7 +262,8 @@ def _twist(what: str, s: System, vehicle: Vehicle, rng: np.random.Generator, siz
 
         return _Twist(force=once), (f"{which}':event",), {"time": begin}
     if what == "held input":
-        return _Twist(held=True), (f"{u}:hold", f"{u}:delay"), {}
+        # All inputs are held: what is said of any of them is right.
+        return _Twist(held=True), tuple(f"{n}:{what}" for n in s.inputs for what in ("hold", "delay")), {}
     if what == "clipped":
         return _Twist(), (), {}
     if what == "outside":

@@ -27,18 +27,18 @@ from .search.confirmation import Found
 from .search.data_suspects import (
     with_changes,
     with_inputs_as_sampled,
-    with_interpolation,
     with_record_changes,
+    with_recorded_input,
     with_remainder,
     words_of_inputs,
 )
 from .search.evidence import is_physical
 from .search.finding import DiagnosisResult, Finding, Scored
-from .search.input_interpolation import InputInterpolation
 from .search.record_change import RecordChange
+from .search.recorded_input import RecordedInput
 from .search.refit import Refit
 from .search.remainder import Remainder, RemainderSettings
-from .search.remainder_finding import finding_of_held_input, finding_of_record_change, finding_of_remainder
+from .search.remainder_finding import finding_of_record_change, finding_of_recorded_input, finding_of_remainder
 from .search.sampled_input import SampledInputs
 from .search.scan import NEARLY, Scan
 from .search.search import Search, SearchResult
@@ -221,20 +221,21 @@ def diagnose(
         search = Search(base, listed, others, step, free)
         result = SearchResult(base, base)
         remainder: Remainder | None = None
-        between: list[InputInterpolation] = []
+        between: list[RecordedInput] = []
         sampled: SampledInputs | None = None
         changes: list[RecordChange] = []
         with deadline.in_force():
             # Now, while what the search needs next is at hand.
             ranking, interrupted = _ranked(search, base)
             if not interrupted:
-                following, interrupted = with_interpolation(search)
+                following, interrupted = with_recorded_input(search)
                 while following is not None:
                     # All else is sought with the input as it acts.
                     between.append(following)
-                    search = search.on(following.refit, following.validation)
+                    on = search.without_noise if following.kind == "noise" else search.on
+                    search = on(following.refit, following.validation)
                     result = SearchResult(following.refit, following.refit)
-                    following, interrupted = with_interpolation(search)
+                    following, interrupted = with_recorded_input(search)
             if not interrupted:
                 result = search.run()
                 interrupted = result.interrupted
@@ -249,10 +250,12 @@ def diagnose(
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
             findings = [finding_of(result, f, _is_minor(search, result, f)) for f in found]
-            held = [finding_of_held_input(b, RemainderSettings().margin) for b in between if b.kind == "hold"]
+            told = [b for b in between if b.kind != "cubic"]
+            units, margin = fit.model.units, RemainderSettings().margin
+            held = [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in told]
             held += [finding_of_record_change(c) for c in changes]
             findings[:0] = held
-            if remainder is not None:
+            if remainder is not None and remainder.disturbance.name not in {b.cause for b in told}:
                 findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))
             extension = search.extension(final, known=interrupted)
             full = search.extension(result.full, known=interrupted) if result.full is not final else None
@@ -292,6 +295,8 @@ def diagnose(
             seconds=time.perf_counter() - started,
             _extension=extension,
             _full=full,
+            _inputs=tuple(b.cause for b in told),
+            _validation=tuple(search.cache.validation),
         )
 
 

@@ -21,7 +21,6 @@ from .search.finding import DiagnosisResult, Finding, Gain
 
 __all__ = ["ImprovementResult", "ImprovementStep", "improve"]
 
-_HELD = ":hold"
 _STEPS = 5
 
 
@@ -30,8 +29,8 @@ class ImprovementStep:
     """One diagnosis, and what was made of it.
 
     diagnosis  of the model at that step.
-    added      names of the causes that were put into the model, of ``findings`` (canonical, ``where:what``); an input
-               that is held is one of them.
+    added      names of the causes that were put into the model, of ``findings`` (canonical, ``where:what``); inputs
+               that act otherwise than they are recorded are among them.
     rejected   finding -> why it was left out: "minor", "surrogate", "unexplained", or "no term of a model".
     gain       of the extended model over that of the step; None where nothing was added.
     """
@@ -110,7 +109,8 @@ def improve(
     """Diagnose a fit, put in what is named, and diagnose again, until nothing more is named.
 
     The arguments are those of `diagnose`; ``steps`` is the most diagnoses, ``time_limit`` in seconds is that of all.
-    Inputs that are found to be held between their samples are held from then on, in the validation records too.
+    Inputs that are found to be held between their samples, or to be recorded with noise, are held or filtered from
+    then on, in the validation records too.
     Disturbances are no terms of a model and are not put in. Ctrl-C and the time limit end it with what was found.
 
     Raises as `diagnose` does, for the first model; OptionError for a number of steps below 1.
@@ -127,15 +127,14 @@ def improve(
             current, own, others, biases=biases, progress=progress, time_limit=deadline.left() if time_limit else None
         )
         extension = d.extend()
-        held = [f.cause for f in d.findings if f.status == "named" and f.cause.endswith(_HELD)]
-        added = (*held, *extension.added)
+        added = (*d._inputs, *extension.added)
         rejected = {_label(f): _reason(f) for f in d.findings if f.cause not in added}
         done.append(ImprovementStep(d, added, rejected, extension.gain if added else None))
         if not added:
             break
         current = extension.fit
         if others is not None:
-            others = [e.with_interpolation({name.removesuffix(_HELD): "hold" for name in held}) for e in others]
+            others = list(d._validation)
         if d.interrupted or deadline.passed():
             break
         own = _left(candidates, {name for step in done for name in step.added})

@@ -70,7 +70,8 @@ def estimate_late(
     by: tuple[Newton | Ipopt, Deadline],
     options: Mapping[str, Any],
 ) -> FitResult:
-    """`estimate` for a model with delays, by passes of it over models without, which share the time that is left."""
+    """`estimate` for a model with delays, by passes of it over models without, which share the iterations and the
+    time that are left."""
     solver, deadline = by
     given = start.as_start() if isinstance(start, FitResult) else dict(start or {})
     names = model.delays.parameters
@@ -83,8 +84,8 @@ def estimate_late(
     for number in range(model.delays.passes):
         slim = at_delays(model, base, _REACH * interval)
         moved = [_moved(model, slim, e, base) for e in experiments]
-        in_time = replace(solver, time_limit=deadline.left())
-        fit = estimate(slim, moved, start=_at(moved[0], experiments[0], model, begin), solver=in_time, **options)
+        within = replace(solver, time_limit=deadline.left(), max_iterations=solver.max_iterations - iterations)
+        fit = estimate(slim, moved, start=_at(moved[0], experiments[0], model, begin), solver=within, **options)
         iterations, time, begin = iterations + fit.iterations, time + fit.time, fit
         left = {name: fit.parameters[name].value - base[name] for name in names}
         errors = {name: fit.parameters[name].std_error for name in names}
@@ -94,7 +95,7 @@ def estimate_late(
         )
         if settled or fit.status in ("interrupted", "failed", "diverging", "infeasible", "time limit"):
             break
-        if number == model.delays.passes - 1:  # the base stays that of the fit
+        if number == model.delays.passes - 1 or iterations >= solver.max_iterations:  # the base stays that of the fit
             warnings.append(
                 f"the delays still move by up to {max(map(abs, left.values())):.1e} s: where inputs bend sharply "
                 "between samples, the likelihood is not smooth in a delay"

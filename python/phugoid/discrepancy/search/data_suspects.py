@@ -1,4 +1,4 @@
-"""Suspects in the data of a search: inputs between samples, differences between records, disturbances.
+"""Suspects in the data of a search: recorded inputs, differences between records, disturbances.
 
 Each ends with a search that goes on as if the data were as they were found to be.
 """
@@ -12,9 +12,10 @@ import numpy as np
 
 from ...errors import PhugoidError
 from ...validation.biases import freed_by_default
+from .disturbance import Disturbances
 from .finding import ExtensionResult
-from .input_interpolation import InputInterpolation, input_interpolation
 from .record_change import RecordChange, record_changes
+from .recorded_input import RecordedInput, recorded_input
 from .refit import fitted_to
 from .remainder import Remainder, RemainderSettings, remainder_of
 from .sampled_input import SampledInputs, sampled_inputs
@@ -23,27 +24,38 @@ from .search import Search, SearchResult
 __all__ = [
     "with_changes",
     "with_inputs_as_sampled",
-    "with_interpolation",
     "with_record_changes",
+    "with_recorded_input",
     "with_remainder",
     "words_of_inputs",
 ]
 
+# What an actuator may do to an input that looks like each.
+_RIVALS = {
+    "hold": ("delay", "lag"),
+    "cubic": ("delay", "lag"),
+    "noise": ("deadband", "backlash", "saturation", "lag", "delay"),
+}
+_BEYOND = 1.25
 
-def with_interpolation(search: Search) -> tuple[InputInterpolation | None, bool]:
-    """An input that is held between its samples, which explains more than a delay or a lag of it, or that is smooth
-    there; and whether the comparison was interrupted."""
+
+def with_recorded_input(search: Search) -> tuple[RecordedInput | None, bool]:
+    """An input that acts otherwise than it is recorded and explains more so than what an actuator may do to it; and
+    whether the comparison was interrupted."""
     cache = search.cache
     try:
-        cache.watch("comparing inputs that are held between samples, or smooth")
-        found = input_interpolation(cache.base, cache.validation, cache.biases)
+        cache.watch("comparing inputs that are held between samples, smooth there, or recorded with noise")
+        found = recorded_input(cache)
         if found is None:
             return None, False
         search.screen.shortlist(cache.base)
-        late = [c for c in cache.candidates if c.name in (f"{found.name}:delay", f"{found.name}:lag")]
+        names = {f"{found.name}:{rival}" for rival in _RIVALS[found.kind]}
+        late = [c for c in cache.candidates if c.name in names]
         rivals = [r for r in cache.refits([[c] for c in late if cache.has_start(c.name)]) if r is not None]
         best = max((r.merit - len(r.candidates[0].parameters) for r in rivals), default=-np.inf)
-        return (found if found.refit.merit > best else None), False
+        # Where the record has noise, a dead band takes away what of it is seen most: it must do more than that.
+        needed = found.gain * (_BEYOND if found.kind == "noise" else 1.0)
+        return (found if best < cache.base.merit + needed else None), False
     except PhugoidError:
         return None, False
     except KeyboardInterrupt:
@@ -100,6 +112,9 @@ def with_inputs_as_sampled(
         fits = [full] if full is cache.base else [full, cache.base]
         each = [(s, s.merit - search.chances(at)) for at in fits if (s := sampled_inputs(at)) is not None]
         found, merit = max(each, key=lambda one: one[1], default=(None, -np.inf))
+        if found is not None:  # noise on the record of an input looks like that, too
+            noises = Disturbances(cache.base.fit.model).ranked(cache.base, white=True)
+            least = max([least, *(d.merit for d in noises if d.place.kind == "input")])
         base = fitted_to(cache.base, found.records) if found is not None and merit > least else None
         if found is None or base is None:
             return search, result, None, False
@@ -134,8 +149,8 @@ def with_remainder(search: Search, result: SearchResult) -> tuple[SearchResult, 
     return replace(result, final=final or search.cache.base, full=full, found=found), remainder, False
 
 
-def words_of_inputs(between: Sequence[InputInterpolation], sampled: SampledInputs | None) -> list[str]:
-    """What was found of inputs between their samples, in words, but for those that are held, which are findings."""
+def words_of_inputs(between: Sequence[RecordedInput], sampled: SampledInputs | None) -> list[str]:
+    """What was found of inputs between their samples, in words, but for those that are findings."""
     notes = [
         f"{b.name} is smooth between its samples: all else was sought with cubic splines through them in place of "
         f"straight lines (interpolation={{'{b.name}': 'cubic'}})."

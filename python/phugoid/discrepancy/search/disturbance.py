@@ -99,16 +99,20 @@ class Disturbances:
 
     def __init__(self, base: Model) -> None:
         self.known = {*base.state_names, *base.declared_inputs, *base.quantity_names}
-        self._best: dict[tuple[str, ...], list[Disturbance]] = {}
+        self._best: dict[tuple[tuple[str, ...], bool], list[Disturbance]] = {}
 
-    def ranked(self, at: Refit) -> list[Disturbance]:
-        """All hypotheses beside the terms of a refit, the likeliest first; none where there are too many samples."""
-        if at.names not in self._best:
-            self._best[at.names] = sorted(_hypotheses(at, self.known), key=lambda h: -h.merit)
-        return self._best[at.names]
+    def ranked(self, at: Refit, white: bool = False) -> list[Disturbance]:
+        """All hypotheses beside the terms of a refit, the likeliest first; none where there are too many samples.
+
+        ``white``: the residuals are; they may still hold white noise of a state or an input, and nothing else is asked.
+        """
+        key = at.names, white
+        if key not in self._best:
+            self._best[key] = sorted(_hypotheses(at, self.known, white), key=lambda h: -h.merit)
+        return self._best[key]
 
 
-def _hypotheses(at: Refit, known: Collection[str]) -> Iterator[Disturbance]:
+def _hypotheses(at: Refit, known: Collection[str], white: bool) -> Iterator[Disturbance]:
     linear = at.linear
     filter = Whitening.of(linear.residuals, linear.structure)
     noise = np.array([channel.power for channel in filter.channels])
@@ -119,7 +123,7 @@ def _hypotheses(at: Refit, known: Collection[str]) -> Iterator[Disturbance]:
     places = [p for p in every if p.kind in ("equation", "input")]
     rough = []
     for place in places:
-        found = _histories(linear, place, noise, min(_KNOTS, samples))
+        found = _histories(linear, place, noise, min(_KNOTS, samples), times=(0.0,) if white else _CORRELATION)
         rough += found[:1]
         yield from found
     for best in sorted(rough, key=lambda h: -h.merit)[:_LIKELY]:
@@ -130,10 +134,13 @@ def _hypotheses(at: Refit, known: Collection[str]) -> Iterator[Disturbance]:
             found = _histories(linear, best.place, noise, min(count, samples), finest)
             yield from found
             finest = max([finest, *found], key=lambda h: h.merit)
+        if white:
+            continue
         event = _event(linear, finest, noise)
         if event is not None:
             yield event
-    yield from functions_of(at, known)
+    if not white:
+        yield from functions_of(at, known)
 
 
 def functions_of(at: Refit, known: Collection[str], only: Sequence[str] = ()) -> list[Disturbance]:
@@ -149,7 +156,12 @@ def functions_of(at: Refit, known: Collection[str], only: Sequence[str] = ()) ->
 
 
 def _histories(
-    linear: Linearised, place: Place, noise: _Array, count: int, near: Disturbance | None = None
+    linear: Linearised,
+    place: Place,
+    noise: _Array,
+    count: int,
+    near: Disturbance | None = None,
+    times: Sequence[float] = _CORRELATION,
 ) -> list[Disturbance]:
     """A random time history at a place, the likeliest first: of several correlation times; or, where one with wider
     knots is known, as quick as that and quicker."""
@@ -161,7 +173,6 @@ def _histories(
     found, effects = [], RandomEffects(linear, answers)
     flat = np.concatenate(knots)
     variance: float | None = None
-    times: Sequence[float] = _CORRELATION
     if near is not None:
         noise = near.marginal.noise
         same = near.correlation / step

@@ -160,14 +160,13 @@ class Assessment:
         there are no other data."""
         new = [*one.beside(base.candidates), *other.beside(base.candidates)]
         on = self._cache.on_validation
+        root, elsewhere = self._cache.diagnosed or (self._cache.base, on(self._cache.base))
         if on(base) is not None and all(c.transferable for c in new):
             first, second = on(one, on(base)), on(other, on(base))
             if first is None or second is None:
                 return None
-            whole = on(self._cache.base)
-            assert whole is not None
-            return Simulated.of(second).explained(Simulated.of(first), Misfitting.of(whole))
-        root = self._cache.base
+            assert elsewhere is not None
+            return Simulated.of(second).explained(Simulated.of(first), Misfitting.of(elsewhere))
         misfit = Misfitting.of(root.linear, self._from_blocks(root, root))
         return self._from_blocks(base, other).explained(self._from_blocks(base, one), misfit)
 

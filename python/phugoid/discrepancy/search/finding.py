@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from ...data.experiment import Experiment
 from ...errors import OptionError
 from ...fit_result import FitResult
 from ...modelling.model import Model
@@ -238,9 +239,11 @@ class DiagnosisResult:
     interrupted: bool
     seconds: float
     _extension: ExtensionResult | None = None  # None where it comes from a file, and nothing was named
-    _full: ExtensionResult | None = (
-        None  # with minor findings, surrogates, unknown functions; None where it is the same
-    )
+    # With minor findings, surrogates, unknown functions; None where it is the same.
+    _full: ExtensionResult | None = None
+    # Causes of inputs that act otherwise than they are recorded, and the validation records with these as they act.
+    _inputs: tuple[str, ...] = ()
+    _validation: tuple[Experiment, ...] = ()
 
     @property
     def found(self) -> bool:

@@ -27,7 +27,10 @@ _Array = NDArray[np.float64]
 
 # Parts of a start at which candidates begin, too, that may end at several optima: where they explain this part of the
 # residuals' power or more to first order, for small effects are nearly linear.
-_STARTS, _LARGE = (0.25, 0.4, 0.65, 1.6), 0.1
+_STARTS, _LARGE = (0.4, 1.6, 0.25, 0.65), 0.1
+# Two ends at the likeliest optimum so far, alike to this in log-likelihood, or so many starts that come to no end,
+# leave little to be found.
+_SAME, _FAILED = 0.5, 3
 # Refits side by side: the solver works without the interpreter's lock.
 _WORKERS = 4
 
@@ -37,7 +40,8 @@ class RefitCache:
     """What is known of sets of candidates at a base fit.
 
     ``validation`` is data for held-out gains. ``biases`` are the parameters of the base that are estimated anew there;
-    None: those of sensors. ``watch`` is called with what is done.
+    None: those of sensors. ``watch`` is called with what is done. ``diagnosed``: the model that was diagnosed, and
+    the same on the validation data, where the base is that on mended records.
     """
 
     base: Refit
@@ -45,6 +49,7 @@ class RefitCache:
     validation: Sequence[Experiment] = ()
     watch: Callable[[str], None] = lambda _: None
     biases: Sequence[str] | None = None
+    diagnosed: tuple[Refit, Linearised | None] | None = None
 
     def __post_init__(self) -> None:
         self._refits: dict[frozenset[str], Refit | None] = {frozenset(): self.base}
@@ -110,13 +115,14 @@ class RefitCache:
             if last is not None and last.unit_amplitude and not last.several_starts and len(last.shapes) > 2:
                 for k in (0, len(last.shapes) // 2):
                     best = best or refit(self.base.fit, candidates, {**starts, **last.shapes[k]}, near, points)
+        ends = [best]
         for c in new:
             name = c.shape_names[0]
             for factor in _STARTS if name in starts else ():
-                other = refit(self.base.fit, candidates, {**starts, name: factor * starts[name]}, near, points)
-                if other and (best is None or other.fit.log_likelihood > best.fit.log_likelihood):
-                    best = other
-        return best
+                if _enough(ends):
+                    break
+                ends.append(refit(self.base.fit, candidates, {**starts, name: factor * starts[name]}, near, points))
+        return max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
 
     def scan(self, at: Refit) -> Scan:
         """The scan of all others at a set."""
@@ -184,3 +190,9 @@ class RefitCache:
     def has_start(self, name: str) -> bool:
         """Tell whether it is known where a refit with a candidate starts."""
         return name in self._starts
+
+
+def _enough(ends: Sequence[Refit | None]) -> bool:
+    """Tell whether refits from several starts have shown what there is to find."""
+    found = sorted((r.fit.log_likelihood for r in ends if r is not None), reverse=True)
+    return (len(found) > 1 and found[0] - found[1] < _SAME) or (not found and len(ends) >= _FAILED)

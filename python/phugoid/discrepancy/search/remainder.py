@@ -107,17 +107,15 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
     s = settings or RemainderSettings()
     full, base = result.full, search.cache.base
     known = Disturbances(base.fit.model)
-    options: list[_Option] = []
-    if is_structured(full, s.structure):
-        search.cache.watch("looking for a disturbance in what is left")
-        # Beside terms that explain next to nothing, all is as without them.
-        options = _options(full if result.final.names else base, known, s)
-        if result.final.names:
-            # Beside a disturbance terms must be worth their chances, too.
-            alone = _options(base, known, s)
-            if alone[0].disturbance is not None and alone[0].merit > options[0].merit - search.chances(full):
-                options = alone
-    first = options[0].disturbance if options else None
+    search.cache.watch("looking for a disturbance in what is left")
+    # Beside terms that explain next to nothing, all is as without them.
+    options = _options(full if result.final.names else base, known, s, not is_structured(full, s.structure))
+    if result.final.names:
+        # Beside a disturbance terms must be worth their chances, too.
+        alone = _options(base, known, s, not is_structured(base, s.structure))
+        if alone[0].disturbance is not None and alone[0].merit > options[0].merit - search.chances(full):
+            options = alone
+    first = options[0].disturbance
     # The path itself may change much with a function: it is fitted, and then compared with what is else likely.
     function = _function(search, result, options, known, s)
     if function is not None or first is None or first.kind == "function":
@@ -197,10 +195,10 @@ def _is_short(event: Disturbance, linear: Linearised, most: float) -> bool:
     return end - begin < most * sum(float(p.t[-1] - p.t[0]) for p in linear.points)
 
 
-def _options(at: Refit, known: Disturbances, s: RemainderSettings) -> list[_Option]:
+def _options(at: Refit, known: Disturbances, s: RemainderSettings, white: bool = False) -> list[_Option]:
     """Hypotheses beside the terms of a refit, the likeliest of each name, the best first; coloured noise with them."""
     best: dict[str, Disturbance] = {}
-    for d in known.ranked(at):
+    for d in known.ranked(at, white):
         best.setdefault(d.name, d)
     once = {d.place: d for d in best.values() if d.kind == "event" and _is_short(d, at.linear, s.event)}
     options = [_Option(at, d.merit, d, event=once.get(d.place)) for d in best.values()]

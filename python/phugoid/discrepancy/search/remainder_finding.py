@@ -9,11 +9,11 @@ from ..candidates.terms import where
 from ..misfit.phrases import number, percent
 from .disturbance import Disturbance
 from .finding import Finding
-from .input_interpolation import InputInterpolation
 from .record_change import RecordChange
+from .recorded_input import RecordedInput
 from .remainder import Remainder
 
-__all__ = ["finding_of_held_input", "finding_of_record_change", "finding_of_remainder"]
+__all__ = ["finding_of_record_change", "finding_of_recorded_input", "finding_of_remainder"]
 
 _INTERVAL = 1.959963984540054  # 95 % of a normal distribution
 _ALIASES = 3
@@ -56,25 +56,35 @@ def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Find
     )
 
 
-def finding_of_held_input(h: InputInterpolation, threshold: float) -> Finding:
-    """Return an input that is held between its samples as it is told."""
+def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> Finding:
+    """Return an input that acts otherwise than it is recorded as it is told; ``unit`` is the input's."""
     nan = float("nan")
+    if h.kind == "noise":
+        size = f"{number(h.noise, 3)}{f' {unit}' if unit else ''}"
+        explanation = f"the record of {h.name} has noise of about {size} RMS, which does not act on the vehicle"
+        advice = (
+            f"Measure {h.name} better, or filter it without a phase shift before the estimation; all else was sought "
+            "with the noise filtered out."
+        )
+    else:
+        explanation = (
+            f"{h.name} is held between its samples, as a computer puts out commands, and not joined by straight lines"
+        )
+        advice = f"Give the records with interpolation={{'{h.name}': 'hold'}}; all else was sought with it held."
     return Finding(
-        cause=f"{h.name}:hold",
+        cause=h.cause,
         aliases=(),
         status="named",
-        coefficient=nan,
+        coefficient=h.noise if h.kind == "noise" else nan,
         std_error=nan,
         interval=(nan, nan),
-        unit="",
+        unit=unit if h.kind == "noise" else "",
         parameters={},
         gain=h.gain,
         held_out_gain=h.held_out.gain if h.held_out else nan,
         threshold=threshold,
-        explanation=(
-            f"{h.name} is held between its samples, as a computer puts out commands, and not joined by straight lines"
-        ),
-        advice=f"Give the records with interpolation={{'{h.name}': 'hold'}}; all else was sought with it held.",
+        explanation=explanation,
+        advice=advice,
         explained=h.explained.part if h.explained else nan,
         explained_interval=h.explained.interval if h.explained else (nan, nan),
         explained_outputs=dict(h.explained.outputs) if h.explained else {},

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...data.experiment import Experiment
+from ...sensitivities.linearised import Linearised
 from ..candidates.candidate import Candidate
 from .confirmation import Confirmation, ConfirmationSettings, Found
 from .evidence import Assessment, AssessmentSettings, is_structured
@@ -69,10 +70,11 @@ class Search:
         watch: Callable[[str], None] = lambda _: None,
         biases: Sequence[str] | None = None,
         settings: SearchSettings | None = None,
+        diagnosed: tuple[Refit, Linearised | None] | None = None,
     ) -> None:
         self.settings = s = settings or SearchSettings()
         self._listed = candidates
-        self.cache = RefitCache(base, candidates, validation, watch, biases)
+        self.cache = RefitCache(base, candidates, validation, watch, biases, diagnosed)
         self.assessment = Assessment(self.cache, s.assessment)
         self.screen = Screen(self.cache, self.assessment.threshold, s.screen)
         self.refitting = Refitting(self.cache, self.screen, self.assessment, s.refitting)
@@ -84,7 +86,14 @@ class Search:
         """Return the same search at another fit, with other data held out and other biases where they are given."""
         cache = self.cache
         data, free = cache.validation if validation is None else validation, cache.biases if biases is None else biases
-        return Search(base, self._listed, data, cache.watch, free, self.settings)
+        return Search(base, self._listed, data, cache.watch, free, self.settings, cache.diagnosed)
+
+    def without_noise(self, base: Refit, validation: Sequence[Experiment]) -> Search:
+        """Return the same search on records whose inputs were freed of noise: what is left of that is still part of the
+        misfit of the model that was diagnosed."""
+        cache = self.cache
+        diagnosed = cache.diagnosed or (cache.base, cache.on_validation(cache.base))
+        return Search(base, self._listed, validation, cache.watch, cache.biases, self.settings, diagnosed)
 
     def run(self) -> SearchResult:
         """Screen, refit and confirm, one term after the other."""

@@ -15,7 +15,7 @@ from ..errors import OptionError
 __all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "limited", "shielded"]
 
 # What is told at the end may take so much longer, in s and as a part of the limit.
-_GRACE, _GRACE_PART = 0.03, 0.03
+_GRACE, _GRACE_PART = 0.015, 0.03
 
 
 # Time of the monotonic clock, in s, at which the work of this thread is to end.

@@ -32,6 +32,7 @@ class ConfirmationSettings:
     vuong    a rival is an alias unless Vuong's test tells them apart by this.
     richer   log-likelihood by which one with more unknowns must be ahead to be an alias.
     left     times as much of the misfit that a term may leave that stands in place of one with more unknowns.
+    alias    part of what a cause explains that a rival explains, too, be it clearly less in free simulation.
     """
 
     chances: int = 3
@@ -39,6 +40,7 @@ class ConfirmationSettings:
     vuong: float = 2.0
     richer: float = 6.0
     left: float = 1.1
+    alias: float = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,11 +227,13 @@ class Confirmation:
             if richer and gain < assess.gain(without, at) / 2 + self.settings.richer:
                 continue
             like = other.name in alike and gain > 0.5 * assess.gain(without, at) / 2
-            if not like and assess.is_worse(without, r, at):
+            explained = assess.explained(without, r)
+            much = explained is None or own is None or explained.part > self.settings.alias * own.part
+            if not (like and much) and assess.is_worse(without, r, at):
                 continue
             if like or float(d.sum()) < self.settings.vuong * float(np.sqrt(d.size) * d.std()):
                 rivals[other.name] = gain
-                if (explained := assess.explained(without, r)) is not None:
+                if explained is not None:
                     parts[other.name] = explained.part
         return Found(
             candidate,

@@ -130,9 +130,16 @@ class Search:
         return sum(self.assessment.needed(at, c) for c in at.candidates) / 2.0
 
     def concluded(self, at: Refit, unexplained: Found | None = None, remarks: tuple[str, ...] = ()) -> SearchResult:
-        """Return what is reported of a refit's terms, and of a misfit that none explains."""
+        """Return what is reported of a refit's terms, and of a misfit that none explains.
+
+        Terms that are not named and make the simulation of data held out no better are not reported.
+        """
         final = self._named(at)
         named = {c.name: c for c in final.candidates}
+        explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates if c.name not in named}
+        useful = [c for c in at.candidates if (e := explained.get(c.name)) is None or e.part > 0.0]
+        if len(useful) < len(at.candidates):
+            at = self.cache.refit(useful, at.fit) or final
         found = [
             self.confirmation.found(final if c.name in named else at, named.get(c.name, c), c.name in named)
             for c in at.candidates

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use super::chunk::{Chunk, Tie};
-use crate::nlp::Structure;
+use crate::nlp::Part;
 use crate::problem::disjoint::Disjoint;
 use crate::problem::layout::Layout;
 use crate::simd::kernel;
@@ -63,7 +63,7 @@ impl Dynamics {
         chunk: &Chunk,
         layout: &Layout,
         map: &[usize],
-        out: &mut Structure,
+        out: &mut Part<'_>,
     ) {
         let (m, n) = (chunk.rule.order(), chunk.segments());
         for k in 0..m - 1 {
@@ -95,6 +95,20 @@ impl Dynamics {
         }
     }
 
+    /// Number of entries of the Jacobian of a chunk.
+    pub(super) fn jacobian_entries(&self, chunk: &Chunk) -> usize {
+        let (m, parameters) = (chunk.rule.order(), self.parameter_entries.len());
+        let nodes = |of: &dyn Fn(Option<usize>) -> usize| -> usize {
+            self.state_entries.iter().map(|&(_, _, entry)| of(entry)).sum()
+        };
+        let defects = (0..m - 1).map(|k| nodes(&|entry| nodes_of(entry, k, m).len()) + parameters);
+        let ties = chunk
+            .between
+            .iter()
+            .map(|tie| self.f.n_states + nodes(&|entry| tie.nodes_of(entry, m).len()) + parameters);
+        defects.sum::<usize>() * chunk.segments() + ties.sum::<usize>()
+    }
+
     /// Number of entries of the Hessian that a chunk writes at its own points.
     pub(super) fn hessian_entries(&self) -> usize {
         self.f.hessian_pattern.iter().filter(|(_, c)| *c < self.f.n_states).count()
@@ -106,7 +120,7 @@ impl Dynamics {
         chunk: &Chunk,
         layout: &Layout,
         map: &[usize],
-        out: &mut Structure,
+        out: &mut Part<'_>,
     ) {
         let n_x = self.f.n_states;
         for (a, b) in self.f.hessian_pattern.iter().filter(|(_, c)| *c < n_x) {

@@ -6,6 +6,9 @@ mod explain;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::OnceLock;
+
+use rayon::prelude::*;
 
 use crate::condition::End;
 use crate::error::Error;
@@ -91,7 +94,8 @@ pub struct Collocation {
     dynamics: Dynamics,
     chunks: Vec<Chunk>,
     objective: Objective,
-    jacobian_structure: Structure,
+    /// Laid out when it is first asked for: in long records it takes longer than all else here.
+    jacobian_structure: OnceLock<Structure>,
     hessian_structure: Structure,
     /// Where the Hessian entries between parameters stand for each pair of f: one list an experiment; a single
     /// one where they do not differ. They are the last entries, from the first.
@@ -132,7 +136,7 @@ impl Collocation {
             posed,
             chunks: Vec::new(),
             objective: Objective::default(),
-            jacobian_structure: Structure::default(),
+            jacobian_structure: OnceLock::new(),
             hessian_structure: Structure::default(),
             pairs: (0, Vec::new()),
             chains: Chains::default(),
@@ -156,10 +160,15 @@ impl Collocation {
             let mut inputs: Vec<Vec<f64>> = channels().map(|c| experiment.input(c, &mesh.times)).collect();
             let held: Vec<Option<Vec<f64>>> = channels().map(|c| held_values(experiment, c, mesh)).collect();
             let first = self.layout.first_point[e];
-            let mut segment = 0;
-            for mut chunk in Chunk::cut(e, mesh, &self.layout) {
-                let at_points = |column: &[f64]| -> Vec<f64> {
-                    chunk.points.iter().map(|&p| column[p as usize - first]).collect()
+            let mut chunks = Chunk::cut(e, mesh, &self.layout);
+            let firsts = chunks.iter().scan(0, |next, chunk| {
+                *next += chunk.segments();
+                Some(*next - chunk.segments())
+            });
+            let firsts: Vec<usize> = firsts.collect();
+            let fill = |(chunk, &segment): (&mut Chunk, &usize)| {
+                let at_points = |column: &[f64]| {
+                    chunk.points.iter().map(|&p| column[p as usize - first]).collect::<Vec<_>>()
                 };
                 let mut data = at_points(&mesh.times);
                 for (column, held) in inputs.iter().zip(&held) {
@@ -169,9 +178,9 @@ impl Collocation {
                     }
                 }
                 chunk.data = data;
-                segment += chunk.segments();
-                self.chunks.push(chunk);
-            }
+            };
+            self.posed.install(|| chunks.par_iter_mut().zip(&firsts).for_each(fill));
+            self.chunks.extend(chunks);
             for (column, of) in inputs.iter_mut().zip(&held).filter_map(|(c, h)| Some((c, h.as_ref()?))) {
                 for (s, segment) in mesh.segments.iter().enumerate() {
                     column[segment.point..segment.point + mesh.rule.order()].fill(of[s]);
@@ -183,21 +192,22 @@ impl Collocation {
         }
     }
 
-    /// Lays out the sparse entries of the Jacobian and the Hessian.
+    /// Finds the places of the sparse entries of the Jacobian and the Hessian.
     fn place_derivatives(&mut self) {
-        let chunks = self.chunks.len();
-        for (number, chunk) in self.chunks.iter_mut().enumerate() {
-            if number == 1 {
-                // Most chunks are as large as the first.
-                self.jacobian_structure.reserve(chunks * self.jacobian_structure.len());
-                self.hessian_structure.reserve(chunks * self.hessian_structure.len());
-            }
-            chunk.jacobian = self.jacobian_structure.len();
-            let map = &self.posed.estimands.maps[chunk.experiment];
-            self.dynamics.jacobian_structure(chunk, &self.layout, map, &mut self.jacobian_structure);
-            chunk.jacobian_entries = self.jacobian_structure.len() - chunk.jacobian;
-            chunk.hessian = self.hessian_structure.len();
-            self.dynamics.hessian_structure(chunk, &self.layout, map, &mut self.hessian_structure);
+        let (dynamics, layout, maps) = (&self.dynamics, &self.layout, &self.posed.estimands.maps);
+        let (chunks, map) = (&self.chunks, |chunk: &Chunk| &maps[chunk.experiment]);
+        let threads = self.posed.threads();
+        let entries: Vec<usize> = chunks.iter().map(|c| dynamics.jacobian_entries(c)).collect();
+        let each = dynamics.hessian_entries();
+        let own: Vec<usize> = chunks.iter().map(|c| each * c.n_own()).collect();
+        let room = self.objective.hessian_entries(&self.posed) + dynamics.parameter_pairs().count() + 64;
+        let hessian = self.hessian_structure.add_parts(threads, (&own, room), |i, part| {
+            dynamics.hessian_structure(&chunks[i], layout, map(&chunks[i]), part);
+        });
+        let mut first = 0;
+        for (i, chunk) in self.chunks.iter_mut().enumerate() {
+            (chunk.jacobian, chunk.jacobian_entries, chunk.hessian) = (first, entries[i], hessian[i]);
+            first += entries[i];
         }
         self.objective.place(&self.posed, &self.layout, &mut self.hessian_structure);
         let mut places: BTreeMap<(usize, usize), usize> = BTreeMap::new();
@@ -215,10 +225,24 @@ impl Collocation {
             self.pairs.1.push(self.dynamics.parameter_pairs().map(|(r, c)| place(r, c)).collect());
         }
         self.objective.place_pairs(&self.posed, place);
-        if let Some(boundary) = &mut self.boundary {
-            let structures = (&mut self.jacobian_structure, &mut self.hessian_structure);
+        let mut jacobian = self.boundary.is_some().then(|| self.jacobian_of_defects());
+        if let (Some(boundary), Some(jacobian)) = (&mut self.boundary, &mut jacobian) {
+            let structures = (jacobian, &mut self.hessian_structure);
             boundary.place(&self.layout, &self.posed.estimands, structures);
         }
+        self.jacobian_structure = jacobian.map_or_else(OnceLock::new, OnceLock::from);
+    }
+
+    /// Lays out the entries of the Jacobian of the defects.
+    fn jacobian_of_defects(&self) -> Structure {
+        let mut structure = Structure::default();
+        let entries: Vec<usize> = self.chunks.iter().map(|c| c.jacobian_entries).collect();
+        structure.add_parts(self.posed.threads(), (&entries, 0), |i, part| {
+            let chunk = &self.chunks[i];
+            let map = &self.posed.estimands.maps[chunk.experiment];
+            self.dynamics.jacobian_structure(chunk, &self.layout, map, part);
+        });
+        structure
     }
 
     fn dynamics_job<'a>(&'a self, chunk: &'a Chunk, xi: &'a [f64], uniforms: &'a [f64]) -> defects::Job<'a> {
@@ -327,7 +351,12 @@ impl Nlp for Collocation {
     }
 
     fn jacobian_structure(&self) -> &Structure {
-        &self.jacobian_structure
+        if let Some(structure) = self.jacobian_structure.get() {
+            return structure;
+        }
+        // Not within `get_or_init`: a thread that waits for others there might take up work that asks for it again.
+        let structure = self.jacobian_of_defects();
+        self.jacobian_structure.get_or_init(|| structure)
     }
 
     fn jacobian(&self, xi: &[f64], out: &mut [f64]) -> Result<(), NotFinite> {

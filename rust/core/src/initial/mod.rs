@@ -48,20 +48,19 @@ pub fn solve(
         if let Some(solution) = Solution::without_a_run(nlp, start, multipliers) {
             return Ok(solution);
         }
-        let (newton, ending) = best(nlp, start, multipliers, initial, settings, watch)?;
-        Ok(newton.finish(ending))
+        best(nlp, start, multipliers, initial, settings, watch)
     })
 }
 
-/// The best of the runs, and how it ended.
-fn best<'a>(
-    nlp: &'a dyn Separable,
+/// How the best of the runs ended.
+fn best(
+    nlp: &dyn Separable,
     start: &[f64],
     multipliers: Option<&[f64]>,
     initial: Initial,
     settings: &Settings,
     watch: &mut Watch<'_>,
-) -> Result<(Newton<'a>, Ending), NotFinite> {
+) -> Result<Solution, NotFinite> {
     let program = Program::new(nlp, start);
     let point = Point::first(&program, start)?;
     if initial == Initial::Paths {
@@ -73,9 +72,13 @@ fn best<'a>(
             let capped = Settings { max_iterations: most, ..settings.clone() };
             ending = challenge(nlp, &mut newton, ending, start, &capped, watch)?;
         }
-        return Ok((newton, ending));
+        return Ok(newton.finish(ending));
     }
     let (point, rival) = begin(nlp, &program, point, initial);
+    // What a run allocates takes its time, too.
+    if let Some(solution) = Solution::before_a_step(&program, &point, multipliers) {
+        return Ok(solution);
+    }
     let mut newton = Newton::new(program, point, multipliers, settings);
     let mut ending = newton.minimise(watch)?;
     if let Some(rival) = rival {
@@ -101,7 +104,7 @@ fn best<'a>(
         ending = again.minimise(watch)?;
         newton = again;
     }
-    Ok((newton, ending))
+    Ok(newton.finish(ending))
 }
 
 /// Most steps from the end of an approach to that of the loop.

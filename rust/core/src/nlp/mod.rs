@@ -8,6 +8,10 @@ pub mod check;
 
 use std::ops::Range;
 
+use rayon::prelude::*;
+
+use crate::threads::Threads;
+
 pub use chains::{Boundary, Chain, Chains, Tie};
 
 /// Rows and columns of sparse entries, 0-based.
@@ -30,15 +34,63 @@ impl Structure {
         self.rows.is_empty()
     }
 
-    /// Makes room for so many more entries.
-    pub(crate) fn reserve(&mut self, more: usize) {
-        self.rows.reserve(more);
-        self.columns.reserve(more);
-    }
-
     pub(crate) fn push(&mut self, row: usize, column: usize) {
         self.rows.push(row as u32);
         self.columns.push(column as u32);
+    }
+
+    /// Adds entries that come in parts of so many; `fill` writes a part, by its number, and parts are written in
+    /// parallel. The first that are added leave room for so many more. Gives the first entry of each part.
+    pub(crate) fn add_parts(
+        &mut self,
+        threads: &Threads,
+        (lengths, room): (&[usize], usize),
+        fill: impl Fn(usize, &mut Part<'_>) + Sync,
+    ) -> Vec<usize> {
+        let first = self.len();
+        let total: usize = lengths.iter().sum();
+        for entries in [&mut self.rows, &mut self.columns] {
+            if entries.is_empty() {
+                // Zeroed memory costs nothing until a thread writes there.
+                *entries = vec![0; total + room];
+                entries.truncate(total);
+            } else {
+                entries.resize(first + total, 0);
+            }
+        }
+        let (mut rows, mut columns) = (&mut self.rows[first..], &mut self.columns[first..]);
+        let mut parts = Vec::with_capacity(lengths.len());
+        for &length in lengths {
+            let (row, column);
+            (row, rows) = rows.split_at_mut(length);
+            (column, columns) = columns.split_at_mut(length);
+            parts.push(Part { rows: row, columns: column, written: 0 });
+        }
+        let write = |(number, part): (usize, &mut Part<'_>)| {
+            fill(number, part);
+            assert_eq!(part.written, part.rows.len(), "a part of a structure has another length");
+        };
+        threads.install(|| parts.par_iter_mut().enumerate().for_each(write));
+        let places = lengths.iter().scan(first, |next, length| {
+            *next += length;
+            Some(*next - length)
+        });
+        places.collect()
+    }
+}
+
+/// Entries of a [`Structure`] that are written one after the other.
+pub(crate) struct Part<'a> {
+    rows: &'a mut [u32],
+    columns: &'a mut [u32],
+    written: usize,
+}
+
+impl Part<'_> {
+    pub(crate) fn push(&mut self, row: usize, column: usize) {
+        self.rows[self.written] = row as u32;
+        self.columns[self.written] = column as u32;
+        self.written += 1;
     }
 }
 

@@ -30,6 +30,9 @@ impl Missing {
         let mut found = Missing::default();
         for outputs in experiments {
             found.outputs.resize(outputs.len(), false);
+            if !outputs.iter().flatten().any(|z| z.is_nan()) {
+                continue;
+            }
             for set in present(outputs).filter(|set| set.contains(&false)) {
                 found.outputs.iter_mut().zip(&set).for_each(|(any, there)| *any |= !there);
                 if !found.patterns.contains(&set) {
@@ -60,10 +63,11 @@ impl Counts {
         let mut counts = Counts::default();
         for outputs in experiments {
             counts.outputs.resize(outputs.len(), 0);
-            for set in present(outputs) {
-                counts.samples += usize::from(set.contains(&true));
-                counts.outputs.iter_mut().zip(&set).for_each(|(n, &there)| *n += usize::from(there));
+            for (count, z) in counts.outputs.iter_mut().zip(outputs) {
+                *count += z.iter().filter(|z| !z.is_nan()).count();
             }
+            let samples = 0..outputs.first().map_or(0, Vec::len);
+            counts.samples += samples.filter(|&k| outputs.iter().any(|z| !z[k].is_nan())).count();
         }
         counts
     }

@@ -5,7 +5,7 @@
 use super::disjoint::Disjoint;
 use super::layout::Layout;
 use super::samples::Samples;
-use crate::nlp::Structure;
+use crate::nlp::Part;
 use crate::simd::kernel;
 use crate::tape::lanes::{all_finite, sum};
 use crate::tape::{Function, Sinks, Tape, Values, Workspace};
@@ -30,7 +30,7 @@ pub(crate) fn hessian_structure(
     samples: &Samples,
     layout: &Layout,
     map: &[usize],
-    out: &mut Structure,
+    out: &mut Part<'_>,
 ) {
     let n_x = likelihood.n_states;
     for (a, b) in likelihood.hessian_pattern.iter().filter(|(_, c)| *c < n_x) {

@@ -28,13 +28,21 @@ impl Objective {
         self.samples.extend(Samples::cut(experiment, points, layout, &columns));
     }
 
+    /// Number of Hessian entries of the samples.
+    pub(crate) fn hessian_entries(&self, posed: &Posed) -> usize {
+        likelihood::hessian_entries(&posed.likelihood) * self.samples.iter().map(|s| s.n).sum::<usize>()
+    }
+
     /// Lays out the Hessian entries of the samples.
     pub(crate) fn place(&mut self, posed: &Posed, layout: &Layout, structure: &mut Structure) {
-        for samples in &mut self.samples {
-            samples.hessian = structure.len();
+        let each = likelihood::hessian_entries(&posed.likelihood);
+        let lengths: Vec<usize> = self.samples.iter().map(|samples| each * samples.n).collect();
+        let places = structure.add_parts(posed.threads(), (&lengths, 0), |i, part| {
+            let samples = &self.samples[i];
             let map = &posed.estimands.maps[samples.experiment];
-            likelihood::hessian_structure(&posed.likelihood, samples, layout, map, structure);
-        }
+            likelihood::hessian_structure(&posed.likelihood, samples, layout, map, part);
+        });
+        self.samples.iter_mut().zip(places).for_each(|(samples, place)| samples.hessian = place);
         self.first = structure.len();
     }
 

@@ -298,7 +298,8 @@ impl Posed {
         self.threads().number()
     }
 
-    fn threads(&self) -> &Threads {
+    /// Those that it runs on.
+    pub(crate) fn threads(&self) -> &Threads {
         self.pool.as_ref().unwrap_or(&COMMON)
     }
 
@@ -325,6 +326,9 @@ impl Posed {
             let (low, high) = if p.fixed { (Some(p.start), Some(p.start)) } else { (p.lower, p.upper) };
             lower[i] = low.map_or(f64::NEG_INFINITY, |p| transform.inverse(p));
             upper[i] = high.map_or(f64::INFINITY, |p| transform.inverse(p));
+        }
+        if self.state_bounds.iter().all(|(low, high)| low.is_infinite() && high.is_infinite()) {
+            return (lower, upper);
         }
         let states = lower.iter_mut().zip(&mut upper).skip(self.parameters.len());
         for ((low, high), bounds) in states.zip(self.state_bounds.iter().cycle()) {

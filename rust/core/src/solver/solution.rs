@@ -3,7 +3,9 @@
 use std::time::Duration;
 
 use super::iteration::Iteration;
+use super::point::Point;
 use super::program::Evaluations;
+use super::program::Program;
 use super::status::Status;
 use super::units::Units;
 use crate::interrupt::current;
@@ -47,8 +49,36 @@ impl Solution {
     ) -> Option<Solution> {
         let status = Status::stopped(&current())?;
         let (lower, upper) = nlp.bounds();
+        let xi = start.iter().zip(lower.iter().zip(&upper)).map(|(x, (l, u))| x.clamp(*l, *u)).collect();
+        Some(Solution::stopped(nlp, xi, multipliers, status, Units::new(nlp, start).states))
+    }
+
+    /// An evaluated start, of a run that was stopped before its first step; `None` where it was not.
+    pub(crate) fn before_a_step(
+        program: &Program<'_>,
+        point: &Point,
+        multipliers: Option<&[f64]>,
+    ) -> Option<Solution> {
+        let status = Status::stopped(&current())?;
+        let (xi, units) = (point.xi.clone(), program.units.states.clone());
         Some(Solution {
-            xi: start.iter().zip(lower.iter().zip(&upper)).map(|(x, (l, u))| x.clamp(*l, *u)).collect(),
+            objective: point.objective,
+            defect: point.worst,
+            evaluations: program.evaluations(),
+            ..Solution::stopped(program.nlp, xi, multipliers, status, units)
+        })
+    }
+
+    /// A point at which nothing was evaluated.
+    fn stopped(
+        nlp: &dyn Nlp,
+        xi: Vec<f64>,
+        multipliers: Option<&[f64]>,
+        status: Status,
+        units: Vec<f64>,
+    ) -> Solution {
+        Solution {
+            xi,
             multipliers: multipliers.map_or_else(|| vec![0.0; nlp.m()], <[f64]>::to_vec),
             status,
             message: status.hint().to_owned(),
@@ -58,8 +88,8 @@ impl Solution {
             evaluations: Evaluations::default(),
             flops: 0,
             time: Duration::ZERO,
-            units: Units::new(nlp, start).states,
+            units,
             history: Vec::new(),
-        })
+        }
     }
 }

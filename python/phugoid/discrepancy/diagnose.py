@@ -32,7 +32,7 @@ from .search.data_suspects import (
     with_remainder,
     words_of_inputs,
 )
-from .search.evidence import is_physical
+from .search.evidence import is_physical, is_structured
 from .search.finding import DiagnosisResult, Finding, Scored
 from .search.record_change import RecordChange
 from .search.recorded_input import RecordedInput
@@ -255,7 +255,14 @@ def diagnose(
             held = [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in told]
             held += [finding_of_record_change(c) for c in changes]
             findings[:0] = held
-            if remainder is not None and remainder.disturbance.name not in {b.cause for b in told}:
+            # In white residuals inputs that were sampled too slowly leave what looks like noise of them.
+            slowly = sampled is not None and not is_structured(search.cache.base, RemainderSettings().structure)
+            known = {b.cause for b in told}
+            if (
+                remainder is not None
+                and remainder.disturbance.name not in known
+                and not (slowly and remainder.is_noise)
+            ):
                 findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))
             extension = search.extension(final, known=interrupted)
             full = search.extension(result.full, known=interrupted) if result.full is not final else None

@@ -88,6 +88,11 @@ class Remainder:
     fitted: Refit | None = None
     known: Refit | None = None
 
+    @property
+    def is_noise(self) -> bool:
+        """Tell whether it is a stationary random disturbance."""
+        return self.disturbance.kind == "noise" and not self.moves
+
 
 @dataclass(frozen=True, eq=False)
 class _Option:

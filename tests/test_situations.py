@@ -38,6 +38,7 @@ def diagnosed(what: str, system: str, seed: int) -> tuple[ph.Diagnosis, tuple[st
         ("held input", "servo", 507),
         ("backlash", "servo", 508),
         ("rate limit", "servo", 201),
+        ("rate limit", "uav", 9304),
         ("drift", "servo", 510),
         ("clipped", "duffing", 511),
     ],
@@ -55,6 +56,21 @@ def test_nothing_is_found_where_nothing_is_wrong(what: str) -> None:
     assert not d.findings, d.summary()
     if what != "growing":  # noise that grows with the motion is no white noise
         assert d.verdict == "nothing", d.summary()
+
+
+@pytest.mark.parametrize("seed", [9304, 9308, 9311])
+def test_a_fit_of_a_model_that_misses_much_converges(seed: int) -> None:
+    """It crept along a ridge on which the noise of one output falls and that of the others grows."""
+    s = situation("rate limit", "uav", seed)
+    fit = ph.estimate(s.model, s.data)
+    assert fit.converged, fit.message
+    assert ph.estimate(s.model, s.data, solver=ph.Newton()).status == "iteration limit"  # as it was asked for
+
+
+@pytest.mark.parametrize(("system", "seed"), [("lateral", 9303), ("uav", 9304)])
+def test_inputs_sampled_too_slowly_are_no_noise(system: str, seed: int) -> None:
+    d, _, _ = diagnosed("coarse", system, seed)
+    assert not d.found, d.summary()
 
 
 @pytest.mark.parametrize("what", ["autoregressive", "pink", "random walk"])

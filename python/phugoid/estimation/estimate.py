@@ -20,7 +20,7 @@ from ..integration import coarse_mesh_warning
 from ..interrupts import interrupts
 from ..modelling.model import Model
 from ..modelling.scaling import scalings
-from ..noise.noise import Noise, not_noise
+from ..noise.noise import Gaussian, Noise, not_noise
 from ..process_noise.fit import better, doubtful, filter_error
 from ..process_noise.variables import split
 from ..progress import Progress
@@ -81,6 +81,8 @@ def estimate(
     """
     deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
     fit = _estimate(model, data, transcription, noise, start, solver, progress)
+    if fit.status == "iteration limit" and solver is None and start is None:
+        fit = _with_noise_last(fit, model, data, transcription, noise, progress)
     if deadline.passed() or not kinks_matter(fit):
         return fit
 
@@ -246,6 +248,41 @@ def _estimate(
     if isinstance(transcription, Collocation) and fit.feasible and not unfinished:
         fit = replace(fit, warnings=(*fit.warnings, *filter(None, [coarse_mesh_warning(fit)])))
     return fit
+
+
+def _with_noise_last(
+    fit: FitResult,
+    model: Model,
+    data: Experiment | Sequence[Experiment],
+    transcription: Transcription | FilterError | None,
+    noise: Noise | None,
+    progress: bool | Callable[[Iteration], None],
+) -> FitResult:
+    """Return the fit with the noise free from where one with known noise ends, where both converge.
+
+    Where a model misses much, the likelihood has ridges along which the noise of one output falls while that of others
+    grows. With standard deviations held at the spread of the measurements it has none. Output-error programs keep the
+    noise as it is for their first iterations for the same reason (Jategaonkar 2015, ch. 4).
+    """
+    if not isinstance(fit.transcription, Collocation) or fit.noise.known_sigmas(model.output_names):
+        return fit
+    spreads = {name: spread(as_experiments(data, "estimate"), name) for name in model.output_names}
+    if not all(np.isfinite(s) and s > 0.0 for s in spreads.values()):
+        return fit
+    with_known = _estimate(model, data, transcription, Gaussian(spreads), progress=progress)
+    if with_known.status not in _ENDS:
+        return fit
+    found = _estimate(model, data, transcription, noise, with_known, progress=progress)
+    if found.status not in _ENDS:
+        return fit
+    lost, more = fit.log_likelihood - found.log_likelihood, []
+    if fit.feasible and lost > _LESS:
+        more = [
+            f"a run that did not converge has a log-likelihood higher by {lost:.4g}: `multistart` seeks other optima"
+        ]
+    iterations = fit.iterations + with_known.iterations + found.iterations
+    time = fit.time + with_known.time + found.time
+    return replace(found, iterations=iterations, time=time, warnings=(*found.warnings, *more))
 
 
 def _follows_motion(

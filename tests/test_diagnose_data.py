@@ -162,9 +162,9 @@ def first_attas(vane: bool) -> ph.results.Diagnosis:
 
 @needs_attas
 def test_attas_without_the_vane_the_vane_is_named() -> None:
-    """Geometry before delay: the vane is on the nose boom."""
+    """Geometry before delay: the vane is on the nose boom, and a delay explains half as much of the other record."""
     f = first_attas(vane=False).findings[0]
-    assert f.cause == "alpha:q" and LATE & {*f.aliases}
+    assert f.cause == "alpha:q" and not LATE & {*f.aliases}
     assert f.status == "named" and f.gain > f.threshold and f.held_out_gain > 100
     # In free simulation of the other record it explains nearly all that alpha gets wrong.
     assert f.explained_outputs["alpha"] > 0.8 and f.explained_interval[0] > 0.1
@@ -173,8 +173,7 @@ def test_attas_without_the_vane_the_vane_is_named() -> None:
 @needs_attas
 def test_attas_without_the_vane_in_both_records_together() -> None:
     f = ph.diagnose(ph.estimate(attas.model(vane=False), attas.records())).findings[0]
-    assert f.cause.startswith("alpha:")
-    assert LATE & {f.cause, *f.aliases}
+    assert f.cause == "alpha:q"
 
 
 @needs_attas

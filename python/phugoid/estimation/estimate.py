@@ -73,8 +73,8 @@ def estimate(
     from fit to fit until what they leave in error is small beside the standard errors. `Fit.smoothing` and the message
     say so.
 
-    A fit without ``solver`` and ``start`` that does not converge is tried once more with the noise held at the spread of
-    the measurements first; a warning says where the likelihood was higher before.
+    A fit without ``solver`` and ``start`` that does not converge is tried once more with the noise held at the spread
+    of the measurements first; a warning says where the likelihood was higher before.
 
     Ctrl-C ends the run and returns the best point so far, with status "interrupted". Pressed once more, while its
     standard errors are computed, it leaves these out (NaN, and a warning); a third is as ever.

@@ -41,8 +41,10 @@ __all__ = [
 
 # A refit goes on from a fit nearby: one that needs more goes nowhere.
 _ITERATIONS = 40
-# One that takes longer than this, in s and in times of the base fit, goes nowhere either.
-_SECONDS, _TIMES = 5.0, 20.0
+# In s and in times of the base fit: where its iterations take so long, the mesh is refined again and again.
+_SECONDS, _TIMES = 30.0, 20.0
+# The same for a fit to data held out.
+_ELSEWHERE = 10.0
 # Delays are found to this part of their standard errors: to first order in what is left the rest is allowed for.
 _SETTLED = 0.03
 # Within so many passes, for the scan knows them well: what goes on then wanders off, or back and forth over a kink.
@@ -295,7 +297,7 @@ def on_other_data(
     if near is not None:  # its path may be out of reach of this model: then the measured one
         starts.insert(0, started_from(near.fit, ()))
     for start in starts:
-        solver = Newton(time_limit=max(2.0 * _SECONDS, _TIMES * fit.time))
+        solver = Newton(time_limit=max(_ELSEWHERE, _TIMES * fit.time))
         found = estimate(model, list(data), transcription=mesh, noise=noise, start=start, solver=solver)
         if found.status == "time limit":
             check_time()  # that of the diagnosis

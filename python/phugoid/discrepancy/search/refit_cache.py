@@ -31,6 +31,8 @@ _STARTS, _LARGE = (0.4, 1.6, 0.25, 0.65), 0.1
 # Two ends at the likeliest optimum so far, alike to this in log-likelihood, or so many starts that come to no end,
 # leave little to be found.
 _SAME, _FAILED = 0.5, 3
+# An end that gains less than this part of what the scan promises is none; so many shapes are tried then.
+_LITTLE, _OTHERS = 0.1, 4
 # Refits side by side: the solver works without the interpreter's lock.
 _WORKERS = 4
 
@@ -122,6 +124,14 @@ class RefitCache:
                 if _enough(ends):
                     break
                 ends.append(refit(self.base.fit, candidates, {**starts, name: factor * starts[name]}, near, points))
+        begun = (near or self.base.fit).log_likelihood
+        for c in new:
+            # Far from the base the linearisation may ask for a shape that does nothing, such as a limit never reached.
+            asked = begun + _LITTLE * 0.5 * shares[c.name] * self.base.linear.n_rows
+            for shape in c.shapes[:: max(len(c.shapes) // _OTHERS, 1)]:
+                if any(r is not None and r.fit.log_likelihood > asked for r in ends):
+                    break
+                ends.append(refit(self.base.fit, candidates, {**starts, **shape}, near, points))
         return max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
 
     def scan(self, at: Refit) -> Scan:

@@ -57,7 +57,7 @@ def make_fit(
         solution.message,
         any(np.any(z) for z in solution.bound_multipliers),
         [(list(s.exponents.items()), s.held, s.at) for s in free],
-        None if deadline is None else deadline.with_grace(),
+        None if deadline is None else _time_for_errors(deadline, solution),
         stop,
     )
     records = [_record(model, e, found, i) for i, e in enumerate(experiments)]
@@ -67,7 +67,8 @@ def make_fit(
         warnings.insert(0, kinks)
         message = f"{message}; above all, the state equations have kinks or jumps (see the warning)"
     of_each = noise.noise if isinstance(noise, PerExperiment) else noise
-    if not (isinstance(of_each, Gaussian) and (of_each.correlated or of_each.covariance is not None)):
+    together = isinstance(of_each, Gaussian) and (of_each.correlated or of_each.covariance is not None)
+    if found.feasible and not together:
         warnings += repeated_outputs(records, model.output_names)
     explained = {name: r_squared(records, name) for name in model.output_names}
     beware = [chi_square_warning(noise, model.output_names, records, found.unknowns), no_match(explained)]
@@ -93,6 +94,15 @@ def make_fit(
         solution=solution,
         experiments=tuple(experiments),
     )
+
+
+def _time_for_errors(deadline: Deadline, solution: Solution) -> float | None:
+    """Return the seconds that standard errors may take, None without a limit; 0 where they would not come to an end,
+    for they take about as long as half an iteration."""
+    left = deadline.with_grace()
+    if left is not None and solution.iterations and left < 0.5 * solution.time / solution.iterations:
+        return 0.0
+    return left
 
 
 def _estimates(model: Model, problem: _core.Problem, solution: Solution, found: _core.Assessment) -> Estimates:

@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ import pytest
 import phugoid as ph
 from phugoid.discrepancy.misfit.misfit import misfit
 from phugoid.discrepancy.page.page import report
+from phugoid.discrepancy.search.finding import DiagnosisResult
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium to render the pages with")
@@ -60,17 +60,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     data = run.with_outputs({n: y + 0.01 * rng.standard_normal(t.size) for n, y in clean.outputs.items()})
     fit = ph.estimate(m, data)
     fit.report(folder / "fit.html", command="phugoid fit a_model.py a_record.csv --report fit.html")
-    nothing = SimpleNamespace(
-        fit=fit,
-        misfit=misfit(fit),
-        findings=[],
-        ranking=[],
-        found=False,
-        threshold=17.0,
-        notes=("A note.",),
-        seconds=1.0,
-        interrupted=False,
-    )
+    nothing = DiagnosisResult(fit, misfit(fit), (), (), 17.0, ("A note.",), interrupted=False, seconds=1.0)
     report(nothing, folder / "diagnosis.html")
     return {"fit": folder / "fit.html", "diagnosis": folder / "diagnosis.html"}
 

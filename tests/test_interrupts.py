@@ -182,7 +182,6 @@ def test_many_runs_keep_what_is_done(here: Path, call: str, count: str) -> None:
 
 def test_a_diagnosis_tells_what_is_known(here: Path) -> None:
     script = """
-    from phugoid.discrepancy import diagnose as module
     from phugoid.discrepancy.search import refit_cache
     fit = ph.estimate(model, data)
     real = refit_cache.Scan
@@ -190,11 +189,6 @@ def test_a_diagnosis_tells_what_is_known(here: Path) -> None:
         press()
         return real(*rest)
     refit_cache.Scan = scan
-    look = module.misfit
-    def misfit(fit):
-        press()
-        return look(fit)
-    module.misfit = misfit
     d = ph.diagnose(fit)
     d.report("missing.html")
     channels = list(d.misfit.channels)

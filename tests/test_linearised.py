@@ -19,6 +19,7 @@ from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities.collocated import collocated
 from phugoid.sensitivities.linearised import Linearised
 from phugoid.sensitivities.whitened import Whitened
+from phugoid.solvers import limits
 from phugoid.validation.frozen_model import freeze_model
 
 SIGMA = {"x": 0.01, "v": 0.02, "a": 0.03}
@@ -350,9 +351,22 @@ def test_unstable_motion(n: int, forward: bool) -> None:
     fit = ph.estimate(m, data, noise=NOISE)
     assert fit.converged
     linear = compare(fit, data, ("F:x*v", "v':x^2", "a:u"), size=1e-4)
-    _, way = _core.tangents(linear._problem, linear._xi, [], [0]) or (None, None)
+    _, way = _core.tangents(linear._problem, linear._xi, [], [0], lambda: False) or (None, None)
     assert way is forward
     assert linear.tangents.shape[1] == 5
+    with pytest.raises(KeyboardInterrupt):
+        _core.tangents(linear._problem, linear._xi, [], [0], lambda: True)
+
+
+def test_answers_end_at_the_time_limit() -> None:
+    m, data = oscillator(), [record(oscillator())]
+    linear = Linearised(ph.estimate(m, data, noise=NOISE))
+    place = next(p for p in linear._slopes[0] if p.kind != "output")
+    signals = [np.ones((1, p.t.size)) for p in linear.points]
+    assert np.isfinite(linear.answers(place, signals)).all()
+    with limits.Deadline(0.0).in_force(), pytest.raises(KeyboardInterrupt):
+        linear.answers(place, signals)
+    assert np.isfinite(linear.answers(place, signals)).all()
 
 
 def test_a_shooting_fit_is_made_again_by_collocation() -> None:

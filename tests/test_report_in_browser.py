@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.discrepancy.misfit.misfit import misfit
 from phugoid.discrepancy.page.page import report
 from phugoid.discrepancy.search.finding import DiagnosisResult
 
@@ -60,7 +59,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     data = run.with_outputs({n: y + 0.01 * rng.standard_normal(t.size) for n, y in clean.outputs.items()})
     fit = ph.estimate(m, data)
     fit.report(folder / "fit.html", command="phugoid fit a_model.py a_record.csv --report fit.html")
-    nothing = DiagnosisResult(fit, misfit(fit), (), (), 17.0, ("A note.",), interrupted=False, seconds=1.0)
+    nothing = DiagnosisResult(fit, (), (), 17.0, ("A note.",), interrupted=False, seconds=1.0)
     report(nothing, folder / "diagnosis.html")
     return {"fit": folder / "fit.html", "diagnosis": folder / "diagnosis.html"}
 

@@ -59,3 +59,8 @@ def test_the_iterations_need_numpy_and_ipopt_only() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout.split()) == (0, []), done.stderr
+
+
+def test_a_fit_stays_light() -> None:
+    # scipy.special alone takes longer to import than this fit, and a time limit counts it.
+    assert loaded_after(SETUP + "ph.estimate(m, e)") == []

@@ -445,7 +445,7 @@ def simulate(
     time_limit: float | None,
 ) -> tuple[list[_Array], list[_Array], _Array]: ...
 def tangents(
-    problem: Problem, xi: _Array, held: Sequence[int], variables: Sequence[int]
+    problem: Problem, xi: _Array, held: Sequence[int], variables: Sequence[int], stop: Callable[[], bool]
 ) -> tuple[_Array, bool] | None: ...
 def answers(
     problem: Problem,
@@ -457,6 +457,7 @@ def answers(
     slopes: _Array,
     direct: _Array,
     signals: _Array,
+    stop: Callable[[], bool],
 ) -> tuple[_Array, _Array] | None: ...
 def apply(name: str, *args: _Operand) -> Expr: ...
 def operations() -> list[tuple[str, int, list[tuple[float, float]]]]: ...

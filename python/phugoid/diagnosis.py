@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -54,7 +54,7 @@ class Diagnosis(DiagnosisResult):
     @classmethod
     def _of(cls, result: DiagnosisResult) -> Diagnosis:
         """Return a diagnosis with the data of a result."""
-        return cls(**{**vars(result), "fit": Fit._of(result.fit)})
+        return cls(**{f.name: getattr(result, f.name) for f in fields(result)} | {"fit": Fit._of(result.fit)})
 
     def extend(self, *, minor: bool = False) -> Extension:
         """The model with all causes that are named, its fit, and the gain over the base model; with ``minor`` minor

@@ -266,13 +266,15 @@ def chi_square_warning(noise: Noise, outputs: Sequence[str], records: Sequence[R
 
     ``unknowns``: the number of parameters and initial states that were estimated.
     """
-    from scipy.special import gammainc, gammaincc
-
     total, count = chi_square(noise, outputs, records)
     degrees = count - unknowns
     if not math.isfinite(total) or degrees < 1:
         return ""
     ratio = total / degrees
+    if 1 / _FACTOR <= ratio <= _FACTOR:
+        return ""
+    from scipy.special import gammainc, gammaincc  # where it is needed alone: it takes longer than many a fit
+
     numbers = f"chi-square is {total:.4g} on {degrees} degrees of freedom"
     size = f"{math.sqrt(ratio):.3g} times the noise that is given as known"
     if ratio > _FACTOR and gammaincc(0.5 * degrees, 0.5 * total) < _LEVEL:

@@ -22,7 +22,6 @@ from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
 from .candidates.library import candidates as library
 from .discrimination.advice import discrimination_advice
-from .misfit.misfit import misfit
 from .search.confirmation import Found
 from .search.data_suspects import (
     with_changes,
@@ -293,7 +292,6 @@ def diagnose(
         diagnosed = corrected.fit if sampled or any(b.kind == "cubic" for b in between) else fit
         return DiagnosisResult(
             fit=diagnosed,
-            misfit=misfit(diagnosed),
             findings=tuple(findings),
             ranking=ranking,
             threshold=search.assessment.threshold(),
@@ -348,7 +346,7 @@ def _check_size(base: Refit) -> None:
             raise DataError(
                 f"diagnose: output '{name}' has {count} samples, too few to tell noise from misfit ({_FEWEST})"
             )
-    unknowns = linear.tangents.shape[1]
+    unknowns = linear.n_unknowns
     if linear.n_rows < _EACH * unknowns:
         raise DataError(
             f"diagnose: the record is too short: {linear.n_rows} measurements for {unknowns} unknowns leave nothing to "

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 from ..errors import DataError
 from ..saving import json_file as io
 from ..saving.fit_file import damage, fit_from, fit_payload, fit_unit
-from .misfit.misfit import misfit
 from .search.finding import DiagnosisResult, ExtensionResult, Finding, Gain, Scored
 
 __all__ = ["load_diagnosis", "save_diagnosis"]
@@ -59,9 +58,8 @@ def load_diagnosis(path: str | os.PathLike[str]) -> DiagnosisResult:
         findings = tuple(_made(Finding, f) for f in saved["findings"])
         if extension is None and any(f.status == "named" for f in findings):
             raise DataError("extension: is missing, although a cause is named")
-        return DiagnosisResult(
+        found = DiagnosisResult(
             fit=fit,
-            misfit=misfit(fit),
             findings=findings,
             ranking=tuple(_made(Scored, s) for s in saved["ranking"]),
             threshold=io.to_float(saved["threshold"]),
@@ -70,6 +68,8 @@ def load_diagnosis(path: str | os.PathLike[str]) -> DiagnosisResult:
             seconds=io.to_float(saved["seconds"]),
             _extension=extension,
         )
+        _ = found.misfit  # what is damaged shows now
+        return found
 
 
 def _texts(values: Iterable[Any]) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from ..fit_result import FitResult
 from ..guess import spread
 from ..residual_noise.uniform_segments import uniform_segments
 from ..residual_noise.whitening import RowStructure
-from ..solvers.limits import check_time
+from ..solvers.limits import check_time, time_is_up
 from ..transcription.collocation import Collocation
 from .collocated import dataset
 from .derivatives import Derivatives
@@ -186,6 +186,13 @@ class Linearised:
         values |= dict(zip(model.quantity_names, found.quantities, strict=True))
         return Points(name, t, values, rates, outputs, {n: rate(v) for n, v in outputs.items()})
 
+    @property
+    def n_unknowns(self) -> int:
+        """Number of free parameters of the model and first states, less the conditions on these."""
+        problem = self._problem
+        free = problem.n_theta - len(self._held())
+        return free + problem.n_states * len(self.inner.records) - len(problem.boundary_states)
+
     @cached_property
     def moves(self) -> tuple[_Array, _Array]:
         """Tangents as they come: changes of the outputs (n_rows, k) in units of the noise, and of variables (n, k)."""
@@ -201,7 +208,7 @@ class Linearised:
             # The last states too: in an unstable motion all first states but those on one line are out of reach.
             for point in (first, first + record.mesh_t.size - 1):
                 wanted += range(n_theta + n_x * point, n_theta + n_x * (point + 1))
-        found = _core.tangents(problem, self._xi, held, wanted)
+        found = _core.tangents(problem, self._xi, held, wanted, time_is_up)
         if found is None:
             raise EvaluationError(_DEPENDENT)
         answers, forward = found
@@ -405,7 +412,8 @@ class Linearised:
             direct = np.vstack([by[place].T for by in self._direct])
         of_points = np.hstack([np.take(s, at, axis=1) for s, at in zip(signals, self._places, strict=True)])
         mine = (self._problem, self._xi, self._held(), *self._derivatives)
-        found = _core.answers(*mine, *map(np.ascontiguousarray, (slopes, direct, of_points)))
+        slopes, direct, of_points = map(np.ascontiguousarray, (slopes, direct, of_points))
+        found = _core.answers(*mine, slopes, direct, of_points, time_is_up)
         if found is None:
             raise EvaluationError(_DEPENDENT)
         return found

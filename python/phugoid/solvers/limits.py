@@ -12,7 +12,7 @@ from typing import Any
 
 from ..errors import OptionError
 
-__all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "limited", "shielded"]
+__all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "limited", "shielded", "time_is_up"]
 
 # What is told at the end may take so much longer, in s and as a part of the limit.
 _GRACE, _GRACE_PART = 0.015, 0.03
@@ -75,9 +75,14 @@ def shielded() -> Iterator[None]:
         _END.reset(before)
 
 
+def time_is_up() -> bool:
+    """Return whether the limit in force is passed."""
+    return time.monotonic() >= _END.get()
+
+
 def check_time() -> None:
     """Raise TimeUp where the limit in force is passed: to be called between the parts of long work."""
-    if time.monotonic() >= _END.get():
+    if time_is_up():
         raise TimeUp
 
 

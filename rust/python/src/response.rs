@@ -9,6 +9,7 @@ use phugoid::nlp::Nlp;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
+use crate::interrupt::interruptible;
 use crate::problem::{Kept, PyProblem};
 
 type Matrix<'py> = Bound<'py, PyArray2<f64>>;
@@ -48,7 +49,7 @@ fn ask<R>(
 /// Tangents of the path of a collocation problem along some variables: (tangents, n_θ + n_x · samples), parameters
 /// first, then the states at the samples of each experiment, sample by sample; `None` where something is not finite. And
 /// whether that is forward in time: then they are those of one variable alone, a parameter or a first state, whatever
-/// conditions there are.
+/// conditions there are. `stop` is asked now and then whether to end with a KeyboardInterrupt.
 #[pyfunction]
 pub fn tangents<'py>(
     py: Python<'py>,
@@ -56,13 +57,14 @@ pub fn tangents<'py>(
     xi: PyReadonlyArray1<'py, f64>,
     held: Vec<usize>,
     variables: Vec<usize>,
+    stop: Py<PyAny>,
 ) -> PyResult<Option<(Matrix<'py>, bool)>> {
     let xi = xi.as_slice()?;
     let of = collocation(problem, xi)?;
     let layout = &of.0.layout;
     let samples: usize = of.0.meshes.iter().map(|m| m.sample_points.len()).sum();
     let width = layout.n_theta + layout.n_x * samples;
-    let found = py.detach(|| ask(of, xi, &held, |l| l.tangents(&variables)).ok());
+    let found = interruptible(py, Some(&stop), || ask(of, xi, &held, |l| l.tangents(&variables)).ok())?;
     let rows = variables.len();
     found.map(|(out, forward)| Ok((PyArray1::from_vec(py, out).reshape([rows, width])?, forward))).transpose()
 }
@@ -72,7 +74,7 @@ pub fn tangents<'py>(
 /// something is not finite. `by_state` (samples, n_y, n_x) and `by_parameter` (samples, n_y, n_θ) are derivatives of the
 /// outputs, `rows` (samples, n_y) tells which row each is, -1 that it is none. Of several experiments all is after each
 /// other. Forward in time parameters and first states take no part; where the motion is too unstable for that, the
-/// least.
+/// least. `stop` is asked now and then whether to end with a KeyboardInterrupt.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)]
 pub fn answers<'py>(
@@ -86,6 +88,7 @@ pub fn answers<'py>(
     slopes: PyReadonlyArray2<'py, f64>,
     direct: PyReadonlyArray2<'py, f64>,
     signals: PyReadonlyArray2<'py, f64>,
+    stop: Py<PyAny>,
 ) -> PyResult<Option<(Matrix<'py>, Matrix<'py>)>> {
     let xi = xi.as_slice()?;
     let of = collocation(problem, xi)?;
@@ -116,7 +119,8 @@ pub fn answers<'py>(
         Outputs { by_state: by_state.as_slice()?, by_parameter: by_parameter.as_slice()?, rows, n_y };
     let place = Place { slopes: slopes.as_slice()?, outputs: direct.as_slice()? };
     let signals = signals.as_slice()?;
-    let found = py.detach(|| ask(of, xi, &held, |l| l.answers(&outputs, &place, signals)));
+    let answered = || ask(of, xi, &held, |l| l.answers(&outputs, &place, signals));
+    let found = interruptible(py, Some(&stop), answered)?;
     let Ok((columns, parameters)) = found else { return Ok(None) };
     let matrix = |v: Vec<f64>, width: usize| PyArray1::from_vec(py, v).reshape([k, width]);
     Ok(Some((matrix(columns, width)?, matrix(parameters, n_theta)?)))

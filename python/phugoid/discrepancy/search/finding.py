@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 from ...data.experiment import Experiment
@@ -13,7 +14,7 @@ from ...fit_result import FitResult
 from ...modelling.model import Model
 from ...notebook import notebook_page, paragraph, sparkline, table
 from ...parameters import plus_minus, text_table
-from ..misfit.misfit import ChannelMisfit, Misfit
+from ..misfit.misfit import ChannelMisfit, Misfit, misfit
 
 __all__ = ["DiagnosisResult", "ExtensionResult", "Finding", "Gain", "Scored"]
 
@@ -231,7 +232,6 @@ class DiagnosisResult:
     """The data of a `Diagnosis`, which says what each attribute is."""
 
     fit: FitResult
-    misfit: Misfit
     findings: tuple[Finding, ...]
     ranking: tuple[Scored, ...]
     threshold: float
@@ -244,6 +244,12 @@ class DiagnosisResult:
     # Causes of inputs that act otherwise than they are recorded, and the validation records with these as they act.
     _inputs: tuple[str, ...] = ()
     _validation: tuple[Experiment, ...] = ()
+
+    @cached_property
+    def misfit(self) -> Misfit:
+        """What the model that was diagnosed gets wrong, computed when it is first asked for, for a diagnosis that ends at
+        its time limit has no time for it."""
+        return misfit(self.fit)
 
     @property
     def found(self) -> bool:

@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, Dyn, LU};
 use rayon::prelude::*;
 
 use crate::collocation::Collocation;
+use crate::interrupt::{Interrupt, current};
 use crate::nlp::{Nlp, NotFinite};
 use crate::simd::kernel;
 use crate::solver::state_units;
@@ -13,6 +14,9 @@ use crate::threads::COMMON;
 
 /// First states may grow by this factor, in units of what the states do: digits that a later projection loses.
 const GROWTH: f64 = 1e6;
+
+/// Operations of a segment for each right-hand side, about: what is between two looks at the clock follows from it.
+const OPERATIONS: usize = 1 << 6;
 
 /// Right-hand sides that are solved for together: their path stays in the cache.
 pub(super) const AT_ONCE: usize = 16;
@@ -54,7 +58,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
     /// where there are conditions on the ends of the records. Conditions on their beginnings are left to the caller.
     ///
     /// # Errors
-    /// [`NotFinite`] when a derivative is not finite there, or a segment is singular.
+    /// [`NotFinite`] when a derivative is not finite there, a segment is singular, or the interrupt in force stops it.
     pub fn new(problem: P, xi: &[f64]) -> Result<Option<Self>, NotFinite> {
         if problem.has_conditions_at_ends() {
             return Ok(None);
@@ -117,6 +121,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
             }
         }
         let mut steps = Vec::new();
+        let mut turns = current().turns(OPERATIONS * n * n);
         let each = problem.meshes.iter().zip(blocks).zip(between).zip(parameters);
         for (((mesh, blocks), between), parameters) in each {
             let each = mesh.segments.iter().zip(blocks).zip(between).zip(parameters);
@@ -126,6 +131,9 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
                 inner[point / k] = true;
             }
             let step = each.zip(inner).map(|((((segment, [first, own]), between), parameters), inner)| {
+                if turns.stop() {
+                    return Err(NotFinite);
+                }
                 let own: DMatrix<f64> = own;
                 let mut step =
                     Step { own: own.lu(), first, parameters, between, point: segment.point, map: Vec::new() };
@@ -140,9 +148,9 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
                 let whole = inner || !step.between.is_empty();
                 let skipped = if whole { 0 } else { (k - 1) * n };
                 step.map = map.rows_range(skipped..).transpose().as_slice().to_vec();
-                step
+                Ok(step)
             });
-            steps.push(step.collect::<Vec<_>>());
+            steps.push(step.collect::<Result<Vec<_>, _>>()?);
         }
         let units = state_units(&*problem, xi);
         let forward = Forward { problem, steps, of_ties };
@@ -175,11 +183,13 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
     }
 
     /// States at the samples, `out[k][sample · n_x + state]` of all experiments after each other, that answer to
-    /// slopes added to f, (k, points · n_x): first states and parameters stay.
+    /// slopes added to f, (k, points · n_x): first states and parameters stay. They mean nothing where the interrupt in
+    /// force stopped it.
     pub fn solve(&self, slopes: &[&[f64]]) -> Vec<Vec<f64>> {
         let n = self.problem.layout.n_x;
+        let interrupt = current();
         let some = |slopes: &[&[f64]]| {
-            let states = self.states(|mesh_point, _, given| {
+            let states = self.states(&interrupt, |mesh_point, _, given| {
                 for (c, slope) in slopes.iter().enumerate() {
                     given.iter_mut().zip(&slope[mesh_point * n..]).for_each(|(g, b)| g[c] = *b);
                 }
@@ -190,12 +200,17 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
     }
 
     /// The same for a few, side by side, [sample · n_x + state]. `slopes` gives those of the points from one on: its
-    /// place among all mesh points, and among all points.
-    pub(super) fn states(&self, slopes: impl Fn(usize, usize, &mut [Lanes])) -> Vec<Lanes> {
+    /// place among all mesh points, and among all points. They are not those where the interrupt stopped it.
+    pub(super) fn states(
+        &self,
+        interrupt: &Interrupt,
+        slopes: impl Fn(usize, usize, &mut [Lanes]),
+    ) -> Vec<Lanes> {
         let layout = &self.problem.layout;
         let n = layout.n_x;
         let samples: usize = self.problem.meshes.iter().map(|m| m.sample_points.len()).sum();
         let mut out = Vec::with_capacity(samples * n);
+        let mut turns = interrupt.turns(OPERATIONS * n * AT_ONCE);
         let mut begin = 0; // mesh point of the experiment among all
         for ((mesh, steps), first) in self.problem.meshes.iter().zip(&self.steps).zip(&layout.first_point) {
             let k = mesh.rule.order() - 1;
@@ -203,6 +218,9 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
             let mut given = vec![[0.0; AT_ONCE]; (k + 2) * n]; // states at the first point, slopes at all
             let mut ties = mesh.between.iter();
             for step in steps {
+                if turns.stop() {
+                    break;
+                }
                 given[..n].copy_from_slice(&path[step.point * n..][..n]);
                 slopes(begin + step.point, first + step.point, &mut given[n..]);
                 let end = (step.point + k + 1) * n;
@@ -233,7 +251,8 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
         out
     }
 
-    /// The same for variables that move by 1: parameters, or states at a first point (all others give nothing).
+    /// The same for variables that move by 1: parameters, or states at a first point (all others give nothing). They mean
+    /// nothing where the interrupt in force stopped it.
     pub fn tangents(&self, variables: &[usize]) -> Vec<Vec<f64>> {
         let layout = &self.problem.layout;
         let (n, theta) = (layout.n_x, layout.n_theta);
@@ -269,6 +288,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
         let n = self.problem.layout.n_x;
         let samples: usize = self.problem.meshes.iter().map(|m| m.sample_points.len()).sum();
         let mut out = vec![Vec::with_capacity(samples * n); columns];
+        let mut turns = current().turns(OPERATIONS * n * columns);
         let mut begin = 0; // mesh point of the experiment among all
         for (e, (mesh, steps)) in self.problem.meshes.iter().zip(&self.steps).enumerate() {
             let k = mesh.rule.order() - 1;
@@ -277,6 +297,9 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
             path.rows_mut(0, n).copy_from(&DMatrix::from_fn(n, columns, |r, c| first(e, r, c)));
             let mut tie = 0;
             for (i, step) in steps.iter().enumerate() {
+                if turns.stop() {
+                    break;
+                }
                 let mut y = DMatrix::<f64>::zeros(k * n, columns);
                 force(e, begin, i, &mut y);
                 y.gemm(-1.0, &step.first, &path.rows(step.point * n, n), 1.0);

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::forward::{AT_ONCE, Forward, Lanes};
 use super::response::Response;
 use crate::collocation::Collocation;
+use crate::interrupt::current;
 use crate::nlp::NotFinite;
 use crate::threads::COMMON;
 
@@ -74,7 +75,8 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
     /// alone, a parameter or a first state, whatever conditions there are.
     ///
     /// # Errors
-    /// [`NotFinite`] when a derivative is not finite there, or the equations depend on each other.
+    /// [`NotFinite`] when a derivative is not finite there, the equations depend on each other, or the interrupt in force
+    /// stops it.
     pub fn tangents(&mut self, variables: &[usize]) -> Result<(Vec<f64>, bool), NotFinite> {
         let problem = self.problem.clone();
         let layout = &problem.layout;
@@ -85,12 +87,16 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
                     out.extend((0..layout.n_theta).map(|p| f64::from(p == i)));
                     out.extend(states);
                 }
-                return Ok((out, true));
+                return if current().stops() { Err(NotFinite) } else { Ok((out, true)) };
             }
             Factors::Response(response) => response,
         };
         let mut d = vec![0.0; layout.n()];
+        let interrupt = current();
         for &i in variables {
+            if interrupt.stops() {
+                return Err(NotFinite);
+            }
             response.tangent(i, &mut d);
             out.extend_from_slice(&d[..layout.n_theta]);
             for (mesh, first) in problem.meshes.iter().zip(&layout.first_point) {
@@ -106,7 +112,8 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
     /// where the equations can be solved forward in time.
     ///
     /// # Errors
-    /// [`NotFinite`] when a derivative is not finite there, or the equations depend on each other.
+    /// [`NotFinite`] when a derivative is not finite there, the equations depend on each other, or the interrupt in force
+    /// stops it.
     pub fn answers(
         &mut self,
         outputs: &Outputs<'_>,
@@ -149,18 +156,26 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
             }
         };
         let chunks = (AT_ONCE * points, AT_ONCE * width.max(1));
+        let interrupt = current();
         let factors = if place.slopes.iter().all(|v| *v == 0.0) { None } else { Some(self.factors()?) };
         match factors {
             None => {
-                let some = |(out, signals): (&mut [f64], &[f64])| put(&lanes(signals), &[], out);
+                let some = |(out, signals): (&mut [f64], &[f64])| {
+                    if !interrupt.stops() {
+                        put(&lanes(signals), &[], out);
+                    }
+                };
                 let pairs = columns.par_chunks_mut(chunks.1).zip(signals.par_chunks(chunks.0));
                 COMMON.install(|| pairs.for_each(some));
             }
             Some(Factors::Forward(forward)) => {
                 let forward = &*forward;
                 let some = |(out, signals): (&mut [f64], &[f64])| {
+                    if interrupt.stops() {
+                        return;
+                    }
                     let at = lanes(signals);
-                    let states = forward.states(|mesh_point, point, given| {
+                    let states = forward.states(&interrupt, |mesh_point, point, given| {
                         let slopes = place.slopes[mesh_point * n..].chunks_exact(n);
                         for ((given, slopes), at) in given.chunks_exact_mut(n).zip(slopes).zip(&at[point..]) {
                             given.iter_mut().zip(slopes).for_each(|(g, b)| *g = at.map(|v| v * b));
@@ -180,6 +195,9 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
                 for ((out, signals), parameters) in all {
                     let mut states = vec![[0.0; AT_ONCE]; samples.len() * n];
                     for (c, signal) in signals.chunks_exact(points).enumerate() {
+                        if interrupt.stops() {
+                            return Err(NotFinite);
+                        }
                         let at_mesh = meshes().flat_map(|(m, f)| &signal[*f..f + m.n_mesh]);
                         for ((slope, one), s) in
                             slopes.chunks_exact_mut(n).zip(place.slopes.chunks_exact(n)).zip(at_mesh)
@@ -205,6 +223,6 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
                 }
             }
         }
-        Ok((columns, parameters))
+        if interrupt.stops() { Err(NotFinite) } else { Ok((columns, parameters)) }
     }
 }

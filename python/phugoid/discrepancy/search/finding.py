@@ -247,7 +247,7 @@ class DiagnosisResult:
 
     @cached_property
     def misfit(self) -> Misfit:
-        """What the model that was diagnosed gets wrong, computed when it is first asked for, for a diagnosis that ends at
+        """What the diagnosed model gets wrong, computed when it is first asked for: a diagnosis that ends at
         its time limit has no time for it."""
         return misfit(self.fit)
 

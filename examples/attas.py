@@ -131,7 +131,7 @@ def main() -> None:
     regression = ph.equation_error(model(vane=False), runs)
     print(both.summary())
     late = ph.estimate(model(late=True), runs, start=ph.estimate(model(vane=False), runs))
-    found = {n: late.coloured.parameters[n] for n in ("tau", "K")}
+    found = {n: late.robust().parameters[n] for n in ("tau", "K")}
     print(f"\nwith a delay instead of the place of the vane: {', '.join(map(repr, found.values()))}")
 
     print(f"\n{'':5s}{'first record':>20s}{'second record':>20s}{'both':>20s}{'regression':>12s}   second - first")
@@ -140,7 +140,7 @@ def main() -> None:
         texts = "".join(f"{e.value:11.4f} ± {e.std_error:6.4f}" for e in (first, second, joint))
         plain, coloured = (
             (second.value - first.value) / np.hypot(*(fit.parameters[n].std_error for fit in fits))
-            for fits in (alone, [fit.coloured for fit in alone])
+            for fits in (alone, [fit.robust() for fit in alone])
         )
         by_regression = f"{regression.parameters[n].value:12.4f}" if n in SHARED else " " * 12
         print(f"{n:5s}{texts}{by_regression}{plain:+8.1f} std errors, {coloured:+.1f} coloured")

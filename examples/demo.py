@@ -38,7 +38,7 @@ def records() -> tuple[ph.Experiment, ph.Experiment, ph.Experiment, str]:
 def brief(fit: ph.Fit) -> str:
     """Return how a fit ended, with the derivatives of the pitching moment and the lift slope."""
     lines = [f"{fit.status} after {fit.iterations} iterations, {1e3 * fit.time:.0f} ms; all derivatives started at 0"]
-    estimates = fit.coloured.parameters
+    estimates = fit.robust().parameters
     shown = [f"{n} = {estimates[n].value:.4g} ± {estimates[n].std_error:.2g}" for n in ("CLa", "Cma", "Cmq", "Cmde")]
     return "\n".join([*lines, ", ".join(shown) + "  (± corrected for residual autocorrelation)"])
 

@@ -18,9 +18,9 @@ def response(run: ph.Experiment, fit: ph.Fit, outputs: Sequence[str], force: str
     plt = _pyplot()
     drawn, axes = plt.subplots(len(outputs), 1, figsize=(7.2, 8.0), sharex=True, layout="constrained")
     for a, n in zip(axes, outputs, strict=True):
-        seen = ph.frequency_response(run, force, n, period=period, band=(2.0, 15.0))
-        model = ph.frequency_response(fit, seen.frequencies_hz, force, n)
-        finer = ph.frequency_response(fit, np.linspace(2.0, 15.0, 2000), force, n)
+        seen = ph.linear.frequency_response(run, force, n, period=period, band=(2.0, 15.0))
+        model = ph.linear.frequency_response(fit, seen.frequencies_hz, force, n)
+        finer = ph.linear.frequency_response(fit, np.linspace(2.0, 15.0, 2000), force, n)
         apart = 20.0 * np.log10(abs(seen.response - model.response))
         a.plot(seen.frequencies_hz, seen.magnitude_db, ".", color=MEASURED, markersize=3.5, label="ETFE")
         a.plot(finer.frequencies_hz, finer.magnitude_db, color=LINEAR, linewidth=1.1, label="identified model")

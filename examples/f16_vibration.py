@@ -7,7 +7,7 @@ Identification Benchmarks, 2017, pp. 19-23). Clearance and friction in that moun
 nonlinear.
 
 As in the ground vibration test of the paper the record is filtered and decimated, force and accelerations alike; the
-subspace method gives a first system, `ph.fit_linear` the best of its order, and the modal form is estimated by
+subspace method gives a first system, `ph.linear.fit_linear` the best of its order, and the modal form is estimated by
 collocation from there: six modes in the band, and one above it that stands in for all that resonates beyond (and ends
 at the bound, without damping). Left out: a small mode at 12.4 Hz, and what moves below 3 Hz; a model of 18 states holds
 these, for a gain of a hundredth of the first accelerometer's signal. With 20 states there are three modes at 7.29 to
@@ -78,20 +78,20 @@ def periods(run: ph.Experiment, first: int, last: int) -> ph.Experiment:
     return run.decimate(KEEP, inputs=KEEP // 4).window(first * length, last * length - 0.5 * step)
 
 
-def start(run: ph.Experiment) -> ph.StateSpace:
+def start(run: ph.Experiment) -> ph.linear.StateSpace:
     """What the subspace method finds."""
-    return ph.subspace(run, ORDER, offset=False, stable=True)
+    return ph.linear.subspace(run, ORDER, offset=False, stable=True)
 
 
-def estimate(run: ph.Experiment, begin: ph.StateSpace) -> ph.Fit:
+def estimate(run: ph.Experiment, begin: ph.linear.StateSpace) -> ph.Fit:
     """The modal form, from the subspace method's system made the best of its order."""
     model = ph.models.modal(
-        start=ph.fit_linear(begin, run, offset=False), feedthrough=True, stable=True, name="modal form, F-16"
+        start=ph.linear.fit_linear(begin, run, offset=False), feedthrough=True, stable=True, name="modal form, F-16"
     )
     return ph.estimate(model, run, transcription=ph.Collocation(order=4), solver=ph.Newton(max_iterations=60))
 
 
-def as_fit(begin: ph.StateSpace, run: ph.Experiment) -> ph.Fit:
+def as_fit(begin: ph.linear.StateSpace, run: ph.Experiment) -> ph.Fit:
     """A numeric system as a fit, so that it can be validated like one: nothing is estimated."""
     return ph.estimate(ph.models.modal(start=begin), run, solver=ph.Newton(max_iterations=0, regression=False))
 
@@ -167,7 +167,7 @@ def softening(fit: ph.Fit, run: ph.Experiment, terms: tuple[str, ...]) -> ph.Fit
 def diagnose(run: ph.Experiment) -> ph.results.Diagnosis:
     """What `ph.diagnose` says of two periods, validated on a third: of the six modes in the band, 2,070 candidates."""
     two = periods(run, 1, 3)
-    begin = ph.subspace(two, 12, offset=False, stable=True)
+    begin = ph.linear.subspace(two, 12, offset=False, stable=True)
     fit = ph.estimate(ph.models.modal(start=begin, feedthrough=True, stable=True), two)
     return ph.diagnose(fit, validation=periods(run, 5, 6))
 
@@ -216,7 +216,7 @@ def main() -> None:
     begin = start(estimated)
     started = perf_counter()
     fit = estimate(estimated, begin)
-    print(f"\n{fit.status}, {fit.iterations} iterations, {perf_counter() - started:.1f} s\n\n{ph.modes(fit)}\n")
+    print(f"\n{fit.status}, {fit.iterations} iterations, {perf_counter() - started:.1f} s\n\n{ph.linear.modes(fit)}\n")
 
     better = {
         "softening": softening(fit, estimated, SOFTENING[:1]),

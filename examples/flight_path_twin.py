@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import phugoid as ph
-from phugoid import cos, inputs, sin, tan
+from phugoid import cos, design, sin, tan
 
 G, V0 = 9.80665, 128.5  # m/s^2, m/s
 DERIVATIVES = {"Za": -1.0, "Zde": -0.084, "Ma": -4.95, "Mq": -1.5, "Mde": -7.2}
@@ -55,9 +55,9 @@ def aircraft() -> ph.Model:
 def flown() -> ph.results.Record:
     """An elevator 3-2-1-1, and some aileron and rudder."""
     controls = {
-        "de": inputs.three_two_one_one(T, -0.044, width=0.7, start=3.0, rise=0.2),
-        "da": inputs.doublet(T, 0.02, width=1.0, start=12.0, rise=0.2),
-        "dr": inputs.doublet(T, 0.03, width=1.7, start=15.0, rise=0.2),
+        "de": design.three_two_one_one(T, -0.044, width=0.7, start=3.0, rise=0.2),
+        "da": design.doublet(T, 0.02, width=1.0, start=12.0, rise=0.2),
+        "dr": design.doublet(T, 0.03, width=1.7, start=15.0, rise=0.2),
     }
     return ph.simulate(aircraft(), DERIVATIVES, ph.Experiment(T, controls), initial={"u": V0, "psi": 0.25})
 

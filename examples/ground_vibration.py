@@ -1,11 +1,12 @@
 """Ground vibration test: a black-box model of 12 modes from force to acceleration, the paper's third example.
 
 The paper's record is not available, but the model that it identified is: its twin is simulated, with a band-limited
-random force and noise on the accelerometer. A first system comes from `ph.subspace`, or from the paper's starting
-values (frequencies known roughly, no damping, all else 1). `ph.fit_linear` makes the best of it, modes that are at a
-wrong place included, and `ph.models.modal` with collocation gives the estimate with its standard errors. At the paper's
-size, 30,001 samples and order 4, there are 90,001 mesh points and 2.16 million states to find. With ``--direct``
-collocation begins at the start itself, as in the paper; from the paper's values it then ends in a local optimum.
+random force and noise on the accelerometer. A first system comes from `ph.linear.subspace`, or from the paper's
+starting values (frequencies known roughly, no damping, all else 1). `ph.linear.fit_linear` makes the best of it, modes
+that are at a wrong place included, and `ph.models.modal` with collocation gives the estimate with its standard errors.
+At the paper's size, 30,001 samples and order 4, there are 90,001 mesh points and 2.16 million states to find. With
+``--direct`` collocation begins at the start itself, as in the paper; from the paper's values it then ends in a local
+optimum.
 
 Of the twelve modes three are so heavily damped (ratios above 0.7) that they only shape the background; one frequency or
 damping of theirs says nothing by itself, the data determine their sum only. The table so compares what is determined:
@@ -35,13 +36,13 @@ import phugoid as ph
 LIGHT = 0.1  # damping ratio of what is compared mode by mode
 
 
-def best_linear(record: Twin, start: str = "subspace") -> ph.StateSpace:
+def best_linear(record: Twin, start: str = "subspace") -> ph.linear.StateSpace:
     """The linear system of 24 states that fits best, from the subspace method's or from the paper's start."""
     if start == "paper":
-        system = ph.linearise(*paper_model())
+        system = ph.linear.linearise(*paper_model())
     else:
-        system = ph.subspace(record.data, 24, feedthrough=False, background=True)
-    return ph.fit_linear(system, record.data, offset=False)
+        system = ph.linear.subspace(record.data, 24, feedthrough=False, background=True)
+    return ph.linear.fit_linear(system, record.data, offset=False)
 
 
 def estimate(record: Twin, start: str = "subspace", order: int = 5, direct: bool = False, limit: int = 100) -> ph.Fit:
@@ -52,7 +53,7 @@ def estimate(record: Twin, start: str = "subspace", order: int = 5, direct: bool
     elif start == "paper":
         model, values = paper_model()
     else:
-        model = ph.models.modal(start=ph.subspace(record.data, 24, feedthrough=False, background=True))
+        model = ph.models.modal(start=ph.linear.subspace(record.data, 24, feedthrough=False, background=True))
     solver = ph.Newton(max_iterations=limit)
     return ph.estimate(model, record.data, transcription=ph.Collocation(order=order), start=values, solver=solver)
 
@@ -61,7 +62,7 @@ def response_error(fit: ph.Fit, record: Twin) -> tuple[np.ndarray, np.ndarray]:
     """Errors of the magnitude of the frequency response at 2,000 frequencies of the band: in dB, and in its standard
     errors."""
     hz = np.linspace(*BAND, 2000)
-    found, truth = ph.frequency_response(fit, hz), record.structure.frequency_response(hz)
+    found, truth = ph.linear.frequency_response(fit, hz), record.structure.frequency_response(hz)
     apart = np.abs(found.response) - np.abs(truth.response)
     errors = np.full(hz.size, np.nan) if found.std_error is None else found.std_error
     return found.magnitude_db - truth.magnitude_db, apart / errors
@@ -70,7 +71,7 @@ def response_error(fit: ph.Fit, record: Twin) -> tuple[np.ndarray, np.ndarray]:
 def compare(fit: ph.Fit, record: Twin) -> list[tuple[ph.results.Mode, float, float]]:
     """For each lightly damped mode of the truth the one found, and its errors in frequency and damping in standard
     errors."""
-    found = [mode for mode in ph.modes(fit) if mode.oscillates]
+    found = [mode for mode in ph.linear.modes(fit) if mode.oscillates]
     truth = [mode for mode in record.structure.modes if mode.oscillates]
     apart = np.array([[abs(m.eigenvalue - t.eigenvalue) / abs(t.eigenvalue) for m in found] for t in truth])
     rows = []
@@ -115,8 +116,8 @@ def main() -> None:
     out.mkdir(exist_ok=True)
     hz = np.linspace(*BAND, 2000)
     even = record.data.window(0, 60) if arguments.samples > 6001 else record.data
-    empirical = ph.frequency_response(even, "force", "acceleration", smoothing=0.1, band=BAND)
-    figure, _ = empirical.plot(ph.frequency_response(fit, hz))
+    empirical = ph.linear.frequency_response(even, "force", "acceleration", smoothing=0.1, band=BAND)
+    figure, _ = empirical.plot(ph.linear.frequency_response(fit, hz))
     figure.savefig(out / "ground_vibration.png", dpi=150)
     figure, axes = fit.plot()
     for axis in axes.values():

@@ -29,7 +29,7 @@ _DAMPING = (0.002, 0.006, 0.02, 0.012, 0.003, 0.02, 0.011, 0.015, 0.004, 0.018, 
 _Array = NDArray[np.float64]
 
 
-def structure() -> ph.StateSpace:
+def structure() -> ph.linear.StateSpace:
     """The published model, or one of the same kind."""
     paths = [find(f"../reference/gvt_{name}.txt") for name in "ABC"]
     if all(path is not None for path in paths):
@@ -41,7 +41,7 @@ def structure() -> ph.StateSpace:
             w = 2 * np.pi * hz
             a[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[-zeta * w, w], [-w, -zeta * w]]
             b[2 * i], c[0, 2 * i], c[0, 2 * i + 1] = 1.0, 0.3 * (-1) ** i, -(4.0 + i % 3)
-    return ph.StateSpace(a, b, c, np.zeros((1, 1)), inputs=("force",), outputs=("acceleration",))
+    return ph.linear.StateSpace(a, b, c, np.zeros((1, 1)), inputs=("force",), outputs=("acceleration",))
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Twin:
 
     data: ph.Experiment
     clean: _Array
-    structure: ph.StateSpace
+    structure: ph.linear.StateSpace
 
 
 def twin(samples: int, seed: int = 0) -> Twin:
@@ -74,7 +74,7 @@ def twin(samples: int, seed: int = 0) -> Twin:
     return Twin(data, clean, system)
 
 
-def _mode(system: ph.StateSpace, i: int, rate: float, force: _Array) -> _Array:
+def _mode(system: ph.linear.StateSpace, i: int, rate: float, force: _Array) -> _Array:
     """What one mode adds to the acceleration, exact for straight lines between the force's samples."""
     own = slice(i, i + 2)
     a, b, c, d, _ = cont2discrete(

@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 
 import phugoid as ph
-from phugoid import inputs
+from phugoid import design
 
 G, V = 9.80665, 150.0  # m/s^2, m/s
 TRUTH = {
@@ -61,17 +61,17 @@ def model() -> ph.Model:
 
 def steps(kind: str, da: float, dr: float) -> ph.Experiment:
     """Rudder, and then ailerons."""
-    (dutch_roll,) = (mode for mode in ph.modes(model(), TRUTH) if mode.oscillates)
-    width = inputs.step_width(dutch_roll, "doublet" if kind == "doublets" else "3-2-1-1")
+    (dutch_roll,) = (mode for mode in ph.linear.modes(model(), TRUTH) if mode.oscillates)
+    width = design.step_width(dutch_roll, "doublet" if kind == "doublets" else "3-2-1-1")
     options = {} if kind == "doublets" else {"balanced": kind == "balanced 3-2-1-1"}
-    shape = inputs.doublet if kind == "doublets" else inputs.three_two_one_one
+    shape = design.doublet if kind == "doublets" else design.three_two_one_one
     # The actuators need 0.2 s.
     rudder = shape(T, dr, width=width, start=1.0, rise=0.2, **options)
     ailerons = shape(T, da, width=width / 2, start=18.0, rise=0.2, **options)
     return ph.Experiment(T, {"da": ailerons, "dr": rudder}, name=kind)
 
 
-SINES = inputs.multisines(T, {"da": 1.0, "dr": 1.0}, band=(0.1, 0.8), start=1.0, period=28.0)
+SINES = design.multisines(T, {"da": 1.0, "dr": 1.0}, band=(0.1, 0.8), start=1.0, period=28.0)
 
 
 def sines(da: float, dr: float) -> ph.Experiment:
@@ -88,7 +88,7 @@ def planned() -> ph.results.Plans:
         def make(da: float, dr: float, kind: str = kind) -> ph.Experiment:
             return sines(da, dr) if kind == "multisines" else steps(kind, da, dr)
 
-        found[kind] = ph.optimal_plan(model(), make, bounds, generations=8, noise=NOISE, limits=LIMITS)
+        found[kind] = ph.design.optimal_plan(model(), make, bounds, generations=8, noise=NOISE, limits=LIMITS)
     return ph.results.Plans(found)
 
 

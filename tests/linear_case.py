@@ -11,7 +11,12 @@ RATE = 50.0
 
 
 def run(
-    truth: ph.StateSpace, n: int = 2000, noise: float = 0.02, seed: int = 0, name: str = "run", offset: float = 0.0
+    truth: ph.linear.StateSpace,
+    n: int = 2000,
+    noise: float = 0.02,
+    seed: int = 0,
+    name: str = "run",
+    offset: float = 0.0,
 ) -> ph.Experiment:
     """Inputs linear between samples; noise in parts of the outputs."""
     random = np.random.default_rng(seed)

@@ -54,10 +54,10 @@ def test_the_place_of_the_vane_leaves_neither_scale_factor_nor_delay() -> None:
     """With a delay in its stead the vane seems to read too little, and the samples that both have are less likely."""
     runs, base = attas.records(), ph.estimate(attas.model(vane=False), attas.records())
     place = attas.estimate(runs)
-    assert abs(place.parameters["K"].value - 1.0) < place.coloured.parameters["K"].std_error
+    assert abs(place.parameters["K"].value - 1.0) < place.robust().parameters["K"].std_error
     late = ph.estimate(attas.model(late=True), runs, start=base)
     assert late.parameters["tau"].value == pytest.approx(attas.BOOM[0] / attas.V0, abs=0.012)
-    assert late.parameters["K"].value < 1.0 - 5 * late.coloured.parameters["K"].std_error
+    assert late.parameters["K"].value < 1.0 - 5 * late.robust().parameters["K"].std_error
     for one, other in zip(place.records, late.records, strict=True):
         both = np.isfinite(other.residuals["alpha"])
         assert np.std(one.residuals["alpha"][both]) < np.std(other.residuals["alpha"][both])

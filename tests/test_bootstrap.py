@@ -45,7 +45,7 @@ def test_parametric_errors_are_those_of_the_fit_for_white_noise(white: ph.Fit) -
 def test_coloured_noise_gives_larger_errors_than_white(coloured: ph.Fit, kind: Any) -> None:
     """Both agree with the corrected standard errors, in different ways; blocks fall a little short, as is known."""
     b = coloured.bootstrap(100, kind)
-    ratios = [b.std_errors[n] / coloured.coloured.parameters[n].std_error for n in TRUE]
+    ratios = [b.std_errors[n] / coloured.robust().parameters[n].std_error for n in TRUE]
     assert all(0.6 < ratio < 1.4 for ratio in ratios)
     assert all(b.std_errors[n] > 1.5 * coloured.parameters[n].std_error for n in TRUE)
 
@@ -126,7 +126,7 @@ def test_coloured_noise_has_the_autocorrelation_of_the_fit() -> None:
     drawn = [resampler.noise(random, 0) for _ in range(60)]
     for name in SIGMA:
         series = np.array([each[name] for each in drawn])
-        rho = fit.coloured.autocorrelation[name][1]
+        rho = fit.robust().autocorrelation[name][1]
         assert np.mean(series[:, 1:] * series[:, :-1]) / np.mean(series**2) == pytest.approx(rho, abs=0.03)
         assert np.sqrt(np.mean(series**2)) == pytest.approx(fit.parameters[f"sigma_{name}"].value, rel=0.2)
     # Innovations that are correlated by 0.8 make noise correlated by less, for it is of different colours.
@@ -194,7 +194,7 @@ def test_delays_and_experiments_with_biases() -> None:
     for kind in ("parametric", "coloured", "block"):
         b = fit.bootstrap(6, kind)
         assert b.names == fit.parameters.names and len(b.estimates) == 6
-        spread = np.abs(b.estimates - fit.parameters.values_array) / fit.coloured.parameters.std_errors_array
+        spread = np.abs(b.estimates - fit.parameters.values_array) / fit.robust().parameters.std_errors_array
         assert 0.1 < spread.max() < 6.0
 
 

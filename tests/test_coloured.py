@@ -25,9 +25,9 @@ def campaign(n: int, rho: tuple[float, float], common: float = 0.0) -> SimpleNam
         fit = ph.estimate(model(), measured(n, rho, seed, common))
         found = {name: fit.parameters[name].value for name in TRUE}
         plain.append(covered(found, {name: fit.parameters[name].std_error for name in TRUE}))
-        corrected.append(covered(found, {name: fit.coloured.parameters[name].std_error for name in TRUE}))
+        corrected.append(covered(found, {name: fit.robust().parameters[name].std_error for name in TRUE}))
         values.append([e.value for e in fit.parameters.values()])
-        errors.append([e.std_error for e in fit.coloured.parameters.values()])
+        errors.append([e.std_error for e in fit.robust().parameters.values()])
         sigmas.append([e.std_error for e in fit.parameters.values()])
     return SimpleNamespace(
         plain=np.mean(plain, axis=0),
@@ -76,7 +76,7 @@ def test_gaps_and_irregular_times() -> None:
         second = dense.with_outputs({n: np.where(kept, dense.output(n), np.nan) for n in SIGMA})
         fit = ph.estimate(model(), [first, second])
         values.append([fit.parameters[n].value for n in TRUE])
-        errors.append([fit.coloured.parameters[n].std_error for n in TRUE])
+        errors.append([fit.robust().parameters[n].std_error for n in TRUE])
         plain.append([fit.parameters[n].std_error for n in TRUE])
     scatter = np.std(values, axis=0)
     assert np.median(errors, axis=0) == pytest.approx(scatter, rel=0.3)
@@ -90,7 +90,7 @@ def test_times_that_fit_no_grid() -> None:
         noise = {n: SIGMA[n] * autoregressive(0.95, np.random.default_rng(seed).standard_normal(500)) for n in SIGMA}
         outputs = {n: np.interp(t, run.t, run.output(n)) + noise[n] for n in SIGMA}
         uneven = ph.Experiment(t, {"u": np.interp(t, run.t, run.input("u"))}, outputs)
-        ratios.append(list(ph.estimate(model(), uneven).coloured.inflation.values())[:3])
+        ratios.append(list(ph.estimate(model(), uneven).robust().inflation.values())[:3])
     assert np.median(ratios) > 2.0
 
 
@@ -155,7 +155,7 @@ def test_white_limit_is_the_covariance_of_the_fit(model: ph.Model, noise: ph.Gau
     expected = fit.covariance[:n, :n][np.ix_(free, free)]
     size = np.sqrt(np.diag(expected))
     assert found[np.ix_(free, free)] / np.outer(size, size) == pytest.approx(expected / np.outer(size, size), abs=1e-6)
-    corrected = fit.coloured.parameters
+    corrected = fit.robust().parameters
     for name in fit.model.parameter_names:
         for label, e in fit.parameters.items():
             if label.partition("[")[0] == name:
@@ -185,14 +185,14 @@ def test_unstable_motion() -> None:
     fit = unstable()
     t = Tangents.of(fit, "test")
     assert np.sqrt(np.diag(t.of_parameters(t.inverse))) == pytest.approx(fit.parameters.std_errors_array[:3], rel=1e-6)
-    assert all(0.8 < ratio < 3.0 for ratio in fit.coloured.inflation.values())
+    assert all(0.8 < ratio < 3.0 for ratio in fit.robust().inflation.values())
 
 
 def test_errors_of_first_states_are_corrected_too() -> None:
     fits = [ph.estimate(model(), measured(300, (0.9, 0.9), seed)) for seed in range(40)]
     for name in ("x", "v"):
         scatter = np.std([fit.initial_states["run"][name].value for fit in fits])
-        corrected = np.median([fit.coloured.initial_states["run"][name].std_error for fit in fits])
+        corrected = np.median([fit.robust().initial_states["run"][name].std_error for fit in fits])
         assert corrected == pytest.approx(scatter, rel=0.3)
 
 
@@ -200,10 +200,10 @@ def test_summary_and_report_show_both_errors(tmp_path: Path) -> None:
     fit = ph.estimate(model(), measured(300, (0.9, 0.9), 0))
     line = next(line.split() for line in fit.summary().splitlines() if line.startswith("k "))
     assert float(line[2]) == pytest.approx(fit.parameters["k"].std_error, rel=0.3)
-    assert float(line[4]) == pytest.approx(fit.coloured.parameters["k"].std_error, rel=0.3)
+    assert float(line[4]) == pytest.approx(fit.robust().parameters["k"].std_error, rel=0.3)
     fit.report(tmp_path / "fit.html")
     assert "coloured" in (tmp_path / "fit.html").read_text()
-    text = str(fit.coloured)
+    text = str(fit.robust())
     assert "ratio" in text and "memory in s" in text
 
 
@@ -212,9 +212,9 @@ def test_saved_fits_and_fits_by_shooting_have_them_too(tmp_path: Path) -> None:
     fit.save(tmp_path / "fit.json")
     loaded = ph.load(tmp_path / "fit.json")
     shot = ph.estimate(model(), measured(150, (0.9, 0.9), 0), transcription=ph.SingleShooting())
-    expected = list(fit.coloured.inflation.values())
-    assert list(loaded.coloured.inflation.values()) == pytest.approx(expected, rel=1e-3)
-    assert list(shot.coloured.inflation.values()) == pytest.approx(expected, rel=1e-3)
+    expected = list(fit.robust().inflation.values())
+    assert list(loaded.robust().inflation.values()) == pytest.approx(expected, rel=1e-3)
+    assert list(shot.robust().inflation.values()) == pytest.approx(expected, rel=1e-3)
     assert loaded.summary() == fit.summary()
     assert "coloured" not in shot.summary()  # not worth an estimation
 
@@ -222,7 +222,7 @@ def test_saved_fits_and_fits_by_shooting_have_them_too(tmp_path: Path) -> None:
 def test_fits_that_did_not_end_have_none() -> None:
     fit = ph.estimate(model(), measured(100, (0.0, 0.0), 0), start={"k": 1.0}, solver=ph.Newton(max_iterations=1))
     with pytest.raises(ph.errors.OptionError, match="has not converged"):
-        _ = fit.coloured
+        _ = fit.robust()
     assert "coloured" not in fit.summary()
 
 
@@ -231,21 +231,21 @@ def test_few_samples_and_an_output_that_is_hardly_there() -> None:
     x = np.full(100, np.nan)
     x[5] = second.output("x")[5]
     fit = ph.estimate(model(), [first, second.with_outputs({"x": x, "v": second.output("v")})])
-    assert all(1.0 < ratio < 4.0 for ratio in fit.coloured.inflation.values())
+    assert all(1.0 < ratio < 4.0 for ratio in fit.robust().inflation.values())
     m = ph.Model("lag")
     (x,) = m.states("x")
     (a,) = m.parameters("a")
     m.dynamics(x=-a * x)
     m.outputs(x=x)
     fit = ph.estimate(m, ph.Experiment([0.0, 1.0, 2.0, 3.0], outputs={"x": [1.0, 0.4, 0.1, 0.05]}))
-    assert 0.9 < fit.coloured.inflation["a"] < 2.0
+    assert 0.9 < fit.robust().inflation["a"] < 2.0
 
 
 def test_process_noise_has_none() -> None:
     run = measured(80, (0.0, 0.0), 0)
     fit = ph.estimate(model(), run, transcription=ph.FilterError(states=("v",)))
     with pytest.raises(ph.errors.OptionError, match="innovations are white"):
-        _ = fit.coloured
+        _ = fit.robust()
     assert "coloured" not in fit.summary()
 
 
@@ -268,4 +268,4 @@ def test_two_flights_agree_within_coloured_errors_only() -> None:
         return max(abs(x.value - y.value) / np.hypot(x.std_error, y.std_error) for x, y in zip(a, b, strict=True))
 
     assert apart([fit.parameters for fit in fits]) > 5.0
-    assert apart([fit.coloured.parameters for fit in fits]) < 2.5
+    assert apart([fit.robust().parameters for fit in fits]) < 2.5

@@ -155,7 +155,7 @@ def test_a_solution_of_another_problem_is_an_error(fit: ph.Fit, tmp_path: Path) 
     again = ph.load(path)
     assert again.summary()
     with pytest.raises(ph.DataError, match="its solution is not one of its model and data"):
-        _ = again.coloured
+        _ = again.robust()
 
 
 def test_no_message_is_longer_than_2000_characters(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ def model(cubic: bool = False) -> ph.Model:
 
 def record(name: str, trim: float, seed: int) -> ph.Experiment:
     t = 0.05 * np.arange(500)
-    u = ph.inputs.multisine(t, 1.0, band=(0.05, 0.8), phases="random", seed=seed)
+    u = ph.design.multisine(t, 1.0, band=(0.05, 0.8), phases="random", seed=seed)
     e = ph.Experiment(t, {"u": u}, name=name)
     path = ph.simulate(model(cubic=True), {**TRUTH, "trim": trim}, e, initial={"x": 0.1, "v": 0.0})
     rng = np.random.default_rng(10 + seed)

@@ -118,7 +118,7 @@ def missing(n: dict[str, Any]) -> None:
 
 def modes(n: dict[str, Any]) -> None:
     assert np.allclose(n["system"].modes.frequencies_hz, [2, 5], rtol=0.01)
-    found = ph.modes(n["fit"])  # of the unstable aircraft
+    found = ph.linear.modes(n["fit"])  # of the unstable aircraft
     assert not found[0].stable
 
 
@@ -129,7 +129,7 @@ def exported(n: dict[str, Any]) -> None:
 
 
 def sure(n: dict[str, Any]) -> None:
-    assert 0.9 < n["fit"].coloured.inflation["CLa"] < 1.1  # the noise put in is white
+    assert 0.9 < n["fit"].robust().inflation["CLa"] < 1.1  # the noise put in is white
     low, high = n["profiles"]["CLa"].interval
     assert low < 3.0904 < high
 

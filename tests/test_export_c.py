@@ -194,7 +194,7 @@ def test_jacobians_are_those_of_linearise(tmp_path: Path) -> None:
     at = {"V": 106.0, "alpha": 0.11, "theta": 0.1, "q": 0.02, "de": -0.01, "T": 11500.0}
     x, u = [at[n] for n in model.state_names], [at[n] for n in model.input_names]
     found = compiled("jacobians", 0.0, x, u, compiled.numbers("p", 15), 16, 8, 28, 14)
-    linear = ph.linearise(model, hfb320.PUBLISHED, at=at)
+    linear = ph.linear.linearise(model, hfb320.PUBLISHED, at=at)
     for block, values in zip("ABCD", found, strict=True):
         expected = getattr(linear, block)
         np.testing.assert_allclose(values.reshape(expected.shape), expected, rtol=1e-12, atol=1e-15)

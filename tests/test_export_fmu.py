@@ -180,7 +180,7 @@ def test_states_are_saved_and_restored_and_parameters_tuned(unit: Path, tmp_path
 def test_directional_derivatives_are_those_of_linearise(unit: Path, tmp_path: Path) -> None:
     one = instance(unit, tmp_path, "FMU2Model")
     one.setReal([U, U + 1], [-0.01, 11500.0])
-    linear = ph.linearise(hfb320.model(), hfb320.PUBLISHED, at={**START, "de": -0.01, "T": 11500.0})
+    linear = ph.linear.linearise(hfb320.model(), hfb320.PUBLISHED, at={**START, "de": -0.01, "T": 11500.0})
     unknown, known = [*range(DX, U), *range(Y, Y + N_Y)], [*range(N_X), U, U + 1]
     whole = np.block([[linear.A, linear.B], [linear.C, linear.D]])
     for k, variable in enumerate(known):

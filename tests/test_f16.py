@@ -20,18 +20,18 @@ def runs() -> tuple[ph.Experiment, ph.Experiment]:
 
 
 @pytest.fixture(scope="module")
-def begin(runs: tuple[ph.Experiment, ph.Experiment]) -> ph.StateSpace:
+def begin(runs: tuple[ph.Experiment, ph.Experiment]) -> ph.linear.StateSpace:
     return f16.start(runs[0])
 
 
 @pytest.fixture(scope="module")
-def fit(runs: tuple[ph.Experiment, ph.Experiment], begin: ph.StateSpace) -> ph.Fit:
+def fit(runs: tuple[ph.Experiment, ph.Experiment], begin: ph.linear.StateSpace) -> ph.Fit:
     return f16.estimate(runs[0], begin)
 
 
 def test_the_modes_are_found(fit: ph.Fit) -> None:
     assert fit.converged
-    modes = list(ph.modes(fit))
+    modes = list(ph.linear.modes(fit))
     found = [float(m.frequency) for m in modes[:6]]
     # Where the empirical response has its peaks (tests/test_frequency_response.py), which is known to 0.05 Hz.
     np.testing.assert_allclose(found, [3.47, 3.96, 5.18, 6.59, 7.32, 9.18], atol=0.05)
@@ -42,7 +42,7 @@ def test_the_modes_are_found(fit: ph.Fit) -> None:
 
 
 def test_it_predicts_periods_held_out_better_than_the_subspace_method(
-    runs: tuple[ph.Experiment, ph.Experiment], begin: ph.StateSpace, fit: ph.Fit
+    runs: tuple[ph.Experiment, ph.Experiment], begin: ph.linear.StateSpace, fit: ph.Fit
 ) -> None:
     numeric = f16.as_fit(begin, runs[0])
     for run in runs:

@@ -102,6 +102,6 @@ def test_public_functions_keep_name_signature_and_docstring() -> None:
 
 
 def test_coloured_errors_are_computed_once_for_a_fit(fit: ph.Fit) -> None:
-    assert fit.coloured is fit.coloured
+    assert fit.robust() is fit.robust()
     other = replace(fit, covariance=4.0 * fit.covariance)
-    assert type(other) is ph.Fit and other.coloured is not fit.coloured
+    assert type(other) is ph.Fit and other.robust() is not fit.robust()

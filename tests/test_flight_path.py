@@ -221,7 +221,7 @@ def test_coloured_errors_are_the_scatter_where_those_for_white_noise_are_not() -
     m.outputs(x=x + c)
     m.initial(x=0.0)
     t = 0.1 * np.arange(400)
-    run = ph.Experiment(t, {"u": ph.inputs.multisine(t, 1.0, band=(0.05, 1.0), phases="schroeder")})
+    run = ph.Experiment(t, {"u": ph.design.multisine(t, 1.0, band=(0.05, 1.0), phases="schroeder")})
     y = ph.simulate(m, {"a": 1.0, "b": 2.0, "c": 0.1}, run).outputs["x"]
     rng = np.random.default_rng(5)
     found, white, coloured = [], [], []
@@ -232,7 +232,7 @@ def test_coloured_errors_are_the_scatter_where_those_for_white_noise_are_not() -
         fit = ph.estimate(m, run.with_outputs({"x": y + e}))
         found.append([fit.parameters[n].value for n in "abc"])
         white.append([fit.parameters[n].std_error for n in "abc"])
-        coloured.append([fit.coloured.parameters[n].std_error for n in "abc"])
+        coloured.append([fit.robust().parameters[n].std_error for n in "abc"])
     scatter = np.std(found, axis=0, ddof=1)
     # 80 samples: a standard deviation is known to 8 %.
     assert np.mean(coloured, axis=0) / scatter == pytest.approx(1.0, abs=0.25)

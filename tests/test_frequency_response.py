@@ -49,7 +49,7 @@ def relative(found: ph.results.FrequencyResponse) -> np.ndarray:
 
 
 def test_h1_is_the_true_response_within_its_standard_errors() -> None:
-    got = ph.frequency_response(random_run(0.3), "u", "y", "h1", segment=1000)
+    got = ph.linear.frequency_response(random_run(0.3), "u", "y", "h1", segment=1000)
     assert got.frequencies_hz[0] == pytest.approx(0.1) and got.unit == "m/s²/N"
     off = np.abs(got.response) - np.abs(true(got.frequencies_hz))
     inner = got.frequencies_hz > 1.0
@@ -61,7 +61,7 @@ def test_h1_is_the_true_response_within_its_standard_errors() -> None:
 
 def test_h1_is_scipys() -> None:
     data = random_run()
-    got = ph.frequency_response(data, "u", "y", "h1", segment=512, floor_db=-200)
+    got = ph.linear.frequency_response(data, "u", "y", "h1", segment=512, floor_db=-200)
     f, suy = signal.csd(data.input("u"), data.output("y"), fs=RATE, nperseg=512)
     _, suu = signal.welch(data.input("u"), fs=RATE, nperseg=512)
     np.testing.assert_allclose(got.response, (suy / suu)[1:], rtol=1e-9)
@@ -70,13 +70,15 @@ def test_h1_is_scipys() -> None:
 
 
 def test_coherence_falls_with_noise() -> None:
-    quiet, loud = (ph.frequency_response(random_run(s), "u", "y", "h1").band(20, 40).coherence for s in (0.01, 1.0))
+    quiet, loud = (
+        ph.linear.frequency_response(random_run(s), "u", "y", "h1").band(20, 40).coherence for s in (0.01, 1.0)
+    )
     assert np.median(quiet) > 0.99 > 0.5 > np.median(loud)
 
 
 def test_the_etfe_is_the_ratio_of_transforms() -> None:
     data = random_run(n=3000)
-    got = ph.frequency_response(data, "u", "y", floor_db=-300)
+    got = ph.linear.frequency_response(data, "u", "y", floor_db=-300)
     u, y = (np.fft.rfft(z - z.mean()) for z in (data.input("u"), data.output("y")))
     np.testing.assert_allclose(got.response, (y / u)[1:], rtol=1e-9)
     np.testing.assert_allclose(got.frequencies_hz, np.fft.rfftfreq(3000, 0.01)[1:])
@@ -85,8 +87,8 @@ def test_the_etfe_is_the_ratio_of_transforms() -> None:
 
 def test_smoothing_brings_the_etfe_to_the_true_response() -> None:
     data = random_run(0.3)
-    rough = ph.frequency_response(data, "u", "y", band=(1, 45))
-    smooth = ph.frequency_response(data, "u", "y", smoothing=0.3, band=(1, 45))
+    rough = ph.linear.frequency_response(data, "u", "y", band=(1, 45))
+    smooth = ph.linear.frequency_response(data, "u", "y", smoothing=0.3, band=(1, 45))
     assert np.median(relative(smooth)) < 0.2 * np.median(relative(rough))
     z = (np.abs(smooth.response) - np.abs(true(smooth.frequencies_hz))) / smooth.std_error
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.3
@@ -94,7 +96,7 @@ def test_smoothing_brings_the_etfe_to_the_true_response() -> None:
 
 def test_over_periods_there_is_no_leakage() -> None:
     for method in ("etfe", "h1"):
-        clean = ph.frequency_response(multisine(4, noise=0.0).window(5.0, 20.0), "u", "y", method, period=500)
+        clean = ph.linear.frequency_response(multisine(4, noise=0.0).window(5.0, 20.0), "u", "y", method, period=500)
         np.testing.assert_allclose(clean.frequencies_hz, np.arange(5, 101) / 5.0)
         assert relative(clean).max() < 1e-5  # all that is left is the transient of the first second
 
@@ -103,12 +105,12 @@ def test_the_last_whole_periods_are_used() -> None:
     """The transient lies in what is left over at the start: with 2.6 periods, 0.6 of one."""
     whole = multisine(3, noise=0.0)
     cut = whole.window(2.0, 15.0)
-    assert relative(ph.frequency_response(cut, "u", "y", period=500)).max() < 1e-3
-    assert relative(ph.frequency_response(whole, "u", "y", period=500)).max() > 1e-3
+    assert relative(ph.linear.frequency_response(cut, "u", "y", period=500)).max() < 1e-3
+    assert relative(ph.linear.frequency_response(whole, "u", "y", period=500)).max() > 1e-3
 
 
 def test_periods_give_standard_errors() -> None:
-    got = ph.frequency_response(multisine(40).window(5.0, 200.0), "u", "y", period="auto")
+    got = ph.linear.frequency_response(multisine(40).window(5.0, 200.0), "u", "y", period="auto")
     assert got.label == "ETFE, 39 periods of 500 samples"
     z = (np.abs(got.response) - np.abs(true(got.frequencies_hz))) / got.std_error
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.4
@@ -122,18 +124,18 @@ def test_the_period_is_the_shortest() -> None:
 
 def test_filtered_records_have_the_same_response() -> None:
     data = random_run(0.0).band_pass(5, 12)
-    assert relative(ph.frequency_response(data, "u", "y", "h1", segment=2000, band=(5.5, 11.5))).max() < 0.05
+    assert relative(ph.linear.frequency_response(data, "u", "y", "h1", segment=2000, band=(5.5, 11.5))).max() < 0.05
 
 
 def test_frequencies_without_input_are_left_out() -> None:
-    got = ph.frequency_response(random_run().band_pass(5, 12), "u", "y", "h1")
+    got = ph.linear.frequency_response(random_run().band_pass(5, 12), "u", "y", "h1")
     assert 2.0 < got.frequencies_hz[0] < 5.0 and 12.0 < got.frequencies_hz[-1] < 30.0
 
 
 def test_a_finer_input_is_taken_at_the_samples_of_the_output() -> None:
     data = random_run(0.0).low_pass(10).decimate(2, inputs=1)
     plain = random_run(0.0).low_pass(10).decimate(2)
-    a, b = (ph.frequency_response(d, "u", "y", "h1", segment=1000).response for d in (data, plain))
+    a, b = (ph.linear.frequency_response(d, "u", "y", "h1", segment=1000).response for d in (data, plain))
     np.testing.assert_array_equal(a, b)
 
 
@@ -160,7 +162,7 @@ def test_a_finer_input_is_taken_at_the_samples_of_the_output() -> None:
 )
 def test_what_cannot_be(options: dict, kind: type, words: str) -> None:
     with pytest.raises(kind) as error:
-        ph.frequency_response(random_run(), **{"input": "u", "output": "y", **options})
+        ph.linear.frequency_response(random_run(), **{"input": "u", "output": "y", **options})
     assert words in str(error.value)
 
 
@@ -177,7 +179,7 @@ def test_gaps_uneven_times_and_dead_inputs_are_refused() -> None:
         (ph.multirate({"u": (t[::3], u[::3])}, {"y": (t, u)}), r"input 'u': is sampled more coarsely than output 'y'"),
     ):
         with pytest.raises(ph.DataError, match=words):
-            ph.frequency_response(data, "u", "y")
+            ph.linear.frequency_response(data, "u", "y")
 
 
 def test_a_response_checks_its_arrays() -> None:
@@ -198,7 +200,7 @@ def test_a_response_checks_its_arrays() -> None:
 
 
 def test_the_figure_shows_points_and_lines_in_dB() -> None:
-    got = ph.frequency_response(multisine(4), "u", "y", period=500)
+    got = ph.linear.frequency_response(multisine(4), "u", "y", period=500)
     f = np.linspace(0.5, 30, 400)
     model = ph.results.FrequencyResponse(f, true(f), "u", "y", "model")
     figure, axes = got.plot(model, phase=True, coherence=True)
@@ -237,12 +239,12 @@ def test_figures_of_what_does_not_belong_together_are_refused() -> None:
 def test_the_f16_has_its_resonances(published: Callable[[str], Path]) -> None:
     data = ph.read(published(F16), rate=400.0, inputs=["Force"], outputs=["Acceleration1", "Acceleration2"])
     assert (data.n, data.t[-1]) == (73728, pytest.approx(73727 / 400))
-    got = ph.frequency_response(data, "Force", "Acceleration2", period="auto", band=(1, 20))
+    got = ph.linear.frequency_response(data, "Force", "Acceleration2", period="auto", band=(1, 20))
     assert got.label == "ETFE, 9 periods of 8192 samples"
     # The multisine has all lines from 2 to 15 Hz.
     np.testing.assert_allclose(got.frequencies_hz, np.arange(41, 308) * 400 / 8192)
     assert np.median(got.coherence) > 0.999
     peaks = got.frequencies_hz[signal.find_peaks(got.magnitude_db, prominence=6)[0]]
     np.testing.assert_allclose(peaks, [3.47, 3.96, 5.18, 6.59, 7.32, 9.18], atol=0.06)
-    h1 = ph.frequency_response(data, "Force", "Acceleration2", "h1", segment=8192, band=(2, 15))
+    h1 = ph.linear.frequency_response(data, "Force", "Acceleration2", "h1", segment=8192, band=(2, 15))
     np.testing.assert_allclose(h1.frequencies_hz[signal.find_peaks(h1.magnitude_db, prominence=6)[0]], peaks, atol=0.06)

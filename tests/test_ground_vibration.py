@@ -62,8 +62,8 @@ def test_the_frequency_response_is_that_of_the_structure() -> None:
 def test_the_paper_s_start_leads_to_a_fit_as_good_as_the_truth_s() -> None:
     """Without damping and with all else 1; collocation alone ends in a local optimum there."""
     data = twin(3001)
-    near = ph.fit_linear(data.structure, data.data, offset=False, moves=0)
-    found = ph.fit_linear(ph.linearise(*paper_model()), data.data, offset=False, moves=4)
+    near = ph.linear.fit_linear(data.structure, data.data, offset=False, moves=0)
+    found = ph.linear.fit_linear(ph.linear.linearise(*paper_model()), data.data, offset=False, moves=4)
     assert near.log_likelihood is not None and found.log_likelihood is not None
     assert found.log_likelihood > near.log_likelihood - 1.0
 

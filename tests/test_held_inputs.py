@@ -235,7 +235,7 @@ def test_a_diagnosis_of_a_right_model_finds_nothing() -> None:
 
 
 def test_linear_tools_take_them() -> None:
-    state_space = ph.subspace(record(noise=1e-4, n=400), 2, offset=False)
+    state_space = ph.linear.subspace(record(noise=1e-4, n=400), 2, offset=False)
     assert np.sort_complex(np.linalg.eigvals(state_space.A)) == pytest.approx(
         np.sort_complex(np.roots([1.0, B, A])), abs=2e-3
     )

@@ -92,7 +92,7 @@ def test_profile(fit: ph.Fit, pass_limit: Callable[[], None]) -> None:
 def test_linear_fit(pass_limit: Callable[[], None]) -> None:
     truth = system((-0.3 + 6.0j, -0.5 + 14.0j))
     progress, told = after(2, pass_limit)
-    found = ph.fit_linear(system((-0.1 + 5.0j, -0.5 + 17.0j)), run(truth), progress=progress, time_limit=60)
+    found = ph.linear.fit_linear(system((-0.1 + 5.0j, -0.5 + 17.0j)), run(truth), progress=progress, time_limit=60)
     assert len(told) == 2 and found.log_likelihood == max(line.log_likelihood for line in told)
     assert found.warnings[0].startswith("time limit")
 
@@ -132,7 +132,7 @@ def test_the_best_plan(pass_limit: Callable[[], None]) -> None:
         t = np.arange(100) * 0.1
         return ph.Experiment(t, {"u": np.sin(2 * math.pi * t / period)}, name="sine")
 
-    found = ph.optimal_plan(m, make, {"period": (0.5, 20.0)}, noise={"x": 0.1}, time_limit=60)
+    found = ph.design.optimal_plan(m, make, {"period": (0.5, 20.0)}, noise={"x": 0.1}, time_limit=60)
     assert len(made) == 5 and found.choice["period"] in made
     assert found.warnings == ("time limit: this is the best plan so far",) and "time limit" in found.summary()
 
@@ -175,8 +175,8 @@ def test_what_is_no_time(limit: Any, fit: ph.Fit) -> None:
         lambda: fit.profile(time_limit=limit),
         lambda: fit.validate(e, time_limit=limit),
         lambda: ph.diagnose(fit, time_limit=limit),
-        lambda: ph.fit_linear(system((-0.3 + 6.0j,)), e, time_limit=limit),
-        lambda: ph.optimal_plan(m, lambda: e, {}, time_limit=limit),
+        lambda: ph.linear.fit_linear(system((-0.3 + 6.0j,)), e, time_limit=limit),
+        lambda: ph.design.optimal_plan(m, lambda: e, {}, time_limit=limit),
         lambda: ph.FilterError("x", time_limit=limit),
         lambda: ph.simulate(m, fit, e, time_limit=limit),
     ]

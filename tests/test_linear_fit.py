@@ -16,7 +16,7 @@ from phugoid.linear.sampled import Sampled
 from phugoid.linear.state_space import modal_parts
 
 
-def system(poles: tuple[complex, ...], m: int = 1, p: int = 1, seed: int = 1) -> ph.StateSpace:
+def system(poles: tuple[complex, ...], m: int = 1, p: int = 1, seed: int = 1) -> ph.linear.StateSpace:
     random = np.random.default_rng(seed)
     n = sum(2 if pole.imag else 1 for pole in poles)
     A, k = np.zeros((n, n)), 0
@@ -25,18 +25,18 @@ def system(poles: tuple[complex, ...], m: int = 1, p: int = 1, seed: int = 1) ->
         if pole.imag:
             A[k : k + 2, k : k + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
         k += 2 if pole.imag else 1
-    return ph.StateSpace(A, random.normal(size=(n, m)), random.normal(size=(p, n)))
+    return ph.linear.StateSpace(A, random.normal(size=(n, m)), random.normal(size=(p, n)))
 
 
 def test_it_finds_what_estimate_finds() -> None:
     """The same likelihood by collocation, from there in a few steps, and the truth within its standard errors."""
     truth = system((-0.3 + 6.0j, -0.5 + 14.0j))
     data = run(truth, noise=0.05)
-    found = ph.fit_linear(ph.subspace(data, 4, feedthrough=False), data, offset=False)
+    found = ph.linear.fit_linear(ph.linear.subspace(data, 4, feedthrough=False), data, offset=False)
     fit = ph.estimate(ph.models.modal(start=found), data, transcription=ph.Collocation(order=6))
     assert fit.converged and fit.iterations <= 6
     assert found.log_likelihood == pytest.approx(fit.log_likelihood, abs=1e-4)
-    for a, b, c in zip(found.modes, ph.modes(fit), truth.modes, strict=True):
+    for a, b, c in zip(found.modes, ph.linear.modes(fit), truth.modes, strict=True):
         assert a.frequency.value == pytest.approx(b.frequency.value, abs=1e-3 * b.frequency.std_error)
         assert abs(b.frequency.value - c.frequency.value) < 3.5 * b.frequency.std_error
         assert abs(b.damping.value - c.damping.value) < 3.5 * b.damping.std_error
@@ -45,8 +45,8 @@ def test_it_finds_what_estimate_finds() -> None:
 def test_it_betters_the_subspace_method_on_several_outputs_experiments_and_gaps() -> None:
     truth = system((-0.3 + 6.0j, -0.5 + 14.0j, -4.0), m=2, p=3)
     runs = [run(truth, 900, 0.2, seed=1, name="a", offset=2.0), run(truth, 700, 0.2, seed=2, name="b", offset=-1.0)]
-    start = ph.subspace(runs, 5, feedthrough=False)
-    full = ph.fit_linear(start, runs)
+    start = ph.linear.subspace(runs, 5, feedthrough=False)
+    full = ph.linear.fit_linear(start, runs)
     assert full.log_likelihood > -1600.0 * sum(np.log(rms) + 0.5 for rms in start.residual_rms.values()) + 1.0
     gapped = [runs[0].output(y).copy() for y in truth.outputs]
     gapped[1][200:300] = np.nan
@@ -56,7 +56,7 @@ def test_it_betters_the_subspace_method_on_several_outputs_experiments_and_gaps(
         dict(zip(truth.outputs, gapped, strict=True)),
         name="a",
     )
-    found = ph.fit_linear(start, [holed, runs[1]])
+    found = ph.linear.fit_linear(start, [holed, runs[1]])
     assert found.order == start.order
     model = ph.models.modal(start=found, bias=True)
     data = [holed, runs[1]]
@@ -171,9 +171,9 @@ def test_a_mode_at_a_wrong_place_is_moved_and_searches_back_to_a_known_optimum_e
     data = run(system(poles), 1000)
     start = system((-0.1 + 5.0j, -0.1 + 5.3j, -0.15 + 30.0j, -0.05 + 60.0j))
 
-    def found() -> tuple[ph.StateSpace, int]:
+    def found() -> tuple[ph.linear.StateSpace, int]:
         lines: list[ph.results.Iteration] = []
-        best = ph.fit_linear(start, data, progress=lines.append)
+        best = ph.linear.fit_linear(start, data, progress=lines.append)
         return best, len(lines)
 
     quick, few = found()
@@ -189,7 +189,7 @@ def test_a_pair_becomes_two_real_eigenvalues_and_the_other_way_round() -> None:
     for truth_poles, start_poles in ((lags, pair), (pair, lags)):
         truth = system(truth_poles)
         data = run(truth, noise=0.01)
-        found = ph.fit_linear(system(start_poles), data, moves=0)
+        found = ph.linear.fit_linear(system(start_poles), data, moves=0)
         got, want = (np.sort_complex(np.linalg.eigvals(s.A)) for s in (found, truth))
         np.testing.assert_allclose(got, want, rtol=0.05)
 
@@ -199,26 +199,26 @@ def test_it_converges_from_frequencies_drawn_at_random(seed: int) -> None:
     poles = (-0.1 + 5.0j, -0.1 + 12.0j, -0.15 + 30.0j, -0.2 + 40.0j, -0.05 + 41.0j)
     truth = system(poles)
     start = system(tuple(complex(-0.1, w) for w in np.random.default_rng(seed).uniform(2.0, 60.0, 5)))
-    found = ph.fit_linear(start, run(truth, 2000), moves=0)
+    found = ph.linear.fit_linear(start, run(truth, 2000), moves=0)
     np.testing.assert_allclose(found.modes.frequencies_hz, truth.modes.frequencies_hz, rtol=2e-3)
 
 
 def test_unstable_systems_are_found_from_unstable_starts() -> None:
     truth = system((0.12 + 3.0j, -0.4 + 9.0j))
     data = run(truth, 1000, noise=0.001)
-    found = ph.fit_linear(system((0.05 + 2.7j, -0.3 + 8.0j)), data)
+    found = ph.linear.fit_linear(system((0.05 + 2.7j, -0.3 + 8.0j)), data)
     np.testing.assert_allclose(found.modes.eigenvalues, (0.12 + 3.0j, -0.4 + 9.0j), rtol=5e-3)
 
 
 def test_modes_that_decay_at_the_start_do_not_come_to_grow() -> None:
     truth = system((0.12 + 3.0j,))
-    found = ph.fit_linear(system((-0.05 + 2.7j,)), run(truth, 400))
+    found = ph.linear.fit_linear(system((-0.05 + 2.7j,)), run(truth, 400))
     assert np.linalg.eigvals(found.A).real.max() <= 0.0
 
 
 def test_outputs_without_noise_are_fitted_to_rounding() -> None:
     truth = system((-0.3 + 6.0j, -0.5 + 14.0j), p=2)
-    found = ph.fit_linear(system((-0.2 + 5.0j, -0.5 + 16.0j), p=2), run(truth, 400, noise=0.0), offset=False)
+    found = ph.linear.fit_linear(system((-0.2 + 5.0j, -0.5 + 16.0j), p=2), run(truth, 400, noise=0.0), offset=False)
     np.testing.assert_allclose(found.modes.eigenvalues, (-0.3 + 6.0j, -0.5 + 14.0j), rtol=1e-6)
 
 
@@ -231,7 +231,7 @@ def test_ctrl_c_gives_the_best_so_far() -> None:
         if len(seen) == 2:
             raise KeyboardInterrupt
 
-    found = ph.fit_linear(system((-0.1 + 5.0j, -0.5 + 17.0j)), run(truth), progress=watch)
+    found = ph.linear.fit_linear(system((-0.1 + 5.0j, -0.5 + 17.0j)), run(truth), progress=watch)
     assert found.log_likelihood == max(seen)
     assert "interrupted" in found.warnings[0]
 
@@ -240,18 +240,18 @@ def test_bad_input_is_named() -> None:
     truth = system((-0.3 + 6.0j,))
     data = run(truth)
     with pytest.raises(ph.OptionError, match="moves is a whole number from 0, not -1"):
-        ph.fit_linear(truth, data, moves=-1)
+        ph.linear.fit_linear(truth, data, moves=-1)
     with pytest.raises(ph.OptionError, match="feedthrough: 'z' is no output"):
-        ph.fit_linear(truth, data, feedthrough="z")
+        ph.linear.fit_linear(truth, data, feedthrough="z")
     with pytest.raises(ph.OptionError, match="progress is True, False or a function"):
-        ph.fit_linear(truth, data, progress=1)  # type: ignore[arg-type]
+        ph.linear.fit_linear(truth, data, progress=1)  # type: ignore[arg-type]
     with pytest.raises(ph.ModelError, match="start is a StateSpace"):
-        ph.fit_linear("x", data)  # type: ignore[arg-type]
+        ph.linear.fit_linear("x", data)  # type: ignore[arg-type]
     with pytest.raises(ph.ModelError, match="cannot be told apart"):
-        ph.fit_linear(([[-1.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], [[1.0, 0.0]]), data)
+        ph.linear.fit_linear(([[-1.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], [[1.0, 0.0]]), data)
     with pytest.raises(ph.DataError, match="too short for 2 states"):
-        ph.fit_linear(truth, data.window(0, 0.08))
+        ph.linear.fit_linear(truth, data.window(0, 0.08))
     t = np.append(data.t[:-1], data.t[-1] + 5.0)
     uneven = ph.Experiment(t, {"u": data.input("u")}, {"y": data.output("y")})
     with pytest.raises(ph.DataError, match="fit_linear: needs evenly spaced samples"):
-        ph.fit_linear(truth, uneven)
+        ph.linear.fit_linear(truth, uneven)

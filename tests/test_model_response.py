@@ -68,7 +68,7 @@ def data() -> ph.Experiment:
 
 
 def test_the_standard_error_is_that_of_the_delta_method_whatever_is_redundant(data: ph.Experiment) -> None:
-    start = ph.subspace(data, 2)
+    start = ph.linear.subspace(data, 2)
     fit = ph.estimate(ph.models.modal(start=start), data)
     found = model_response(fit, HZ, "u2")
     names = [n for n in fit.parameters if n not in fit.noise_parameters]
@@ -115,7 +115,7 @@ def test_a_delay_that_is_estimated_has_its_part_in_the_error() -> None:
 
 
 def test_what_cannot_be_right_is_refused() -> None:
-    integrator = ph.StateSpace([[0.0]], [[1.0]], [[1.0]])
+    integrator = ph.linear.StateSpace([[0.0]], [[1.0]], [[1.0]])
     m = late_lag()
     cases: list[tuple[type[Exception], str, Any]] = [
         (ph.ModelError, "is infinite", lambda: integrator.frequency_response([0.0, 1.0])),
@@ -131,19 +131,19 @@ def test_what_cannot_be_right_is_refused() -> None:
 
 
 def test_one_name_asks_records_fits_models_and_numbers_alike(data: ph.Experiment) -> None:
-    start = ph.subspace(data, 2)
+    start = ph.linear.subspace(data, 2)
     fit = ph.estimate(ph.models.modal(start=start), data)
-    found = ph.frequency_response(fit, HZ, "u2", "y")
+    found = ph.linear.frequency_response(fit, HZ, "u2", "y")
     np.testing.assert_array_equal(found.response, model_response(fit, HZ, "u2", "y").response)
     assert found.std_error is not None
     values = {n: fit.parameters[n].value for n in fit.model.parameter_names}
-    at_values = ph.frequency_response(fit.model, HZ, input="u2", parameters=values)
+    at_values = ph.linear.frequency_response(fit.model, HZ, input="u2", parameters=values)
     np.testing.assert_array_equal(at_values.response, found.response)
     np.testing.assert_array_equal(
-        ph.frequency_response(start, HZ, "u2").response, start.frequency_response(HZ, "u2").response
+        ph.linear.frequency_response(start, HZ, "u2").response, start.frequency_response(HZ, "u2").response
     )
-    seen = ph.frequency_response(data, "u2", "y", "h1", segment=100)
+    seen = ph.linear.frequency_response(data, "u2", "y", "h1", segment=100)
     assert seen.coherence is not None and seen.label == "H1, segments of 100 samples"
     for wrong in ([data], "run1.csv"):
         with pytest.raises(ph.DataError, match="one Experiment, a Fit, a Model or a StateSpace, not a"):
-            ph.frequency_response(wrong, "u2", "y")  # type: ignore[call-overload]
+            ph.linear.frequency_response(wrong, "u2", "y")  # type: ignore[call-overload]

@@ -13,7 +13,7 @@ from phugoid.linear.linearise import linearise, model_response
 FREQUENCIES = np.linspace(0.01, 8.0, 50)
 
 
-def system(n_pairs: int = 3, n_real: int = 0, m: int = 2, p: int = 2, seed: int = 0) -> ph.StateSpace:
+def system(n_pairs: int = 3, n_real: int = 0, m: int = 2, p: int = 2, seed: int = 0) -> ph.linear.StateSpace:
     """Not in modal form."""
     random = np.random.default_rng(seed)
     A = np.zeros((2 * n_pairs + n_real,) * 2)
@@ -24,7 +24,7 @@ def system(n_pairs: int = 3, n_real: int = 0, m: int = 2, p: int = 2, seed: int 
     T = random.normal(size=A.shape)
     n = len(A)
     B, C, D = random.normal(size=(n, m)), random.normal(size=(p, n)), random.normal(size=(p, m))
-    return ph.StateSpace(T @ A @ np.linalg.inv(T), B, C, D)
+    return ph.linear.StateSpace(T @ A @ np.linalg.inv(T), B, C, D)
 
 
 def starts(model: ph.Model) -> dict[str, float]:
@@ -128,13 +128,13 @@ def test_what_cannot_be_right_is_refused() -> None:
         (ph.ModelError, "cannot be told apart", lambda: ph.models.modal(start=twice)),
         (ph.ModelError, "start is a StateSpace, or the matrices", lambda: ph.models.modal(start="gvt")),
         (ph.ModelError, "B has shape", lambda: ph.models.modal(start=(twice[0], [[1.0]], [[1.0, 0.0]]))),
-        (ph.ModelError, "A holds numbers that are not finite", lambda: ph.StateSpace([[np.nan]], [[1]], [[1]])),
-        (ph.ModelError, "C has shape", lambda: ph.StateSpace([[1.0]], [[1]], [1.0])),
-        (ph.ModelError, "no matrix of real numbers", lambda: ph.StateSpace([["a"]], [[1]], [[1]])),
+        (ph.ModelError, "A holds numbers that are not finite", lambda: ph.linear.StateSpace([[np.nan]], [[1]], [[1]])),
+        (ph.ModelError, "C has shape", lambda: ph.linear.StateSpace([[1.0]], [[1]], [1.0])),
+        (ph.ModelError, "no matrix of real numbers", lambda: ph.linear.StateSpace([["a"]], [[1]], [[1]])),
         (
             ph.ModelError,
             "2 inputs are named, but the matrices have 1",
-            lambda: ph.StateSpace([[1.0]], [[1]], [[1]], inputs=("u", "v")),
+            lambda: ph.linear.StateSpace([[1.0]], [[1]], [[1]], inputs=("u", "v")),
         ),
     ]
     for kind, message, call in cases:

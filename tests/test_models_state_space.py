@@ -13,10 +13,10 @@ from phugoid.linear.linearise import linearise, model_response
 FREQUENCIES = np.linspace(0.01, 3.0, 40)
 
 
-def system(n: int, m: int, p: int) -> ph.StateSpace:
+def system(n: int, m: int, p: int) -> ph.linear.StateSpace:
     random = np.random.default_rng(n + 10 * m + 100 * p)
     A = random.normal(size=(n, n)) - 2.0 * np.eye(n)
-    return ph.StateSpace(A, random.normal(size=(n, m)), random.normal(size=(p, n)), random.normal(size=(p, m)))
+    return ph.linear.StateSpace(A, random.normal(size=(n, m)), random.normal(size=(p, n)), random.normal(size=(p, m)))
 
 
 @pytest.mark.parametrize("structure", ["observer", "companion", "full"])

@@ -12,7 +12,7 @@ import phugoid as ph
 from phugoid.linear.mode_table import table_of
 
 POLES = (-0.4 + 5.0j, -0.8 + 12.0j)
-TRUTH = ph.StateSpace(
+TRUTH = ph.linear.StateSpace(
     [[-0.4, 5.0, 0, 0], [-5.0, -0.4, 0, 0], [0, 0, -0.8, 12.0], [0, 0, -12.0, -0.8]],
     [[1.0], [0.5], [-0.5], [1.0]],
     [[1.0, 0.2, -0.5, 1.0]],
@@ -43,14 +43,14 @@ def test_standard_errors_are_those_of_the_delta_method_by_differences(fit: ph.Fi
     values = {n: fit.parameters[n].value for n in names}
 
     def table(change: dict[str, float]) -> np.ndarray:
-        found = ph.modes(fit.model, {**values, **change})
+        found = ph.linear.modes(fit.model, {**values, **change})
         return np.array([[m.frequency.value, m.damping.value, m.time_constant.value] for m in found]).ravel()
 
     steps = {n: 1e-5 * max(1.0, abs(v)) for n, v in values.items()}
     J = np.array([(table({n: values[n] + h}) - table({n: values[n] - h})) / (2 * h) for n, h in steps.items()]).T
     k = len(names)
     expected = np.sqrt(np.diag(J @ fit.covariance[:k, :k] @ J.T))
-    np.testing.assert_allclose(errors(ph.modes(fit)).ravel(), expected, rtol=1e-5)
+    np.testing.assert_allclose(errors(ph.linear.modes(fit)).ravel(), expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["free", "full", "observer", "companion"])
@@ -61,19 +61,19 @@ def test_redundant_parameters_make_no_difference(fit: ph.Fit, kind: Any) -> None
         model = ph.models.state_space(start=TRUTH, feedthrough=False, structure=kind)
     other = ph.estimate(model, run())
     assert other.converged == (kind in ("observer", "companion"))
-    found, expected = ph.modes(other), ph.modes(fit)
+    found, expected = ph.linear.modes(other), ph.linear.modes(fit)
     np.testing.assert_allclose(found.eigenvalues, expected.eigenvalues, rtol=1e-5)
     np.testing.assert_allclose(errors(found), errors(expected), rtol=2e-3)
 
 
 def test_estimates_scatter_as_much_as_they_say(fit: ph.Fit) -> None:
-    said = errors(ph.modes(fit))[:, :2]
+    said = errors(ph.linear.modes(fit))[:, :2]
     model = ph.models.modal(start=TRUTH, feedthrough=False)
     found = []
     for seed in range(30):
-        modes = ph.modes(ph.estimate(model, run(seed, 250)))
+        modes = ph.linear.modes(ph.estimate(model, run(seed, 250)))
         found.append(np.column_stack([modes.frequencies_hz, modes.damping_ratios]))
-    said = errors(ph.modes(ph.estimate(model, run(0, 250))))[:, :2]
+    said = errors(ph.linear.modes(ph.estimate(model, run(0, 250))))[:, :2]
     np.testing.assert_allclose(np.std(found, axis=0, ddof=1) / said, 1.0, atol=0.4)
 
 
@@ -91,7 +91,7 @@ def test_a_mode_that_the_data_leave_open_has_no_error() -> None:
     _, z, _ = lsim(([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), u_, t)
     noise = 0.01 * np.random.default_rng(0).normal(size=t.size)
     fit = ph.estimate(m, ph.Experiment(t, {"u": u_}, {"y": z + noise}))
-    lag, unseen = ph.modes(fit)
+    lag, unseen = ph.linear.modes(fit)
     assert lag.time_constant.value == pytest.approx(1.0, abs=0.05) and lag.time_constant.std_error > 0
     assert unseen.oscillates and np.isnan(unseen.frequency.std_error)
 
@@ -109,7 +109,7 @@ VALUES = {"w2": 4.0, "d": 0.4, "T": 1.0}
 
 
 def test_a_model_that_is_not_linear_is_taken_at_a_point() -> None:
-    down, up = (ph.modes(pendulum(), VALUES, at={"th": th}) for th in (0.0, np.pi))
+    down, up = (ph.linear.modes(pendulum(), VALUES, at={"th": th}) for th in (0.0, np.pi))
     assert down[0].frequency.value == pytest.approx(2.0 / (2 * np.pi))
     assert down[0].damping.value == pytest.approx(0.1)
     root = np.sqrt(0.2**2 + 4.0)
@@ -119,11 +119,11 @@ def test_a_model_that_is_not_linear_is_taken_at_a_point() -> None:
 
 
 def test_the_table_reads_well(fit: ph.Fit) -> None:
-    lines = str(ph.modes(fit)).splitlines()
+    lines = str(ph.linear.modes(fit)).splitlines()
     assert lines[0].split("  ")[0] == "frequency, Hz" and len(lines) == 4
     assert "±" in lines[2] and lines[2].endswith("j")
-    assert repr(ph.modes(fit)) == "<Modes: 2 oscillating, 0 not>"
-    assert len(ph.modes(fit)[:1]) == 1
+    assert repr(ph.linear.modes(fit)) == "<Modes: 2 oscillating, 0 not>"
+    assert len(ph.linear.modes(fit)[:1]) == 1
 
 
 def test_a_mode_held_without_damping_shows_no_error_of_it() -> None:
@@ -133,7 +133,7 @@ def test_a_mode_held_without_damping_shows_no_error_of_it() -> None:
 
 
 def test_an_integrator_has_no_time_constant() -> None:
-    (mode,) = ph.StateSpace([[0.0]], [[1.0]], [[1.0]]).modes
+    (mode,) = ph.linear.StateSpace([[0.0]], [[1.0]], [[1.0]]).modes
     assert mode.time_constant.value == np.inf and np.isnan(mode.damping.value) and mode.frequency.value == 0.0
 
 
@@ -152,11 +152,11 @@ def test_parameters_of_each_experiment_are_asked_for() -> None:
         runs.append(ph.Experiment(t, {"u": np.sin(t)}, {"x": z}, f"run{k}"))
     fit = ph.estimate(m, runs)
     with pytest.raises(ph.ModelError, match="each experiment has its own a: say which, experiment='run0'"):
-        ph.modes(fit)
+        ph.linear.modes(fit)
     with pytest.raises(ph.ModelError, match="'run2' is no experiment of the fit. Did you mean"):
-        ph.modes(fit, experiment="run2")
+        ph.linear.modes(fit, experiment="run2")
     for k, constant in enumerate((2.0, 0.5)):
-        (mode,) = ph.modes(fit, experiment=f"run{k}")
+        (mode,) = ph.linear.modes(fit, experiment=f"run{k}")
         e = fit.parameters[f"a[run{k}]"]
         assert mode.time_constant.value == pytest.approx(constant, rel=0.1)
         assert mode.time_constant.std_error == pytest.approx(e.std_error / e.value**2, rel=1e-6)
@@ -165,13 +165,17 @@ def test_parameters_of_each_experiment_are_asked_for() -> None:
 def test_what_cannot_be_right_is_refused() -> None:
     m = pendulum()
     cases: list[tuple[type[Exception], str, Any]] = [
-        (ph.ModelError, "its derivatives depend on th; say where", lambda: ph.modes(m, VALUES)),
-        (ph.ModelError, "at: 'theta' is no state or input", lambda: ph.modes(m, VALUES, at={"theta": 0.0})),
-        (ph.ModelError, "no value was given for d, T", lambda: ph.modes(m, {"w2": 1.0}, at={"th": 0.0})),
-        (ph.ModelError, "'w3' is no parameter. There are: w2, d, T.", lambda: ph.modes(m, {"w3": 1.0})),
-        (ph.ModelError, "parameter 'd' is 'much', not a finite number", lambda: ph.modes(m, {**VALUES, "d": "much"})),
-        (ph.ModelError, "a model needs parameters={...}", lambda: ph.modes(m)),
-        (ph.ModelError, "is a Fit or a Model, not a str", lambda: ph.modes("fit")),  # type: ignore[arg-type]
+        (ph.ModelError, "its derivatives depend on th; say where", lambda: ph.linear.modes(m, VALUES)),
+        (ph.ModelError, "at: 'theta' is no state or input", lambda: ph.linear.modes(m, VALUES, at={"theta": 0.0})),
+        (ph.ModelError, "no value was given for d, T", lambda: ph.linear.modes(m, {"w2": 1.0}, at={"th": 0.0})),
+        (ph.ModelError, "'w3' is no parameter. There are: w2, d, T.", lambda: ph.linear.modes(m, {"w3": 1.0})),
+        (
+            ph.ModelError,
+            "parameter 'd' is 'much', not a finite number",
+            lambda: ph.linear.modes(m, {**VALUES, "d": "much"}),
+        ),
+        (ph.ModelError, "a model needs parameters={...}", lambda: ph.linear.modes(m)),
+        (ph.ModelError, "is a Fit or a Model, not a str", lambda: ph.linear.modes("fit")),  # type: ignore[arg-type]
     ]
     for kind, message, call in cases:
         with pytest.raises(kind) as error:

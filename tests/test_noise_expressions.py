@@ -111,7 +111,7 @@ def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ph.OptionError, match="FilterError: the standard deviation of 'y' is an expression"):
         ph.estimate(decay(), record(), transcription=ph.FilterError(states=["x"]))
     with pytest.raises(ph.OptionError, match="standard deviation of 'y' changes along the record"):
-        ph.estimate(decay(), record()).coloured()
+        ph.estimate(decay(), record()).robust()
 
 
 def test_an_output_that_one_experiment_never_measures() -> None:

@@ -54,8 +54,8 @@ def test_a_fit_shows_estimates_outputs_and_how_it_ended(fit: ph.Fit) -> None:
 def test_tables_of_a_fit(fit: ph.Fit) -> None:
     names = [row[0] for row in rows(fit.parameters._repr_html_())[1:]]
     assert names == list(fit.parameters)
-    coloured = rows(fit.coloured._repr_html_())
-    ratio = fit.coloured.inflation["Mq"]
+    coloured = rows(fit.robust()._repr_html_())
+    ratio = fit.robust().inflation["Mq"]
     assert next(row for row in coloured if row[0] == "Mq")[4] == f"{ratio:.2f}"
     correlation = fit.correlation
     assert f"{len(correlation.pairs())} pairs" in texts(correlation._repr_html_())

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid import inputs
+from phugoid import design
 
 T = 0.05 * np.arange(161)
 TRUTH = {"Zw": -1.42, "Zde": -6.26, "Mw": -0.216, "Mq": -3.7, "Mde": -12.8}
@@ -35,7 +35,7 @@ def short_period(**more: Any) -> ph.Model:
 
 
 def flown(kind: str = "3-2-1-1", amplitude: float = 0.05, name: str = "") -> ph.Experiment:
-    shape = inputs.doublet if kind == "doublet" else inputs.three_two_one_one
+    shape = design.doublet if kind == "doublet" else design.three_two_one_one
     return ph.Experiment(T, {"de": shape(T, amplitude, width=0.4, start=0.5, rise=0.1)}, name=name or kind)
 
 
@@ -51,7 +51,7 @@ def errors(of: ph.results.Plan | ph.Fit) -> dict[str, float]:
 
 def test_the_errors_are_those_of_an_estimation_of_noisy_data() -> None:
     m = short_period()
-    plan = ph.plan(m, flown(), noise=NOISE)
+    plan = ph.design.plan(m, flown(), noise=NOISE)
     fit = ph.estimate(m, measured(m, flown(), np.random.default_rng(0)))
     assert {n: plan.parameters[n].value for n in TRUTH} == TRUTH
     # The values and the noise that the fit found differ by some percent from those assumed.
@@ -67,7 +67,7 @@ def test_without_noise_in_the_data_they_are_the_same_to_many_digits(more: dict[s
     extra |= {n: v for n, v in more.items() if n in TRUTH}  # unstable
     fit = ph.estimate(m, measured(m, flown(), None, **extra), noise=ph.Gaussian(NOISE), start={**TRUTH, **extra})
     assert fit.converged
-    plan = ph.plan(m, flown(), values=extra, noise=NOISE)
+    plan = ph.design.plan(m, flown(), values=extra, noise=NOISE)
     # A delay is found to a small part of its standard error, no better.
     digits = 1e-3 if "tau" in extra else 1e-5
     assert errors(plan) == pytest.approx(errors(fit), rel=digits)
@@ -77,7 +77,7 @@ def test_without_noise_in_the_data_they_are_the_same_to_many_digits(more: dict[s
 
 def test_estimates_of_many_simulated_flights_scatter_as_planned() -> None:
     m = short_period()
-    plan = ph.plan(m, flown(), noise=NOISE)
+    plan = ph.design.plan(m, flown(), noise=NOISE)
     y = plan.records[0].outputs
     rng = np.random.default_rng(3)
     found = []
@@ -96,10 +96,10 @@ def test_several_records_and_records_that_are_there_add_up() -> None:
     runs = [flown(name="a"), flown("doublet", 0.03, name="b")]
     data = [measured(m, run, None, b=0.01) for run in runs]
     both = ph.estimate(m, data, noise=ph.Gaussian(NOISE))
-    plan = ph.plan(m, runs, values={"b": 0.01}, noise=NOISE)
+    plan = ph.design.plan(m, runs, values={"b": 0.01}, noise=NOISE)
     assert errors(plan) == pytest.approx(errors(both), rel=1e-4)
     first = ph.estimate(m, data[0], noise=ph.Gaussian(NOISE))
-    after = ph.plan(m, runs[1], values={"b": 0.01}, noise=NOISE, after=first)
+    after = ph.design.plan(m, runs[1], values={"b": 0.01}, noise=NOISE, after=first)
     # Each flight has a bias of its own: that of the first one is not known the better by the second.
     assert {n: errors(after)[n] for n in TRUTH} == pytest.approx({n: errors(both)[n] for n in TRUTH}, rel=1e-4)
     assert errors(after)["b"] == pytest.approx(errors(both)["b[b]"], rel=1e-4)
@@ -110,7 +110,7 @@ def test_a_fit_gives_its_values_its_noise_and_its_first_states() -> None:
     m = short_period()
     run = flown()
     fit = ph.estimate(m, measured(m, run, np.random.default_rng(1)))
-    plan = ph.plan(fit, run)
+    plan = ph.design.plan(fit, run)
     assert plan.sigmas == pytest.approx({n: fit.parameters[f"sigma_{n}"].value for n in NOISE})
     assert plan.records[0].outputs["q"] == pytest.approx(fit.outputs["q"], abs=1e-5)
     assert errors(plan) == pytest.approx(errors(fit), rel=0.02)
@@ -121,12 +121,12 @@ def test_outputs_of_lower_rate_tell_less() -> None:
     run = flown()
     some = np.where(np.arange(T.size) % 4 == 0, 0.0, np.nan)
     slow = run.with_outputs({"w": some, "az": some})
-    plan = ph.plan(m, slow, noise=NOISE)
+    plan = ph.design.plan(m, slow, noise=NOISE)
     data = measured(m, run, None)
     data = data.with_outputs({n: v + (some if n in ("w", "az") else 0.0) for n, v in data.outputs.items()})
     fit = ph.estimate(m, data, noise=ph.Gaussian(NOISE))
     assert errors(plan) == pytest.approx(errors(fit), rel=1e-5)
-    assert errors(plan)["Zw"] > 1.5 * errors(ph.plan(m, run, noise=NOISE))["Zw"]
+    assert errors(plan)["Zw"] > 1.5 * errors(ph.design.plan(m, run, noise=NOISE))["Zw"]
 
 
 def test_what_is_not_told_is_named() -> None:
@@ -136,8 +136,8 @@ def test_what_is_not_told_is_named() -> None:
     a, b, c, d = m.parameters(a=1.0, b=2.0, c=3.0, d=0.5)
     m.dynamics(x=-a * x + b * c * u + d * v)
     m.outputs(x=x)
-    run = ph.Experiment(T, {"u": inputs.doublet(T, 1.0, width=1.0), "v": np.zeros(T.size)}, name="doublet on u")
-    plan = ph.plan(m, run, noise={"x": 0.01})
+    run = ph.Experiment(T, {"u": design.doublet(T, 1.0, width=1.0), "v": np.zeros(T.size)}, name="doublet on u")
+    plan = ph.design.plan(m, run, noise={"x": 0.01})
     assert [np.isinf(plan.parameters[n].std_error) for n in "abcd"] == [False, True, True, True]
     assert plan.parameters["a"].std_error < 0.05
     silent, trade = sorted(plan.weak[:2], key=lambda w: len(w.parts))
@@ -146,7 +146,7 @@ def test_what_is_not_told_is_named() -> None:
     assert np.isinf(silent.std_error) and np.isinf(trade.std_error)
     assert plan.criteria["worst"] == np.inf and "does not tell all" in repr(plan)
     assert plan.summary().count("not told") == 5
-    told = ph.plan(m, run, noise={"x": 0.01}, of=["a"])
+    told = ph.design.plan(m, run, noise={"x": 0.01}, of=["a"])
     assert told.criteria["worst"] == pytest.approx(plan.parameters["a"].std_error)
 
 
@@ -158,8 +158,8 @@ def test_a_prior_and_fixed_parameters_count() -> None:
     (k,) = m.parameters(k=ph.Parameter(0.5, transform="log"))
     m.dynamics(x=-a * x + b * c * u + k)
     m.outputs(x=x)
-    run = ph.Experiment(T, {"u": inputs.doublet(T, 1.0, width=1.0)})
-    plan = ph.plan(m, run, noise={"x": 1.0})
+    run = ph.Experiment(T, {"u": design.doublet(T, 1.0, width=1.0)})
+    plan = ph.design.plan(m, run, noise={"x": 1.0})
     fit = ph.estimate(
         m,
         ph.Experiment(T, run.inputs, ph.simulate(m, {"a": 1, "b": 2, "c": 3, "k": 0.5}, run).outputs),
@@ -173,7 +173,7 @@ def test_a_prior_and_fixed_parameters_count() -> None:
 
 def test_limits_say_what_goes_where_and_when() -> None:
     m = short_period()
-    plan = ph.plan(m, flown(), noise=NOISE, limits={"q": 0.1, "az": (-100.0, 100.0), "de": 0.05})
+    plan = ph.design.plan(m, flown(), noise=NOISE, limits={"q": 0.1, "az": (-100.0, 100.0), "de": 0.05})
     q = plan.records[0].outputs["q"]
     reached = plan.excursions["3-2-1-1"]["q"]
     assert (reached.least, reached.greatest) == (q.min(), q.max())
@@ -181,14 +181,14 @@ def test_limits_say_what_goes_where_and_when() -> None:
     assert not plan.within_limits
     (said,) = plan.violations
     assert said.startswith("q of '3-2-1-1' leaves -0.1 to 0.1 rad/s at ")
-    small = ph.plan(m, flown(amplitude=0.01), noise=NOISE, limits={"q": 0.1, "de": 0.01})
+    small = ph.design.plan(m, flown(amplitude=0.01), noise=NOISE, limits={"q": 0.1, "de": 0.01})
     assert small.within_limits
 
 
 def test_manoeuvres_side_by_side() -> None:
     m = short_period()
     runs = {"doublet": flown("doublet"), "3-2-1-1": flown(), "too much": flown(amplitude=0.5)}
-    plans = ph.plans(m, runs, noise=NOISE, limits={"q": 0.5})
+    plans = ph.design.plans(m, runs, noise=NOISE, limits={"q": 0.5})
     assert plans.best().name == "3-2-1-1" and plans["doublet"].criteria["D"] > plans["3-2-1-1"].criteria["D"]
     # Ten times the input tells ten times as much of a linear system, but leaves the limits.
     assert plans["too much"].criteria["A"] == pytest.approx(plans["3-2-1-1"].criteria["A"] / 10, rel=1e-4)
@@ -201,11 +201,11 @@ def test_manoeuvres_side_by_side() -> None:
 
     plt.close(figure)
     with pytest.raises(ph.OptionError, match="no manoeuvre keeps its limits"):
-        ph.plans(m, runs, noise=NOISE, limits={"q": 1e-3}).best()
+        ph.design.plans(m, runs, noise=NOISE, limits={"q": 1e-3}).best()
 
 
 def test_the_criteria_are_what_they_say() -> None:
-    plan = ph.plan(short_period(), flown(), noise=NOISE)
+    plan = ph.design.plan(short_period(), flown(), noise=NOISE)
     relative = plan.information.covariance / np.outer(plan.sizes, plan.sizes)
     assert plan.criteria["worst"] == pytest.approx(np.sqrt(np.diag(relative).max()))
     assert plan.criteria["A"] == pytest.approx(np.sqrt(np.trace(relative) / 5))
@@ -218,25 +218,25 @@ def test_the_best_amplitude_is_at_the_limit_and_the_best_width_within() -> None:
     m = short_period()
 
     def make(width: float, amplitude: float) -> ph.Experiment:
-        de = inputs.doublet(T, amplitude, width=width, start=0.5, rise=0.1)
+        de = design.doublet(T, amplitude, width=width, start=0.5, rise=0.1)
         return ph.Experiment(T, {"de": de}, name="doublet")
 
     bounds = {"width": (0.1, 3.0), "amplitude": (0.005, 0.5)}
     options = {"noise": NOISE, "limits": {"q": 0.2}, "of": ["Mw", "Mq", "Mde"]}
-    best = ph.optimal_plan(m, make, bounds, **options)
+    best = ph.design.optimal_plan(m, make, bounds, **options)
     assert best.within_limits
     assert max(map(abs, (best.excursions["doublet"]["q"].least, best.excursions["doublet"]["q"].greatest))) > 0.19
-    again = ph.plan(m, make(**best.choice), **options)
+    again = ph.design.plan(m, make(**best.choice), **options)
     assert again.criteria == best.criteria
     # The system is linear: for each width the amplitude at the limit, and the error there, follow from one plan.
     bests = []
     for width in np.arange(0.1, 3.0, 0.1):
-        one = ph.plan(m, make(width, 0.1), **options)
+        one = ph.design.plan(m, make(width, 0.1), **options)
         reached = np.abs(one.records[0].outputs["q"]).max()
         bests.append(one.criteria["D"] / min(0.2 / reached, 5.0))
     assert min(bests) * 0.97 < best.criteria["D"] < min(bests) * 1.03
     with pytest.raises(ph.OptionError, match="nothing that was tried keeps its limits. The nearest: q of 'doublet'"):
-        ph.optimal_plan(m, make, {"width": (0.3, 0.5), "amplitude": (0.4, 0.5)}, generations=1, **options)
+        ph.design.optimal_plan(m, make, {"width": (0.3, 0.5), "amplitude": (0.4, 0.5)}, generations=1, **options)
 
 
 @pytest.mark.parametrize(
@@ -258,18 +258,18 @@ def test_the_best_amplitude_is_at_the_limit_and_the_best_width_within() -> None:
 )
 def test_what_cannot_be_is_refused_in_words(options: dict[str, Any], kind: type[Exception], says: str) -> None:
     with pytest.raises(kind, match=says.replace("...", r"\.\.\.").replace("{", r"\{").replace("}", r"\}")):
-        ph.plan(short_period(), flown(), **options)
+        ph.design.plan(short_period(), flown(), **options)
 
 
 def test_a_model_is_asked_for() -> None:
     with pytest.raises(ph.ModelError, match="a Model or a Fit, not a str"):
-        ph.plan("model", flown())  # type: ignore[arg-type]
+        ph.design.plan("model", flown())  # type: ignore[arg-type]
     with pytest.raises(ph.DataError, match="give the manoeuvres by name"):
-        ph.plans(short_period(), [flown()])  # type: ignore[arg-type]
+        ph.design.plans(short_period(), [flown()])  # type: ignore[arg-type]
     robust = short_period()
     robust.noise(ph.Huber())
     with pytest.raises(ph.OptionError, match="that of the model is"):
-        ph.plan(robust, flown())
+        ph.design.plan(robust, flown())
 
 
 def test_a_fit_that_was_loaded_serves_too(tmp_path: Path) -> None:
@@ -277,7 +277,9 @@ def test_a_fit_that_was_loaded_serves_too(tmp_path: Path) -> None:
     fit = ph.estimate(m, measured(m, flown(), np.random.default_rng(1)))
     fit.save(tmp_path / "fit.json")
     again = ph.load(tmp_path / "fit.json")
-    assert errors(ph.plan(again, flown(), after=again)) == pytest.approx(errors(ph.plan(fit, flown(), after=fit)))
+    assert errors(ph.design.plan(again, flown(), after=again)) == pytest.approx(
+        errors(ph.design.plan(fit, flown(), after=fit))
+    )
 
 
 def test_the_example_keeps_its_limits_and_multisines_tell_most() -> None:
@@ -286,7 +288,7 @@ def test_the_example_keeps_its_limits_and_multisines_tell_most() -> None:
         "3-2-1-1": example.steps("3-2-1-1", 3.4 * example.DEG, 3.6 * example.DEG),
         "multisines": example.sines(2.3 * example.DEG, 3.7 * example.DEG),
     }
-    plans = ph.plans(example.model(), runs, noise=example.NOISE, limits=example.LIMITS)
+    plans = ph.design.plans(example.model(), runs, noise=example.NOISE, limits=example.LIMITS)
     assert all(p.within_limits for p in plans.values())
     criteria = [p.criteria["D"] for p in plans.values()]
     assert criteria == sorted(criteria, reverse=True) and criteria[2] < 0.65 * criteria[0]

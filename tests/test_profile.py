@@ -100,7 +100,7 @@ def test_priors_take_part() -> None:
 def test_coloured_residuals_widen_it() -> None:
     fit = ph.estimate(model(), measured(200, (0.9, 0.9), 0))
     plain, wide = fit.profile("k")["k"], fit.profile("k", coloured=True)["k"]
-    ratio = fit.coloured.inflation["k"]
+    ratio = fit.robust().inflation["k"]
     assert wide.inflation == ratio > 1.5
     assert np.diff(wide.interval)[0] == pytest.approx(ratio * np.diff(plain.interval)[0], rel=0.1)
 

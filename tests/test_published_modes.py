@@ -24,12 +24,12 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def published() -> ph.StateSpace:
+def published() -> ph.linear.StateSpace:
     A, B, C = (np.loadtxt(file, ndmin=2) for file in FILES)
-    return ph.StateSpace(A, B.reshape(-1, 1), C.reshape(1, -1), inputs=("force",), outputs=("acceleration",))
+    return ph.linear.StateSpace(A, B.reshape(-1, 1), C.reshape(1, -1), inputs=("force",), outputs=("acceleration",))
 
 
-def record(truth: ph.StateSpace, n: int) -> ph.Experiment:
+def record(truth: ph.linear.StateSpace, n: int) -> ph.Experiment:
     """n samples at 100 Hz of the response to a random force of 6 to 32 Hz, known at 400 Hz; noise of one part in 20."""
     random = np.random.default_rng(0)
     noisy = random.normal(size=20 * n + 4000)
@@ -52,7 +52,7 @@ def record(truth: ph.StateSpace, n: int) -> ph.Experiment:
 
 def test_a_minute_of_data_gives_the_modes_and_the_response() -> None:
     truth = published()
-    found = ph.subspace(record(truth, 6000), 24)
+    found = ph.linear.subspace(record(truth, 6000), 24)
     # What is hardly damped is found to a part in a thousand; the mode at 15.3 Hz hides in an antiresonance.
     hardly = [m for m in truth.modes if m.damping.value < 0.012]
     assert len(hardly) == 5

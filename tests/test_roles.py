@@ -133,21 +133,21 @@ def test_no_manoeuvre_of_a_condition_is_advised(fit: ph.Fit) -> None:
 
 
 def test_plans_hold_conditions(fit: ph.Fit) -> None:
-    from phugoid import inputs
+    from phugoid import design
 
     def make(width: float = 1.0) -> ph.Experiment:
-        return ph.Experiment(T, {"da": inputs.doublet(T, 0.05, width=width, start=1.0)}, name="doublet")
+        return ph.Experiment(T, {"da": design.doublet(T, 0.05, width=width, start=1.0)}, name="doublet")
 
-    plan = ph.plan(fit, make())
+    plan = ph.design.plan(fit, make())
     V = np.mean(fit.records[0].inputs["V"])
     assert plan.records[0].inputs["V"] == pytest.approx(V) and not plan.warnings
-    best = ph.optimal_plan(fit, make, {"width": (0.5, 2.0)}, generations=1)
+    best = ph.design.optimal_plan(fit, make, {"width": (0.5, 2.0)}, generations=1)
     assert np.ptp(best.records[0].inputs["V"]) == 0.0
     given = ph.Experiment(T, {**make().inputs, "V": 50 + T}, name="accelerated")
-    (warning,) = ph.plan(fit, given).warnings
+    (warning,) = ph.design.plan(fit, given).warnings
     assert "'V' is a measured condition" in warning and "50 to 61.95 in 'accelerated'" in warning
     with pytest.raises(ph.DataError, match="has no condition 'V'"):
-        ph.plan(roll(), make(), noise={"p": 0.01})
+        ph.design.plan(roll(), make(), noise={"p": 0.01})
 
 
 def test_errors_name_the_role(fit: ph.Fit) -> None:

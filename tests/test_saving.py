@@ -112,7 +112,7 @@ def test_standard_errors_of_modes_where_parameters_trade_off(suffix: str, tmp_pa
     x1 = ph.simulate(m, {"a": 2.0, "b": 1.0, "c": 1.0}, e).outputs["x"] + 0.01 * rng.standard_normal(T.size)
     fit = ph.estimate(m, e.with_outputs({"x": x1}))
     fit.save(tmp_path / f"fit.{suffix}")
-    before, after = ph.modes(fit), ph.modes(ph.load(tmp_path / f"fit.{suffix}"))
+    before, after = ph.linear.modes(fit), ph.linear.modes(ph.load(tmp_path / f"fit.{suffix}"))
     assert np.isfinite(before[0].time_constant.std_error)
     assert str(after) == str(before)
 

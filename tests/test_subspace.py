@@ -15,16 +15,18 @@ import phugoid as ph
 POLES = (-0.3 + 6.0j, -0.5 + 14.0j, -0.9 + 25.0j)
 
 
-def system(poles: tuple[complex, ...] = POLES, m: int = 2, p: int = 2, D: float = 0.2) -> ph.StateSpace:
+def system(poles: tuple[complex, ...] = POLES, m: int = 2, p: int = 2, D: float = 0.2) -> ph.linear.StateSpace:
     random = np.random.default_rng(1)
     n = 2 * len(poles)
     A = np.zeros((n, n))
     for k, pole in enumerate(poles):
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
-    return ph.StateSpace(A, random.normal(size=(n, m)), random.normal(size=(p, n)), D * random.normal(size=(p, m)))
+    return ph.linear.StateSpace(
+        A, random.normal(size=(n, m)), random.normal(size=(p, n)), D * random.normal(size=(p, m))
+    )
 
 
-def distance(found: ph.StateSpace, truth: ph.StateSpace) -> float:
+def distance(found: ph.linear.StateSpace, truth: ph.linear.StateSpace) -> float:
     """Greatest error of a frequency response, in parts of its root mean square."""
     f = np.linspace(0.2, 8.0, 200)
     worst = 0.0
@@ -40,7 +42,7 @@ def distance(found: ph.StateSpace, truth: ph.StateSpace) -> float:
 def test_it_finds_modes_response_and_order_in_noise(weighting: Any) -> None:
     truth = system()
     data = run(truth)
-    found = ph.subspace(data, 6, weighting=weighting)
+    found = ph.linear.subspace(data, 6, weighting=weighting)
     np.testing.assert_allclose(found.modes.eigenvalues, POLES, atol=0.06)
     assert distance(found, truth) < 0.02
     assert not found.warnings
@@ -54,7 +56,7 @@ def test_without_noise_it_is_exact() -> None:
     """Also the initial states: the record is what they, B and D make."""
     truth = system()
     data = run(truth, 1000, noise=0.0)
-    found = ph.subspace(data, 6, offset=False)
+    found = ph.linear.subspace(data, 6, offset=False)
     np.testing.assert_allclose(found.modes.eigenvalues, POLES, rtol=1e-7)
     assert distance(found, truth) < 1e-7
     u = np.array([data.input(name) for name in truth.inputs])
@@ -73,15 +75,15 @@ def test_inputs_sampled_faster_than_outputs_are_used_as_they_are() -> None:
     outputs = dict(zip(truth.outputs, y, strict=True))
     several = ph.multirate({"u": (fine, u)}, {k: (t, z) for k, z in outputs.items()}, interpolation="cubic")
     single = ph.Experiment(t, {"u": u[::4]}, outputs, interpolation="cubic")
-    good, bad = (distance(ph.subspace(e, 6), truth) for e in (several, single))
+    good, bad = (distance(ph.linear.subspace(e, 6), truth) for e in (several, single))
     assert good < 0.03 and 1.5 * good < bad
 
 
 def test_experiments_are_pooled_each_with_its_states_and_offset() -> None:
     truth = system()
     runs = [run(truth, 900, 0.05, seed, f"run{seed}", offset=10.0 * seed) for seed in range(3)]
-    found = ph.subspace(runs, 6)
-    alone = ph.subspace(runs[:1], 6)
+    found = ph.linear.subspace(runs, 6)
+    alone = ph.linear.subspace(runs[:1], 6)
     assert distance(found, truth) < 0.04 and distance(found, truth) < distance(alone, truth)
     for seed in range(3):
         np.testing.assert_allclose(found.offsets[f"run{seed}"], 10.0 * seed, atol=0.1)
@@ -91,33 +93,33 @@ def test_experiments_are_pooled_each_with_its_states_and_offset() -> None:
 def test_a_growing_mode_is_found_and_simulated() -> None:
     truth = system((0.08 + 5.0j, -0.5 + 14.0j))
     data = run(truth, 1500, 1e-4)
-    found = ph.subspace(data, 4)
+    found = ph.linear.subspace(data, 4)
     np.testing.assert_allclose(found.modes.eigenvalues, [0.08 + 5.0j, -0.5 + 14.0j], atol=1e-3)
     assert found.warnings == ("1 mode grows with time",)
     u = np.array([data.input(name) for name in truth.inputs])
     _, y, _ = lsim((found.A, found.B, found.C, found.D), u.T, data.t, X0=found.x0["run"])
     y = y.T + found.offsets["run"][:, None]
     assert all(np.std(data.output(k) - z) < 0.02 * data.output(k).std() for k, z in zip(truth.outputs, y, strict=True))
-    assert ph.subspace(data, 4, stable=True).modes[0].stable
+    assert ph.linear.subspace(data, 4, stable=True).modes[0].stable
 
 
 def test_the_default_order_is_that_of_the_data() -> None:
-    assert ph.subspace(run(system(), 3000)).order in (6, 7, 8)
+    assert ph.linear.subspace(run(system(), 3000)).order in (6, 7, 8)
 
 
 def test_feedthrough_is_found_where_it_may_be() -> None:
     truth = system()
-    D = ph.subspace(run(truth), 6, feedthrough="y2").D
+    D = ph.linear.subspace(run(truth), 6, feedthrough="y2").D
     assert not D[0].any()
     np.testing.assert_allclose(D[1], truth.D[1], atol=0.05)
 
 
 def test_an_order_too_high_still_fits_and_can_be_pruned() -> None:
     data = run(system(), 1000, 0.3)
-    found = ph.subspace(data, 15)
+    found = ph.linear.subspace(data, 15)
     assert distance(found, system()) < 0.4
     assert found.order >= 15
-    pruned = ph.subspace(data, 15, prune=True)
+    pruned = ph.linear.subspace(data, 15, prune=True)
     assert pruned.order == 6 and distance(pruned, system()) < 0.2
 
 
@@ -125,7 +127,7 @@ def test_it_starts_an_estimation_that_ends_at_the_truth() -> None:
     """Three modes, 2,000 samples: parameters within 3.5 standard errors, in two iterations a mode or so."""
     truth = system(m=1, p=1)
     data = run(truth)
-    model = ph.models.modal(start=ph.subspace(data, 6))
+    model = ph.models.modal(start=ph.linear.subspace(data, 6))
     fit = ph.estimate(model, data)
     assert fit.converged and fit.iterations < 12
     exact = ph.models.modal(start=truth).declared_parameters
@@ -134,7 +136,7 @@ def test_it_starts_an_estimation_that_ends_at_the_truth() -> None:
         assert e.fixed == p.fixed
         if not p.fixed:
             assert abs(e.value - p.start) < 3.5 * e.std_error
-    values = [m.eigenvalue for m in ph.modes(fit)]
+    values = [m.eigenvalue for m in ph.linear.modes(fit)]
     np.testing.assert_allclose(values, POLES, atol=0.03)
 
 
@@ -149,42 +151,42 @@ def test_what_cannot_be_right_is_refused() -> None:
         (
             ph.DataError,
             "in experiment 'experiment' the interval after t = 4 s is 0.52 s",
-            lambda: ph.subspace(ph.Experiment(uneven, u, y), 6),
+            lambda: ph.linear.subspace(ph.Experiment(uneven, u, y), 6),
         ),
         (
             ph.DataError,
             "output 'y1': sample 7 (t = 0.14 s) is missing: cut",
-            lambda: ph.subspace(ph.Experiment(good.t, u, {**y, "y1": gap}), 6),
+            lambda: ph.linear.subspace(ph.Experiment(good.t, u, {**y, "y1": gap}), 6),
         ),
-        (ph.DataError, "has no input 'de'", lambda: ph.subspace(good, 6, inputs="de")),
-        (ph.DataError, "has no output 'q'", lambda: ph.subspace(good, 6, outputs=("q",))),
-        (ph.DataError, "'run' has 50 Hz and 'slow' 25 Hz", lambda: ph.subspace([good, slow], 6)),
-        (ph.DataError, "'y1' never changes", lambda: ph.subspace(ph.Experiment(good.t, u, still), 6)),
+        (ph.DataError, "has no input 'de'", lambda: ph.linear.subspace(good, 6, inputs="de")),
+        (ph.DataError, "has no output 'q'", lambda: ph.linear.subspace(good, 6, outputs=("q",))),
+        (ph.DataError, "'run' has 50 Hz and 'slow' 25 Hz", lambda: ph.linear.subspace([good, slow], 6)),
+        (ph.DataError, "'y1' never changes", lambda: ph.linear.subspace(ph.Experiment(good.t, u, still), 6)),
         (
             ph.DataError,
             "does not say which channels are inputs",
-            lambda: ph.subspace(ph.Experiment(good.t, None, y), 6),
+            lambda: ph.linear.subspace(ph.Experiment(good.t, None, y), 6),
         ),
         (
             ph.DataError,
             "400 samples are too few for 60 block rows of 4 channels, which need 599",
-            lambda: ph.subspace(good, 6, block_rows=60),
+            lambda: ph.linear.subspace(good, 6, block_rows=60),
         ),
-        (ph.DataError, "are too few for", lambda: ph.subspace(good, 90)),
+        (ph.DataError, "are too few for", lambda: ph.linear.subspace(good, 90)),
         (
             ph.OptionError,
             "order 20 is too high for 8 block rows, which hold 14 states",
-            lambda: ph.subspace(good, 20, block_rows=8),
+            lambda: ph.linear.subspace(good, 20, block_rows=8),
         ),
-        (ph.OptionError, "order is a whole number from 1, or None", lambda: ph.subspace(good, 0)),
-        (ph.OptionError, "block_rows is a whole number from 1", lambda: ph.subspace(good, 2, block_rows=2.5)),  # type: ignore[arg-type]
-        (ph.OptionError, 'weighting is "cva" or "moesp"', lambda: ph.subspace(good, 2, weighting="n4sid")),  # type: ignore[arg-type]
+        (ph.OptionError, "order is a whole number from 1, or None", lambda: ph.linear.subspace(good, 0)),
+        (ph.OptionError, "block_rows is a whole number from 1", lambda: ph.linear.subspace(good, 2, block_rows=2.5)),  # type: ignore[arg-type]
+        (ph.OptionError, 'weighting is "cva" or "moesp"', lambda: ph.linear.subspace(good, 2, weighting="n4sid")),  # type: ignore[arg-type]
         (
             ph.OptionError,
             "feedthrough: 'y3' is no output. There are: y1, y2.",
-            lambda: ph.subspace(good, 2, feedthrough=["y3"]),
+            lambda: ph.linear.subspace(good, 2, feedthrough=["y3"]),
         ),
-        (ph.OptionError, "each once", lambda: ph.subspace(good, 2, outputs="y1 y1")),
+        (ph.OptionError, "each once", lambda: ph.linear.subspace(good, 2, outputs="y1 y1")),
     ]
     for kind, message, call in cases:
         with pytest.raises(kind) as error:
@@ -201,8 +203,8 @@ def test_a_background_of_heavily_damped_pairs() -> None:
     modes = [lsim(([[-0.3, w], [-w, -0.3]], [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]]), u, t)[1] for w in (4.0, 20.0)]
     y = lags + modes[0] + modes[1]
     run = ph.Experiment(t, {"u": u}, {"y": y + 0.01 * rng.standard_normal(t.size)})
-    free = ph.subspace(run, 6, feedthrough=False)
-    joined = ph.subspace(run, 6, feedthrough=False, background=True)
+    free = ph.linear.subspace(run, 6, feedthrough=False)
+    joined = ph.linear.subspace(run, 6, feedthrough=False, background=True)
     assert sum(mode.oscillates for mode in free.modes) == 2
     assert len(joined.modes) == 3 and all(mode.oscillates for mode in joined.modes)
     light = [mode.frequency.value for mode in joined.modes if mode.damping.value < 0.15]
@@ -211,4 +213,4 @@ def test_a_background_of_heavily_damped_pairs() -> None:
     assert joined.residual_rms["y"] < 0.2 * np.std(lags)
     two = ph.Experiment(t, {"u": u}, {"y": y, "z": 2.0 * y})
     with pytest.raises(ph.OptionError, match="one output"):
-        ph.subspace(two, 4, background=True)
+        ph.linear.subspace(two, 4, background=True)

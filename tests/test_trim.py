@@ -21,7 +21,7 @@ def model() -> ph.Model:
 
 @pytest.fixture(scope="module")
 def level(model: ph.Model) -> ph.results.Trim:
-    return ph.trim(model, hfb320.PUBLISHED, at=LEVEL)
+    return ph.linear.trim(model, hfb320.PUBLISHED, at=LEVEL)
 
 
 def test_derivatives_vanish_at_the_trim(model: ph.Model, level: ph.results.Trim) -> None:
@@ -45,7 +45,7 @@ def test_a_simulation_stays_at_the_trim(model: ph.Model, level: ph.results.Trim)
 
 def test_hfb_320_has_a_phugoid_and_a_short_period(model: ph.Model, level: ph.results.Trim) -> None:
     """The phugoid against Lanchester: sqrt(2) g / V."""
-    linear = ph.linearise(model, hfb320.PUBLISHED, at=level)
+    linear = ph.linear.linearise(model, hfb320.PUBLISHED, at=level)
     slow, fast = linear.modes
     assert slow.oscillates and fast.oscillates
     assert float(slow.frequency) == pytest.approx(np.sqrt(2) * 9.80665 / 106.0 / (2 * np.pi), rel=0.1)
@@ -55,7 +55,7 @@ def test_hfb_320_has_a_phugoid_and_a_short_period(model: ph.Model, level: ph.res
 
 def test_the_linear_model_is_that_of_small_steps(model: ph.Model, level: ph.results.Trim) -> None:
     """Columns of A and B against the nonlinear equations a little away, by central differences."""
-    linear = ph.linearise(model, hfb320.PUBLISHED, at=level)
+    linear = ph.linear.linearise(model, hfb320.PUBLISHED, at=level)
     evaluator = ph._core.Evaluator(model._core)
     theta = np.array([hfb320.PUBLISHED[n] for n in model.parameter_names])
     point = np.array([0.0, *level.inputs.values(), *level.states.values()])
@@ -74,14 +74,14 @@ def test_the_linear_model_is_that_of_small_steps(model: ph.Model, level: ph.resu
 
 def test_python_control_agrees_on_the_modes(model: ph.Model, level: ph.results.Trim) -> None:
     control = pytest.importorskip("control", reason="needs python-control")
-    linear = ph.linearise(model, hfb320.PUBLISHED, at=level)
+    linear = ph.linear.linearise(model, hfb320.PUBLISHED, at=level)
     system = linear.to_control("hfb")
     assert isinstance(system, control.StateSpace) and system.name == "hfb"
     assert system.state_labels == ["V", "alpha", "theta", "q"] and system.input_labels == ["de", "T"]
     assert system.output_labels == list(model.output_names)
     for block in "ABCD":
         np.testing.assert_array_equal(getattr(system, block), getattr(linear, block))
-    modes = ph.modes(model, hfb320.PUBLISHED, at=level)
+    modes = ph.linear.modes(model, hfb320.PUBLISHED, at=level)
     frequency, damping, _ = control.damp(system, doprint=False)
     ours = sorted((2 * np.pi * float(m.frequency), float(m.damping)) for m in modes)
     np.testing.assert_allclose(sorted(zip(frequency, damping, strict=True))[::2], ours, rtol=1e-9)
@@ -94,22 +94,22 @@ def test_python_control_agrees_on_the_modes(model: ph.Model, level: ph.results.T
 
 def test_names_with_dots_go_to_python_control() -> None:
     pytest.importorskip("control", reason="needs python-control")
-    system = ph.StateSpace([[-1.0]], [[1.0]], [[1.0]], inputs=("log.de",), outputs=("log.q",)).to_control()
+    system = ph.linear.StateSpace([[-1.0]], [[1.0]], [[1.0]], inputs=("log.de",), outputs=("log.q",)).to_control()
     assert (system.input_labels, system.output_labels, system.state_labels) == (["log_de"], ["log_q"], ["x"])
 
 
 def test_without_python_control_the_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
     with pytest.raises(MissingDependency, match=r'pip install "phugoid\[control\]"'):
-        ph.StateSpace([[-1.0]], [[1.0]], [[1.0]]).to_control()
+        ph.linear.StateSpace([[-1.0]], [[1.0]], [[1.0]]).to_control()
 
 
 def test_a_climb_and_an_output_that_is_to_have_a_value(model: ph.Model) -> None:
-    descent = ph.trim(model, hfb320.PUBLISHED, at={"V": 110.0}, outputs={"theta": 0.05}, start={"T": 1e4})
+    descent = ph.linear.trim(model, hfb320.PUBLISHED, at={"V": 110.0}, outputs={"theta": 0.05}, start={"T": 1e4})
     assert descent.outputs["theta"] == pytest.approx(0.05, abs=1e-14)
     assert set(descent.found) == {"alpha", "theta", "q", "de", "T"}
     # Pulling up at a moment: the speed changes as it does.
-    pull = ph.trim(model, hfb320.PUBLISHED, at={**LEVEL, "theta": 0.1}, rates={"theta": 0.01, "V": None})
+    pull = ph.linear.trim(model, hfb320.PUBLISHED, at={**LEVEL, "theta": 0.1}, rates={"theta": 0.01, "V": None})
     assert pull.rates["theta"] == pytest.approx(0.01, abs=1e-14) and abs(pull.rates["V"]) > 0.01
 
 
@@ -130,12 +130,12 @@ def test_the_trim_of_a_fit_begins_at_its_record() -> None:
         runs.append(e.with_outputs({"phi": phi1 + 0.001 * rng.standard_normal(t.size)}))
     fit = ph.estimate(m, runs)
     with pytest.raises(ModelError, match=r"each experiment has its own c: say which, experiment='one'"):
-        ph.trim(fit, at={"T": 0.0})
+        ph.linear.trim(fit, at={"T": 0.0})
     for name, turns in (("one", 1), ("two", 0)):
-        point = ph.trim(fit, at={"T": 0.0}, experiment=name)
+        point = ph.linear.trim(fit, at={"T": 0.0}, experiment=name)
         angle = np.arcsin(fit.parameters[f"c[{name}]"].value / fit.parameters["k"].value)
         assert point["phi"] == pytest.approx(2 * np.pi * turns + angle, rel=1e-12)
-        assert ph.linearise(fit, at=point, experiment=name).order == 2
+        assert ph.linear.linearise(fit, at=point, experiment=name).order == 2
 
 
 def test_a_late_input_is_as_the_input() -> None:
@@ -145,7 +145,7 @@ def test_a_late_input_is_as_the_input() -> None:
     (tau,) = m.parameters(tau=0.1)
     m.dynamics(x=2 * m.delay(u, tau) - x)
     m.outputs(x=x, sum=x + u)
-    point = ph.trim(m, {"tau": 0.1}, outputs={"sum": 3.0})
+    point = ph.linear.trim(m, {"tau": 0.1}, outputs={"sum": 3.0})
     assert point["x"] == pytest.approx(2.0) and point["u"] == point["u_delayed"] == pytest.approx(1.0)
 
 
@@ -155,10 +155,10 @@ def test_what_stays_open_is_named() -> None:
     (u,) = m.inputs("u")
     m.dynamics(x=v, v=u - v)
     m.outputs(x=x)
-    point = ph.trim(m, at={"u": 0.0}, start={"x": 7.0})
+    point = ph.linear.trim(m, at={"u": 0.0}, start={"x": 7.0})
     assert point["x"] == 7.0 and point.warnings == ("x is not determined by the equations: hold as you need",)
-    assert ph.trim(m, at={"u": 0.0, "x": 1.0}).warnings == ()
-    moving = ph.trim(m, at={"u": 3.0, "x": 0.0}, rates={"x": None})
+    assert ph.linear.trim(m, at={"u": 0.0, "x": 1.0}).warnings == ()
+    moving = ph.linear.trim(m, at={"u": 3.0, "x": 0.0}, rates={"x": None})
     assert moving["v"] == pytest.approx(3.0)
 
 
@@ -182,7 +182,7 @@ def test_what_stays_open_is_named() -> None:
 )
 def test_bad_input(model: ph.Model, options: dict[str, object], error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
-        ph.trim(model, hfb320.PUBLISHED, **options)  # type: ignore[arg-type]
+        ph.linear.trim(model, hfb320.PUBLISHED, **options)  # type: ignore[arg-type]
 
 
 def test_time_must_be_said_where_it_matters() -> None:
@@ -192,5 +192,5 @@ def test_time_must_be_said_where_it_matters() -> None:
     m.dynamics(x=u - x - m.time)
     m.outputs(x=x)
     with pytest.raises(ModelError, match="depend on time"):
-        ph.trim(m, at={"u": 1.0})
-    assert ph.trim(m, at={"u": 1.0, "time": 3.0})["x"] == pytest.approx(-2.0)
+        ph.linear.trim(m, at={"u": 1.0})
+    assert ph.linear.trim(m, at={"u": 1.0, "time": 3.0})["x"] == pytest.approx(-2.0)

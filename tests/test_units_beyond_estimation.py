@@ -106,7 +106,10 @@ def test_regressions_and_linear_fits(units: dict[str, float]) -> None:
         each, other = (estimates[name] for estimates in regressed)
         assert factor * each.value == pytest.approx(other.value, rel=1e-7)
         assert factor * each.std_error == pytest.approx(other.std_error, rel=1e-7)
-    linear = [ph.fit_linear(ph.subspace(list(f.experiments), 2), list(f.experiments)) for f in (found, reference)]
+    linear = [
+        ph.linear.fit_linear(ph.linear.subspace(list(f.experiments), 2), list(f.experiments))
+        for f in (found, reference)
+    ]
     time = units.get("time", 1.0)
     poles = [
         np.sort_complex(np.linalg.eigvals(system.A)) * scale for system, scale in zip(linear, (time, 1.0), strict=True)

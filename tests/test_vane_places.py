@@ -30,7 +30,7 @@ def test_a_place_that_is_not_given_is_found(truth: ph.results.Record) -> None:
     assert places is not None and places.preferred and places.delayed == ()
     for c in ("alpha", "beta"):
         e = places.fit.parameters[f"x_{c}_vane"]
-        assert abs(e.value - BOOM[0]) < 4 * places.fit.coloured.parameters[e.name].std_error + 0.15
+        assert abs(e.value - BOOM[0]) < 4 * places.fit.robust().parameters[e.name].std_error + 0.15
     assert "prefer places to vanes at the centre of gravity" in str(places) and "alpha_vane=(x, y, z)" in str(places)
 
 
@@ -72,7 +72,7 @@ def test_attas_places_are_those_of_the_boom() -> None:
     """Asked for neither places nor delays, which is quick."""
     places = ph.reconstruct(example.records(), OUTPUTS, per_experiment=example.INERTIAL).places
     assert places is not None and places.preferred
-    p, errors = places.fit.parameters, places.fit.coloured.parameters
+    p, errors = places.fit.parameters, places.fit.robust().parameters
     for c in ("alpha", "beta"):
         assert abs(p[f"x_{c}_vane"].value - BOOM[0]) < 2 * errors[f"x_{c}_vane"].std_error
         assert abs(p[f"K_{c}"].value - 1.0) < 2 * errors[f"K_{c}"].std_error

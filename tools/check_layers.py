@@ -20,12 +20,12 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "notebook", "writing", "tabular", "symbols", "parameters", "noise", "modelling", "data",
+    "_core", "errors", "notebook", "writing", "tabular", "functions", "parameters", "noise", "modelling", "data",
     "transcription", "guess", "solvers", "interrupts", "progress", "records", "refinement", "smoothing",
     "fit_result", "tolerance", "match", "repeated_outputs", "figures", "regression", "integration", "process_noise",
-    "estimation", "simulate", "linear", "inputs", "models", "export", "saving", "residual_noise", "sensitivities",
+    "estimation", "simulate", "linear", "manoeuvres", "models", "export", "saving", "residual_noise", "sensitivities",
     "validation", "pages", "discrepancy", "planning", "starts", "uncertainty", "summary", "report", "result",
-    "diagnosis", "api", "multistart", "reconstruction", "petab", "results", "cli", "__init__", "__main__",
+    "api", "multistart", "reconstruction", "petab", "results", "design", "cli", "__init__", "__main__",
 ]
 DISCREPANCY = [
     "misfit", "candidates", "search", "discrimination", "page", "saved", "diagnose", "improve",

@@ -9,7 +9,7 @@ derivatives, and which keeps the limits?
 import numpy as np
 
 import phugoid as ph
-from phugoid import inputs
+from phugoid import design
 
 m = ph.Model("short period")
 alpha, q = m.states(alpha="rad", q="rad/s")
@@ -21,18 +21,18 @@ m.outputs(alpha=alpha, q=q)
 # %%
 # The width of a step comes from the mode that it is to excite:
 
-mode = ph.modes(m, {"Za": -0.9, "Ma": -4.0, "Mq": -1.4, "Mde": -6.0})[0]
+mode = ph.linear.modes(m, {"Za": -0.9, "Ma": -4.0, "Mq": -1.4, "Mde": -6.0})[0]
 t = np.arange(0, 15, 0.02)
-doublet = inputs.doublet(t, 0.05, width=inputs.step_width(mode, "doublet"), start=1)
-width = inputs.step_width(mode, "3-2-1-1")
+doublet = design.doublet(t, 0.05, width=design.step_width(mode, "doublet"), start=1)
+width = design.step_width(mode, "3-2-1-1")
 shapes = {
     "doublet": doublet,
-    "3-2-1-1": inputs.three_two_one_one(t, 0.04, width=width, start=1, rise=0.1),
-    "multisine": inputs.multisine(t, 0.05, band=(0.1, 1.5), start=1),
-    "sweep": inputs.sweep(t, 0.045, band=(0.1, 1.5), start=1, fade=1),
+    "3-2-1-1": design.three_two_one_one(t, 0.04, width=width, start=1, rise=0.1),
+    "multisine": design.multisine(t, 0.05, band=(0.1, 1.5), start=1),
+    "sweep": design.sweep(t, 0.045, band=(0.1, 1.5), start=1, fade=1),
 }
 manoeuvres = {name: ph.Experiment(t, {"de": u}, name=name) for name, u in shapes.items()}
 limits = {"alpha": 0.06, "q": 0.2, "de": 0.05}
-plans = ph.plans(m, manoeuvres, noise={"alpha": 0.01, "q": 0.01}, limits=limits)
+plans = ph.design.plans(m, manoeuvres, noise={"alpha": 0.01, "q": 0.01}, limits=limits)
 print(plans.summary())
 figure, axes = plans.plot()

@@ -33,7 +33,7 @@ def coloured(sigma: float) -> np.ndarray:
 
 run = blank.with_outputs({n: y + coloured(0.01) for n, y in path.outputs.items()})
 fit = ph.estimate(m, run)
-print(fit.coloured.summary())
+print(fit.robust().summary())
 
 # %%
 # Many records of the same kind would scatter like this: each drawn with noise as coloured as the

@@ -34,5 +34,5 @@ run = blank.with_outputs(noisy)
 
 fit = ph.estimate(m, run)
 print(fit.parameters)
-print(ph.modes(fit))
+print(ph.linear.modes(fit))
 figure, axes = fit.plot()

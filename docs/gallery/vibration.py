@@ -22,13 +22,13 @@ shaker = ph.Experiment(t, {"force": random.standard_normal(t.size)}, name="shake
 path = ph.simulate(true, values, shaker, initial=dict.fromkeys(true.state_names, 0.0))
 run = shaker.with_outputs({"acc": path.outputs["acc"] + 0.03 * random.standard_normal(t.size)})
 
-system = ph.subspace(run, order=6, feedthrough=False)
+system = ph.linear.subspace(run, order=6, feedthrough=False)
 fit = ph.estimate(ph.models.modal(start=system), run)
-print(ph.modes(fit))
+print(ph.linear.modes(fit))
 
 # %%
 # The record's own frequency response, and that of the fit:
 
-measured = ph.frequency_response(run, "force", "acc", method="h1", segment=1000)
-model = ph.frequency_response(fit, np.linspace(0.5, 10, 600), "force", "acc")
+measured = ph.linear.frequency_response(run, "force", "acc", method="h1", segment=1000)
+model = ph.linear.frequency_response(fit, np.linspace(0.5, 10, 600), "force", "acc")
 figure, axes = measured.plot(model, band=(0.5, 10))

@@ -11,7 +11,11 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
     print(fit.summary())
 """
 
-from . import inputs, models, results
+import sys
+import warnings
+from typing import Any
+
+from . import design, functions, linear, models, results
 from ._core import Expr, __version__
 from .api import diagnose, estimate, improve, load
 from .data.experiment import Experiment
@@ -28,30 +32,7 @@ from .errors import (
     PhugoidError,
 )
 from .export import export_c, export_fmu
-from .linear.frequency import frequency_response
-from .linear.linear_fit import fit_linear
-from .linear.linearise import linearise, modes
-from .linear.state_space import StateSpace
-from .linear.subspace import subspace
-from .linear.trim import trim
-from .match import match
-from .modelling.declared import State
-from .modelling.model import Model
-from .multistart.multistart import multistart
-from .noise.densities import Density, Huber, Laplace, StudentT
-from .noise.kinds import PerExperiment, PerOutput
-from .noise.noise import Gaussian, Sigma
-from .parameters import Parameter
-from .petab.problem import read_petab
-from .planning.design_evaluation import plan, plans
-from .planning.optimum import optimal_plan
-from .reconstruction.reconstruct import reconstruct
-from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
-from .regression.equation_error import equation_error
-from .result import Fit
-from .simulate import simulate
-from .solvers import Ipopt, Newton
-from .symbols import (
+from .functions import (
     Table,
     acos,
     asin,
@@ -80,10 +61,42 @@ from .symbols import (
     tanh,
     where,
 )
+from .match import match
+from .modelling.declared import State
+from .modelling.model import Model
+from .multistart.multistart import multistart
+from .noise.densities import Density, Huber, Laplace, StudentT
+from .noise.kinds import PerExperiment, PerOutput
+from .noise.noise import Gaussian, Sigma
+from .parameters import Parameter
+from .petab.problem import read_petab
+from .reconstruction.reconstruct import reconstruct
+from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
+from .regression.equation_error import equation_error
+from .result import Fit
+from .simulate import simulate
+from .solvers import Ipopt, Newton
 from .tolerance import Tolerance
 from .transcription.collocation import Collocation
 from .transcription.filter_error import FilterError
 from .transcription.shooting import MultipleShooting, SingleShooting
+
+# Names that were public here, and where they are now. They go with the next release.
+_MOVED = {
+    "inputs": "design",
+    **{name: f"design.{name}" for name in ("optimal_plan", "plan", "plans")},
+    **{name: f"linear.{name}" for name in linear.__all__},
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Return what has moved, with a DeprecationWarning that names its place."""
+    if name not in _MOVED:
+        raise AttributeError(f"module 'phugoid' has no attribute '{name}'", name=name, obj=sys.modules[__name__])
+    where, _, own = _MOVED[name].partition(".")
+    warnings.warn(f"phugoid.{name} is now phugoid.{_MOVED[name]}", DeprecationWarning, stacklevel=2)
+    module = {"design": design, "linear": linear}[where]
+    return getattr(module, own) if own else module
 
 
 def __dir__() -> list[str]:
@@ -120,7 +133,6 @@ __all__ = [
     "SingleShooting",
     "SmoothingSpline",
     "State",
-    "StateSpace",
     "StudentT",
     "Table",
     "Tolerance",
@@ -132,6 +144,7 @@ __all__ = [
     "candidates",
     "cos",
     "cosh",
+    "design",
     "diagnose",
     "equation_error",
     "estimate",
@@ -139,13 +152,11 @@ __all__ = [
     "expm1",
     "export_c",
     "export_fmu",
-    "fit_linear",
-    "frequency_response",
     "from_sympy",
+    "functions",
     "hypot",
     "improve",
-    "inputs",
-    "linearise",
+    "linear",
     "load",
     "log",
     "log1p",
@@ -154,12 +165,8 @@ __all__ = [
     "minimum",
     "misfit",
     "models",
-    "modes",
     "multirate",
     "multistart",
-    "optimal_plan",
-    "plan",
-    "plans",
     "read",
     "read_petab",
     "reconstruct",
@@ -174,9 +181,7 @@ __all__ = [
     "smooth_sign",
     "smooth_step",
     "sqrt",
-    "subspace",
     "tan",
     "tanh",
-    "trim",
     "where",
 ]

@@ -8,12 +8,11 @@ from functools import wraps
 from inspect import signature
 from typing import Any, ParamSpec, TypeVar
 
-from .diagnosis import Diagnosis, Improvement
 from .discrepancy.diagnose import diagnose as _diagnose
 from .discrepancy.improve import improve as _improve
 from .discrepancy.saved import load_diagnosis
 from .estimation.estimate import estimate as _estimate
-from .result import Fit
+from .result import Diagnosis, Fit, Improvement
 from .saving import fit_file
 from .saving import json_file as io
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._core import Expr
-from .errors import ModelError, UnknownName, did_you_mean
+from .errors import ModelError, OptionError, UnknownName, did_you_mean
 from .notebook import Html, notebook_page, table
 from .tabular import estimates_frame
 
@@ -198,6 +199,22 @@ class Estimates(Mapping[str, Estimate]):
     def std_errors_array(self) -> NDArray[np.float64]:
         """The standard errors, shape (n,), in the order of ``names``; NaN where there is none."""
         return np.array([e.std_error for e in self._by_name.values()], dtype=np.float64)
+
+    def conf_int(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Return the interval of each free parameter at a confidence level: the estimate and as many standard errors to
+        both sides as the normal distribution asks for, cut off at the bounds. NaN where there is no standard error.
+
+        Raises OptionError for a level that is not between 0 and 1.
+        """
+        if not 0.0 < level < 1.0:
+            raise OptionError(f"conf_int: level is between 0 and 1, not {level!r}")
+        factor = NormalDist().inv_cdf(0.5 + 0.5 * level)
+        found = {}
+        for name, e in self._by_name.items():
+            if not e.fixed:
+                low, high = e.value - factor * e.std_error, e.value + factor * e.std_error
+                found[name] = (max(low, e.bounds[0]), min(high, e.bounds[1])) if low <= high else (math.nan, math.nan)
+        return found
 
     def to_dict(self) -> dict[str, float]:
         """Name to value: what ``estimate(start=...)`` and ``simulate`` take."""

@@ -1,17 +1,27 @@
-"""A fit with all that can be asked of it: what `estimate` returns."""
+"""Results with all that can be asked of them: what `estimate`, `diagnose` and `improve` return."""
 
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from . import tabular
 from ._core import Expr
 from .data.experiment import Experiment
+from .discrepancy.diagnose import diagnose
+from .discrepancy.improve import ImprovementResult, improve
+from .discrepancy.misfit.misfit import Misfit, misfit
 from .discrepancy.misfit.residuals_figure import plot_residuals
+from .discrepancy.page.figures import diagnosis_figures
+from .discrepancy.page.page import report as diagnosis_report
+from .discrepancy.page.words import diagnosis_summary, headline
+from .discrepancy.saved import save_diagnosis
+from .discrepancy.search.finding import DiagnosisResult, ExtensionResult
 from .export import export_c, export_fmu
 from .figures.convergence import plot_convergence
 from .figures.correlation import plot_correlation
@@ -19,9 +29,12 @@ from .figures.fit import plot_fit
 from .figures.parameters import plot_parameters
 from .fit_result import FitResult
 from .integration import IntegrationError, integration_error
+from .notebook import Html, bullets, notebook_page, paragraph, table
 from .parameters import Estimates, derived
+from .records import Record
 from .report import report
 from .saving.fit_file import save
+from .simulate import simulate
 from .starts.outcome import Outcome
 from .summary import fit_html, fit_summary
 from .tolerance import Tolerance
@@ -41,7 +54,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Fit"]
+__all__ = ["Diagnosis", "Extension", "Fit", "Improvement"]
 
 
 class Fit(FitResult):
@@ -62,19 +75,54 @@ class Fit(FitResult):
         """
         return derived(self.parameters, self.covariance, expressions)
 
-    @property
-    def coloured(self) -> Coloured:
-        """Standard errors corrected for coloured residuals: of parameters and initial states, by name; the covariance;
-        by how much they are larger than the plain ones.
+    def conf_int(self, level: float = 0.95, *, robust: bool = False) -> dict[str, tuple[float, float]]:
+        """Return the intervals of the free parameters at a confidence level, from their standard errors; with
+        ``robust`` from those of `robust`. `profile` gives intervals where the likelihood is no parabola.
 
-        The Cramér-Rao bounds in ``parameters`` take residuals for white; where they are coloured, as those of flight
-        records are, these bounds are optimistic (Maine & Iliff 1981; Morelli & Klein 1997). The noise of each output is
-        taken for an autoregressive process, also common to outputs, as `uncertainty.colour` says. A fit by shooting, or
-        one that was loaded from a file, is estimated again by collocation first.
+        Raises OptionError for a level that is not between 0 and 1.
+        """
+        return (self.robust().parameters if robust else self.parameters).conf_int(level)
+
+    def robust(self) -> Coloured:
+        """Standard errors corrected for autocorrelated residuals: of parameters and initial states, by name; the
+        covariance; by how much they are larger than the plain ones.
+
+        The Cramér-Rao bounds in ``parameters`` take residuals for white; where they are autocorrelated, as those of
+        flight records are, these bounds are optimistic (Maine & Iliff 1981; Morelli & Klein 1997). The noise of each
+        output is taken for an autoregressive process, also common to outputs, as `uncertainty.colour` says. A fit by
+        shooting, or one that was loaded from a file, is estimated again by collocation first.
 
         Raises OptionError for a fit by the filter-error method.
         """
         return coloured(self)
+
+    @property
+    def coloured(self) -> Coloured:
+        """What `robust` gives. It goes with the next release."""
+        warnings.warn("Fit.coloured is now the method Fit.robust()", DeprecationWarning, stacklevel=2)
+        return coloured(self)
+
+    def misfit(self) -> Misfit:
+        """Return what the model gets wrong, by output: when, in which regime, at which frequencies; see
+        `phugoid.misfit`."""
+        return misfit(self)
+
+    def diagnose(self, candidates: Any = None, validation: Any = None, **options: Any) -> Diagnosis:
+        """Find what the model is missing; see `phugoid.diagnose`, which has the same arguments."""
+        return Diagnosis._of(diagnose(self, candidates, validation, **options))
+
+    def improve(self, validation: Any = None, **options: Any) -> Improvement:
+        """Diagnose and extend the model until nothing more is named; see `phugoid.improve`, which has the same
+        arguments."""
+        return Improvement._of(improve(self, validation, **options))
+
+    def predict(self, data: Experiment, **options: Any) -> Record:
+        """Return the outputs and states of the fitted model over the inputs of an experiment, simulated from its first
+        sample; see `phugoid.simulate`, which has the same options (``initial``, ``method``, ``rtol``, ``time_limit``).
+
+        `validate` estimates initial states and biases first.
+        """
+        return simulate(self.model, self, data, **options)
 
     @property
     def correlation(self) -> Correlation:
@@ -293,3 +341,113 @@ class Fit(FitResult):
 
     def __str__(self) -> str:
         return self.summary()
+
+
+class Extension(ExtensionResult):
+    """What `Diagnosis.extend` gives: the extended ``model``, its ``fit`` to the same data, names of what was ``added``
+    (canonical, ``where:what``), and the ``gain``."""
+
+    fit: Fit
+
+    def _repr_html_(self) -> str:
+        title = f"{self.model.name}, extended by {', '.join(self.added) or 'nothing'}"
+        return notebook_page(title, Html(self.gain._repr_html_()), Html(self.fit._repr_html_()))
+
+
+class Diagnosis(DiagnosisResult):
+    """What `diagnose` finds.
+
+    fit         that was diagnosed; with inputs between samples as the data tell where ``notes`` say that straight lines
+                are wrong there.
+    misfit      what it gets wrong: per channel, when, in which regime, at which frequencies.
+    findings    what is missing, in the order in which it was found.
+    verdict     "named", "unexplained", "surrogate", "minor" or "nothing": what it comes to.
+    ranking     all candidates of the first scan with their statistics, in the order of `Scored.ranking`.
+    threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass; findings have
+                theirs, in log-likelihood itself.
+    notes       what was done, in words.
+    interrupted whether the search was ended by Ctrl-C or its time limit: what is here was found until then.
+    seconds     that it took.
+    """
+
+    fit: Fit
+
+    @classmethod
+    def _of(cls, result: DiagnosisResult) -> Diagnosis:
+        """Return a diagnosis with the data of a result."""
+        return cls(**{f.name: getattr(result, f.name) for f in fields(result)} | {"fit": Fit._of(result.fit)})
+
+    def extend(self, *, minor: bool = False) -> Extension:
+        """The model with all causes that are named, its fit, and the gain over the base model; with ``minor`` minor
+        findings, surrogates, and unknown functions as tables, too. With nothing to add it is the model as it was, and
+        ``added`` is empty."""
+        return self._extended_full if minor else self._extended
+
+    @cached_property
+    def _extended(self) -> Extension:
+        found = super().extend()
+        return Extension(found.model, Fit._of(found.fit), found.added, found.gain)
+
+    @cached_property
+    def _extended_full(self) -> Extension:
+        found = super().extend(minor=True)
+        return Extension(found.model, Fit._of(found.fit), found.added, found.gain)
+
+    def summary(self) -> str:
+        """What was found, in plain words."""
+        return diagnosis_summary(self)
+
+    def plot(self) -> list[Figure]:
+        """Figures: the misfit and the ranking of candidates; before them what findings explain, and after them what the
+        extension changes and gains, where there are any."""
+        return diagnosis_figures(self)
+
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Writes one HTML page that a colleague understands: what was wrong, the evidence, the cause and its rivals,
+        the new equation, the gain."""
+        diagnosis_report(self, path)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the diagnosis, for `load`: fit, findings, ranking, misfit in words, extended model with fit and gain.
+
+        HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON; raises as `Fit.save` does.
+        What `load` gives has all of this, ``summary``, ``plot`` and ``report`` too; the misfit is told anew from the
+        fit's residuals.
+        """
+        save_diagnosis(self, path)
+
+    def _repr_html_(self) -> str:
+        rows = [f.cells() for f in self.findings]
+        heads = list(rows[0]) if rows else []
+        found = table(heads, [list(row.values()) for row in rows], "llllrrr")
+        worst = self.misfit.table_html(most=3)
+        return notebook_page(
+            f"{self.fit.model.name}: diagnosis",
+            paragraph(headline(self)),
+            found,
+            worst,
+            bullets(self.notes),
+            note=self.verdict,
+        )
+
+    def __str__(self) -> str:
+        return self.summary()
+
+
+class Improvement(ImprovementResult):
+    """What `improve` came to.
+
+    fit      of the last model.
+    steps    diagnoses, one after the other, each with what was ``added``, ``rejected`` and why,
+             and the ``gain``.
+    added    names of all that was added, in order.
+    verdict  what the last diagnosis came to.
+    """
+
+    fit: Fit
+
+    @classmethod
+    def _of(cls, result: ImprovementResult) -> Improvement:
+        """Return an improvement with the data of a result."""
+        steps = tuple(replace(step, diagnosis=Diagnosis._of(step.diagnosis)) for step in result.steps)
+        return cls(Fit._of(result.fit), steps)

@@ -1,6 +1,5 @@
 """What functions give back: for annotations and `isinstance`. Nobody makes these by hand."""
 
-from .diagnosis import Diagnosis, Extension, Improvement
 from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates
 from .discrepancy.misfit.misfit import Misfit
@@ -21,6 +20,7 @@ from .reconstruction.vane_places import VanePlaces
 from .records import Record
 from .refinement import Refinement
 from .regression.equation_error import EquationError
+from .result import Diagnosis, Extension, Improvement
 from .sensitivities.trajectory import Place, Points
 from .smoothing import Smoothing
 from .solvers import Iteration

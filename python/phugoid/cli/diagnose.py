@@ -13,9 +13,8 @@ import typer
 
 from ..api import diagnose as find_missing
 from ..api import load_fit
-from ..diagnosis import Diagnosis
 from ..errors import OptionError
-from ..result import Fit
+from ..result import Diagnosis, Fit
 from .estimation import Estimation
 from .fit import code_of
 from .guard import INTERRUPTED, NOT_CONVERGED

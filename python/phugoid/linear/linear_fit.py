@@ -79,8 +79,8 @@ def fit_linear(
     Ctrl-C, and the time limit, end the search and give the best so far, with a warning. Modes may grow with time only
     if one of ``system`` does.
 
-    For parameters with standard errors: ``ph.estimate(ph.models.modal(start=ph.fit_linear(...)), data)``, which then is
-    a few steps away from its optimum.
+    For parameters with standard errors: ``ph.estimate(ph.models.modal(start=ph.linear.fit_linear(...)), data)``, which
+    then is a few steps away from its optimum.
 
     Raises DataError for channels that are not there and uneven sampling, ModelError for a system that is none or has
     eigenvalues that cannot be told apart, OptionError for options out of range.

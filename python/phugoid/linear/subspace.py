@@ -55,7 +55,7 @@ def subspace(
     that simulate the outputs best: linear least squares, in which inputs run between samples as each experiment says
     (linear, cubic, or sampled faster than the outputs, as `multirate` has them).
 
-    The result starts an estimation: ``ph.estimate(ph.models.modal(start=ph.subspace(run, 8)), run)``. It has no
+    The result starts an estimation: ``ph.estimate(ph.models.modal(start=ph.linear.subspace(run, 8)), run)``. It has no
     standard errors, and is not the maximum of the likelihood.
 
     ``data``        one experiment or several, of one sampling rate; they are pooled.

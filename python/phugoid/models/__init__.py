@@ -3,9 +3,9 @@ of a flight (`flight_path`), which needs nothing of what follows.
 
 What a record of inputs and outputs tells of a linear system is its transfer function; states may be transformed at will
 (x -> T x), so of the n^2 + n (m + p) numbers in A, B and C (n states, m inputs, p outputs) n^2 are arbitrary. Each form
-here fixes as many of them, or says that it does not. Start values come from numbers, say of `phugoid.subspace`:
+here fixes as many of them, or says that it does not. Start values come from numbers, say of `phugoid.linear.subspace`:
 
-    fit = ph.estimate(ph.models.modal(start=ph.subspace(run, order=8)), run)
+    fit = ph.estimate(ph.models.modal(start=ph.linear.subspace(run, order=8)), run)
 
 A parameter that is fixed by a form can be told in the fit by ``fixed``; all others are estimated.
 """

@@ -9,9 +9,9 @@ import numpy as np
 
 from .._core import Expr
 from ..errors import OptionError, listing
+from ..functions import atan2, cos, sin, sqrt, tan
 from ..modelling.model import Model
 from ..parameters import Parameter
-from ..symbols import atan2, cos, sin, sqrt, tan
 
 __all__ = ["flight_path"]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from .._core import Expr
 from ..errors import MissingDependency, ModelError
-from ..symbols import from_sympy
+from ..functions import from_sympy
 
 __all__ = ["TIME", "Formulas", "Switch", "petab_library", "substituted"]
 

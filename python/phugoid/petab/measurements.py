@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from .._core import Expr
 from ..errors import DataError, ModelError
+from ..functions import log
 from ..noise.densities import Laplace
-from ..symbols import log
 from .conditions import Phase
 from .formulas import Formulas, substituted
 

@@ -48,7 +48,7 @@ def plan(
     each record free. For a manoeuvre that is flown, and a model that is right, `estimate` gives the same.
 
     source     a model, with its ``values``; or a fit, whose values and noise are taken where not given.
-    manoeuvre  inputs over the times of the samples, ``Experiment(t, inputs={...})``, see `phugoid.inputs`; a list is
+    manoeuvre  inputs over the times of the samples, ``Experiment(t, inputs={...})``, see `phugoid.design`; a list is
                flown one after the other. Where it has a channel of an output, that output is missing where the channel
                is NaN: so sensors of lower rates are said. Measured conditions (`Model.conditions`) are held at their
                mean in the records of the fit where it does not give them; one that it changes has a warning.
@@ -74,8 +74,8 @@ def plan(
     >>> m.dynamics(p=Lp*p + Lda*da)
     >>> m.outputs(p=(p, "rad/s"))
     >>> t = np.arange(0.0, 6.0, 0.05)
-    >>> from phugoid import inputs
-    >>> run = Experiment(t, {"da": inputs.doublet(t, 0.05, width=1.0, start=1.0)}, name="doublet")
+    >>> from phugoid import design
+    >>> run = Experiment(t, {"da": design.doublet(t, 0.05, width=1.0, start=1.0)}, name="doublet")
     >>> planned = plan(m, run, noise={"p": 0.01}, limits={"p": 0.3})
     >>> planned.parameters["Lp"]
     Lp = -2.00 ± 0.04

@@ -89,10 +89,10 @@ class Reconstruction:
 
     @cached_property
     def coloured_errors(self) -> Mapping[str, float]:
-        """Standard errors for residuals as coloured as they are, by parameter: those of `Fit.coloured`. Noise of the
+        """Standard errors for residuals as coloured as they are, by parameter: those of `Fit.robust`. Noise of the
         gyros and accelerometers is integrated, and so residuals are never white: the standard errors of the fit are too
         small. Where residuals drift over the whole record, these are so too."""
-        return {n: e.std_error for n, e in self.fit.coloured.parameters.items()}
+        return {n: e.std_error for n, e in self.fit.robust().parameters.items()}
 
     def summary(self) -> str:
         """Sensor errors with both standard errors, and how well the path matches each output."""

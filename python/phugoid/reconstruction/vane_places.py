@@ -60,7 +60,7 @@ class VanePlaces:
         """Standard errors, corrected for coloured residuals where that can be."""
         plain = {n: e.std_error for n, e in self.fit.parameters.items()}
         try:
-            found = {n: e.std_error for n, e in self.fit.coloured.parameters.items()}
+            found = {n: e.std_error for n, e in self.fit.robust().parameters.items()}
         except PhugoidError:
             return plain
         return plain | {n: v for n, v in found.items() if np.isfinite(v)}

@@ -32,7 +32,7 @@ _Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Coloured:
-    """What `Fit.coloured` gives: a fit's standard errors, corrected for coloured residuals.
+    """What `Fit.robust` gives: a fit's standard errors, corrected for coloured residuals.
 
     parameters      by name, with corrected standard errors; NaN where the fit has none, and for noise parameters of
                     densities that are not Gaussian.
@@ -187,7 +187,7 @@ def _proper(matrix: _Array) -> _Array:
 
 
 def coloured(fit: FitResult) -> Coloured:
-    """Return what `Fit.coloured` gives, computed once for each fit; see there."""
+    """Return what `Fit.robust` gives, computed once for each fit; see there."""
     return fit._once("_coloured", lambda: _corrected(fit))
 
 

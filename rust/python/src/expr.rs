@@ -290,7 +290,7 @@ impl PyExpr {
         inputs: &Bound<'py, PyTuple>,
         options: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let apply = ufunc.py().import("phugoid.symbols")?.getattr("apply_ufunc")?;
+        let apply = ufunc.py().import("phugoid.functions")?.getattr("apply_ufunc")?;
         apply.call((ufunc, method, inputs, options), None)
     }
 }

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
+from ...functions import smooth_step, tanh
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Points
-from ...symbols import smooth_step, tanh
 from ..misfit.phrases import per_second
 from .candidate import Effect, ExtensionBuilder
 from .channel_effects import channel

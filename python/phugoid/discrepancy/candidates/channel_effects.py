@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
+from ...functions import smooth_abs
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Points
-from ...symbols import smooth_abs
 from .candidate import Effect, ExtensionBuilder, place_range
 from .scales import (
     delay_bounds,

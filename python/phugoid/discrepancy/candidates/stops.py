@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._core import Expr
+from ...functions import smooth_abs, smooth_step
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Points
-from ...symbols import smooth_abs, smooth_step
 from .candidate import Effect, ExtensionBuilder, largest_coefficient
 from .scales import evaluated, of, rate_key
 

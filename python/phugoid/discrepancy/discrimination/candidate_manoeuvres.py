@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
-from ...inputs.manoeuvres import PATTERNS, multistep, sweep
-from ...inputs.manoeuvres import step as step_input
+from ...manoeuvres.steps import PATTERNS, multistep, sweep
+from ...manoeuvres.steps import step as step_input
 from ...residual_noise.uniform_segments import uniform_segments
 from ...residual_noise.whitening import Filter, RowStructure
 from ...sensitivities.collocated import dataset

@@ -59,7 +59,7 @@ def spectrum(t: ArrayLike, u: ArrayLike, frequency_hz: ArrayLike | None = None) 
 def step_width(mode: Mode | float, kind: _Kind = "3-2-1-1") -> float:
     """Length of a step of length 1 (s) with which a pattern excites a mode.
 
-    ``mode``: one of `phugoid.modes`, or its natural frequency in Hz.
+    ``mode``: one of `phugoid.linear.modes`, or its natural frequency in Hz.
 
     "doublet"   its spectrum, 4 sin²(ωT/2)/ω, is highest at the mode: T = 2.331/ω_n = 0.371/f_n.
     "3-2-1-1"   the step of length 2 is half a period of the mode: T = π/(2 ω_n) = 0.25/f_n. The energy at the mode is

@@ -1,0 +1,39 @@
+"""Design of manoeuvres: inputs that tell parameters, and what an experiment would give before it is flown.
+
+Inputs are steps, multisines and sweeps, as arrays over a time grid. Each is the distance of an input from its trim, in
+the unit of ``amplitude``, at the times ``t`` (N,) in s; it is 0 before ``start``, and where the manoeuvre is over. Add
+the trim, and make an experiment of it:
+
+>>> import numpy as np
+>>> from phugoid import Experiment, design
+>>> t = np.arange(0.0, 10.0, 0.02)
+>>> run = Experiment(t, {"de": -0.02 + design.three_two_one_one(t, 0.05, width=0.6, start=1.0)})
+
+`plan` says which standard errors an experiment would give, `plans` compares several, `optimal_plan` seeks the best.
+(V. Klein and E. A. Morelli, Aircraft System Identification, AIAA 2006, ch. 9; R. V. Jategaonkar, Flight Vehicle System
+Identification, 2nd ed., AIAA 2015, ch. 2.)
+"""
+
+from .manoeuvres.multisines import multisine, multisines, peak_factor
+from .manoeuvres.spectrum import spectrum, step_width
+from .manoeuvres.steps import doublet, multistep, pulse, rate_limited, step, sweep, three_two_one_one
+from .planning.design_evaluation import plan, plans
+from .planning.optimum import optimal_plan
+
+__all__ = [
+    "doublet",
+    "multisine",
+    "multisines",
+    "multistep",
+    "optimal_plan",
+    "peak_factor",
+    "plan",
+    "plans",
+    "pulse",
+    "rate_limited",
+    "spectrum",
+    "step",
+    "step_width",
+    "sweep",
+    "three_two_one_one",
+]

@@ -220,7 +220,8 @@ def test_all_names_are_documented() -> None:
     assert len(there) == len({*there})
     spaces = [n for n in ph.__all__ if inspect.ismodule(getattr(ph, n))]
     public = {n for n in ph.__all__ if n != "__version__" and n not in spaces}
-    public |= {f"{space}.{n}" for space in spaces for n in getattr(ph, space).__all__}
+    # What is at the top, too, is documented there.
+    public |= {f"{space}.{n}" for space in spaces for n in getattr(ph, space).__all__ if n not in ph.__all__}
     assert public <= {*there}, "not in docs/api: " + ", ".join(sorted(public - {*there}))
 
 

@@ -35,7 +35,7 @@ _OFFSET = 0.5  # part of the mean square that is an offset
 
 
 def remarks(fit: FitResult) -> list[str]:
-    """The warnings of a `Fit`, and what its numbers give reason to doubt: a sentence each, none where all is well.
+    """Return the warnings of a `Fit`, and the reasons for doubt that its numbers give: one sentence each.
 
     A coarse mesh, outputs that a constant would match better or that are all matched poorly, coloured residuals
     (p < 0.01 in the test of Ljung and Box, lag-1 correlation beyond 0.3), residuals with an offset, parameters whose
@@ -47,7 +47,7 @@ def remarks(fit: FitResult) -> list[str]:
 
 
 def _sentence(text: str) -> str:
-    """As a sentence; names at the beginning stay as they are."""
+    """Return a text as a sentence; names at the beginning keep their case."""
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
@@ -128,7 +128,7 @@ def report(
     files: Sequence[str | os.PathLike[str]] = (),
     command: str = "",
 ) -> None:
-    """Writes a fit as one HTML page: images inside, no script, no link; for screen, phone and print.
+    """Write a fit as one HTML page: images inside, no script, no link; for screen, phone and print.
 
     How it ended, what to beware of, parameters with standard errors, the match of each output in numbers and figures,
     residuals, validation, equations, the solver's way, and which data and versions it comes from.
@@ -186,7 +186,7 @@ def report(
 
 
 def _parameters(fit: FitResult) -> dict[str, Any]:
-    """Tables of the estimates, and figures of intervals and correlations, where there are any."""
+    """Return tables of the estimates, and figures of intervals and correlations, where there are any."""
     noise = fit.noise_parameters
     own = [e for e in fit.parameters.values() if e.name not in noise]
     of_noise = [e for e in fit.parameters.values() if e.name in noise]
@@ -218,7 +218,7 @@ def _estimates(head: str, estimates: list[Estimate], coloured: Estimates | None)
 
 
 def _cells(e: Estimate) -> list[str]:
-    """The estimate with as many digits as its error tells of, unit, error in per cent, remark."""
+    """Return the estimate with the digits that its error justifies, unit, error in per cent, remark."""
     value = repr(Estimate("", e.value, e.std_error)).removeprefix(" = ")
     relative = 100.0 * e.relative_std_error
     return [value, e.unit, _percent(relative), e.remark]
@@ -253,7 +253,7 @@ def _residuals(fit: FitResult) -> list[tuple[str, Picture]]:
 
 
 def _validation(v: Validation) -> dict[str, Any]:
-    """What was held and found anew, the match of each output in numbers, words and figures with tolerance bands."""
+    """Return what was fixed and re-estimated, and the goodness of fit of each output in numbers, words and figures."""
     names = ", ".join(f"'{r.name}'" for r in v.records)
     freed = [f"{e.name} = {plus_minus(e.value, e.std_error)} {e.unit}".rstrip() for e in v.freed.values()]
     new = f", which {'was' if len(v.records) == 1 else 'were'} not fitted to,"
@@ -297,7 +297,7 @@ def _number(value: float, spec: str) -> str:
 
 
 def _equations(fit: FitResult) -> tuple[dict[str, list[str]], list[str]]:
-    """Equations in groups, as HTML; and, as text, what is late, what is a condition, and what holds at an end."""
+    """Return the equations in groups, as HTML; and, as text, delays, conditions, and end conditions."""
     groups: dict[str, list[str]] = {"Quantities": [], "Dynamics": [], "Measured outputs y": []}
     for name, e in fit.model.equations.items():
         rate, measured = name.endswith("'"), name.startswith("y:")

@@ -1,4 +1,4 @@
-"""Units of flight-test records: what they are in SI, and whether a record has those that a model declares."""
+"""Units of flight-test records: conversion to SI, and the check of a record against the units of a model."""
 
 from __future__ import annotations
 
@@ -64,7 +64,8 @@ _BASE: dict[str, dict[str, int]] = {
 
 @dataclass(frozen=True)
 class _Scale:
-    """``si = factor * (value + offset)``, in the unit that ``label`` writes, of these dimensions."""
+    """A unit as ``si = factor * (value + offset)``: ``label`` is the unit in SI, ``dimensions`` its powers of base
+    units."""
 
     label: str
     factor: float
@@ -73,7 +74,7 @@ class _Scale:
 
 
 def si(unit: str) -> str | None:
-    """The unit in SI that takes the place of this one, ``"rad/s"`` of ``"deg/s"``; None for an unknown unit.
+    """Return the SI unit of the same kind, ``"rad/s"`` for ``"deg/s"``; None for an unknown unit.
 
     >>> si("ft/s^2"), si("kt"), si("furlong")
     ('m/s^2', 'm/s', None)
@@ -83,7 +84,8 @@ def si(unit: str) -> str | None:
 
 
 def convert(values: FloatArray, unit: str, into: str, where: str) -> FloatArray:
-    """Values in ``unit`` given in ``into``; DataError, with ``where``, for units unknown or of different kinds.
+    """Return values in ``unit`` converted to ``into``; raise DataError, with ``where``, for unknown or incompatible
+    units.
 
     >>> convert(np.array([180.0, 90.0]), "deg", "rad", "alpha")
     array([3.14159265, 1.57079633])
@@ -105,7 +107,7 @@ def convert(values: FloatArray, unit: str, into: str, where: str) -> FloatArray:
 
 
 def differ(unit: str, other: str) -> bool:
-    """Whether a number in one unit means something else in the other; False where either is not known.
+    """Return whether a number in one unit means something else in the other; False where either is not known.
 
     Radians are no dimension here: who writes ``1/s`` for an angular rate means ``rad/s``.
 
@@ -121,7 +123,7 @@ def differ(unit: str, other: str) -> bool:
 
 
 def _scale(unit: str) -> _Scale | None:
-    """Of a unit as people write it: ``deg/s``, ``m/s**2``, ``m s^-2``, ``kg*m²``; None where a part is not known."""
+    """Parse a unit as people write it: ``deg/s``, ``m/s**2``, ``m s^-2``, ``kg*m²``; None where a part is not known."""
     text = unit.strip().replace("²", "^2").replace("³", "^3").replace("**", "^").replace("µ", "u").replace("μ", "u")
     text = text.replace("·", "*")
     if text in _OFFSET:
@@ -154,7 +156,7 @@ def _scale(unit: str) -> _Scale | None:
 
 
 def _atom(text: str) -> tuple[str, float] | None:
-    """A unit of the table, in capitals too where these cannot be mistaken: DEG, FT, KTS."""
+    """Look a unit up in the table, also in capitals where these are unambiguous: DEG, FT, KTS."""
     text = _ALSO.get(text, text)
     if text not in _TABLE and text.lower() != "kn":  # KN is knots to one and kilonewtons to another
         lowered = {key.lower(): key for key in _TABLE}
@@ -163,7 +165,7 @@ def _atom(text: str) -> tuple[str, float] | None:
 
 
 def _parts(base: str) -> list[tuple[str, int]]:
-    """The dimensions of a unit in SI as the table writes it: of ``m/s^2`` the metre once, the second less twice."""
+    """Return the dimensions of a unit in SI as the table writes it: for ``m/s^2`` metre 1, second -2."""
     parts: list[tuple[str, int]] = []
     for i, piece in enumerate(filter(None, base.split("/"))):
         name, _, power = piece.partition("^")
@@ -173,7 +175,7 @@ def _parts(base: str) -> list[tuple[str, int]]:
 
 
 def check_units(model: Model, runs: Sequence[Experiment], caller: str) -> None:
-    """Raises DataError, in the caller's name, for a channel in degrees that the model has in radians, and the like.
+    """Raise DataError, in the caller's name, for a channel in degrees that the model has in radians, and the like.
 
     Estimates from such data would be wrong without a sign of it. Units that are not told, or not known, are let pass.
     """

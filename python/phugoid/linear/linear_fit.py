@@ -53,7 +53,8 @@ def fit_linear(
     progress: bool | Callable[[Iteration], None] = False,
     time_limit: float | None = None,
 ) -> StateSpace:
-    """The linear system of the same order that fits evenly sampled records best: maximum likelihood of the outputs.
+    """Return the linear system of the same order that fits evenly sampled records best: maximum likelihood of the
+    outputs.
 
     Output error as in `estimate`, the noise white and of each output with a variance of its own, but for linear
     systems, where much can be had for nothing: given A and C, the outputs are linear in B, D, the first states and
@@ -122,7 +123,7 @@ def fit_linear(
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A and C, what modes do there, what least squares finds for them, and the log-likelihood."""
+    """A point of the search: A and C, the modal responses there, the least-squares solution, and the log-likelihood."""
 
     blocks: ModalBlocks
     answers: Sequence[Answers]
@@ -132,7 +133,7 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """An optimum that is known: outputs (p, N) of each experiment, what least squares found, and log-likelihood."""
+    """A known optimum: outputs (p, N) of each experiment, the least-squares solution, and the log-likelihood."""
 
     paths: Sequence[_Array]
     regression: ModalRegression
@@ -164,7 +165,7 @@ class _Linearised:
 
 
 class _Task:
-    """What a search needs, and the searches."""
+    """The data and options of a search, and the searches."""
 
     def __init__(
         self, records: Sampled, direct: tuple[bool, ...], offset: bool, growing: bool, max_iterations: int
@@ -185,8 +186,8 @@ class _Task:
         return _Point(blocks, answers, found, -float(self.samples @ (np.log(rms) + 0.5)))
 
     def search(self, point: _Point, least: float, known: _Known | None = None) -> _Point:
-        """Levenberg-Marquardt steps, each better, until one gains less than ``least``, or they lead to an optimum that
-        is known, or to none as good."""
+        """Take Levenberg-Marquardt steps, each an improvement, until one gains less than ``least``, or until they lead
+        to a known optimum, or to none as good."""
         damping = _DAMPING
         goal = -np.inf if known is None else known.log_likelihood
         for _ in range(self.max_iterations):
@@ -220,7 +221,7 @@ class _Task:
         return point
 
     def moved(self, point: _Point, moves: int) -> _Point:
-        """Puts pairs that the fit would miss least where they fit best, as long as that is better."""
+        """Move pairs whose loss costs the fit least to the places where they fit best, as long as that improves it."""
         better = moves > 0 and len(point.blocks) > 1
         while better:
             better, known = False, _Known.of(point)
@@ -238,9 +239,9 @@ class _Task:
         return point
 
     def _tried(self, blocks: ModalBlocks) -> _Point | None:
-        """None where there is no answer, modes are too fast to matter, or grow that must not.
+        """Return the point of these modes; None where there is none, modes are too fast, or grow though they must not.
 
-        Those that grow a little are reflected: a mode without damping would be stuck at the edge.
+        Modes that grow a little are reflected: a mode without damping would be stuck at the edge.
         """
         values = blocks.modal()[0]
         if not np.all(np.abs(values) < _FASTEST * np.pi * self.records.rate):

@@ -1,4 +1,4 @@
-"""Trim: states and inputs at which a model stays as it is."""
+"""Trim: states and inputs at which all derivatives of a model have given values."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def trim(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     experiment: str | None = None,
 ) -> Trim:
-    """Finds states and inputs at which all derivatives vanish: f(x, u, theta) = 0 by Newton's method, from exact
+    """Find states and inputs at which all derivatives vanish: f(x, u, theta) = 0, by Newton's method with exact
     derivatives, globalised by a trust region (`scipy.optimize.least_squares`).
 
     ``fit``, ``parameters``, ``experiment``  as in `linearise`.
@@ -122,7 +122,7 @@ def trim(
 
 
 class _TrimEquations:
-    """Equations and unknowns. Late inputs are what the inputs are: nothing moves."""
+    """Equations and unknowns of a trim point. A delayed input equals the input, since all is constant."""
 
     def __init__(
         self,
@@ -210,7 +210,7 @@ class _TrimEquations:
         return self._result(np.where(np.abs(x) < _ROUNDING, 0.0, x), self._loose(jacobian, sizes))
 
     def _polished(self, x: _Array, bounds: tuple[_Array, _Array]) -> _Array:
-        """By Newton steps, while they help."""
+        """Improve the solution by Newton steps, as long as they reduce the residuals."""
         for _ in range(_STEPS):
             step = np.linalg.lstsq(self.jacobian(x), -self.residuals(x), rcond=_FREE)[0]
             trial = np.clip(x + step, *bounds)
@@ -221,7 +221,7 @@ class _TrimEquations:
         return x
 
     def _loose(self, jacobian: _Array, sizes: _Array) -> list[str]:
-        """Unknowns that the equations leave open: those in the null space."""
+        """Return the unknowns that the equations do not determine: those in the null space."""
         scaled = jacobian * sizes
         rows = np.abs(scaled).max(axis=1, keepdims=True)
         _, values, directions = np.linalg.svd(scaled / np.where(rows > 0.0, rows, 1.0))

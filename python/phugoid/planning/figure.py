@@ -1,4 +1,4 @@
-"""The figure of planned manoeuvres: what moves, where the limits are, what would be told."""
+"""Figure of planned manoeuvres: time histories with their limits, and the standard errors to expect."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _CHANNEL, _AROUND, _LEAST = 0.8, 0.9, 3.0
 
 
 def plot_plans(plans: Sequence[Plan]) -> tuple[Figure, dict[str, Axes]]:
-    """Time histories on the left, relative errors of all parameters on the right; axes by channel, and "errors"."""
+    """Plot time histories on the left, relative errors of all parameters on the right; axes by channel, and
+    "errors"."""
     from matplotlib import pyplot as plt
     from matplotlib import rc_context
 
@@ -48,7 +49,7 @@ def plot_plans(plans: Sequence[Plan]) -> tuple[Figure, dict[str, Axes]]:
 
 
 def _histories(axes: Mapping[str, Axes], p: Plan, colour: str) -> None:
-    """What moves, one record after another."""
+    """Draw the time histories, one record after another."""
     offset = 0.0
     for r in p.records:
         t = offset + r.t - r.t[0]

@@ -1,4 +1,4 @@
-"""The best of a family of manoeuvres."""
+"""Optimisation of a manoeuvre within a family."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def optimal_plan(
     time_limit: float | None = None,
     **options: Any,
 ) -> Plan:
-    """The manoeuvre of a family that tells most and keeps its limits.
+    """Return the most informative manoeuvre of a family that keeps its limits.
 
     make         gives the manoeuvre for numbers by name: ``make(width=0.5, amplitude=0.03)``. Measured conditions need
                  not be in it: they are held, as by `plan`.

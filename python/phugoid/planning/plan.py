@@ -1,4 +1,4 @@
-"""What planned manoeuvres would tell (`Plan`), and several side by side (`Plans`)."""
+"""The evaluation of a planned manoeuvre (`Plan`), and of several side by side (`Plans`)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _CORRELATED = 0.9
 
 @dataclass(frozen=True)
 class Excursion:
-    """How far a channel goes.
+    """The range of a channel in a planned manoeuvre, and its limits.
 
     least, greatest  over the record, in ``unit``.
     limit            (lower, upper) that was given, or None; ``when``: the first time beyond it, s, or None.
@@ -58,7 +58,7 @@ class Excursion:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """What a planned manoeuvre would tell. All errors are Cramér-Rao bounds for white noise, first states free.
+    """The evaluation of a planned manoeuvre. All errors are Cramér-Rao bounds for white noise, first states free.
 
     name         of the manoeuvre.
     parameters   by name: the values that were assumed, and the standard error that an estimation would have. Infinite
@@ -90,7 +90,7 @@ class Plan:
 
     @property
     def weak(self) -> tuple[ParameterDirection, ...]:
-        """The three combinations of parameters that are told least, worst first."""
+        """The three combinations of parameters that are determined least, worst first."""
         return self.information.weak(np.where(np.isfinite(self.sizes), self.sizes, 1.0))
 
     @property
@@ -107,7 +107,7 @@ class Plan:
 
     @property
     def violations(self) -> tuple[str, ...]:
-        """What leaves its limits, in words."""
+        """The violations of limits, in words."""
         return tuple(
             f"{channel} of '{run}' leaves {e.limit[0]:g} to {e.limit[1]:g} {e.unit}".rstrip()
             + f" at {e.when:.3g} s: it goes from {e.least:.4g} to {e.greatest:.4g}"
@@ -117,7 +117,7 @@ class Plan:
         )
 
     def summary(self) -> str:
-        """Tables of errors, weak directions, and how far the vehicle goes."""
+        """Return tables of standard errors, weak directions, and excursions."""
         rows = []
         for e in self.parameters.values():
             percent = 100.0 * e.relative_std_error
@@ -142,7 +142,7 @@ class Plan:
         return "\n".join([*text, *(f"Limit: {v}" for v in self.violations), *(f"Warning: {w}" for w in self.warnings)])
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
-        """Inputs and predicted outputs over time with their limits, and the predicted errors."""
+        """Plot inputs and predicted outputs over time with their limits, and the predicted errors."""
         return Plans({self.name: self}).plot()
 
     def __str__(self) -> str:
@@ -182,7 +182,7 @@ class Plans(Mapping[str, Plan]):
         return len(self._plans)
 
     def best(self, criterion: Criterion = "D") -> Plan:
-        """The plan with the least ``criterion`` (see `Plan.criteria`) among those that keep their limits.
+        """Return the plan with the least ``criterion`` (see `Plan.criteria`) among those that keep their limits.
 
         Raises OptionError where none does.
         """
@@ -193,7 +193,7 @@ class Plans(Mapping[str, Plan]):
         return min(kept, key=lambda p: p.criteria[kind])
 
     def summary(self) -> str:
-        """Relative standard errors in % side by side, criteria, and which limits are left."""
+        """Return a table of relative standard errors in %, criteria, and violated limits, side by side."""
         plans = list(self._plans.values())
         names = list(dict.fromkeys(n for p in plans for n in p.parameters))
         rows = [[n, *(_percent(p, n) for p in plans)] for n in names]
@@ -208,7 +208,8 @@ class Plans(Mapping[str, Plan]):
         return "\n".join([text, *(f"{p.name}: {v}" for p in plans for v in p.violations)])
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
-        """Inputs and predicted outputs of all over time with their limits, and the predicted errors side by side."""
+        """Plot inputs and predicted outputs of all plans over time with their limits, and the predicted errors side by
+        side."""
         from .figure import plot_plans
 
         return plot_plans(list(self._plans.values()))
@@ -221,7 +222,7 @@ class Plans(Mapping[str, Plan]):
 
 
 def relative_errors(plan: Plan) -> dict[str, float]:
-    """Standard errors of the estimated parameters in units of their sizes; NaN where there is no size."""
+    """Return the standard errors of the estimated parameters in units of their sizes; NaN where there is no size."""
     return dict(zip(plan.information.names, (plan.information.std_errors / plan.sizes).tolist(), strict=True))
 
 
@@ -287,7 +288,8 @@ class Information:
 
     @cached_property
     def covariance(self) -> _Array:
-        """(n, n); infinite variance, and NaN beside it, for parameters that are not told (also in combinations)."""
+        """(n, n); infinite variance, and NaN beside it, for parameters that are not determined (also in
+        combinations)."""
         scale, values, vectors = self._directions
         told = values > _SINGULAR
         part = vectors[:, told]
@@ -299,16 +301,16 @@ class Information:
 
     @property
     def std_errors(self) -> _Array:
-        """(n,), infinite for what is not told."""
+        """(n,) standard errors; infinite for parameters that are not determined."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def correlation(self) -> _Array:
-        """(n, n), NaN for what is not told."""
+        """(n, n) correlations; NaN for parameters that are not determined."""
         return correlation_matrix(self.covariance)
 
     def weak(self, sizes: _Array, n: int = 3) -> tuple[ParameterDirection, ...]:
-        """The directions that are told least, worst first, parameters in units of ``sizes`` (n,)."""
+        """Return the directions that are determined least, worst first, parameters in units of ``sizes`` (n,)."""
         values, vectors = np.linalg.eigh(self.matrix * np.outer(sizes, sizes))
         scale, eigen, own = self._directions
         found = []
@@ -325,7 +327,7 @@ class Information:
         return ParameterDirection({self.names[i]: float(vector[i]) for i in order if abs(vector[i]) > _PART}, error)
 
     def log_determinant(self) -> float:
-        """Natural logarithm of the determinant; -inf where it is singular."""
+        """Return the natural logarithm of the determinant; -inf where the matrix is singular."""
         scale, values, _ = self._directions
         if not values.size or (values <= _SINGULAR).any():
             return -np.inf

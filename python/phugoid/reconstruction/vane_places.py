@@ -1,4 +1,4 @@
-"""Vanes that are off the centre of gravity, tried in place of late ones: which of them the data prefer."""
+"""Positions of vanes off the centre of gravity, tried in place of delays: which of the two the data prefer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _OFF = 3.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VanePlaces:
-    """A fit with the places of vanes estimated, in place of the delays of these channels that were asked for.
+    """A fit with the positions of vanes estimated, in place of the delays of these channels that were asked for.
 
     channels   of ``alpha`` and ``beta`` those whose vane was given no place.
     delayed    those of them that are late in the other fit.
@@ -45,8 +45,8 @@ class VanePlaces:
 
     @property
     def preferred(self) -> bool | None:
-        """Whether the data prefer places (True) or the other fit (False) by two standard deviations; None: neither. A
-        place that is preferred is also off the centre of gravity by more than three standard errors."""
+        """Whether the data prefer positions (True) or the other fit (False) by two standard deviations; None: neither.
+        A position that is preferred also differs from the centre of gravity by more than three standard errors."""
         if abs(self.gain) <= _CLEAR * self.deviation:
             return None
         if self.gain < 0.0:
@@ -109,13 +109,14 @@ def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePlaces
     gains = np.array(
         [part.sum() for a, b in zip(one, other, strict=True) for part in np.array_split(np.nansum(b - a, 0), _BLOCKS)]
     )
-    late = tuple(c for c in channels if c in fit.model.delays.outputs)
+    delayed = tuple(c for c in channels if c in fit.model.delays.outputs)
     deviation = float(np.sqrt(gains.size) * np.std(gains, ddof=1))
-    return VanePlaces(tuple(channels), late, places, float(gains.sum()), deviation)
+    return VanePlaces(tuple(channels), delayed, places, float(gains.sum()), deviation)
 
 
 def _log_densities(fit: Fit) -> list[_Array] | None:
-    """Of each record (n_y, N), without the constant; NaN where missing; None for other than independent noise."""
+    """Return the log-density of each value (n_y, N) of each record, without the constant, NaN where missing; None for
+    other than independent Gaussian noise."""
     outputs = fit.model.output_names
     known = fit.noise.known_sigmas(outputs)
     values = {n: fit.parameters[f"sigma_{n}"].value for n in outputs if f"sigma_{n}" in fit.parameters}

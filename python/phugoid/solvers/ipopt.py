@@ -77,8 +77,8 @@ class Ipopt:
         sparse: bool = False,
         stop: Callable[[], bool] | None = None,
     ) -> Solution:
-        """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration, ``stop`` is
-        asked at each evaluation and ends the run.
+        """Minimise from ``xi``; ``warm`` gives start values of multipliers, ``watch`` is called with each iteration,
+        ``stop`` at each evaluation, and ends the run where it returns True.
 
         In stages, unless ``warm`` or ``gauss_newton`` False asks for the last alone: with the Gauss-Newton Hessian
         until the log-likelihood hardly changes, then with the exact Hessian. Scaled by the data at first and by the
@@ -143,7 +143,7 @@ class Ipopt:
         multipliers: Mapping[str, Any] | None,
         started: float,
     ) -> tuple[_Array, dict[str, Any]]:
-        """One run of Ipopt."""
+        """Run Ipopt once."""
         problem = run.problem
         lower, upper = problem.bounds()
         zeros = np.zeros(problem.m)

@@ -1,4 +1,4 @@
-"""Newton's method in Rust, made for these problems: the default."""
+"""Newton's method in the Rust crate, made for these problems: the default solver."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ class Newton:
         sparse: bool = False,
         stop: Callable[[], bool] | None = None,
     ) -> Solution:
-        """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration, ``stop`` is
-        asked now and then and ends the run.
+        """Minimise from ``xi``; ``warm`` gives start values of multipliers, ``watch`` is called with each iteration,
+        ``stop`` now and then, and ends the run where it returns True.
 
         ``states_known``: the states in ``xi`` are measured, so that a regression on them makes sense.
         ``sparse``: they are not, and there are few samples, so that steps along consistent paths make sense.

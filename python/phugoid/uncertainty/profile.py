@@ -1,4 +1,4 @@
-"""Profile likelihood: how far one parameter can go, all others following, before the likelihood falls too low."""
+"""Profile likelihood: intervals of one parameter, all others re-estimated at each value."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Profile:
 
     @property
     def remark(self) -> str:
-        """What is to be said of the ends, in words."""
+        """Remarks on the ends, in words."""
         sides = zip(("lower", "upper"), self.ends, strict=True)
         return "; ".join(f"{side} end {_SAID[end]}" for side, end in sides if end != "found")
 
@@ -118,7 +118,7 @@ class Profiles(Mapping[str, Profile]):
         return len(self.profiles)
 
     def summary(self) -> str:
-        """A table: estimate, interval by profile, and what standard errors alone would say."""
+        """Return a table: estimate, interval by profile, and the interval from standard errors alone."""
         z = NormalDist().inv_cdf(0.5 + 0.5 * self.level)
         rows = []
         for p in self.profiles.values():
@@ -134,7 +134,7 @@ class Profiles(Mapping[str, Profile]):
         return "\n".join([*lines, "", text_table(heads, rows, "lrrrrrll"), *(f"\nWarning: {w}" for w in self.warnings)])
 
     def plot(self, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
-        """Log-likelihood over each parameter, with the parabola of its standard error and the interval.
+        """Plot the log-likelihood over each parameter, with the parabola of its standard error and the interval.
 
         Returns the figure and its axes by name. Raises UnknownName for a name without a profile.
         """
@@ -159,7 +159,7 @@ def profile(
     progress: bool | Callable[[Outcome], None] = False,
     time_limit: float | None = None,
 ) -> Profiles:
-    """What `Fit.profile` does; see there."""
+    """Compute profile-likelihood intervals; see `Fit.profile`."""
     begin = time.perf_counter()
     deadline = limited("profile", time_limit)
     if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
@@ -209,7 +209,7 @@ def profile(
 
 
 def _chosen(fit: FitResult, names: Any) -> list[str]:
-    """Of which parameters. Raises OptionError for what has no profile."""
+    """Return the parameters to profile; raise OptionError for those without a profile."""
     noise = fit.noise_parameters
     free = [n for n, e in fit.parameters.items() if n not in noise and not e.fixed]
     if names is None:

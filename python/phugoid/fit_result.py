@@ -63,7 +63,7 @@ class FitResult:
     refinement: Refinement | None = None
     smoothing: Smoothing | None = None
     experiments: Sequence[Experiment] = ()
-    # Where something is late: the fit of the model without delays to data moved by them. Where kinks were smoothed:
+    # With delays: the fit of the model without delays to data shifted by them. Where kinks were smoothed:
     # that of the smooth model.
     _moved: FitResult | None = field(default=None, repr=False)
 

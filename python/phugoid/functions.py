@@ -177,7 +177,7 @@ class Table:
         return f"Table({self.name!r})"
 
 
-# numpy's names of what the table has, and what is made of it.
+# numpy's names of the operations of the table, and of functions made of these.
 _UFUNCS: dict[str, Callable[..., Any]] = {
     "add": lambda a, b: a + b,
     "subtract": lambda a, b: a - b,
@@ -265,7 +265,7 @@ def from_sympy(expression: Any, names: Mapping[str, Any] | None = None) -> Any:
     """
     given = dict(names or {})
 
-    done: dict[Any, Any] = {}  # what occurs again is shared, as SymPy shares it
+    done: dict[Any, Any] = {}  # a repeated sub-expression is shared, as SymPy shares it
 
     def convert(e: Any) -> Any:
         if e not in done:

@@ -23,7 +23,7 @@ _Piece = tuple[_Array, _Array, _Array]  # of one record where measured: times, m
 _LAGS, _SHARE = 20, 0.2
 
 
-# R² below zero by no more than this is a channel that holds noise alone.
+# R² below zero by no more than this is a channel that contains noise alone.
 _NO_BETTER = -0.01
 # Where all R² are below this, next to nothing of the motion is explained.
 _POOR = 0.5
@@ -150,7 +150,7 @@ def match(
         theil_about_mean=_share(math.sqrt(r2), sum(sizes_about)),
         bias=_share(offset, r2),
         variance=_share(spread, r2),
-        # What is left of the scatter of r about its mean: 2 (1 - correlation) std(z) std(y), without the division.
+        # The remaining scatter of r about its mean: 2 (1 - correlation) std(z) std(y), without the division.
         covariance=_share(max(scatter - spread, 0.0), r2),
         lag_one=lag_one,
         whiteness=p_value,

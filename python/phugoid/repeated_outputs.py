@@ -13,7 +13,7 @@ __all__ = ["repeated_outputs"]
 
 _Array = NDArray[np.float64]
 
-# Correlation of residuals from which on one output tells nothing that the other does not: digits are rounded.
+# Correlation of residuals from which on one output has no information beyond the other: digits are rounded.
 _SAME = 0.999
 # Outputs that differ by less than this part of their residuals, once one is scaled to the other, are copies with slight
 # noise of their own.
@@ -25,9 +25,9 @@ _EXACT = 1e-9  # of an output's spread: a residual below it is rounding
 def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[str]:
     """Return a warning for each group of outputs whose residuals are proportional to each other.
 
-    Residuals are compared, not measurements alone: two outputs that move alike tell more than one as long as their
-    noise is their own. With process noise they are the innovations, which two sensors of a state that was wrongly
-    predicted may share: there, only proportional ones are reported.
+    Residuals are compared, not measurements alone: two outputs that move alike have more information than one as long
+    as their noise is their own. With process noise they are the innovations, which two sensors of a state that was
+    wrongly predicted may share: there, only proportional ones are reported.
     """
     residuals = {name: _joined(r.innovations.get(name, r.residuals[name]) for r in records) for name in outputs}
     measured = {name: _joined(r.measured[name] for r in records) for name in outputs}
@@ -53,7 +53,7 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
     for members in (g for g in groups if len(g) > 1):
         listed = f"{', '.join(members[:-1])} and {members[-1]}"
         found.append(
-            f"outputs {listed} hold the same measurement: their residuals are proportional, but for little. "
+            f"outputs {listed} hold the same measurement: their residuals are nearly proportional. "
             f"Each counts as if its noise were its own, and so standard errors are too small, by √{len(members)} where "
             f"nothing else is measured: leave {'one' if len(members) == 2 else 'all but one'} out of the outputs"
         )

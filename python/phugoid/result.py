@@ -153,7 +153,7 @@ class Fit(FitResult):
         An interval ends at a bound where the likelihood is still high there, and is infinite where it stays high
         however far one goes: ``.ends`` says so. Ctrl-C, and the time limit, keep the sides that are done.
 
-        With process noise (`FilterError`) the likelihood is the marginal one, with the intensities estimated anew too.
+        With process noise (`FilterError`) the likelihood is the marginal one, with the intensities re-estimated too.
 
         Raises OptionError for names without a profile, and a fit that has not converged.
         """
@@ -175,11 +175,11 @@ class Fit(FitResult):
         """Return standard errors and intervals from estimates with resampled data (Efron & Tibshirani 1993): the fitted
         model's outputs with other noise, at the samples that were measured.
 
-        ``kind``: "parametric" draws white noise from the fit's noise model; "coloured" Gaussian noise as coloured as
-        the residuals, also in common to outputs, as `coloured` finds it; "block" puts blocks of the residuals
-        themselves together, all channels at once, without reaching over gaps (Künsch 1989).
-        ``block``: samples of a block; None: from how long the noise remembers, a sixth of a record at most.
-        ``seed``: draw i has random numbers of its own, whatever n and executor.
+        ``kind``: "parametric" draws white noise from the fit's noise model; "coloured" Gaussian noise with
+        the autocorrelation and cross-correlation of the residuals, as `robust` finds them; "block" puts blocks of the
+        residuals themselves together, all channels at once, without reaching over gaps (Künsch 1989).
+        ``block``: samples of a block; None: from the correlation time of the noise, a sixth of a record at most.
+        ``seed``: draw i has its own random numbers, independent of n and executor.
         ``executor``, ``progress``: as of `multistart`. Each run starts from this fit.
         ``time_limit``: in seconds, of all runs together. It keeps the runs that are done, as Ctrl-C does.
 
@@ -205,7 +205,7 @@ class Fit(FitResult):
         states to first order, and for a new measurement, with noise of its own.
 
         ``experiment``: name or number of one of the fit; None: the only one; or another `Experiment`, of which initial
-        states and biases are found anew as `validate` does, with ``biases`` and ``values`` as there: their errors
+        states and biases are re-estimated as `validate` does, with ``biases`` and ``values`` as there: their errors
         follow those of the parameters.
         ``coloured``: errors for coloured residuals, or else for white ones. Each band holds at each sample by itself.
         ``.plot()`` draws them.
@@ -274,19 +274,19 @@ class Fit(FitResult):
     ) -> Validation:
         """Validate the fitted model on other experiments: only initial states and biases are re-estimated.
 
-        Parameters and noise are held at this fit, so that log-likelihoods on the same experiments compare; the
+        Parameters and noise are fixed at this fit, so that log-likelihoods on the same experiments compare; the
         transcription is that of the fit. Gaps, delays and channels with times of their own are as in `estimate`.
 
-        ``biases``: what is found anew, with bounds and priors as declared. None: parameters that enter outputs only,
-        each as a term with a constant coefficient, as a sensor's bias does; those declared fixed stay. Names of
-        parameters of any kind: these; () for none. A parameter with ``per_experiment`` has one value an experiment here
-        too, any other one for all.
+        ``biases``: the parameters that are re-estimated, with bounds and priors as declared. None: parameters that
+        enter outputs only, each as a term with a constant coefficient, as a sensor's bias does; those declared fixed
+        stay. Names of parameters of any kind: these; () for none. A parameter with ``per_experiment`` has one value an
+        experiment here too, any other one for all.
         ``values``: name -> value of parameters to hold elsewhere than at the fit. A parameter with ``per_experiment``
         that is no bias needs one, or must be named in ``biases``.
         ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance` where it grows with what is measured,
         in the style of flight-simulator qualification (14 CFR Part 60): the part of the samples within is reported, and
         the bands are drawn.
-        ``time_limit``: in seconds; what is found anew then is the best so far, which ``status`` and a warning say.
+        ``time_limit``: in seconds; the result is then the best point so far, which ``status`` and a warning say.
 
         Raises ModelError, DataError or OptionError for what cannot be right: unknown names, an experiment without the
         model's channels or with fewer samples than unknowns. An experiment that the fit was
@@ -360,11 +360,11 @@ class Extension(ExtensionResult):
 class Diagnosis(DiagnosisResult):
     """The result of `diagnose`.
 
-    fit         that was diagnosed; with inputs between samples as the data tell where ``notes`` say that straight lines
-                are wrong there.
+    fit         that was diagnosed; with inputs between samples as the data indicate where ``notes`` say that straight
+                lines are wrong there.
     misfit      what it gets wrong: per channel, when, in which regime, at which frequencies.
     findings    what is missing, in the order in which it was found.
-    verdict     "named", "unexplained", "surrogate", "minor" or "nothing": what it comes to.
+    verdict     "named", "unexplained", "surrogate", "minor" or "nothing": the conclusion.
     ranking     all candidates of the first scan with their statistics, in the order of `Scored.ranking`.
     threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass; findings have
                 theirs, in log-likelihood itself.
@@ -444,7 +444,7 @@ class Improvement(ImprovementResult):
     steps    diagnoses, one after the other, each with what was ``added``, ``rejected`` and why,
              and the ``gain``.
     added    names of all that was added, in order.
-    verdict  what the last diagnosis came to.
+    verdict  conclusion of the last diagnosis.
     """
 
     fit: Fit

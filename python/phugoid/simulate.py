@@ -105,7 +105,7 @@ def _record(model: Model, data: Experiment) -> tuple[Any, ...]:
     )
 
 
-# Names of what is estimated of the noise begin like this; they may be there, as in Estimates.to_dict().
+# Names of noise parameters begin like this; they may be there, as in Estimates.to_dict().
 _NOISE = ("sigma_", "corr_", "dof_")
 
 
@@ -123,7 +123,7 @@ def _values(model: Model, parameters: Mapping[str, Any] | FitResult, experiment:
         known = name in model.parameter_names or of_one or name in noise
         if not known and not str(name).startswith(_NOISE):
             raise ModelError(f"simulate: '{name}' is no parameter.{did_you_mean(name, model.parameter_names)}")
-    # A parameter that each experiment has its own of: that of this one, before one for all.
+    # Of a parameter of single experiments the value of this one, before one for all.
     found = {name: f"{name}[{experiment}]" for name in local if f"{name}[{experiment}]" in given}
     missing = [name for name in model.parameter_names if name not in given and name not in found]
     if missing:

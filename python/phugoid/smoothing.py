@@ -16,7 +16,7 @@ __all__ = ["Smoothing", "SmoothingStep"]
 class SmoothingStep:
     """One pass.
 
-    part            width of each kink as a part of the standard deviation of its argument along the path.
+    part            width of each kink as a part of the standard deviation of its argument over the path.
     segments        of the mesh, in all experiments.
     iterations      of the solver.
     log_likelihood  at the end.

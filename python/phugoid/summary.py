@@ -29,7 +29,7 @@ def fit_summary(fit: FitResult) -> str:
     if noise:
         parts.append(estimates_table(noise, title="noise", coloured=errors))
     if errors:
-        parts.append("std error: Cramér-Rao, for white residuals; coloured: for residuals as coloured as they are")
+        parts.append("std error: Cramér-Rao, for white residuals; coloured: corrected for residual autocorrelation")
     parts += correlation(fit).notes
     if any(record.residuals for record in fit.records):
         parts.append(_match_table(fit, outputs))

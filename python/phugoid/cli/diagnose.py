@@ -55,7 +55,7 @@ def diagnose(
         if json:
             emit_json("diagnose", {"fit": fit_facts(base), "findings": None})
         else:
-            print(f"{base.summary()}\n\nThere is nothing to diagnose: what is missing shows at an optimum only.")
+            print(f"{base.summary()}\n\nThere is nothing to diagnose: a diagnosis needs a converged fit.")
         return code_of(base) or NOT_CONVERGED
     with _steps() as watch:
         found = find_missing(base, validation=others, progress=watch)

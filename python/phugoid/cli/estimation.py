@@ -74,7 +74,7 @@ class Estimation:
     ] = None
     fix: Annotated[
         list[str] | None,
-        Option("--fix", help="Holds a parameter at its start, or at a value.", metavar="NAME[=VALUE]"),
+        Option("--fix", help="Fixes a parameter at its start, or at a value.", metavar="NAME[=VALUE]"),
     ] = None
     solver: Annotated[str, Option("--solver", help="newton or ipopt.", metavar="NAME")] = "newton"
     iterations: Annotated[
@@ -118,7 +118,7 @@ class Estimation:
                 transcription=mesh,
                 noise=None if before is None else before.noise,
                 start=begin,
-                solver=None if isinstance(mesh, FilterError) else solver,  # which has its own
+                solver=None if isinstance(mesh, FilterError) else solver,  # the filter-error method has its own
                 progress=watch,
             )
 

@@ -39,7 +39,7 @@ def fit(
     check_targets([plot], [save, report])
     source = load_source(model)
     records = reading.read(data)
-    # A saved fit is gone on from.
+    # The estimation continues from a saved fit.
     result = how.run(source.model, records, source) if isinstance(source, Fit) else how.run(source, records)
     files: list[str | Path] = [model if Path(model).is_file() else model.rpartition(":")[0], *data]
     finish(

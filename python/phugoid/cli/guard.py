@@ -16,7 +16,7 @@ import typer
 from ..errors import PhugoidError
 from ..interrupts import interrupts
 
-__all__ = ["INTERRUPTED", "NOT_CONVERGED", "command", "told"]
+__all__ = ["INTERRUPTED", "NOT_CONVERGED", "command", "printed_summary"]
 
 NOT_CONVERGED = 1
 BAD_INPUT = 2
@@ -63,7 +63,7 @@ def guard(debug: bool) -> Iterator[None]:
     """
     try:
         yield
-    except BrokenPipeError:  # whoever read stdout, such as `head`, has enough; typer ends quietly
+    except BrokenPipeError:  # the reader of stdout, such as `head`, has closed it; typer ends quietly
         raise
     except (PhugoidError, OSError) as error:
         if debug:
@@ -76,7 +76,7 @@ def guard(debug: bool) -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from None
 
 
-def told(result: Any) -> str:
+def printed_summary(result: Any) -> str:
     """Return the summary of a result; where Ctrl-C interrupts it, a short listing of the parameters."""
     try:
         return str(result.summary())

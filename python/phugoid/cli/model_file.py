@@ -100,7 +100,7 @@ def _at_line(path: Path, error: BaseException) -> ModelError:
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
     where = f"{path}, line {lines[-1]}" if lines else str(path)
     kind = "" if isinstance(error, ModelError) else f"{type(error).__name__}: "
-    # Python itself tells the nearest name only where it prints the traceback.
+    # Python itself suggests the nearest name only where it prints the traceback.
     hint = did_you_mean(error.name, dir(error.obj)) if isinstance(error, AttributeError) and error.name else ""
     return ModelError(f"{where}: {kind}{error}{'.' if hint else ''}{hint}")
 

@@ -16,7 +16,7 @@ from ..result import Fit
 from ..saving.json_file import SUFFIXES
 from ..summary import corrected
 from ..writing import drawn, write
-from .guard import told
+from .guard import printed_summary
 
 __all__ = ["check_saved", "check_targets", "emit_json", "finish", "fit_facts", "match_facts", "save_figures", "saved"]
 
@@ -79,16 +79,16 @@ def finish(
 ) -> None:
     """Write the files asked for, then print the result: as JSON where there are ``facts``, else as its summary.
 
-    Files come first, since whoever reads stdout may stop before its end. Where one cannot be written, or Ctrl-C is
+    Files come first, since the reader of stdout may stop before its end. Where one cannot be written, or Ctrl-C is
     pressed, the result is printed all the same: the work is done.
     """
     written: list[Path] = []
 
-    def tell() -> None:
+    def print_result() -> None:
         if facts is not None:
             emit_json(command, facts(), written)
             return
-        print(told(result))
+        print(printed_summary(result))
         if written:
             print(f"\nWritten: {', '.join(map(str, written))}")
 
@@ -96,9 +96,9 @@ def finish(
         for write_files in writers:
             written += write_files()
     except (PhugoidError, OSError, KeyboardInterrupt):
-        tell()
+        print_result()
         raise
-    tell()
+    print_result()
 
 
 def saved(save: Callable[[Path], object], path: Path | None) -> Callable[[], list[Path]]:

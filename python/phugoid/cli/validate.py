@@ -57,7 +57,7 @@ def validate(
     else:
         if len(data) < 2:
             raise OptionError(
-                f"{model} is a model: give a data file to fit it to, and others to try it on; or a saved fit"
+                f"{model} is a model: give a data file to fit it to, and others to validate it on; or a saved fit"
             )
         fit = how.run(source, reading.read(data[:1]))
         others = list(data[1:])

@@ -43,7 +43,7 @@ class Experiment(Preprocessing):
                    ``{"de": "hold", "V": "linear"}``, where inputs that are not named are linear. A wrong assumption
                    here looks like an error of the model. An input that is held jumps at its samples; at a sample time
                    the outputs see the value that is held from that sample on.
-    channels       name -> (N,): columns not yet told apart. A model finds here what it does not find in
+    channels       name -> (N,): columns not yet assigned. A model finds here what it does not find in
                    ``inputs`` and ``outputs``; extra channels do no harm.
     units          name -> unit, for labels; nothing is converted.
 
@@ -253,7 +253,7 @@ class Experiment(Preprocessing):
     def split(self, gaps: bool | float = True) -> list[Experiment]:
         """Return the parts of the record between gaps in its sampling, called ``name[1]``, ``name[2]``, ...
 
-        Over a gap nobody knows what the inputs did, and what interpolation makes of them there drives the model. The
+        In a gap the inputs are unknown, and the model would be driven by what interpolation makes of them. The
         parts are estimated together, each with first states of its own.
 
         gaps  True: an interval is a gap where it is longer than ten times those beside it (the twenty nearest, of which
@@ -428,7 +428,7 @@ class Experiment(Preprocessing):
     ) -> Experiment:
         groups = (columns["input"], columns["output"])
         kind = self._interpolation
-        if cubic:  # but for inputs that are held, of which there is nothing finer
+        if cubic:  # not for inputs that are held between samples, which have no finer values
             names = [*columns["input"], *columns["channel"]]
             held = {name: self.interpolation_of(name) for name in names if self._is_held(name)}
             kind = {name: held.get(name, "cubic") for name in names} if held else "cubic"
@@ -502,7 +502,7 @@ def as_experiments(data: Any, caller: str) -> list[Experiment]:
 def completed(experiments: Sequence[Experiment], outputs: Sequence[str]) -> list[Experiment]:
     """Return experiments that have all outputs: an output that only others measure is missing throughout.
 
-    One that measures nothing stays as it is: whoever checks it says so.
+    An experiment without any output is unchanged: `Experiment.check_for` reports it.
     """
     there = [{*e.outputs, *e.channels} for e in experiments]
     anywhere = set().union(*there)

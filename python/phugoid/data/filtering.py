@@ -135,7 +135,7 @@ def power_above(values: _Array, share_of_nyquist: float) -> float:
     if there.size < 4:
         return 0.0
     whole = np.interp(np.arange(values.size), there, values[there])
-    # The window keeps what leaks from low frequencies, where records do not begin and end alike, out of the high.
+    # The window limits leakage from low to high frequencies where records do not begin and end alike.
     f, power = periodogram(whole, fs=2.0, window="hann", detrend="linear")
     size = float(np.abs(whole).max())
     if power.sum() <= (1e-12 * size) ** 2:

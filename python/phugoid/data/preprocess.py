@@ -42,7 +42,7 @@ class Preprocessing(Channelled):
     """The preprocessing steps of a record.
 
     Filters are linear. The same one on all inputs and outputs leaves the dynamics of a **linear** model as they are,
-    since filters commute with it: y = G u means F y = G F u. This is not so for a nonlinear model: its outputs answer
+    since filters commute with it: y = G u means F y = G F u. This is not so for a nonlinear model: its outputs respond
     to the whole input, not to its pass-band; filter such records only to drop what lies far above the motion.
     """
 
@@ -123,7 +123,7 @@ class Preprocessing(Channelled):
         inputs  keep every so-many-th sample of the inputs instead (a divisor of ``factor``): what is estimated then
                 sees inputs finer than outputs, with cubic splines between. Straight lines lose 3 dB already at 0.32
                 of the sampling rate (the square of sin(x)/x), and a model pays for that with wrong parameters.
-                Columns that are not yet told apart are kept both ways. Inputs that are held between their
+                Columns that are not yet assigned are kept both ways. Inputs that are held between their
                 samples keep them all in any case: their jumps stay where they are.
         filter  first an anti-alias filter on all channels: Chebyshev of order 8, causal, to 0.8 of the new Nyquist
                 frequency, as `scipy.signal.decimate` has it. It starts like `band_pass`.
@@ -188,7 +188,7 @@ class Preprocessing(Channelled):
 
         The filter (`scipy.signal.resample_poly`, zero phase) is true to 0.1 % up to 0.44 of the new rate; near the
         ends of the record, over some 20 new samples, it has to extrapolate. Raises OptionError for a
-        higher rate: it would give outputs that nobody measured, and standard errors that are too small.
+        higher rate: it would give outputs that were not measured, and standard errors that are too small.
         """
         name, t = self._times()
         for channel in {**self._columns_of()["input"], **self._columns_of()["channel"]}:
@@ -233,7 +233,7 @@ class Preprocessing(Channelled):
         For an input whose content reaches far up to its Nyquist frequency, where lines and splines through the
         samples lose amplitude (lines 3 dB at 0.32 of the sampling rate): with a factor of 4 the input is true to
         0.1 % up to 0.44 of it, except over some 20 samples at either end. Not for inputs that jump or were held
-        between samples: these are not band-limited. Columns that are not yet told apart are upsampled as well,
+        between samples: these are not band-limited. Columns that are not yet assigned are upsampled as well,
         unless samples are missing; inputs that are held between their samples are left alone.
         """
         name, t = self._times()
@@ -250,7 +250,7 @@ class Preprocessing(Channelled):
                 even_rate(own, values, where, "upsample_inputs")
                 fine = np.interp(np.arange(factor * (own.size - 1) + 1) / factor, np.arange(own.size), own)
                 between = polyphase(values, factor, 1, where)[: fine.size]
-                # What was measured stays to the bit.
+                # Measured values are kept to the bit.
                 between[::factor] = values
                 signals[channel] = fine, between, 0.0, 0
                 done.append(channel)

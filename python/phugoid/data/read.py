@@ -82,7 +82,7 @@ class _Columns:
                 measure = unit.partition(" since ")[0]
                 if si(measure) != "s":
                     raise DataError(
-                        f"{where}: '{unit}' is no unit of time that is known; tell what it is, units={{'{clock}': 's'}}"
+                        f"{where}: '{unit}' is no unit of time that is known; give it, units={{'{clock}': 's'}}"
                     )
                 values = converted(values, measure, "s", where)
                 self._labels[clock] = "s"
@@ -108,7 +108,7 @@ class _Columns:
             into = si(unit)
             if into is None:
                 raise DataError(
-                    f"{where}: convert=True, but its unit '{unit}' is not known; tell what it is with "
+                    f"{where}: convert=True, but its unit '{unit}' is not known; give it with "
                     f"units={{'{name}': 'unit'}}, where '' is none"
                 )
         if into is not None:
@@ -272,7 +272,7 @@ def read(
     rate       samples a second, for a file without a time column: time runs from 0, and ``time`` is not looked for.
     split_gaps  True or a length in s: the parts between gaps in the sampling, as `Experiment.split` has them, are
                returned as a list.
-    convert    True brings each column whose unit is known to SI. Times whose unit is told become seconds in any case.
+    convert    True brings each column whose unit is known to SI. Times whose unit is given become seconds in any case.
 
     Channels with time stamps of their own keep them, see `multirate`; ``inputs`` and ``outputs`` must then be given.
     In a text table, lines that begin with ``#`` or ``%`` are comments, and empty cells, ``NaN`` and ``NA`` are missing

@@ -20,7 +20,7 @@ _FT = 0.3048
 _LB = 0.45359237
 _G0 = 9.80665  # standard gravity, exact by definition, as foot, pound and nautical mile are
 
-# Unit -> (the unit in SI, factor). "g" is the load factor's: nobody records a flight in grams.
+# Unit -> (the unit in SI, factor). "g" is the acceleration of gravity, not the gram, which flight records do not use.
 _TABLE: dict[str, tuple[str, float]] = {
     **{unit: (unit, 1.0) for unit in ("s", "m", "kg", "rad", "N", "Pa", "K", "W", "J", "Hz", "V", "A", "T")},
     "": ("", 1.0),
@@ -177,18 +177,20 @@ def _parts(base: str) -> list[tuple[str, int]]:
 def check_units(model: Model, runs: Sequence[Experiment], caller: str) -> None:
     """Raise DataError, in the caller's name, for a channel in degrees that the model has in radians, and the like.
 
-    Estimates from such data would be wrong without a sign of it. Units that are not told, or not known, are let pass.
+    Estimates from such data would be wrong without any sign of it. Units that are not given or not known are not
+    checked.
     """
     declared = model.units
     for run in runs:
         for side, names in (("input", model.input_names), ("output", model.output_names)):
             for name in names:
                 kind = "condition" if side == "input" and model.is_condition(name) else side
-                told, wanted = run.units.get(name, ""), declared.get(name, "")
-                if told and wanted and differ(told, wanted):
+                recorded, expected = run.units.get(name, ""), declared.get(name, "")
+                if recorded and expected and differ(recorded, expected):
                     raise DataError(
-                        f"{caller}: {kind} '{name}' of experiment '{run.name}' is in '{told}', but the model has it in "
-                        f"'{wanted}'; convert it where it is read, units={{'{name}': ('{told}', '{wanted}')}}, or all "
-                        f"channels to SI, convert=True (--convert at the command line); or put right a wrong label, "
-                        f"units={{'{name}': '{wanted}'}} (--units {name}={wanted})"
+                        f"{caller}: {kind} '{name}' of experiment '{run.name}' is in '{recorded}', but the model has "
+                        f"it in '{expected}'; convert it where it is read, "
+                        f"units={{'{name}': ('{recorded}', '{expected}')}}, or all channels to SI, convert=True "
+                        f"(--convert at the command line); or put right a wrong label, "
+                        f"units={{'{name}': '{expected}'}} (--units {name}={expected})"
                     )

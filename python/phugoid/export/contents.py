@@ -49,7 +49,7 @@ def contents_of(
     if model.delays and not late_inputs:
         late = ", ".join([*model.delays.inputs, *model.delays.outputs])
         raise ModelError(
-            f"{caller}: the model has delays ({late}), which functions of the present state cannot hold; with "
+            f"{caller}: the model has delays ({late}), which functions of the present state cannot represent; with "
             f"{caller}(..., late_inputs=True) each late input is one of its own, which the caller delays"
         )
     states = dict.fromkeys(model.state_names, 0.0)

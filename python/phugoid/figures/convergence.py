@@ -32,7 +32,7 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
     has none. Distance from the optimum: what `Newton` expects the next step to gain in log-likelihood; with Ipopt the
     largest scaled entry of the gradient. Step: as a part of the full one; a ring where shorter ones had to be tried.
 
-    Where iterations start anew, as with mesh refinement, they go on being counted, and a line marks the place.
+    Where iterations start again, as with mesh refinement, they are counted on, and a line marks the place.
 
     Returns the figure and the axes by ``"log-likelihood"``, ``"defect"``, ``"optimum"`` and ``"step"``. Raises
     DataError for a fit without iterations, such as one whose solver keeps no table.

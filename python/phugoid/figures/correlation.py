@@ -36,7 +36,7 @@ def plot_correlation(fit: FitResult, names: Sequence[str] | None = None) -> tupl
     names  the parameters to show, in this order; None: all of the model that were estimated, without those of the
            noise.
 
-    Values are written where cells have room for them, bold from 0.9 on: such parameters the data hardly tell apart.
+    Values are written where cells have room for them, bold from 0.9 on: the data hardly distinguish such parameters.
     What is fixed or at a bound has no correlation and is left out.
 
     Returns the figure and the axes by ``"correlation"`` and ``"scale"``. Raises UnknownName for a parameter that is

@@ -43,7 +43,7 @@ __all__ = ["choose_record", "draw_channel", "draw_residual", "plot_fit", "plot_r
 _Array: TypeAlias = NDArray[np.float64]
 
 _LETTER = 0.58  # mean width of a letter, in units of the font's size
-_FAR = 3.0  # a tolerance of so many times what a panel must show is left out of its range
+_FAR = 3.0  # a tolerance so many times as large as the data is left out of a panel's range
 
 
 def draw_channel(axis: Axes, record: Record, name: str, tolerance: Tolerance | None = None) -> None:

@@ -21,7 +21,7 @@ __all__ = ["plot_parameters"]
 _SIDE = 1.959963984540054  # standard errors on either side: 95 % of a normal distribution
 _ROW, _MORE = 0.21, 0.09  # inches: a parameter, and each fit more
 _PAGE, _LOWEST = 9.2, 0.1  # inches: all rows of a page, and the lowest of them
-_PERCENT = 100.0  # the scale ends here: a longer interval holds zero
+_PERCENT = 100.0  # the scale ends here: a longer interval includes zero
 _SMALL = 0.01  # per cent; below, in millionths
 _WIDE = 10.0  # times the median from which on the scale is logarithmic
 _FAR = 3.0  # in comparisons the scale ends at so many times the median reach
@@ -33,10 +33,10 @@ def plot_parameters(
     """Plot estimates with the interval of ±1.96 standard errors, one row a parameter.
 
     Units differ, so rows are scaled. Of one fit: deviation from the estimate in per cent of it (in millionths where all
-    are tiny), on a scale that is logarithmic away from zero where intervals differ much; one beyond 100 % holds zero.
-    Of several: deviation from the estimate of the first fit, in its standard errors, so that its intervals are all as
-    long and others stand off by what the first one believes to be chance. (A parameter that the first has no standard
-    error of is scaled by the next fit that has one.) What reaches beyond the scale ends in an arrow, with the number
+    are tiny), on a scale that is logarithmic away from zero where intervals differ much; one beyond 100 % includes
+    zero. Of several: deviation from the estimate of the first fit, in its standard errors, so that its intervals are
+    equally long and others are shown relative to its uncertainty. (A parameter that the first has no standard error of
+    is scaled by the next fit that has one.) What reaches beyond the scale ends in an arrow, with the number
     beside it. On the right is the estimate of the first fit ± 1.96 standard errors.
 
     fits    with .parameters; fits, regressions or anything else that has them.
@@ -44,7 +44,7 @@ def plot_parameters(
     labels  what the fits are called in the legend; None: by model or records, whichever differ.
 
     Standard errors are those of ``fit.parameters``, which take residuals for white. A parameter that no fit has a
-    standard error of (fixed, or at a bound) is left out; the foot of the figure tells.
+    standard error of (fixed, or at a bound) is left out, and named at the foot of the figure.
 
     Returns the figure and the axes by ``"parameters"``. Raises UnknownName for a parameter that no fit has, DataError
     where there is none with a standard error, OptionError for labels that are not one a fit.

@@ -23,7 +23,7 @@ _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
 Method = Literal["etfe", "h1"]
 
-# A signal repeats where it is correlated with itself, so many samples later, at least this much.
+# A signal repeats with a lag at which its autocorrelation is at least this.
 _REPEATS = 0.95
 # Of times at which it repeats, the first within this of the best is the period; the others are its multiples.
 _AS_GOOD = 0.01
@@ -108,7 +108,7 @@ def find_period(values: _Array, where: str = "the signal") -> int:
     centred = values - values.mean()
     spectrum = np.fft.rfft(centred, 2 * n)
     products = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[: n // 2 + 1]
-    # Of what overlaps only, so that a long period counts as much as a short one.
+    # Normalised by the overlap, so that a long period counts as much as a short one.
     squares = np.concatenate([[0.0], np.cumsum(centred**2)])
     lags = np.arange(n // 2 + 1)
     norm = np.sqrt(squares[n - lags] * (squares[-1] - squares[lags]))

@@ -13,7 +13,7 @@ __all__ = ["Observability", "observability", "triangle"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# So many rows are reduced at once, which stay in the cache; and so many columns.
+# Rows reduced at once, few enough for the cache; and columns of a panel.
 _ROWS, _PANEL = 1000, 16
 
 

@@ -28,13 +28,13 @@ _Array: TypeAlias = NDArray[np.float64]
 
 # An iteration that gains less log-likelihood than this is the last; and, while modes are moved, than this.
 _GAIN, _ROUGH = 1e-7, 1e-3
-# A mode has found a better place where the log-likelihood rises by this. So many places of a mode are tried.
+# Rise of the log-likelihood from which on a place is better for a mode; number of places that are tried.
 _BETTER, _PLACES = 0.5, 4
-# A search that gains less than this part of what it lacks is given up.
+# A search is stopped where a step gains less than this part of its distance from the known optimum.
 _REACH = 0.02
 # So near to a known optimum, in squared standard deviations of the outputs, a search is taken to lead there.
 _BACK = 1.0
-# Directions that change the outputs by less than this part of what the first does change nothing.
+# Directions that change the outputs by less than this part of the first one's effect are ignored.
 _NOTHING = 1e-10
 # Damping of the first step, as a part of the greatest singular value squared; and how often a step is damped more.
 _DAMPING, _TRIALS = 1e-9, 15
@@ -57,7 +57,7 @@ def fit_linear(
     outputs.
 
     Output error as in `estimate`, the noise white and of each output with a variance of its own, but for linear
-    systems, where much can be had for nothing: given A and C, the outputs are linear in B, D, the first states and
+    systems, where part of the problem is linear: given A and C, the outputs are linear in B, D, the first states and
     offsets, which so are found by least squares for each A and C that is tried (variable projection: Golub and Pereyra,
     SIAM J. Numer. Anal. 10(2), 1973; the approximation of Kaufman, BIT 15, 1975). What is left, two numbers a mode and
     C, is found by Levenberg-Marquardt steps with orthogonal factorisations, so that modes of which a record tells
@@ -208,7 +208,7 @@ class _Task:
             if better is None:
                 break
             gain = better.log_likelihood - point.log_likelihood
-            if gain > 0.375 * (q @ q - np.sum((q - J @ step) ** 2)):  # three quarters of what was promised
+            if gain > 0.375 * (q @ q - np.sum((q - J @ step) ** 2)):  # three quarters of the predicted gain
                 damping /= 5.0
             point = better
             if self.best is None or point.log_likelihood > self.best.log_likelihood:

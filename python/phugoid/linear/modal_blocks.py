@@ -141,7 +141,7 @@ class ModalBlocks:
                 if block >= k:
                     rows[k + block] = (C[j, i] * eta[i]).real
                     continue
-                # value' = -(value a' + b') / (2 value + a), and what the output sees of the mode moves with it.
+                # value' = -(value a' + b') / (2 value + a), and the column of C changes with it.
                 c, slope = C[j, i], self.C[j, 2 * block + 1] * self.units[j]
                 g = -(c * eta[i] + slope * xi[i]) / (2.0 * value + self.pairs[block, 0])
                 rows[2 * block] += (value * g).real
@@ -164,9 +164,9 @@ class ModalBlocks:
 _BELOW, _ABOVE, _NYQUIST = 0.6, 1.3, 0.8
 # Damping ratios, each with the ratio of frequencies that lie next to each other: a resonance must not fall between.
 _DAMPING = ((0.01, 1.02), (0.03, 1.06), (0.1, 1.2), (0.6, 1.5))
-# Places that differ by less than this part lead to the same end: the better one stands for both.
+# Places that differ by less than this part lead to the same optimum: only the better one is kept.
 _DIFFERENT = 0.15
-# Places whose responses are held at once; directions below this part of the greatest are none.
+# Places whose responses are stored at once; relative size below which a direction is ignored.
 _AT_ONCE, _RANK = 8, 1e-10
 
 
@@ -178,7 +178,7 @@ def best_places(
 
     What the present modes can explain with another B, in each experiment and output by itself, is projected out of
     the outputs and of the response of each new mode; first states of the new mode are left out. Of several outputs C
-    of the new mode is the direction in which these answer most.
+    of the new mode is the direction of the largest response.
     """
     places = _grid(records, blocks)
     m, p = len(records.inputs), len(records.outputs)

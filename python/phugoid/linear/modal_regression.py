@@ -20,7 +20,7 @@ __all__ = ["Layout", "ModalRegression", "identified", "path", "regression", "row
 _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
 
-# Outputs are weighted by their residuals: so many times anew.
+# Passes of the weighting of outputs by their residuals.
 _PASSES = 3
 # Directions of the unknowns that matter less than this part of the greatest are left at zero.
 _RANK = 1e-12
@@ -228,7 +228,7 @@ def rows(
     Columns: free motions, offset, responses to each input, inputs, and ``more`` (k, N) of them; the last is the output.
     """
     paired = answers.values.imag != 0.0
-    # Real and imaginary parts of what the output sees of each mode; real modes have no imaginary one.
+    # Real and imaginary parts of the contribution of each mode; real modes have no imaginary part.
     parts = np.flatnonzero(np.column_stack([np.ones_like(paired), paired]))
     seen = [answers.free, *answers.forced]
     count = parts.size * len(seen) + int(offset)

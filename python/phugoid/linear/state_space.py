@@ -31,12 +31,12 @@ class StateSpace:
     x0                experiment -> (n,): states at its first sample.
     offsets           experiment -> (p,): what is added to each output there.
     rate              of the samples it was identified from, Hz.
-    singular_values   of the subspace method, the greatest first: the order is where they sink into the noise.
+    singular_values   of the subspace method, the greatest first: the order is where they fall to the noise level.
     suggested_order   the order that these values suggest.
     residual_rms      output -> root mean square of measured minus simulated, over all experiments.
     log_likelihood    of the outputs, each with white noise of the size of its residuals, without the constant
                       -N n_y/2 ln 2 pi: of `fit_linear`.
-    warnings          what to beware of, in words.
+    warnings          in words.
     states            names of the states; x, or x1, x2, ..., unless given.
 
     Raises ModelError for shapes that do not fit each other, and numbers that are not finite.

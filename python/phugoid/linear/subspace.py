@@ -28,7 +28,7 @@ Weighting = Literal["cva", "moesp"]
 _TIMES, _BLOCK_ROWS, _MOST = (2, 3, 4), 20, 40
 # A state that is gone after a sample is taken to keep this part of itself.
 _FASTEST = 0.01
-# Damping ratio below which, and part of the Nyquist frequency up to which, a mode is told from a background.
+# Damping ratio below which, and part of the Nyquist frequency up to which, a mode is distinguished from a background.
 _LIGHT, _BELOW = 0.15, 0.75
 
 
@@ -48,18 +48,18 @@ def subspace(
 ) -> StateSpace:
     """Identify a linear system in continuous time from evenly sampled records, without start values or iterations.
 
-    The states are found as what past samples tell of future outputs, by an LQ factorisation and a singular value
-    decomposition of block Hankel matrices (MOESP: Verhaegen, Automatica 30(1), 1994; canonical variates and the
-    weights: Van Overschee and De Moor, Subspace Identification for Linear Systems, Kluwer 1996). Its A and C give the
-    modes; their eigenvalues pass to continuous time by the logarithm. B, D, initial states and offsets are then those
-    that simulate the outputs best: linear least squares, in which inputs run between samples as each experiment says
-    (linear, cubic, or sampled faster than the outputs, as `multirate` has them).
+    The states are estimated as the prediction of future outputs from past samples, by an LQ factorisation and a
+    singular value decomposition of block Hankel matrices (MOESP: Verhaegen, Automatica 30(1), 1994; canonical variates
+    and the weights: Van Overschee and De Moor, Subspace Identification for Linear Systems, Kluwer 1996). Its A and C
+    give the modes; their eigenvalues pass to continuous time by the logarithm. B, D, initial states and offsets are
+    then those that simulate the outputs best: linear least squares, in which inputs run between samples as each
+    experiment says (linear, cubic, or sampled faster than the outputs, as `multirate` has them).
 
     The result starts an estimation: ``ph.estimate(ph.models.modal(start=ph.linear.subspace(run, 8)), run)``. It has no
     standard errors, and is not the maximum of the likelihood.
 
     ``data``        one experiment or several, of one sampling rate; they are pooled.
-    ``order``       number of states. None: where the singular values sink into the noise (see ``suggested_order``);
+    ``order``       number of states. None: where the singular values fall to the noise level (see ``suggested_order``);
                     look at ``singular_values``, which hold the canonical correlations.
     ``inputs``, ``outputs``  channels to use; all inputs and outputs of the first experiment unless given.
     ``block_rows``  samples of past, and of future, that are compared. More tell near and lightly damped modes better
@@ -92,7 +92,7 @@ def subspace(
     _whole("order", order)
     _whole("block_rows", block_rows)
     if order is None:
-        # From as much past as may hold any order.
+        # From as much past as any order needs.
         rows = [block_rows] if block_rows else _block_rows(_MOST // 2, records, at_most=True)
         order = _suggested(_observability(records, rows[-1], weighting), records)
     best: _Tried | None = None
@@ -157,7 +157,7 @@ def _tried(
         if not prune or values.size == 1:
             break
         worst = int(np.argmin(found.gains))
-        # Of the mode: eigenvalue, first states, row of B; what the outputs see of it comes with their number.
+        # Parameters of a mode: eigenvalue, first states, row of B, and a column of C.
         numbers = (2 if values[worst].imag else 1) * (len(records.runs) + len(records.inputs) + p)
         if found.gains[worst] > numbers * np.log(sum(records.lengths)):
             break
@@ -208,8 +208,8 @@ def _continuous(A: _Array, C: _Array, rate: float, stable: bool) -> tuple[_Compl
     lost = (z.imag == 0.0) & (z.real <= 0.0)
     if lost.any():
         warnings.append(
-            f"{int(lost.sum())} of {A.shape[0]} states alternate from sample to sample, which none does in "
-            "continuous time; modes near half the sampling rate stand in for them: the order may be too high"
+            f"{int(lost.sum())} of {A.shape[0]} states alternate from sample to sample, which no state does in "
+            "continuous time; modes near half the sampling rate replace them: the order may be too high"
         )
     size = np.abs(z)
     if stable:

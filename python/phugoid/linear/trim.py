@@ -20,7 +20,7 @@ __all__ = ["Trim", "trim"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# What is left of an equation beside its terms (each derivative times its unknown) where it is met.
+# Largest residual of an equation, relative to its terms (each derivative times its unknown), where it is satisfied.
 _MET = 1e-9
 # Unknowns are taken to be of this size at least there, and to be 0 where they are as small as the other.
 _LEAST, _ROUNDING = 1e-6, 1e-20
@@ -36,7 +36,7 @@ class Trim(Mapping[str, float]):
     states, inputs, outputs  name -> value, in their units.
     rates      state -> its derivative there, per s; what was asked for but for rounding.
     found      names that were solved for; the others were held.
-    warnings   what to beware of, in words.
+    warnings   in words.
     """
 
     states: Mapping[str, float]
@@ -164,7 +164,7 @@ class _TrimEquations:
                 "outputs are to be"
             )
         if not self.unknown:
-            raise OptionError("trim: everything is held, and nothing is left to find")
+            raise OptionError("trim: everything is held: there is no unknown")
 
     def numbers(self, x: _Array) -> dict[str, float]:
         return {**self.values, **self.held, **dict(zip(self.unknown, x.tolist(), strict=True))}
@@ -187,7 +187,7 @@ class _TrimEquations:
         if not (np.isfinite(self.residuals(x)).all() and np.isfinite(self.jacobian(x)).all()):
             first = ", ".join(f"{n} = {v:g}" for n, v in zip(self.unknown, x, strict=True))
             raise EvaluationError(f"trim: the equations or their derivatives are not finite at {first}: give a start")
-        for _ in range(2):  # anew from where it ended: scales are those of its Jacobian
+        for _ in range(2):  # again from the end point: scales are those of its Jacobian
             try:
                 with np.errstate(all="ignore"):
                     x = least_squares(

@@ -80,7 +80,7 @@ class Model:
     def conditions(self, *names: str, **units: str) -> tuple[Expr, ...]:
         """Declare measured conditions: airspeed, dynamic pressure, mass, a wind; return their symbols in order.
 
-        They are inputs, which records must have, as those of `inputs` are, but nobody commands them. So `candidates`
+        They are inputs, which records must have, as those of `inputs` are, but they are not commanded. So `candidates`
         offers a scale, a bias and a delay of their measurement, but no dead-band, saturation, backlash, limited rate or
         lag; no manoeuvre is advised on them; and `plan` keeps them where they are unless they are given.
 
@@ -347,7 +347,7 @@ class Model:
         """Return the model as text that `from_json`, and the Rust crate, read back exactly."""
         text = self._equations_to_json()
         more: dict[str, Any] = {"noise": self._noise.to_dict(), "delays": self._delays.to_dict()}
-        # Of an own name: "conditions" are those at the ends of records.
+        # Under its own key: "conditions" are those at the ends of records.
         more["measured_conditions"] = list(self._condition_names)
         more = {key: value for key, value in more.items() if value}
         return json.dumps({**json.loads(text), **more}) if more else text

@@ -158,10 +158,10 @@ def flight_path(
                    which unwraps it, or numpy.unwrap.
     longitudinal   V, alpha, theta (and h) only, inputs ax, az, q: wings level, no sideslip.
     biases         channels, inputs or outputs, with a bias ``b_<channel>``: measured = true + b. Unless given, those
-                   inertial sensors whose bias the outputs tell: ax by V, ay by beta, az by alpha or h, p by phi, q by
-                   theta, r by psi; and alpha where h or v_down tells the flight path. In steady flight biases of one
-                   axis look alike (b_ay and b_r; b_ax and an error of theta): manoeuvres tell them, standard errors how
-                   well.
+                   inertial sensors whose bias the outputs determine: ax by V, ay by beta, az by alpha or h, p by phi,
+                   q by theta, r by psi; and alpha where h or v_down gives the flight path. In steady flight biases of
+                   one axis look alike (b_ay and b_r; b_ax and an error of theta): manoeuvres separate them, standard
+                   errors show how well.
     scales         channels with a scale factor ``K_<channel>``: measured = K true + b. Unless given alpha and beta,
                    where they are outputs: vanes and probes stand in air that the fuselage deflects.
     late           outputs that are measured late, by ``tau_<output>`` (s, 0 to 2). `estimate` needs ``start={"V":
@@ -179,7 +179,7 @@ def flight_path(
     gravity        m/s².
 
     Noise of the inertial sensors is taken as none: it goes into the states, as process noise would, and colours
-    residuals. Raises OptionError for channels that are not there, or options that do not go together.
+    residuals. Raises OptionError for channels that are not there, or options that contradict each other.
 
     >>> print(flight_path("V alpha theta", longitudinal=True, scales=()))
     flight path

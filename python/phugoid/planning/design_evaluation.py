@@ -100,7 +100,7 @@ def plan(
         added = "after " + ", ".join(f"'{r.name}'" for r in after.records)
     matrix = matrix + _priors(model, names, () if after is None else after.parameters)
     information = Information(names, matrix)
-    # What is at a bound or fixed in each record is known.
+    # Parameters that are fixed, or at a bound in each record, are known.
     first_fit = fits[0].parameters
     errors = dict(zip(names, information.std_errors.tolist(), strict=True))
     known = {n: p for n, p in model.declared_parameters.items() if n not in {x.partition("[")[0] for x in names}}
@@ -160,7 +160,7 @@ def _flown(model: Model, names: Sequence[str], after: Any) -> _Array:
         raise OptionError(f"plan: after is a fit of records that are there, not a {type(after).__name__}")
     theirs = list(after.parameters)
     cov = after.covariance
-    # Of what each experiment has its own, those of other experiments say nothing.
+    # Parameters of single experiments carry no information on other experiments.
     local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
     shared = [n for n in names if n in theirs and n not in local and np.isfinite(cov[theirs.index(n), theirs.index(n)])]
     shared = [n for n in shared if cov[theirs.index(n), theirs.index(n)] > 0.0]
@@ -256,7 +256,7 @@ def values_of(
     """Return values for all parameters; those that each experiment has its own of also as name[experiment]."""
     found = {n: p.start for n, p in model.declared_parameters.items()}
     if fit is not None:
-        # Of what differs from record to record, the first record's.
+        # Of parameters of single experiments, those of the first record.
         own = {n: f"{n}[{fit.records[0].name}]" for n in found}
         found |= {n: fit.parameters[k].value for n in found for k in (own[n], n) if k in fit.parameters}
     local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
@@ -307,7 +307,7 @@ def sigmas_of(model: Model, fit: FitResult | None, noise: Mapping[str, float] | 
 
 def first_states(model: Model, fit: FitResult | None, initial: Mapping[str, float] | None) -> dict[str, float]:
     found = {} if fit is None else {n: e.value for n, e in fit.initial_states[fit.records[0].name].items()}
-    # What the model's conditions say follows from the values.
+    # States given by the model's initial conditions follow from the values.
     held = {state for end, state, _ in model.end_conditions if end == "initial"}
     found = {n: v for n, v in found.items() if n not in held}
     for n, v in (initial or {}).items():

@@ -62,7 +62,7 @@ class Plan:
 
     name         of the manoeuvre.
     parameters   by name: the values that were assumed, and the standard error that an estimation would have. Infinite
-                 for a parameter that is not told, alone or in a combination; NaN for one that is fixed.
+                 for a parameter that is not determined, alone or in a combination; NaN for one that is fixed.
     information  `Information` on the parameters that are estimated: matrix, covariance, correlation.
     excursions   manoeuvre -> channel (inputs, states, outputs) -> `Excursion`.
     records      what the model predicts, one for each record that is flown.
@@ -121,14 +121,14 @@ class Plan:
         rows = []
         for e in self.parameters.values():
             percent = 100.0 * e.relative_std_error
-            error = "not told" if np.isinf(e.std_error) else f"{e.std_error:.3g}" if e.std_error >= 0.0 else ""
+            error = "not determined" if np.isinf(e.std_error) else f"{e.std_error:.3g}" if e.std_error >= 0.0 else ""
             rows.append([e.name, f"{e.value:.6g}", error, f"{percent:.3g}" if np.isfinite(percent) else "", e.unit])
         rows = [[*row, e.remark] for row, e in zip(rows, self.parameters.values(), strict=True)]
         title = f"Planned: {self.name}" + (f", {self.added}" if self.added else "")
         length = ", ".join(f"{r.t[-1] - r.t[0]:g} s, {r.t.size} samples" for r in self.records)
         text = [f"{title} ({length})"]
         text += ["", text_table(["parameter", "assumed", "std error", "in %", "unit", "remark"], rows, "lrrrll")]
-        text += ["", "told least (unit vectors, parameters in units of their sizes):"]
+        text += ["", "determined least (unit vectors, parameters in units of their sizes):"]
         text += [f"  {direction}" for direction in self.weak]
         pairs = ", ".join(f"{a} and {b} {r:+.3f}" for a, b, r in self.correlated[:6])
         text += [f"correlated: {pairs}"] if pairs else []
@@ -150,8 +150,8 @@ class Plan:
 
     def __repr__(self) -> str:
         worst = self.criteria["worst"]
-        told = "does not tell all parameters" if np.isinf(worst) else f"worst error {100 * worst:.3g} %"
-        return f"<Plan '{self.name}': {told}{'' if self.within_limits else ', leaves its limits'}>"
+        quality = "does not determine all parameters" if np.isinf(worst) else f"worst error {100 * worst:.3g} %"
+        return f"<Plan '{self.name}': {quality}{'' if self.within_limits else ', leaves its limits'}>"
 
 
 def _limit(e: Excursion) -> str:
@@ -235,7 +235,7 @@ def _percent(plan: Plan, name: str) -> str:
 
 
 def _number(value: float) -> str:
-    return "not told" if np.isinf(value) else "" if np.isnan(value) else f"{value:.3g}"
+    return "not determined" if np.isinf(value) else "" if np.isnan(value) else f"{value:.3g}"
 
 
 def criterion_of(caller: str, criterion: Any) -> Criterion:
@@ -245,7 +245,7 @@ def criterion_of(caller: str, criterion: Any) -> Criterion:
     return found
 
 
-# Of the correlation form, an eigenvalue below this is a direction that the data do not tell.
+# An eigenvalue of the correlation form below this belongs to a direction that the data do not determine.
 _SINGULAR = 1e-11
 # Parts of a direction below this are not worth naming.
 _PART = 0.1
@@ -256,7 +256,7 @@ class ParameterDirection:
     """A combination of parameters.
 
     parts      name -> share of the unit vector, each parameter in units of its size; those above 0.1.
-    std_error  of a move along it, in these units; infinite where the manoeuvre does not tell it.
+    std_error  of a move along it, in these units; infinite where the manoeuvre does not determine it.
     """
 
     parts: dict[str, float]
@@ -264,7 +264,7 @@ class ParameterDirection:
 
     def __str__(self) -> str:
         text = " ".join(f"{share:+.2f} {name}" for name, share in self.parts.items())
-        return f"{text}: {'not told' if not np.isfinite(self.std_error) else f'± {100 * self.std_error:.3g} %'}"
+        return f"{text}: {'not determined' if not np.isfinite(self.std_error) else f'± {100 * self.std_error:.3g} %'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,10 +291,10 @@ class Information:
         """(n, n); infinite variance, and NaN beside it, for parameters that are not determined (also in
         combinations)."""
         scale, values, vectors = self._directions
-        told = values > _SINGULAR
-        part = vectors[:, told]
-        cov = (part / values[told]) @ part.T / np.outer(scale, scale)
-        lost = (np.abs(vectors[:, ~told]) > 1e-4).any(axis=1)
+        determined = values > _SINGULAR
+        part = vectors[:, determined]
+        cov = (part / values[determined]) @ part.T / np.outer(scale, scale)
+        lost = (np.abs(vectors[:, ~determined]) > 1e-4).any(axis=1)
         cov[lost], cov[:, lost] = np.nan, np.nan
         cov[lost, lost] = np.inf
         return np.asarray(cov)
@@ -314,7 +314,7 @@ class Information:
         values, vectors = np.linalg.eigh(self.matrix * np.outer(sizes, sizes))
         scale, eigen, own = self._directions
         found = []
-        for column in own[:, eigen <= _SINGULAR].T:  # not told at all
+        for column in own[:, eigen <= _SINGULAR].T:  # not determined at all
             direction = column / scale / sizes
             found.append(self._named(direction / np.linalg.norm(direction), np.inf))
         for value, vector in list(zip(values, vectors.T, strict=True))[len(found) :][:n]:

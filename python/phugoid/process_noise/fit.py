@@ -31,7 +31,7 @@ __all__ = ["better", "doubtful", "filter_error"]
 
 _Array = NDArray[np.float64]
 
-# What a step must promise, in log-likelihood: 1e-4 of a standard error, as the other solver has it.
+# Least predicted gain of a step in log-likelihood: 1e-4 of a standard error, as for the other solver.
 _TOLERANCE = 0.5e-8
 # Least standard deviation, as a part of the spread of an output.
 _FLOOR = 1e-4
@@ -42,7 +42,7 @@ _STILL = 0.1
 _SAME = _STILL**2
 # Ends of fits that were stopped.
 _STOPPED = ("interrupted", "time limit")
-# How often the exact Hessian takes the place of what the iterations have learnt of it.
+# How often the exact Hessian replaces the quasi-Newton one.
 _ROUNDS = 6
 
 

@@ -36,7 +36,7 @@ class Objective:
         self.n_sigma = len(problem.parameters) - self.n_model - n_q
         self.priors = [(i, *p.prior) for i, p in enumerate(model.declared_parameters.values()) if p.prior]
         self.reason = ""
-        # The least value so far, with the path there.
+        # The least value so far, with its path.
         self.best: tuple[float, _Array] | None = None
 
     def on(self, problem: _core.Filter) -> Objective:
@@ -103,7 +103,7 @@ class Objective:
         for i, _, std in self.priors:
             metric[i, i] += 1 / std**2
         diagonal = np.diag(metric)[:p]
-        # What has no influence here, or none of its own, must not make the metric singular.
+        # A parameter without influence here, or collinear with others, must not make the metric singular.
         floor = np.where(diagonal > 0, 1e-9 * diagonal, 1 / np.where(z[:p] == 0, 1.0, z[:p]) ** 2)
         metric[range(p), range(p)] += floor
         noise = [2.0 * count for count in measured]

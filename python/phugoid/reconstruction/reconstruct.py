@@ -72,7 +72,7 @@ class Reconstruction:
     fit        of the model of the flight path: biases, scale factors, delays; states are the path.
     runs       the records that it was fitted to.
     places     the fit with places of vanes estimated in place of their delays, and which of the two the data prefer;
-               None where all places were given or none tells (see `reconstruct`).
+               None where all positions were given or none is estimated (see `reconstruct`).
     corrected  the same records, corrected: specific forces at the centre of gravity and rates without bias, and V,
                alpha, beta, phi, theta, ... as reconstructed; all other channels as they were. Each is one step's data
                for the next: the forces and moments are functions of these.
@@ -156,7 +156,7 @@ def reconstruct(
 
     A vane ahead of the centre of gravity reads much like a late one, and it is its place that is known. So where the
     model is made here, and places of vanes for alpha or beta among the outputs are not given (``alpha_vane``,
-    ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result tells
+    ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result shows
     what it finds and which of the two the data prefer. What is corrected is by the fit that was asked for.
 
     psi is unwrapped where it jumps by a whole turn. With the accelerometers off the centre of gravity, angular
@@ -178,7 +178,7 @@ def reconstruct(
     ready = [_turning(_unwrapped(run, made), made) for run in runs]
     begin = dict(start or {})
     if "V" in made.delays.outputs:
-        # What is late measures no state, and states that none measures start at 0: there is no angle of attack at rest.
+        # A delayed output measures no state, and unmeasured states start at 0: there is no angle of attack at rest.
         begin.setdefault("V", float(np.nanmedian(np.concatenate([run.output("V") for run in ready]))))
     with deadline.in_force():
         fit = estimate(made, ready, start=begin, noise=noise)
@@ -202,7 +202,7 @@ def _placed(
         begin.setdefault(f"tau_{n}", fit.parameters[f"tau_{n}"].value)
     try:
         found = estimate(other, runs, start=begin, noise=noise)
-    except PhugoidError:  # what was asked for is there
+    except PhugoidError:  # the fit that was asked for exists
         return None
     return compare_places(fit, found, channels)
 

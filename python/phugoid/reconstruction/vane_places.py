@@ -20,7 +20,7 @@ _Array = NDArray[np.float64]
 
 # Parts of each record whose gains are taken for independent: residuals are coloured.
 _BLOCKS = 10
-# Standard deviations from which on a gain is none of chance.
+# Standard deviations from which on a gain is significant.
 _CLEAR = 2.0
 # Standard errors from which on a vane is off the centre of gravity.
 _OFF = 3.0
@@ -78,24 +78,24 @@ class VanePlaces:
         without = "delays" if self.delayed else "vanes at the centre of gravity"
         gain = f"log-likelihood {self.gain:+.0f} ± {self.deviation:.0f} on the same samples"
         verdict = {
-            True: f"the data prefer places to {without}",
+            True: f"the data prefer positions to {without}",
             False: f"the data prefer {without}",
-            None: f"the data do not tell places from {without}",
+            None: f"the data do not distinguish positions from {without}",
         }[self.preferred]
-        text = f"Places of vanes estimated{instead}: {', '.join(found)}; {gain}: {verdict}."
+        text = f"Positions of vanes estimated{instead}: {', '.join(found)}; {gain}: {verdict}."
         if self.preferred is False or (self.preferred is None and not self.delayed):
             return text
         given = ", ".join(f"{c}_vane=(x, y, z)" for c in self.channels)
         return (
-            f"{text} A vane ahead of the centre of gravity by x reads like one that is late by x/V: give the places as "
-            f"measured on the aircraft, {given}, before any delay."
+            f"{text} A vane ahead of the centre of gravity by x reads like one that is delayed by x/V: give the "
+            f"positions as measured on the aircraft, {given}, before any delay."
         )
 
     def __str__(self) -> str:
         return self.summary()
 
     def __repr__(self) -> str:
-        return f"<Places of vanes of {', '.join(self.channels)}: {self.gain:+.1f} ± {self.deviation:.1f}>"
+        return f"<Positions of vanes of {', '.join(self.channels)}: {self.gain:+.1f} ± {self.deviation:.1f}>"
 
 
 def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePlaces | None:

@@ -58,8 +58,8 @@ class SmoothingSpline:
 class FourierSmoothing:
     """Global Fourier smoothing: sine series of the record, less the line through its ends, through a low-pass filter.
 
-    ``cutoff`` in Hz is where the filter has fallen to one half; None puts it where the series sinks into the noise, as
-    Wiener's filter does for a signal whose coefficients fall with the third power of frequency (E. A. Morelli,
+    ``cutoff`` in Hz is where the filter has fallen to one half; None puts it where the series falls to the noise level,
+    as Wiener's filter does for a signal whose coefficients fall with the third power of frequency (E. A. Morelli,
     Estimating Noise Characteristics from Flight Test Data Using Optimal Fourier Smoothing, J. Aircraft 32(4), 1995).
     Needs evenly spaced times; missing samples are filled linearly first.
     """

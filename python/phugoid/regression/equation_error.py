@@ -40,10 +40,10 @@ class EquationError:
     sigmas             equation -> root mean square of its residuals, in its unit.
     groups             the equations that were solved together, since they share parameters.
     collinear          (names, condition index): parameters that compensate each other (index from 30); infinite
-                       where the data do not tell them apart at all.
+                       where the data do not distinguish them at all.
     records            one an experiment. Its outputs are the equations, named after the output or the state with a
                        prime: measured left-hand sides, right-hand sides, residuals; its states are smoothed.
-    warnings           what to beware of, in words.
+    warnings           in words.
     """
 
     model: Model
@@ -55,7 +55,7 @@ class EquationError:
     collinear: Sequence[tuple[tuple[str, ...], float]]
     records: Sequence[Record]
     warnings: tuple[str, ...] = ()
-    solution: None = field(default=None, init=False)  # an estimate from here has no multipliers to go on with
+    solution: None = field(default=None, init=False)  # an estimation started from here has no multipliers
 
     @property
     def t_statistics(self) -> dict[str, float]:
@@ -189,7 +189,7 @@ def equation_error(
     everything = _unknowns(model, model.parameter_names, runs)
     idle = [u.label for u in everything if not declared[u.name].fixed and u.label not in found]
     if idle:
-        warnings.append(f"{', '.join(idle)} stands in no equation and stays at its start")
+        warnings.append(f"{', '.join(idle)} appears in no equation and stays at its start")
     records = [side.record(own) for side, own in zip(sides, values, strict=True)]
     return EquationError(
         model=model,
@@ -326,7 +326,7 @@ def _solve(
         left = np.concatenate([left[i][mask[i]] for left, mask in zip(lefts, masks, strict=True)])
         scales[i] = (float(left.std()) if left.size else 0.0) or 1.0
     declared = [model.declared_parameters[u.name] for u in unknowns]
-    # What is estimated in its logarithm afterwards has to stay positive.
+    # A parameter that is estimated in its logarithm afterwards must stay positive.
     least = [_POSITIVE * p.start if p.transform == "log" else -np.inf for p in declared]
     lower = np.maximum([p.bounds[0] for p in declared], least)
     bounds = (lower, np.array([p.bounds[1] for p in declared]))
@@ -355,7 +355,9 @@ def _estimate(model: Model, unknown: _Unknown, value: float, of: tuple[Regressio
 def _warning(names: Sequence[str], index: float) -> str:
     listed = ", ".join(names)
     if np.isfinite(index):
-        return f"{listed} are nearly collinear (condition index {index:.0f}): errors of one are made up by the others"
+        return (
+            f"{listed} are nearly collinear (condition index {index:.0f}): errors of one are compensated by the others"
+        )
     if len(names) == 1:
         return f"{listed} has no influence on the equations with these data, and stays at its start"
     return f"{listed} cannot be told apart with these data: fix one of them, or give it a prior"

@@ -72,7 +72,7 @@ def equations(
     """Return the state equations, and the outputs that are not the measurement of a state.
 
     A state equation is left out where an output measures the slope itself. Where it does but for a bias, both stay:
-    the slope tells the bias from the constants of the equation.
+    the slope separates the bias from the constants of the equation.
     """
     inside = {c.state: (Expr.symbol(c.state) - c.offset) / c.slope for c in measured}
     taken = {c.output for c in measured}

@@ -220,7 +220,7 @@ def _coloured(r: _Array, a: _Array, mask: NDArray[np.bool_]) -> _Array:
         matrices = (axes * np.maximum(power, 0.0)[:, None, :]) @ axes.conj().swapaxes(1, 2)
     x = np.fft.rfft(a, length, axis=1)
     twice = np.full(n + 1, 2.0)
-    twice[[0, -1]] = 1.0  # all other frequencies stand for their mirror images too
+    twice[[0, -1]] = 1.0  # all other frequencies also represent their mirror images
     weighted = np.einsum("fgh,hfp->gfp", matrices, x, optimize=True) * twice[:, None]
     return np.asarray(np.einsum("efp,efq->pq", x.conj(), weighted, optimize=True).real / length)
 

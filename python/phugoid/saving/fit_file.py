@@ -55,10 +55,10 @@ def load(path: str | os.PathLike[str]) -> FitResult:
 
 @contextmanager
 def damage(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Raise DataError in the name of the file for whatever content that is no fit leads to."""
+    """Raise DataError in the name of the file for any exception that invalid content causes."""
     try:
         yield
-    except Exception as error:  # what lies in wait in a file is of many kinds, up to RecursionError and MemoryError
+    except Exception as error:  # invalid content may raise anything, up to RecursionError and MemoryError
         what = str(error) if isinstance(error, PhugoidError) else f"{type(error).__name__}: {error}"
         raise DataError(f"{path}: is damaged ({what[:500]})") from error
 

@@ -44,7 +44,7 @@ class Writer:
     """A new file in memory: call `keep` for every array, then `finish`."""
 
     def __init__(self, unit: Callable[[tuple[str | int, ...]], str]) -> None:
-        # The times at which datasets were made are left out: the same fit gives the same bytes.
+        # Creation times of datasets are left out: the same fit gives the same bytes.
         self._file = _h5py("save").File("saved.h5", "w", track_order=True, driver="core", backing_store=False)
         self._unit = unit
 

@@ -25,7 +25,7 @@ _Array = NDArray[np.float64]
 # a small part of their standard errors) and the scaled defects are below that.
 _NEAR = 1.0
 _NEAR_DEFECT = 1e-3
-# Scaled anew when a standard deviation has come down by this factor.
+# The program is scaled again when a standard deviation has come down by this factor.
 _SMALLER = 100.0
 # Ipopt's return codes, as statuses of ours.
 STATUS = {

@@ -67,7 +67,7 @@ class Deadline:
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Do work that must be done, whatever the limit in force."""
+    """Suspend the limit in force for work that must be completed."""
     before = _END.set(math.inf)
     try:
         yield

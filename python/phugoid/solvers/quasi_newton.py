@@ -89,7 +89,7 @@ def minimise(
                 break
             found = _search(function, end, step, slope, lower, upper)
             if found is None:
-                # A metric that leads nowhere is given up once.
+                # A metric without progress is reset once.
                 start = np.diag(np.diag(metric))
                 if np.array_equal(end.metric, start):
                     end.status = "failed"

@@ -161,8 +161,8 @@ def _elsewhere(
     names = list(fit.parameters)
     at = [names.index(name) for name in labels]
     given = (corrected(fit).covariance if coloured else fit.covariance)[np.ix_(at, at)]
-    # Coordinates are orthonormal in the outputs: the least change that has the parameters there is the refit of the
-    # rest, and what moves no parameter is what the noise of the new record moves.
+    # Coordinates are orthonormal in the outputs: the least change with given parameters is the refit of the
+    # rest, and directions without a change of parameters are moved by the noise of the new record.
     back = np.linalg.pinv(moves, rcond=1e-9)
     rest = np.eye(t.k) - back @ moves
     noise = Colouring(t).spread if coloured else np.eye(t.k)

@@ -46,7 +46,7 @@ class Bootstrap:
     n           how many runs were asked for.
     failed      how many ended without converging: they are left out.
     status      "complete", or "interrupted" or "time limit" where runs are missing.
-    warnings    what to beware of, in words.
+    warnings    in words.
     time        s.
     """
 
@@ -102,7 +102,10 @@ class Bootstrap:
 
     def summary(self, level: float = 0.95) -> str:
         """Return a table: estimate, Cramér-Rao and bootstrap standard errors, percentile interval."""
-        what = {"parametric": "white noise of the fit's model", "coloured": "noise as coloured as the residuals"}
+        what = {
+            "parametric": "white noise of the fit's model",
+            "coloured": "noise with the autocorrelation of the residuals",
+        }
         noise = what.get(self.kind, f"residuals in blocks of {self.block} samples")
         lines = [
             f"bootstrap, {self.status}: {len(self.estimates)} of {self.n} runs converged, {noise}; {self.time:.1f} s"

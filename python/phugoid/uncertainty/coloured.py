@@ -40,7 +40,7 @@ class Coloured:
     covariance      (n, n) of the parameters in their order, corrected.
     plain           (n,) standard errors of the fit, which take residuals for white.
     autocorrelation  output -> (L,) of the noise, from lag 0 on, with fewer than 1 % left at the end.
-    times           output -> s, how long noise remembers: the sum of its autocorrelation at positive and negative
+    times           output -> s, correlation time of the noise: the sum of its autocorrelation at positive and negative
                     lags times the step. White noise has its step.
     """
 
@@ -79,7 +79,7 @@ class Coloured:
         noise = [
             [n, f"{r[1] if r.size > 1 else 0.0:.2f}", f"{self.times[n]:.3g}"] for n, r in self.autocorrelation.items()
         ]
-        return (heads, rows, "lrrrrl"), (["noise of", "lag-1", "memory in s"], noise, "lrr")
+        return (heads, rows, "lrrrrl"), (["noise of", "lag-1", "correlation time, s"], noise, "lrr")
 
     def __str__(self) -> str:
         return self.summary()
@@ -133,7 +133,7 @@ class Colouring:
         for process, laid in zip(self.processes, columns, strict=True):
             for a in laid:
                 spread += a.columns @ a.times(process).T
-        # Of the noise's own unknowns, on which these estimates hardly depend, the curvature serves.
+        # For the noise's own unknowns, on which these estimates hardly depend, the curvature suffices.
         middle = np.linalg.inv(t.inverse)
         self.spread = _proper(0.5 * (spread + spread.T))
         middle[:k, :k] = self.spread + t.priors[:k, :k]

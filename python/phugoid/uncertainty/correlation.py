@@ -21,7 +21,7 @@ _Array: TypeAlias = NDArray[np.float64]
 
 # Pairs are named from this on (Klein & Morelli 2006, section 5.4).
 _STRONG = 0.9
-# Collinear from this condition index on (Belsley, Kuh & Welsch 1980), and worth a word where one standard error is this
+# Collinear from this condition index on (Belsley, Kuh & Welsch 1980), and reported where one standard error is this
 # part of a value.
 _INDEX, _LARGE = 30.0, 0.1
 # Parts of a direction below this, of the greatest, are not named.
@@ -44,7 +44,7 @@ class WeakDirection:
         listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
         moves = ", ".join(f"{name} by {step:+.2g}" for name, step in self.steps.items())
         return (
-            f"{listed} are hardly told apart: {moves} together is only one standard error (condition index "
+            f"{listed} are hardly distinguishable: {moves} together is only one standard error (condition index "
             f"{self.index:.0f}); fix one of them, give it a prior, or fly a manoeuvre that moves them separately"
         )
 

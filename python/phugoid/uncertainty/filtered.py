@@ -25,7 +25,7 @@ __all__ = ["Filtered", "elsewhere", "of_fit", "within"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# By how much of its standard error a parameter is moved to see what follows it.
+# Step of a parameter for differences of the outputs, in standard errors.
 _PART = 0.1
 
 

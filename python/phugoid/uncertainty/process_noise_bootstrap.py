@@ -19,7 +19,7 @@ __all__ = ["ProcessNoiseResampler"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# Motions that are tried, and how many times as far as in the record they may go.
+# Number of draws that are tried, and the largest range of their motion as a multiple of the recorded one.
 _TRIED, _FAR = 5, 5.0
 
 
@@ -40,8 +40,8 @@ class ProcessNoiseResampler(Resampler):
         if not far < _FAR:
             raise OptionError(
                 f"bootstrap: with other process noise the motion goes {far:.2g} times as far as in the record: its "
-                "inputs were answers of a pilot or a controller to the noise that there was, and an unstable vehicle "
-                "needs answers to the noise that is drawn. Use profile"
+                "inputs were responses of a pilot or a controller to the actual noise, and an unstable vehicle "
+                "needs responses to the drawn noise. Use profile"
             )
         return found
 

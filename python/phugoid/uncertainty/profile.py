@@ -52,7 +52,7 @@ class Profile:
                the likelihood does not fall low enough however far one goes; "failed", where the solver came no farther;
                "missing", where the run was interrupted or its time limit was reached.
     values     (k,) that were tried, in order, the estimate among them.
-    drops      (k,) by how much the log-likelihood is lower there, with all else estimated anew.
+    drops      (k,) by how much the log-likelihood is lower there, with all else re-estimated.
     threshold  the drop at the ends: half of chi-square's quantile with one degree of freedom.
     inflation  by how much the threshold's root was made larger for coloured residuals; 1 where it was not.
     """
@@ -91,7 +91,7 @@ class Profiles(Mapping[str, Profile]):
 
     level     of the intervals.
     status    "complete", "interrupted" or "time limit".
-    warnings  what to beware of, in words.
+    warnings  in words.
     runs      estimations that it took.
     time      s.
     """
@@ -195,7 +195,7 @@ def profile(
     warnings = list(runs.warnings)
     if better > _BETTER:
         warnings.append(
-            f"with a parameter held elsewhere the log-likelihood is higher by {better:.3g}: the fit is not the best "
+            f"with a parameter fixed elsewhere the log-likelihood is higher by {better:.3g}: the fit is not the best "
             "optimum; see multistart"
         )
     return Profiles(

@@ -247,7 +247,7 @@ class Blocks(Resampler):
         n = int(np.isfinite(stacked).sum())
         free = sum(1 for e in fit.parameters.values() if not e.fixed and not e.bounds_active)
         free += len(fit.model.state_names) * len(fit.records) - len(fit.noise_parameters)
-        # Residuals are less than the noise by what the fit took.
+        # Residuals are smaller than the noise, since parameters were fitted to them.
         larger = math.sqrt(n / max(n - free, 1))
         mean = np.nanmean(stacked, axis=0)
         residuals, lengths, starts = [], [], []

@@ -101,7 +101,7 @@ def _known(noise: Noise, outputs: Sequence[str], values: Mapping[str, float]) ->
 def mesh_for(fit: FitResult, experiments: Sequence[Experiment]) -> Transcription | FilterError:
     """Return the fit's transcription for other experiments, with segments of the same length where it has its own.
 
-    A mesh that was refined for the fit is refined anew; process noise has the intensities of the fit.
+    A mesh that was refined for the fit is refined again; process noise has the intensities of the fit.
     """
     t = fit.transcription
     if isinstance(t, FilterError):

@@ -49,7 +49,7 @@ class Validation:
                     the fit's noise.
     by_experiment   experiment -> output -> `Match`.
     status          "converged", or what else happened; ``message`` says what to do then.
-    warnings        what to beware of, in words.
+    warnings        in words.
     tolerances      output -> `Tolerance`, as given.
 
     With process noise (`FilterError`) intensities are held too, initial states are integrated out, and outputs and
@@ -109,7 +109,7 @@ class Validation:
             "fitted to": ", ".join(f"'{name}'" for name in self.fitted_to),
             "status": f"{self.status}: {self.message}" if self.message else self.status,
             "held": ", ".join(self.held) or "nothing",
-            "found anew": ", ".join([f"{first} initial states", *self.freed]),
+            "re-estimated": ", ".join([f"{first} initial states", *self.freed]),
             "log-likelihood": f"{self.log_likelihood:.3f} at the noise of the fit",
         }
         if self._predicted:
@@ -134,7 +134,7 @@ class Validation:
                 continue
             said = []
             if math.isfinite(m.sigma):
-                what = "what the fit makes one expect" if self._predicted else "the fit's noise"
+                what = "the value that the fit predicts" if self._predicted else "the fit's noise"
                 said.append(f"RMS is {m.rms / m.sigma:.2g} times {what}")
             if m.tolerance is not None:
                 said.append(f"{100 * m.inside:.1f} % of the samples lie within {m.tolerance.text(m.unit)}")
@@ -143,7 +143,7 @@ class Validation:
             if m.whiteness < _WHITE:
                 said.append(f"its residuals are coloured (lag-1 correlation {m.lag_one:.2f})")
             elif math.isfinite(m.whiteness):
-                said.append("its residuals pass for white")
+                said.append("its residuals are not significantly coloured")
             lines.append(f"{m.output}: {'; '.join(said)}.")
         return lines
 

@@ -100,7 +100,7 @@ def re_estimated(
         warnings += _check(fit, e, free)
 
     slim = freeze_model(fit.model, held, free)
-    # A regression on measured states is for parameters, and these are held.
+    # A regression on measured states is for parameters, and these are fixed.
     solver = None if isinstance(mesh, FilterError) else Newton(regression=False)
     begin = _start(fit, slim, held, free)
     found = estimate(slim, experiments, transcription=mesh, noise=noise, start=begin, solver=solver)
@@ -168,7 +168,7 @@ def _held(fit: FitResult, free: Sequence[str], values: Mapping[str, Any]) -> dic
         listed, one = ", ".join(f"'{name}'" for name in own), own[0]
         raise ModelError(
             f"validate: each experiment of the fit has its own {listed}, and which value another one has is not known: "
-            f"give it in values={{'{one}': ...}}, or name it in biases=['{one}'] to estimate it anew"
+            f"give it in values={{'{one}': ...}}, or name it in biases=['{one}'] to estimate it again"
         )
     return held
 

@@ -17,8 +17,8 @@ def open_source(
 ) -> Source:
     """Return the columns of a table in memory, or of a file, whose ending gives its kind.
 
-    time    name in the file of the column that gives the times; None: not told.
-    wanted  names that are asked for: what is dear to read is left unless it is among them.
+    time    name in the file of the column that gives the times; None: not given.
+    wanted  names that are asked for: columns that take long to read are skipped unless they are among them.
     """
     from .frames import is_frame, read_frame
 

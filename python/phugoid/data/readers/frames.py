@@ -144,8 +144,8 @@ def read_parquet(path: Path, time: str | None) -> Source:
     columns = []
     for field in fields:
         name, unit = split_unit(field.name)
-        told = field.metadata or {}
-        unit = next((told[key].decode("utf-8", "replace") for key in (b"units", b"unit") if key in told), unit)
+        metadata = field.metadata or {}
+        unit = next((metadata[key].decode("utf-8", "replace") for key in (b"units", b"unit") if key in metadata), unit)
         if name == "__index_level_0__" and (time or "t") not in names:
             name = time or "t"
         columns.append(Column(name, _later(parquet, path, field.name), unit, field.name))

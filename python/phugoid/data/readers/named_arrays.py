@@ -132,7 +132,7 @@ _CHARACTERS, _FIRST_NUMERIC, _LAST_NUMERIC = 4, 6, 15  # classes of arrays
 def is_whole(raw: bytes) -> bool:
     """Return False where a tag in the file names no known type, or more bytes than there are."""
     if len(raw) < 128 or raw[126:128] not in (b"IM", b"MI") or b"\0" in raw[:4]:
-        return True  # of another version: scipy tells
+        return True  # of another version: scipy reports it
     order = "<" if raw[126:128] == b"IM" else ">"
     return _elements(raw, 128, len(raw), order) is not None
 

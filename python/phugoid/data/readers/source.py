@@ -24,8 +24,8 @@ class Column:
     """One column of a file.
 
     name    as the file has it, without the unit.
-    values  gives the values, (N,), when asked by the name that the user gave the column, which messages tell.
-    unit    "" where the file tells none.
+    values  returns the values, (N,), when called with the user's name of the column, which messages contain.
+    unit    "" where the file has none.
     header  name and unit as written, where these were one text.
     times   name of the column that holds its times; None: the one that the user calls the time.
     """
@@ -43,7 +43,7 @@ class Source:
 
     where     what messages call it.
     name      what the experiment is called unless the user says otherwise.
-    left_out  name -> why it is no column, for what somebody may ask for.
+    left_out  name -> why it is no column, for messages on names that may be asked for.
     """
 
     where: str

@@ -56,6 +56,7 @@ lint: $(VENV)/.package $(VENV)/.lint
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps -p phugoid
 	$(py) -m ruff check
 	$(py) -m ruff format --check
+	$(py) -m codespell_lib
 	$(py) -m mypy
 	$(py) -m mypy.stubtest phugoid._core
 
@@ -85,7 +86,7 @@ $(VENV)/.demo: $(sources) | $(VENV)/.created
 	touch $@
 
 $(VENV)/.lint: pyproject.toml | $(VENV)/.created
-	$(py) -m pip install --quiet "maturin>=1.7,<2" "mypy>=1.8" "ruff==0.17.*"
+	$(py) -m pip install --quiet "maturin>=1.7,<2" "mypy>=1.8" "ruff==0.17.*" "codespell[toml]==2.4.*"
 	touch $@
 
 $(VENV)/.ipopt: tools/ipopt.py | $(VENV)/.package

@@ -204,7 +204,7 @@ def test_summary_and_report_show_both_errors(tmp_path: Path) -> None:
     fit.report(tmp_path / "fit.html")
     assert "coloured" in (tmp_path / "fit.html").read_text()
     text = str(fit.robust())
-    assert "ratio" in text and "memory in s" in text
+    assert "ratio" in text and "correlation time, s" in text
 
 
 def test_saved_fits_and_fits_by_shooting_have_them_too(tmp_path: Path) -> None:

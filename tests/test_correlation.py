@@ -56,7 +56,7 @@ def test_weak_direction_is_named_as_a_combination() -> None:
     assert abs(weak.steps["c"]) == pytest.approx(fit.parameters["c"].std_error, rel=0.05)
     assert weak.index > 100
     text = fit.summary()
-    assert "Weakly identified: c and d are hardly told apart" in text
+    assert "Weakly identified: c and d are hardly distinguishable" in text
     assert "Correlated above 0.9: c and d -" in text
 
 

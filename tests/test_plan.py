@@ -144,8 +144,8 @@ def test_what_is_not_told_is_named() -> None:
     assert silent.parts == pytest.approx({"d": 1.0}) and set(trade.parts) == {"b", "c"}
     assert trade.parts["b"] == pytest.approx(-trade.parts["c"])  # in units of their sizes
     assert np.isinf(silent.std_error) and np.isinf(trade.std_error)
-    assert plan.criteria["worst"] == np.inf and "does not tell all" in repr(plan)
-    assert plan.summary().count("not told") == 5
+    assert plan.criteria["worst"] == np.inf and "does not determine all" in repr(plan)
+    assert plan.summary().count("not determined") == 5
     told = ph.design.plan(m, run, noise={"x": 0.01}, of=["a"])
     assert told.criteria["worst"] == pytest.approx(plan.parameters["a"].std_error)
 

@@ -124,6 +124,6 @@ def test_print_shows_what_the_screen_folds(pages: dict[str, Path], tmp_path: Pat
     printed = subprocess.run(
         [text, "-layout", str(tmp_path / "fit.pdf"), "-"], capture_output=True, text=True, check=True
     )
-    for words in ("What to beware of", "Initial states", "largest defect", "trials", "versions"):
+    for words in ("Warnings and remarks", "Initial states", "largest defect", "trials", "versions"):
         assert words in printed.stdout
     assert printed.stdout.count("\f") <= 10

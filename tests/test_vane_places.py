@@ -31,7 +31,7 @@ def test_a_place_that_is_not_given_is_found(truth: ph.results.Record) -> None:
     for c in ("alpha", "beta"):
         e = places.fit.parameters[f"x_{c}_vane"]
         assert abs(e.value - BOOM[0]) < 4 * places.fit.robust().parameters[e.name].std_error + 0.15
-    assert "prefer places to vanes at the centre of gravity" in str(places) and "alpha_vane=(x, y, z)" in str(places)
+    assert "prefer positions to vanes at the centre of gravity" in str(places) and "alpha_vane=(x, y, z)" in str(places)
 
 
 def test_delays_that_were_asked_for_are_told_to_be_places(truth: ph.results.Record) -> None:
@@ -41,7 +41,7 @@ def test_delays_that_were_asked_for_are_told_to_be_places(truth: ph.results.Reco
     assert path.fit.parameters["K_alpha"].value < 0.95 * twin.ERRORS["K_alpha"]
     assert path.places is not None and path.places.preferred and path.places.delayed == LATE
     assert path.places.fit.parameters["K_alpha"].value == pytest.approx(twin.ERRORS["K_alpha"], abs=0.01)
-    assert "instead of delays of alpha and beta" in path.summary() and "prefer places to delays" in path.summary()
+    assert "instead of delays of alpha and beta" in path.summary() and "prefer positions to delays" in path.summary()
 
 
 def test_vanes_that_are_late_are_told_to_be_late(truth: ph.results.Record) -> None:

@@ -36,7 +36,7 @@ print(fit.parameters)
 figure, axes = fit.plot()
 
 # %%
-# The fit predicts another manoeuvre, with only initial states and biases found anew:
+# The fit predicts another manoeuvre, with only initial states and biases re-estimated:
 
 check = fit.validate(other, tolerances={"q": 0.006, "alpha": 0.006})
 figure, axes = check.plot(channels=["alpha", "q", "az"])

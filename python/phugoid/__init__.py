@@ -90,17 +90,17 @@ _MOVED = {
 
 
 def __getattr__(name: str) -> Any:
-    """Return what has moved, with a DeprecationWarning that names its place."""
+    """Return a name that has moved, with a DeprecationWarning that gives its new place."""
     if name not in _MOVED:
         raise AttributeError(f"module 'phugoid' has no attribute '{name}'", name=name, obj=sys.modules[__name__])
-    where, _, own = _MOVED[name].partition(".")
+    where, _, attribute = _MOVED[name].partition(".")
     warnings.warn(f"phugoid.{name} is now phugoid.{_MOVED[name]}", DeprecationWarning, stacklevel=2)
     module = {"design": design, "linear": linear}[where]
-    return getattr(module, own) if own else module
+    return getattr(module, attribute) if attribute else module
 
 
 def __dir__() -> list[str]:
-    """What is offered, without the modules that it lies in: for completion."""
+    """Return the public names, without the modules that hold them, for completion."""
     return list(__all__)
 
 

@@ -40,9 +40,10 @@ improve = _giving(Improvement._of, "Improvement", _improve)
 
 
 def load(path: str | os.PathLike[str]) -> Any:
-    """Reads what `Fit.save` or `Diagnosis.save` wrote, of this version or an older one: a `Fit` or a `Diagnosis`.
+    """Read a file that `Fit.save` or `Diagnosis.save` wrote with this version or an older one; return the `Fit` or
+    `Diagnosis`.
 
-    What the file is shows from its content, not from its name.
+    The kind of the file is recognised by its content, not by its name.
 
     Raises DataError for a missing, damaged or newer file, MissingDependency for HDF5 without h5py.
     """
@@ -52,5 +53,5 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 
 def load_fit(path: str | os.PathLike[str]) -> Fit:
-    """Return what `Fit.save` wrote; raises as `load` does, and for the file of a diagnosis."""
+    """Read a fit that `Fit.save` wrote; raises as `load` does, and for the file of a diagnosis."""
     return Fit._of(fit_file.load(path))

@@ -1,4 +1,4 @@
-"""Design of manoeuvres: inputs that tell parameters, and what an experiment would give before it is flown.
+"""Design of manoeuvres: inputs that excite the parameters, and the standard errors to expect from an experiment.
 
 Inputs are steps, multisines and sweeps, as arrays over a time grid. Each is the distance of an input from its trim, in
 the unit of ``amplitude``, at the times ``t`` (N,) in s; it is 0 before ``start``, and where the manoeuvre is over. Add

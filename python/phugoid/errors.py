@@ -1,4 +1,4 @@
-"""What phugoid raises: one base class, and one subclass for each place where the fault may lie.
+"""Exceptions of phugoid: one base class, and one subclass for each place where the fault may lie.
 
 Each subclass is also the built-in exception that a reader would expect, so ``except ValueError`` works.
 """
@@ -27,7 +27,8 @@ _LONGEST = 2000
 
 
 def _shortened(text: str) -> str:
-    """The beginning and the end of a text of more than 2,000 characters, such as an error with a large expression."""
+    """Return the beginning and the end of a text of more than 2,000 characters, such as an error with a large
+    expression."""
     if len(text) <= _LONGEST:
         return text
     note = f" ... ({len(text)} characters) ... "
@@ -75,7 +76,7 @@ class UnknownName(PhugoidError, KeyError):
 
 
 def did_you_mean(name: str, candidates: Iterable[str]) -> str:
-    """The end of an error message: ``" Did you mean 'x'?"`` for the nearest of ``candidates``, or ``""``.
+    """Return the end of an error message: ``" Did you mean 'x'?"`` for the nearest of ``candidates``, or ``""``.
 
     Letter case is ignored, since a wrong case is the commonest slip.
 
@@ -94,7 +95,7 @@ def did_you_mean(name: str, candidates: Iterable[str]) -> str:
 
 
 def listing(name: str, available: Collection[str]) -> str:
-    """The end of a message on a missing name: the nearest name, and what there is.
+    """Return the end of a message on a missing name: the nearest name, and the names there are.
 
     >>> listing("Q", ["q", "alpha"])
     " Did you mean 'q'? There are: q, alpha."

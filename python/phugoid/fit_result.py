@@ -63,7 +63,7 @@ class FitResult:
     refinement: Refinement | None = None
     smoothing: Smoothing | None = None
     experiments: Sequence[Experiment] = ()
-    # Where something is late: the fit of the model without delays to data moved by them. Where kinks were smoothed:
+    # With delays: the fit of the model without delays to data shifted by them. Where kinks were smoothed:
     # that of the smooth model.
     _moved: FitResult | None = field(default=None, repr=False)
 
@@ -112,7 +112,7 @@ class FitResult:
         return {n for n in self.parameters if n.partition("[")[0] in names} | self._intensities
 
     def _solution_of(self, problem: _core.Problem) -> Solution:
-        """The solution, of which a problem made of model and data anew is that of the fit.
+        """Return the solution, after a check that it fits a problem made again from the model and the data.
 
         Raises DataError where it is not, as in a file whose parts belong to different fits.
         """
@@ -125,7 +125,8 @@ class FitResult:
         return s
 
     def as_start(self, noise: Noise | None = None) -> dict[str, float]:
-        """Parameters as start values of another estimation; of the noise those that ``noise`` has, or all."""
+        """Return the parameters as start values of another estimation: of the noise those that ``noise`` has,
+        or all."""
         outputs = self.model.output_names
         gone = set() if noise is None else {*self.noise.names(outputs)}.difference(noise.names(outputs))
         gone |= {f"sigma_{name}" for name in self.noise.known_sigmas(outputs)} | self._intensities
@@ -134,12 +135,12 @@ class FitResult:
         return {name: e.value for name, e in self.parameters.items() if name not in gone}
 
     def _own(self, experiment: str) -> dict[str, float]:
-        """The model's parameters as they are in one experiment."""
+        """Return the values of the model's parameters in one experiment."""
         labels = {name: f"{name}[{experiment}]" for name in self.model.parameter_names}
         return {n: self.parameters[label if label in self.parameters else n].value for n, label in labels.items()}
 
     def _once(self, name: str, compute: Callable[[], _T]) -> _T:
-        """Return what ``compute`` gives, which is kept with the fit under a name from the first call on."""
+        """Return the result of ``compute``, which is stored with the fit under a name at the first call."""
         known = vars(self)
         if name not in known:
             known[name] = compute()

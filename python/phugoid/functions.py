@@ -1,4 +1,4 @@
-"""Functions on expressions, and how numpy and SymPy map onto the operation table of the core."""
+"""Functions on expressions, and the mapping of numpy's and SymPy's functions to the operation table of the core."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ __all__ = [
 
 
 def _call(name: str, *args: Any) -> Any:
-    """An operation of the table on expressions, numbers, or arrays of them (element by element).
+    """Apply an operation of the table to expressions, numbers, or arrays of them (element by element).
 
     Numbers alone give a number.
     """
@@ -83,27 +83,27 @@ abs = _function("abs", "Absolute value. `smooth_abs` has no kink.")
 
 
 def atan2(y: Any, x: Any) -> Any:
-    """Angle of the point (x, y), rad, in (-pi, pi]."""
+    """Return the angle of the point (x, y), rad, in (-pi, pi]."""
     return _call("atan2", y, x)
 
 
 def hypot(x: Any, y: Any) -> Any:
-    """sqrt(x**2 + y**2), without overflow on the way; its derivative needs a value > 0."""
+    """Return sqrt(x**2 + y**2), without overflow on the way; its derivative needs a value > 0."""
     return _call("hypot", x, y)
 
 
 def minimum(a: Any, b: Any) -> Any:
-    """The smaller of two. `smooth_min` has no kink."""
+    """Return the smaller of two. `smooth_min` has no kink."""
     return _call("min", a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
-    """The larger of two. `smooth_max` has no kink."""
+    """Return the larger of two. `smooth_max` has no kink."""
     return _call("max", a, b)
 
 
 def where(condition: Any, yes: Any, no: Any) -> Any:
-    """``yes`` where the condition holds, ``no`` elsewhere: the ``if`` of a model.
+    """Return ``yes`` where the condition holds, ``no`` elsewhere: the ``if`` of a model.
 
     Conditions are written with ``< <= > >=`` and joined with ``& | ~``. Derivatives are those of the branch
     taken; what the other branch would give (NaN, say) does not enter.
@@ -112,27 +112,27 @@ def where(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def smooth_abs(x: Any, width: Any) -> Any:
-    """|x| with the kink rounded over ``width``: sqrt(x**2 + width**2)."""
+    """Return |x| with the kink rounded over ``width``: sqrt(x**2 + width**2)."""
     return sqrt(x * x + width * width)
 
 
 def smooth_sign(x: Any, width: Any) -> Any:
-    """sign(x) with the jump spread over ``width``: tanh(x/width)."""
+    """Return sign(x) with the jump spread over ``width``: tanh(x/width)."""
     return tanh(x / width)
 
 
 def smooth_step(x: Any, width: Any) -> Any:
-    """0 for x << -width, 1 for x >> width: (1 + tanh(x/width))/2."""
+    """Return 0 for x << -width, 1 for x >> width: (1 + tanh(x/width))/2."""
     return 0.5 * (1 + tanh(x / width))
 
 
 def smooth_max(a: Any, b: Any, width: Any) -> Any:
-    """max(a, b) with the kink rounded over ``width``."""
+    """Return max(a, b) with the kink rounded over ``width``."""
     return 0.5 * (a + b + smooth_abs(a - b, width))
 
 
 def smooth_min(a: Any, b: Any, width: Any) -> Any:
-    """min(a, b) with the kink rounded over ``width``."""
+    """Return min(a, b) with the kink rounded over ``width``."""
     return 0.5 * (a + b - smooth_abs(a - b, width))
 
 
@@ -177,7 +177,7 @@ class Table:
         return f"Table({self.name!r})"
 
 
-# numpy's names of what the table has, and what is made of it.
+# numpy's names of the operations of the table, and of functions made of these.
 _UFUNCS: dict[str, Callable[..., Any]] = {
     "add": lambda a, b: a + b,
     "subtract": lambda a, b: a - b,
@@ -234,7 +234,7 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
 
 
 def apply_ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: Mapping[str, Any] | None) -> Any:
-    """What numpy does with an expression among the arguments of a ufunc: the operation, element by element.
+    """Apply a ufunc of numpy to arguments that include an expression: the operation, element by element.
 
     Raises TypeError, with the nearest name that is known, for a ufunc that the table does not have.
     """
@@ -249,7 +249,7 @@ def apply_ufunc(ufunc: Any, method: str, inputs: Sequence[Any], options: Mapping
 
 
 def _boxed(x: Any) -> Any:
-    """An expression as a 0-d array, so that numpy does not come back here; it is unpacked on the way out."""
+    """Return an expression as a 0-d array, so that numpy does not call back here; it is unpacked on the way out."""
     if not isinstance(x, Expr):
         return x
     box = np.empty((), dtype=object)
@@ -258,14 +258,14 @@ def _boxed(x: Any) -> Any:
 
 
 def from_sympy(expression: Any, names: Mapping[str, Any] | None = None) -> Any:
-    """A SymPy expression as one of ours; a SymPy matrix as an array of them.
+    """Convert a SymPy expression to one of phugoid; a SymPy matrix to an array of them.
 
     ``names`` maps SymPy symbol names to expressions; others become symbols of the same name. Raises ModelError
     for a function that has no counterpart.
     """
     given = dict(names or {})
 
-    done: dict[Any, Any] = {}  # what occurs again is shared, as SymPy shares it
+    done: dict[Any, Any] = {}  # a repeated sub-expression is shared, as SymPy shares it
 
     def convert(e: Any) -> Any:
         if e not in done:

@@ -1,4 +1,4 @@
-"""Ctrl-C that waits: what is known is not lost to one that comes while it is put together."""
+"""Deferred Ctrl-C: a result that is being put together is not lost."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 
 __all__ = ["interrupts"]
 
-# So many are counted; one more is raised as ever, for whoever wants no result at all.
+# So many are counted; one more raises KeyboardInterrupt, for a user who needs no result at all.
 _COUNTED = 2
 
 
 @contextmanager
 def interrupts() -> Iterator[Callable[[], int]]:
-    """Within, Ctrl-C raises nothing: what this gives tells how often it was pressed. The third is as ever.
+    """Defer Ctrl-C within the context; yield a function that returns how often it was pressed. The third one raises.
 
     In another thread than the main one, and where someone has a handler of their own, nothing is changed, and nothing
     counted.

@@ -1,4 +1,4 @@
-"""How well a model's output matches what was measured, in numbers."""
+"""Goodness of fit: how well a model's output matches the measurements, in numbers."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ _Piece = tuple[_Array, _Array, _Array]  # of one record where measured: times, m
 _LAGS, _SHARE = 20, 0.2
 
 
-# R² below zero by no more than this is a channel that holds noise alone.
+# R² below zero by no more than this is a channel that contains noise alone.
 _NO_BETTER = -0.01
 # Where all R² are below this, next to nothing of the motion is explained.
 _POOR = 0.5
 
 
 def no_match(r_squared: Mapping[str, float]) -> str:
-    """A sentence on the outputs whose R² is below 0, or on all of them where none is matched well; "" where there is
-    nothing to say. Data in other units are mostly the cause, and poor optima.
+    """Return a sentence on the outputs whose R² is below 0, or on all outputs where none is matched well; else "". The
+    cause is mostly data in other units, or a poor optimum.
 
     >>> no_match({"q": 0.98, "alpha": -1.28})
     'A constant would match alpha better than the model does (R² below 0): look at its unit, its sign and its column.'
@@ -113,7 +113,8 @@ def match(
     sigma: float = math.nan,
     tolerance: float | Tolerance | None = None,
 ) -> Match:
-    """The match of an output over one record or several that have measurements of it; NaN where there are none.
+    """Return the goodness of fit of an output over one record or several that measured it; NaN where there are no
+    samples.
 
     ``match(fit.records, "q")``; ``sigma`` and ``tolerance`` (in the output's unit, or a `Tolerance`) are passed on.
     Raises UnknownName for an output that a record has no measurements of, OptionError for a tolerance that is none.
@@ -149,7 +150,7 @@ def match(
         theil_about_mean=_share(math.sqrt(r2), sum(sizes_about)),
         bias=_share(offset, r2),
         variance=_share(spread, r2),
-        # What is left of the scatter of r about its mean: 2 (1 - correlation) std(z) std(y), without the division.
+        # The remaining scatter of r about its mean: 2 (1 - correlation) std(z) std(y), without the division.
         covariance=_share(max(scatter - spread, 0.0), r2),
         lag_one=lag_one,
         whiteness=p_value,
@@ -185,7 +186,7 @@ def _share(part: float, whole: float) -> float:
 
 
 def _whiteness(pieces: Sequence[_Piece]) -> tuple[float, float, int]:
-    """p-value of the Ljung-Box test, autocorrelation at lag 1, and the number of lags.
+    """Return the p-value of the Ljung-Box test, the autocorrelation at lag 1, and the number of lags.
 
     Each record's residuals are put on the grid of the output's own sampling, with gaps where samples are missing.
     """
@@ -206,12 +207,12 @@ def _whiteness(pieces: Sequence[_Piece]) -> tuple[float, float, int]:
 
 
 def _on_grid(t: _Array, r: _Array) -> _Array:
-    """Residuals about their mean, one a sampling interval, NaN where one is missing.
+    """Return residuals about their mean, one for each sampling interval, NaN where a sample is missing.
 
-    A grid has no room for a record of which almost all is missing: there samples count one by one.
+    Where almost all samples of a record are missing, a grid would be too large: there the samples are taken one by one.
     """
     r = r - r.mean()
-    # Of equal residuals rounding alone is left.
+    # Equal residuals leave only rounding errors.
     r = np.where(np.abs(r) > 1e-12 * np.abs(r).max(initial=0.0), r, 0.0)
     if t.size < 3:
         return r
@@ -226,7 +227,7 @@ def _on_grid(t: _Array, r: _Array) -> _Array:
 
 
 def _lagged(grids: Sequence[_Array], lag: int) -> tuple[float, int]:
-    """Sum of the products of residuals so many intervals apart, and their number."""
+    """Return the sum of the products of residuals ``lag`` intervals apart, and their number."""
     products = [g[lag:] * g[:-lag] for g in grids if g.size > lag]
     return sum(float(np.nansum(p)) for p in products), sum(int(np.isfinite(p).sum()) for p in products)
 

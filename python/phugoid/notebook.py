@@ -1,4 +1,4 @@
-"""Short HTML that a notebook shows of an object: a title, sentences, tables, and time histories as small pictures.
+"""Short HTML that notebooks show for an object: a title, sentences, tables, and time histories as small pictures.
 
 All text is escaped, but for what these functions made themselves (`Html`). Text has the colours of the notebook, so
 that dark themes work; tables are cut off after `MOST` rows.
@@ -19,7 +19,7 @@ MOST = 25
 """Rows of a table; a note says how many more there are."""
 
 _WIDTH, _HEIGHT = 120, 22  # pixels of a picture
-_MEASURED, _MODEL = "#0072B2", "#D55E00"  # those of the figures
+_MEASURED, _MODEL = "#0072B2", "#D55E00"  # as in the figures
 _CELL = "padding:1px 8px;border:0;vertical-align:middle"
 
 
@@ -35,14 +35,14 @@ def _escaped(text: str) -> str:
 
 
 def notebook_page(title: str, *parts: Html, note: str = "") -> str:
-    """Return what a notebook shows: a title in bold, a note beside it, and the parts below."""
+    """Return the HTML of an object: a title in bold, a note beside it, and the parts below."""
     beside = f" <span style='opacity:.7'>{escape(note)}</span>" if note else ""
     body = "".join(parts)
     return f"<div class='phugoid' style='overflow-x:auto'><div><b>{escape(title)}</b>{beside}</div>{body}</div>"
 
 
 def paragraph(text: str) -> Html:
-    """Return a sentence of its own; nothing for no text."""
+    """Return a paragraph; nothing for an empty text."""
     return Html(f"<p style='margin:.3em 0;max-width:60em'>{_escaped(text)}</p>" if text else "")
 
 
@@ -115,7 +115,8 @@ def sparkline(values: ArrayLike, model: ArrayLike | None = None, t: ArrayLike | 
 
 
 def _pieces(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[str]:
-    """Points of the lines between gaps: of each column of pixels the least and the greatest value, in order of time."""
+    """Return the points of the lines between gaps: the least and the greatest value of each column of pixels, in time
+    order."""
     there = np.isfinite(y)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(int)))
     found = []

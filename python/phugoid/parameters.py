@@ -1,4 +1,4 @@
-"""What the user declares of a parameter (`Parameter`) and what a fit says of it (`Estimate`, `Estimates`)."""
+"""Parameters as the user declares them (`Parameter`), and as a fit estimates them (`Estimate`, `Estimates`)."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class Parameter:
 
 @dataclass(frozen=True, repr=False)
 class Estimate:
-    """What a fit found for one parameter; ``float(estimate)`` is its value.
+    """The estimate of one parameter; ``float(estimate)`` is its value.
 
     std_error      standard error from the inverse information matrix (Cramér-Rao bound), in ``unit``; NaN
                    where there is none: the parameter is fixed, at a bound, or not identifiable.
@@ -217,12 +217,13 @@ class Estimates(Mapping[str, Estimate]):
         return found
 
     def to_dict(self) -> dict[str, float]:
-        """Name to value: what ``estimate(start=...)`` and ``simulate`` take."""
+        """Return name -> value, as ``estimate(start=...)`` and ``simulate`` take it."""
         return {name: float(e.value) for name, e in self._by_name.items()}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A row an estimate, by name: value, std_error, relative_std_error, unit, start, lower and upper bound, fixed,
-        bounds_active ("lower", "upper" or ""). Raises MissingDependency without pandas."""
+        """Return a table with one row for each estimate, by name: value, std_error, relative_std_error, unit, start,
+        lower and upper bound, fixed, bounds_active ("lower", "upper" or ""). Raises MissingDependency without pandas.
+        """
         return estimates_frame(self._by_name.values())
 
     def _ipython_key_completions_(self) -> list[str]:
@@ -241,7 +242,7 @@ class Estimates(Mapping[str, Estimate]):
 def derived(estimates: Estimates, covariance: NDArray[np.float64], expressions: Mapping[str, Expr]) -> Estimates:
     """Return estimates of expressions in parameters, with standard errors to first order; see `Fit.derived`."""
     names, values = list(estimates), estimates.to_dict()
-    # What is held has no error of its own.
+    # Parameters that are fixed or at a bound have no error.
     held = [i for i, p in enumerate(estimates.values()) if p.fixed or p.bounds_active]
     found = []
     for name, expression in expressions.items():
@@ -268,7 +269,7 @@ def derived(estimates: Estimates, covariance: NDArray[np.float64], expressions: 
 def estimates_table(
     estimates: Iterable[Estimate], title: str = "parameter", coloured: Mapping[str, Estimate] | None = None
 ) -> str:
-    """Name, estimate, standard error (absolute, and in % of the value), unit and remark: one line each.
+    """Return a table of name, estimate, standard error (absolute, and in % of the value), unit and remark.
 
     ``coloured``: by name the same with standard errors corrected for coloured residuals, a column of their own.
     """
@@ -298,7 +299,7 @@ def _estimates_rows(estimates: Iterable[Estimate], coloured: Mapping[str, Estima
 
 
 def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str) -> str:
-    """Plain text with aligned columns under a rule; ``align`` holds ``l`` or ``r`` for each column.
+    """Return plain text with aligned columns under a rule; ``align`` holds ``l`` or ``r`` for each column.
 
     A column that is empty in every row is left out.
     """
@@ -315,13 +316,13 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str)
 
 
 def _decimals(std_error: float) -> int:
-    """Decimals worth printing: the error keeps one digit, or two where the first is 1 or 2."""
-    digits, exponent = f"{std_error:.15e}".split("e")  # which a power of ten would not tell of the smallest numbers
+    """Return the decimals worth printing: the error keeps one digit, or two where the first is 1 or 2."""
+    digits, exponent = f"{std_error:.15e}".split("e")  # log10 is not exact for the smallest numbers
     return -int(exponent) + (1 if float(digits) < 2.95 else 0)
 
 
 def _rounded(value: float, std_error: float) -> tuple[str, str]:
-    """Value and standard error as text, rounded to what the error justifies; an unknown error is ""."""
+    """Return value and standard error as text, rounded to what the error justifies; an unknown error is ""."""
     if not (math.isfinite(value) and math.isfinite(std_error) and std_error > 0.0):
         return f"{value:.6g}", "0" if std_error == 0.0 else ""
     decimals = _decimals(std_error)
@@ -334,7 +335,7 @@ def _rounded(value: float, std_error: float) -> tuple[str, str]:
 
 
 def plus_minus(value: float, std_error: float) -> str:
-    """``0.2166 ± 0.0003``; the value alone where there is no error."""
+    """Return ``0.2166 ± 0.0003``; the value alone where there is no error."""
     return " ± ".join(filter(None, _rounded(value, std_error)))
 
 
@@ -360,7 +361,7 @@ def _pair(value: Any, what: str, meaning: str) -> tuple[float, float]:
 
 
 def correlation_matrix(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, n) correlations of a covariance (n, n); NaN beside what has no variance: NaN, infinite or not above 0.
+    """Return (n, n) correlations of a covariance (n, n); NaN where a variance is NaN, infinite or not above 0.
 
     >>> correlation_matrix(np.array([[4.0, 0, 1], [0, np.nan, 0], [1, 0, 1]]))
     array([[1. , nan, 0.5],

@@ -1,4 +1,4 @@
-"""Iterations as they happen."""
+"""Display of the iterations while a solver runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Watch = Callable[[Iteration], None]
 
 
 class Progress:
-    """Prints one line that is written over on a terminal, or every tenth iteration elsewhere."""
+    """Prints the iterations: one line that is overwritten on a terminal, or every tenth iteration elsewhere."""
 
     def __init__(self, title: str) -> None:
         self.title = title
@@ -33,14 +33,14 @@ class Progress:
         self.shown = line.number
 
     def close(self) -> None:
-        """Ends the line."""
+        """End the line."""
         if self.terminal and self.shown >= 0:
             print(file=sys.stderr)
 
     @staticmethod
     @contextmanager
     def of(progress: bool | Watch, title: str) -> Iterator[Watch | None]:
-        """What to call with each iteration: nothing, our line, or the user's own function."""
+        """Yield the function to call with each iteration: None, a printed line, or the user's own function."""
         if callable(progress):
             yield progress
         elif progress:

@@ -1,4 +1,4 @@
-"""Time histories of one experiment as a fit or a simulation leaves them."""
+"""Time histories of one experiment, fitted or simulated."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Record:
         return np.unique(np.concatenate([self.t, *own])) if own else self.t
 
     def rms(self) -> dict[str, float]:
-        """Root mean square of each output's residuals, in its unit; NaN where no sample is present, and where the
+        """Return the root mean square of each output's residuals, in its unit; NaN without samples, and where the
         states do not satisfy the equations.
 
         >>> y, z = np.array([1.0, np.nan, 3.0]), np.zeros(3)
@@ -98,7 +98,8 @@ class Record:
         return {n: float(np.sqrt(np.mean(r**2))) if r.size else float("nan") for n, r in present.items()}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """The time histories by time (s), with columns ``("outputs", "q")``, ``("measured", "q")``, ...
+        """Return the time histories as a table over time (s), with columns ``("outputs", "q")``, ``("measured", "q")``,
+        ...
 
         An input that has samples of its own stands at their times, and there are rows for these too; NaN where a
         channel has no sample. ``attrs`` holds name, units and interpolation. Raises MissingDependency without pandas.
@@ -106,8 +107,8 @@ class Record:
         return record_frame(self)
 
     def to_xarray(self) -> xarray.Dataset:
-        """The time histories over ``time`` (s): ``input_de``, ``state_q``, ``output_q``, ``measured_q``,
-        ``residual_q``, ..., each with its unit as ``units`` among its attributes.
+        """Return the time histories over ``time`` (s): ``input_de``, ``state_q``, ``output_q``, ``measured_q``,
+        ``residual_q``, ..., each with its unit as the attribute ``units``.
 
         An input that has samples of its own has an axis of its own, ``time_de``. The path between the samples is in
         ``mesh_t`` and ``mesh_states`` alone. Raises MissingDependency without xarray.

@@ -1,4 +1,4 @@
-"""What mesh refinement did: its passes, and what they changed in the estimates."""
+"""The result of mesh refinement: its passes, and the changes of the estimates."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Refinement:
 
     @staticmethod
     def of(first: Estimates, last: Estimates, steps: Sequence[Step], tolerance: float) -> Refinement:
-        """From the estimates of the first and the last pass."""
+        """Return the refinement made of the estimates of the first and the last pass."""
         changes = {
             name: (first[name].value, e.value, e.std_error) for name, e in last.items() if name in first and not e.fixed
         }
@@ -59,7 +59,8 @@ class Refinement:
         return self.steps[-1].coarse == 0
 
     def change(self, name: str) -> tuple[float, float]:
-        """By how much refinement moved a parameter: in % of its value, and in standard errors; NaN where undefined."""
+        """Return the change of a parameter by refinement: in % of its value, and in standard errors; NaN where
+        undefined."""
         first, last, error = self.changes[name]
         return (
             100.0 * (last - first) / abs(last) if last else math.nan,
@@ -67,7 +68,7 @@ class Refinement:
         )
 
     def summary(self) -> str:
-        """Passes and changes as plain-text tables."""
+        """Return passes and changes as plain-text tables."""
         rows = [
             [
                 str(s.order),
@@ -95,13 +96,13 @@ class Refinement:
         return "\n\n".join(parts)
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return the refinement as JSON takes it."""
         changes = {name: list(c) for name, c in self.changes.items()}
         return {"tolerance": self.tolerance, "steps": [vars(s) for s in self.steps], "changes": changes}
 
     @staticmethod
     def from_dict(saved: Mapping[str, Any]) -> Refinement:
-        """Reads `to_dict`."""
+        """Read the result of `to_dict`."""
         changes = {
             name: (float(a), float(b), math.nan if e is None else float(e))
             for name, (a, b, e) in saved["changes"].items()

@@ -1,4 +1,4 @@
-"""Outputs that are there twice: the same measurement under two names, or in two units."""
+"""Detection of duplicated outputs: the same measurement under two names, or in two units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["repeated_outputs"]
 
 _Array = NDArray[np.float64]
 
-# Correlation of residuals from which on one output tells nothing that the other does not: digits are rounded.
+# Correlation of residuals from which on one output has no information beyond the other: digits are rounded.
 _SAME = 0.999
 # Outputs that differ by less than this part of their residuals, once one is scaled to the other, are copies with slight
 # noise of their own.
@@ -25,9 +25,9 @@ _EXACT = 1e-9  # of an output's spread: a residual below it is rounding
 def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[str]:
     """Return a warning for each group of outputs whose residuals are proportional to each other.
 
-    Residuals are compared, not measurements alone: two outputs that move alike tell more than one as long as their
-    noise is their own. With process noise they are the innovations, which two sensors of a state that was wrongly
-    predicted may share: there, only proportional ones are reported.
+    Residuals are compared, not measurements alone: two outputs that move alike have more information than one as long
+    as their noise is their own. With process noise they are the innovations, which two sensors of a state that was
+    wrongly predicted may share: there, only proportional ones are reported.
     """
     residuals = {name: _joined(r.innovations.get(name, r.residuals[name]) for r in records) for name in outputs}
     measured = {name: _joined(r.measured[name] for r in records) for name in outputs}
@@ -36,7 +36,7 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
 
     def alike(one: str, other: str) -> bool:
         correlation = _correlation(residuals[one], residuals[other])
-        # A copy with noise of its own has residuals that go together as well, though less closely.
+        # A copy with noise of its own has correlated residuals as well, though less closely.
         if innovations or correlation < 1 - 2 * _OWN**2:
             return correlation > _SAME
         copies = _copies((residuals[one], measured[one]), (residuals[other], measured[other]))
@@ -44,18 +44,18 @@ def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[
 
     groups: list[list[str]] = []
     for name in known:
-        mine = next((g for g in groups if any(alike(name, other) for other in g)), None)
-        if mine is None:
+        group = next((g for g in groups if any(alike(name, other) for other in g)), None)
+        if group is None:
             groups.append([name])
         else:
-            mine.append(name)
+            group.append(name)
     found = []
-    for group in (g for g in groups if len(g) > 1):
-        listed = f"{', '.join(group[:-1])} and {group[-1]}"
+    for members in (g for g in groups if len(g) > 1):
+        listed = f"{', '.join(members[:-1])} and {members[-1]}"
         found.append(
-            f"outputs {listed} hold the same measurement: their residuals are proportional, but for little. "
-            f"Each counts as if its noise were its own, and so standard errors are too small, by √{len(group)} where "
-            f"nothing else is measured: leave {'one' if len(group) == 2 else 'all but one'} out of the outputs"
+            f"outputs {listed} hold the same measurement: their residuals are nearly proportional. "
+            f"Each counts as if its noise were its own, and so standard errors are too small, by √{len(members)} where "
+            f"nothing else is measured: leave {'one' if len(members) == 2 else 'all but one'} out of the outputs"
         )
     return found
 
@@ -66,7 +66,7 @@ def _centred(values: _Array) -> _Array:
 
 
 def _joined(parts: Iterable[_Array]) -> _Array:
-    """Values of all records, each about its mean."""
+    """Return the values of all records, each about its mean."""
     return np.concatenate([_centred(part) for part in parts])
 
 
@@ -75,7 +75,7 @@ def _size(values: _Array) -> float:
 
 
 def _correlation(one: _Array, other: _Array) -> float:
-    """Its absolute value, 0 with too few samples."""
+    """Return the absolute value of the correlation; 0 with too few samples."""
     both = np.isfinite(one) & np.isfinite(other)
     if both.sum() < _FEWEST:
         return 0.0
@@ -88,7 +88,7 @@ _Pair = tuple[_Array, _Array]  # residuals and measurements
 
 
 def _copies(one: _Pair, other: _Pair) -> bool:
-    """Whether one output is the other, scaled, but for noise that is slight beside the residuals."""
+    """Return whether one output is a scaled copy of the other, but for noise that is small beside the residuals."""
     both = np.isfinite(one[0]) & np.isfinite(other[0])
     (a, za), (b, zb) = ([values[both] for values in pair] for pair in (one, other))
     if not _size(za) > 0.0:

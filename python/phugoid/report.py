@@ -35,11 +35,11 @@ _OFFSET = 0.5  # part of the mean square that is an offset
 
 
 def remarks(fit: FitResult) -> list[str]:
-    """The warnings of a `Fit`, and what its numbers give reason to doubt: a sentence each, none where all is well.
+    """Return the warnings of a `Fit`, and the reasons for doubt that its numbers give: one sentence each.
 
     A coarse mesh, outputs that a constant would match better or that are all matched poorly, coloured residuals
     (p < 0.01 in the test of Ljung and Box, lag-1 correlation beyond 0.3), residuals with an offset, parameters whose
-    95 % interval holds zero, pairs of estimates with a correlation beyond 0.95, combinations that are hardly
+    95 % interval includes zero, pairs of estimates with a correlation beyond 0.95, combinations that are hardly
     determined, estimates at a bound.
     """
     weak = [f"Weakly identified: {direction}." for direction in correlation(fit).weak]
@@ -47,7 +47,7 @@ def remarks(fit: FitResult) -> list[str]:
 
 
 def _sentence(text: str) -> str:
-    """As a sentence; names at the beginning stay as they are."""
+    """Return a text as a sentence; names at the beginning keep their case."""
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
@@ -64,14 +64,14 @@ def _of_residuals(fit: FitResult) -> list[str]:
     if coloured and filtered:
         found.append(
             "Innovations are not white: each follows from the one before, with a correlation of "
-            f"{_listed(coloured)}. They are white where the model and its process noise are right: ph.misfit tells "
+            f"{_listed(coloured)}. They are white where the model and its process noise are right: ph.misfit shows "
             "where they are not."
         )
     elif coloured:
         found.append(
             f"Residuals are not white: each follows from the one before, with a correlation of {_listed(coloured)}. "
             "The plain standard errors take them for white, and are too small. Either the model misses something "
-            "(ph.diagnose tells what), or the noise is filtered."
+            "(ph.diagnose shows what), or the noise is filtered."
         )
     if off:
         what = "Innovations" if filtered else "Residuals"
@@ -85,8 +85,8 @@ def _of_estimates(fit: FitResult) -> list[str]:
     own = [e for e in fit.parameters.values() if e.name not in noise]
     weak = [e.name for e in own if e.std_error > 0.0 and abs(e.value) < _SIDE * e.std_error]
     if weak:
-        hold = "interval of {} holds" if len(weak) == 1 else "intervals of {} hold"
-        found.append(f"The 95 % {hold.format(_listed(weak))} zero: these data do not even tell the sign.")
+        include = "interval of {} includes" if len(weak) == 1 else "intervals of {} include"
+        found.append(f"The 95 % {include.format(_listed(weak))} zero: these data do not determine the sign.")
     found += [
         f"{e.name} lies at its {e.bounds_active} bound, and so has no standard error: the optimum may be beyond it."
         for e in own
@@ -100,7 +100,7 @@ def _of_pairs(fit: FitResult) -> list[str]:
     if not pairs:
         return []
     return [
-        f"Estimates that go together: {_listed(pairs)}. The data tell a combination of them better than each alone."
+        f"Strongly correlated estimates: {_listed(pairs)}. The data determine a combination of them better than each."
     ]
 
 
@@ -128,19 +128,19 @@ def report(
     files: Sequence[str | os.PathLike[str]] = (),
     command: str = "",
 ) -> None:
-    """Writes a fit as one HTML page: images inside, no script, no link; for screen, phone and print.
+    """Write a fit as one HTML page: images inside, no script, no link; for screen, phone and print.
 
-    How it ended, what to beware of, parameters with standard errors, the match of each output in numbers and figures,
-    residuals, validation, equations, the solver's way, and which data and versions it comes from.
+    Status, warnings, parameters with standard errors, the match of each output in numbers and figures,
+    residuals, validation, equations, convergence of the solver, data and versions.
 
     fit         a `Fit`.
     validation  a `Validation` of it on other experiments, or None.
     files       that it was made from, such as data and model: their names, sizes and SHA-256 are listed.
     command     that made it.
 
-    What was done to the data before (`Experiment.history`) is told as long as ``fit.experiments`` are there, which a
-    saved fit does not keep. Raises OptionError for a validation of another model, DataError for a file that cannot be
-    read.
+    The preprocessing of the data (`Experiment.history`) is reported where the fit has its ``experiments``, which a file
+    of version 1 does not keep. Raises OptionError for a validation of another model, DataError for a file that cannot
+    be read.
     """
     check_folder(path)
     if validation is not None and getattr(validation, "matches", None) is None:
@@ -186,7 +186,7 @@ def report(
 
 
 def _parameters(fit: FitResult) -> dict[str, Any]:
-    """Tables of the estimates, and figures of intervals and correlations, where there are any."""
+    """Return tables of the estimates, and figures of intervals and correlations, where there are any."""
     noise = fit.noise_parameters
     own = [e for e in fit.parameters.values() if e.name not in noise]
     of_noise = [e for e in fit.parameters.values() if e.name in noise]
@@ -218,7 +218,7 @@ def _estimates(head: str, estimates: list[Estimate], coloured: Estimates | None)
 
 
 def _cells(e: Estimate) -> list[str]:
-    """The estimate with as many digits as its error tells of, unit, error in per cent, remark."""
+    """Return the estimate with the digits that its error justifies, unit, error in per cent, remark."""
     value = repr(Estimate("", e.value, e.std_error)).removeprefix(" = ")
     relative = 100.0 * e.relative_std_error
     return [value, e.unit, _percent(relative), e.remark]
@@ -253,13 +253,13 @@ def _residuals(fit: FitResult) -> list[tuple[str, Picture]]:
 
 
 def _validation(v: Validation) -> dict[str, Any]:
-    """What was held and found anew, the match of each output in numbers, words and figures with tolerance bands."""
+    """Return what was fixed and re-estimated, and the goodness of fit of each output in numbers, words and figures."""
     names = ", ".join(f"'{r.name}'" for r in v.records)
     freed = [f"{e.name} = {plus_minus(e.value, e.std_error)} {e.unit}".rstrip() for e in v.freed.values()]
     new = f", which {'was' if len(v.records) == 1 else 'were'} not fitted to,"
     text = (
         f"The fitted model on {names}{'' if set(v.fitted_to) & {r.name for r in v.records} else new} with parameters "
-        f"and noise held; found anew: initial states{''.join(f', {each}' for each in freed)}. "
+        f"and noise fixed; re-estimated: initial states{''.join(f', {each}' for each in freed)}. "
         f"Log-likelihood {v.log_likelihood:.3f} at the noise of the fit."
     )
     if not v.converged:
@@ -297,7 +297,7 @@ def _number(value: float, spec: str) -> str:
 
 
 def _equations(fit: FitResult) -> tuple[dict[str, list[str]], list[str]]:
-    """Equations in groups, as HTML; and, as text, what is late, what is a condition, and what holds at an end."""
+    """Return the equations in groups, as HTML; and, as text, delays, conditions, and end conditions."""
     groups: dict[str, list[str]] = {"Quantities": [], "Dynamics": [], "Measured outputs y": []}
     for name, e in fit.model.equations.items():
         rate, measured = name.endswith("'"), name.startswith("y:")

@@ -1,4 +1,4 @@
-"""Results with all that can be asked of them: what `estimate`, `diagnose` and `improve` return."""
+"""Results with the functions on them as methods: what `estimate`, `diagnose` and `improve` return."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ __all__ = ["Diagnosis", "Extension", "Fit", "Improvement"]
 
 
 class Fit(FitResult):
-    """The result of `estimate`: the data, which `FitResult` explains, and all that can be asked of them."""
+    """The result of `estimate`: the data, which `FitResult` explains, and the functions on a fit as methods."""
 
     @classmethod
     def _of(cls, result: FitResult) -> Fit:
@@ -68,7 +68,7 @@ class Fit(FitResult):
         return cls(**{f.name: getattr(result, f.name) for f in fields(result)})
 
     def derived(self, **expressions: Expr) -> Estimates:
-        """Estimates of expressions in the parameters, with standard errors to first order (the delta method).
+        """Return estimates of expressions in the parameters, with standard errors to first order (the delta method).
 
         ``fit.derived(natural_frequency=sqrt(k / mass))``; a quantity of the model is given by its expression,
         ``fit.derived(static_margin=fit.model.equations["static_margin"])``. Raises ModelError for other symbols.
@@ -84,8 +84,8 @@ class Fit(FitResult):
         return (self.robust().parameters if robust else self.parameters).conf_int(level)
 
     def robust(self) -> Coloured:
-        """Standard errors corrected for autocorrelated residuals: of parameters and initial states, by name; the
-        covariance; by how much they are larger than the plain ones.
+        """Return standard errors corrected for autocorrelated residuals: of parameters and initial states, by name; the
+        covariance; and the ratios to the plain standard errors.
 
         The Cramér-Rao bounds in ``parameters`` take residuals for white; where they are autocorrelated, as those of
         flight records are, these bounds are optimistic (Maine & Iliff 1981; Morelli & Klein 1997). The noise of each
@@ -98,7 +98,7 @@ class Fit(FitResult):
 
     @property
     def coloured(self) -> Coloured:
-        """What `robust` gives. It goes with the next release."""
+        """The result of `robust`. This property is removed in the next release."""
         warnings.warn("Fit.coloured is now the method Fit.robust()", DeprecationWarning, stacklevel=2)
         return coloured(self)
 
@@ -140,9 +140,9 @@ class Fit(FitResult):
         progress: bool | Callable[[Outcome], None] = False,
         time_limit: float | None = None,
     ) -> Profiles:
-        """Intervals by profile likelihood (Venzon & Moolgavkar 1988): each parameter is moved, all others estimated
-        anew, until twice the log-likelihood has dropped by chi-square's quantile. They follow a likelihood that is no
-        parabola, where standard errors do not.
+        """Return intervals by profile likelihood (Venzon & Moolgavkar 1988): each parameter is moved, all others
+        re-estimated, until twice the log-likelihood has dropped by the quantile of chi-square. They follow a likelihood
+        that is no parabola, where standard errors do not.
 
         ``names``: of parameters of the model (``"b[run1]"`` of one experiment's own); None: all that are free.
         ``coloured``: the drop is made larger by what `coloured` finds, as for a composite likelihood (Chandler & Bate
@@ -153,7 +153,7 @@ class Fit(FitResult):
         An interval ends at a bound where the likelihood is still high there, and is infinite where it stays high
         however far one goes: ``.ends`` says so. Ctrl-C, and the time limit, keep the sides that are done.
 
-        With process noise (`FilterError`) the likelihood is the marginal one, with the intensities estimated anew too.
+        With process noise (`FilterError`) the likelihood is the marginal one, with the intensities re-estimated too.
 
         Raises OptionError for names without a profile, and a fit that has not converged.
         """
@@ -172,14 +172,14 @@ class Fit(FitResult):
         progress: bool | Callable[[Outcome], None] = False,
         time_limit: float | None = None,
     ) -> Bootstrap:
-        """Standard errors and intervals from estimates with data as they might have been (Efron & Tibshirani 1993):
-        the fitted model's outputs with other noise, where there were measurements.
+        """Return standard errors and intervals from estimates with resampled data (Efron & Tibshirani 1993): the fitted
+        model's outputs with other noise, at the samples that were measured.
 
-        ``kind``: "parametric" draws white noise from the fit's noise model; "coloured" Gaussian noise as coloured as
-        the residuals, also in common to outputs, as `coloured` finds it; "block" puts blocks of the residuals
-        themselves together, all channels at once, without reaching over gaps (Künsch 1989).
-        ``block``: samples of a block; None: from how long the noise remembers, a sixth of a record at most.
-        ``seed``: draw i has random numbers of its own, whatever n and executor.
+        ``kind``: "parametric" draws white noise from the fit's noise model; "coloured" Gaussian noise with
+        the autocorrelation and cross-correlation of the residuals, as `robust` finds them; "block" puts blocks of the
+        residuals themselves together, all channels at once, without reaching over gaps (Künsch 1989).
+        ``block``: samples of a block; None: from the correlation time of the noise, a sixth of a record at most.
+        ``seed``: draw i has its own random numbers, independent of n and executor.
         ``executor``, ``progress``: as of `multistart`. Each run starts from this fit.
         ``time_limit``: in seconds, of all runs together. It keeps the runs that are done, as Ctrl-C does.
 
@@ -201,11 +201,11 @@ class Fit(FitResult):
         biases: Sequence[str] | None = None,
         values: Mapping[str, float] | None = None,
     ) -> Bands:
-        """Bands about the outputs: in which the true model's outputs lie, by the uncertainty of parameters and initial
-        states to first order, and in which a new measurement lies, with noise of its own.
+        """Return bands about the outputs: for the true model's outputs, by the uncertainty of parameters and initial
+        states to first order, and for a new measurement, with noise of its own.
 
         ``experiment``: name or number of one of the fit; None: the only one; or another `Experiment`, of which initial
-        states and biases are found anew as `validate` does, with ``biases`` and ``values`` as there: their errors
+        states and biases are re-estimated as `validate` does, with ``biases`` and ``values`` as there: their errors
         follow those of the parameters.
         ``coloured``: errors for coloured residuals, or else for white ones. Each band holds at each sample by itself.
         ``.plot()`` draws them.
@@ -218,12 +218,12 @@ class Fit(FitResult):
         return prediction_bands(self, experiment, level=level, coloured=coloured, biases=biases, values=values)
 
     def summary(self) -> str:
-        """The fit as a plain-text table: of each parameter the Cramér-Rao standard error and, where the fit has its
-        data at hand, the one corrected for coloured residuals."""
+        """Return the fit as a plain-text table: for each parameter the Cramér-Rao standard error and, where the fit has
+        its data, the one corrected for coloured residuals."""
         return fit_summary(self)
 
     def integration_error(self) -> tuple[IntegrationError, ...]:
-        """The error that each segment of the mesh adds to the path, one for each experiment.
+        """Return the error that each segment of the mesh adds to the path, one result for each experiment.
 
         Raises OptionError for a fit that was not transcribed by collocation.
         """
@@ -235,7 +235,7 @@ class Fit(FitResult):
         channels: Sequence[str] | None = None,
         tolerances: Mapping[str, float | Tolerance] | None = None,
     ) -> tuple[Figure, dict[str, Axes]]:
-        """The proof-of-match figure of an experiment: measured points, model, residuals, inputs; see `plot_fit`.
+        """Plot the proof of match of an experiment: measured points, model, residuals, inputs; see `plot_fit`.
 
         ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance`, drawn as bands (14 CFR Part 60).
         """
@@ -244,21 +244,23 @@ class Fit(FitResult):
     def plot_residuals(
         self, record: int | str = 0, channels: Sequence[str] | None = None
     ) -> tuple[Figure, dict[str, Axes]]:
-        """The residuals of an experiment over time, their autocorrelation and their spectrum; see `plot_residuals`."""
+        """Plot the residuals of an experiment over time, their autocorrelation and their spectrum; see
+        `plot_residuals`."""
         return plot_residuals(self, record, channels)
 
     def plot_parameters(
         self, *others: Any, names: Sequence[str] | None = None, labels: Sequence[str] | None = None
     ) -> tuple[Figure, dict[str, Axes]]:
-        """The estimates with 95 % intervals, of this fit or side by side with others; see `plot_parameters`."""
+        """Plot the estimates with 95 % intervals, of this fit or side by side with others; see `plot_parameters`."""
         return plot_parameters([self, *others], names, labels)
 
     def plot_correlation(self, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
-        """The correlation matrix of the estimates as a heat map; see `plot_correlation`."""
+        """Plot the correlation matrix of the estimates as a heat map; see `plot_correlation`."""
         return plot_correlation(self, names)
 
     def plot_convergence(self) -> tuple[Figure, dict[str, Axes]]:
-        """Log-likelihood, defects, distance from the optimum and step of every iteration; see `plot_convergence`."""
+        """Plot log-likelihood, defects, distance from the optimum and step of every iteration; see
+        `plot_convergence`."""
         return plot_convergence(self)
 
     def validate(
@@ -270,21 +272,21 @@ class Fit(FitResult):
         tolerances: Mapping[str, float | Tolerance] | None = None,
         time_limit: float | None = None,
     ) -> Validation:
-        """Tries the fitted model on other experiments: only initial states and biases are found anew.
+        """Validate the fitted model on other experiments: only initial states and biases are re-estimated.
 
-        Parameters and noise are held at this fit, so that log-likelihoods on the same experiments compare; the
+        Parameters and noise are fixed at this fit, so that log-likelihoods on the same experiments compare; the
         transcription is that of the fit. Gaps, delays and channels with times of their own are as in `estimate`.
 
-        ``biases``: what is found anew, with bounds and priors as declared. None: parameters that enter outputs only,
-        each as a term with a constant coefficient, as a sensor's bias does; those declared fixed stay. Names of
-        parameters of any kind: these; () for none. A parameter with ``per_experiment`` has one value an experiment here
-        too, any other one for all.
+        ``biases``: the parameters that are re-estimated, with bounds and priors as declared. None: parameters that
+        enter outputs only, each as a term with a constant coefficient, as a sensor's bias does; those declared fixed
+        stay. Names of parameters of any kind: these; () for none. A parameter with ``per_experiment`` has one value an
+        experiment here too, any other one for all.
         ``values``: name -> value of parameters to hold elsewhere than at the fit. A parameter with ``per_experiment``
         that is no bias needs one, or must be named in ``biases``.
         ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance` where it grows with what is measured,
         in the style of flight-simulator qualification (14 CFR Part 60): the part of the samples within is reported, and
         the bands are drawn.
-        ``time_limit``: in seconds; what is found anew then is the best so far, which ``status`` and a warning say.
+        ``time_limit``: in seconds; the result is then the best point so far, which ``status`` and a warning say.
 
         Raises ModelError, DataError or OptionError for what cannot be right: unknown names, an experiment without the
         model's channels or with fewer samples than unknowns. An experiment that the fit was
@@ -300,8 +302,8 @@ class Fit(FitResult):
         files: Sequence[str | os.PathLike[str]] = (),
         command: str = "",
     ) -> None:
-        """Writes one HTML page that needs no network: how the fit ended, what to beware of, parameters with standard
-        errors, the match of each output in numbers and figures, residuals, equations, the solver's way, data, versions.
+        """Write one HTML page that needs no network: how the fit ended, warnings, parameters with standard errors, the
+        goodness of fit of each output in numbers and figures, residuals, equations, convergence, data, versions.
 
         ``validation``: of this fit, as a section. ``files``, such as data and model, are listed with their SHA-256;
         ``command`` is quoted.
@@ -309,21 +311,22 @@ class Fit(FitResult):
         report(self, path, validation=validation, files=files, command=command)
 
     def export_c(self, folder: str | os.PathLike[str], **options: Any) -> tuple[Path, Path]:
-        """Writes the model with the estimates as C source, a header and a source file; returns their paths. Options are
-        those of `phugoid.export_c`, which also says what there is in the files."""
+        """Write the model with the estimates as C source, a header and a source file; return their paths. Options and
+        content of the files are those of `phugoid.export_c`."""
         return export_c(self, folder, **options)
 
     def export_fmu(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Writes the model with the estimates as a functional mock-up unit (FMI 2.0); returns its path. Options are
-        those of `phugoid.export_fmu`."""
+        """Write the model with the estimates as a functional mock-up unit (FMI 2.0); return its path. Options are those
+        of `phugoid.export_fmu`."""
         return export_fmu(self, path, **options)
 
     def to_pandas(self) -> pandas.DataFrame:
-        """The parameters, a row each; see `Estimates.to_pandas`. Time histories: ``fit.records[0].to_pandas()``."""
+        """Return the parameters, one row each; see `Estimates.to_pandas`. Time histories:
+        ``fit.records[0].to_pandas()``."""
         return self.parameters.to_pandas()
 
     def to_xarray(self) -> xarray.Dataset:
-        """Time histories of all experiments, estimates and covariance, with units among the attributes.
+        """Return time histories of all experiments, estimates and covariance, with units among the attributes.
 
         Variables are those of `Record.to_xarray`. Several experiments are along ``experiment``, over the times of all
         of them: NaN where one has no sample. Raises MissingDependency without xarray.
@@ -332,8 +335,8 @@ class Fit(FitResult):
         return tabular.fit_dataset(self.records, self.parameters, self.covariance, facts)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the fit with its data to a versioned file, which `load` reads: HDF5 for ``.h5`` and ``.hdf5``, where
-        arrays are datasets with units (extra ``hdf5``); JSON else. Raises DataError where that cannot be done."""
+        """Write the fit with its data to a versioned file, which `load` reads: HDF5 for ``.h5`` and ``.hdf5``, where
+        arrays are datasets with units (extra ``hdf5``); JSON otherwise. Raises DataError where that is impossible."""
         save(self, path)
 
     def _repr_html_(self) -> str:
@@ -344,8 +347,8 @@ class Fit(FitResult):
 
 
 class Extension(ExtensionResult):
-    """What `Diagnosis.extend` gives: the extended ``model``, its ``fit`` to the same data, names of what was ``added``
-    (canonical, ``where:what``), and the ``gain``."""
+    """The result of `Diagnosis.extend`: the extended ``model``, its ``fit`` to the same data, the names of the causes
+    ``added`` (canonical, ``where:what``), and the ``gain``."""
 
     fit: Fit
 
@@ -355,13 +358,13 @@ class Extension(ExtensionResult):
 
 
 class Diagnosis(DiagnosisResult):
-    """What `diagnose` finds.
+    """The result of `diagnose`.
 
-    fit         that was diagnosed; with inputs between samples as the data tell where ``notes`` say that straight lines
-                are wrong there.
+    fit         that was diagnosed; with inputs between samples as the data indicate where ``notes`` say that straight
+                lines are wrong there.
     misfit      what it gets wrong: per channel, when, in which regime, at which frequencies.
     findings    what is missing, in the order in which it was found.
-    verdict     "named", "unexplained", "surrogate", "minor" or "nothing": what it comes to.
+    verdict     "named", "unexplained", "surrogate", "minor" or "nothing": the conclusion.
     ranking     all candidates of the first scan with their statistics, in the order of `Scored.ranking`.
     threshold   that twice the gain in log-likelihood of a candidate with one coefficient has to pass; findings have
                 theirs, in log-likelihood itself.
@@ -378,8 +381,8 @@ class Diagnosis(DiagnosisResult):
         return cls(**{f.name: getattr(result, f.name) for f in fields(result)} | {"fit": Fit._of(result.fit)})
 
     def extend(self, *, minor: bool = False) -> Extension:
-        """The model with all causes that are named, its fit, and the gain over the base model; with ``minor`` minor
-        findings, surrogates, and unknown functions as tables, too. With nothing to add it is the model as it was, and
+        """Return the model with all named causes, its fit, and the gain over the base model; with ``minor`` minor
+        findings, surrogates, and unknown functions as tables, too. With nothing to add it is the unchanged model, and
         ``added`` is empty."""
         return self._extended_full if minor else self._extended
 
@@ -394,24 +397,24 @@ class Diagnosis(DiagnosisResult):
         return Extension(found.model, Fit._of(found.fit), found.added, found.gain)
 
     def summary(self) -> str:
-        """What was found, in plain words."""
+        """Return the findings in plain words."""
         return diagnosis_summary(self)
 
     def plot(self) -> list[Figure]:
-        """Figures: the misfit and the ranking of candidates; before them what findings explain, and after them what the
-        extension changes and gains, where there are any."""
+        """Plot the misfit and the ranking of candidates; before them the parts explained by findings, and after them
+        the changes and gains of the extension, where there are any. Return the figures."""
         return diagnosis_figures(self)
 
     def report(self, path: str | os.PathLike[str]) -> None:
-        """Writes one HTML page that a colleague understands: what was wrong, the evidence, the cause and its rivals,
-        the new equation, the gain."""
+        """Write one HTML page that a colleague understands: what was wrong, the evidence, the cause and its rivals, the
+        new equation, the gain."""
         diagnosis_report(self, path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the diagnosis, for `load`: fit, findings, ranking, misfit in words, extended model with fit and gain.
+        """Write the diagnosis, for `load`: fit, findings, ranking, misfit in words, extended model with fit and gain.
 
         HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON; raises as `Fit.save` does.
-        What `load` gives has all of this, ``summary``, ``plot`` and ``report`` too; the misfit is told anew from the
+        `load` returns all of this, with ``summary``, ``plot`` and ``report``; the misfit is computed again from the
         fit's residuals.
         """
         save_diagnosis(self, path)
@@ -435,13 +438,13 @@ class Diagnosis(DiagnosisResult):
 
 
 class Improvement(ImprovementResult):
-    """What `improve` came to.
+    """The result of `improve`.
 
     fit      of the last model.
     steps    diagnoses, one after the other, each with what was ``added``, ``rejected`` and why,
              and the ``gain``.
     added    names of all that was added, in order.
-    verdict  what the last diagnosis came to.
+    verdict  conclusion of the last diagnosis.
     """
 
     fit: Fit

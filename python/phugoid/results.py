@@ -1,4 +1,4 @@
-"""What functions give back: for annotations and `isinstance`. Nobody makes these by hand."""
+"""Result classes, for annotations and `isinstance`; they are returned by functions, not constructed by users."""
 
 from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates

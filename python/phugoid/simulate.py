@@ -1,4 +1,4 @@
-"""What the simulation says: outputs for given parameters."""
+"""Simulation: the outputs of a model for given parameters and inputs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def simulate(
     rtol: float = 1e-9,
     time_limit: float | None = None,
 ) -> Record:
-    """Integrates the model over an experiment's inputs; returns its outputs and states at the samples.
+    """Integrate the model over an experiment's inputs; return its outputs and states at the samples.
 
     ``parameters``: values by name (numbers or estimates), or a fit. ``initial``: states at the first sample; those
     not given are the fit's for this experiment, else as the model's initial conditions say, else as measured at the
@@ -93,7 +93,7 @@ def simulate(
 
 
 def _record(model: Model, data: Experiment) -> tuple[Any, ...]:
-    """The experiment as the core takes it; outputs need not be measured."""
+    """Return the experiment as the core takes it; outputs need not be measured."""
     missing = np.full(data.n, np.nan)
     return (
         data.name,
@@ -105,7 +105,7 @@ def _record(model: Model, data: Experiment) -> tuple[Any, ...]:
     )
 
 
-# Names of what is estimated of the noise begin like this; they may be there, as in Estimates.to_dict().
+# Names of noise parameters begin like this; they may be there, as in Estimates.to_dict().
 _NOISE = ("sigma_", "corr_", "dof_")
 
 
@@ -123,7 +123,7 @@ def _values(model: Model, parameters: Mapping[str, Any] | FitResult, experiment:
         known = name in model.parameter_names or of_one or name in noise
         if not known and not str(name).startswith(_NOISE):
             raise ModelError(f"simulate: '{name}' is no parameter.{did_you_mean(name, model.parameter_names)}")
-    # A parameter that each experiment has its own of: that of this one, before one for all.
+    # Of a parameter of single experiments the value of this one, before one for all.
     found = {name: f"{name}[{experiment}]" for name in local if f"{name}[{experiment}]" in given}
     missing = [name for name in model.parameter_names if name not in given and name not in found]
     if missing:
@@ -134,7 +134,7 @@ def _values(model: Model, parameters: Mapping[str, Any] | FitResult, experiment:
 def first_values(
     model: Model, values: Mapping[str, float], source: Any, data: Experiment, initial: Mapping[str, float]
 ) -> _Array:
-    """States at the first sample (n_x,), as `simulate` takes them."""
+    """Return the states at the first sample (n_x,), as `simulate` takes them."""
     for name in initial:
         if name not in model.state_names:
             raise ModelError(f"simulate: initial '{name}' is no state.{did_you_mean(name, model.state_names)}")

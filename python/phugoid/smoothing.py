@@ -1,4 +1,4 @@
-"""What was smoothed in an estimation with kinks: over which widths, in which passes, and what that leaves in error."""
+"""The result of smoothing in an estimation with kinks: widths, passes, and the remaining error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Smoothing", "SmoothingStep"]
 class SmoothingStep:
     """One pass.
 
-    part            width of each kink as a part of the standard deviation of its argument along the path.
+    part            width of each kink as a part of the standard deviation of its argument over the path.
     segments        of the mesh, in all experiments.
     iterations      of the solver.
     log_likelihood  at the end.
@@ -43,7 +43,7 @@ class Smoothing:
     left: Mapping[str, tuple[float, float]]
 
     def beyond(self, errors: float) -> dict[str, float]:
-        """Parameters of which the error left is more than so many standard errors, and what it is in these."""
+        """Return the parameters whose remaining error exceeds ``errors`` standard errors, and its size in these."""
         parts = {name: left / error for name, (left, error) in self.left.items() if error > 0}
         return {name: part for name, part in parts.items() if not abs(part) <= errors}
 
@@ -53,7 +53,7 @@ class Smoothing:
         return ", ".join(f"{kink} over {width:.2g} {unit}".rstrip() for kink, (width, unit) in self.widths.items())
 
     def summary(self) -> str:
-        """Passes and the error left as plain-text tables."""
+        """Return passes and the remaining error as plain-text tables."""
         rows = [[f"{s.part:.1e}", str(s.segments), str(s.iterations), f"{s.log_likelihood:.3f}"] for s in self.steps]
         left = [
             [name, f"{change:+.2g}" if math.isfinite(change) else "", _part(change, error)]
@@ -68,14 +68,14 @@ class Smoothing:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return the smoothing as JSON takes it."""
         widths = {kink: list(width) for kink, width in self.widths.items()}
         left = {name: list(pair) for name, pair in self.left.items()}
         return {"widths": widths, "steps": [vars(s) for s in self.steps], "left": left}
 
     @staticmethod
     def from_dict(saved: Mapping[str, Any]) -> Smoothing:
-        """Reads `to_dict`."""
+        """Read the result of `to_dict`."""
 
         def number(value: Any) -> float:
             return math.nan if value is None else float(value)

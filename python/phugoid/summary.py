@@ -1,4 +1,4 @@
-"""The fit in plain text: how the run went, the parameters, the noise, and how well each output is matched."""
+"""The fit in plain text: status, parameters, noise, and the goodness of fit of each output."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def fit_summary(fit: FitResult) -> str:
     if noise:
         parts.append(estimates_table(noise, title="noise", coloured=errors))
     if errors:
-        parts.append("std error: Cramér-Rao, for white residuals; coloured: for residuals as coloured as they are")
+        parts.append("std error: Cramér-Rao, for white residuals; coloured: corrected for residual autocorrelation")
     parts += correlation(fit).notes
     if any(record.residuals for record in fit.records):
         parts.append(_match_table(fit, outputs))
@@ -57,7 +57,7 @@ def fit_html(fit: FitResult) -> str:
 
 
 def _picture(fit: FitResult, name: str) -> str:
-    """The output in the first record that measured it."""
+    """Return the picture of the output in the first record that measured it."""
     record = next((r for r in fit.records if name in r.measured), None)
     return "" if record is None else sparkline(record.measured[name], record.outputs[name], record.t)
 
@@ -67,20 +67,20 @@ def _outputs(fit: FitResult) -> list[str]:
 
 
 def _groups(fit: FitResult) -> tuple[list[Estimate], list[Estimate]]:
-    """Estimates of the model, and of the noise."""
+    """Return the estimates of the model, and of the noise."""
     of_noise = fit.noise_parameters - fit._intensities
     noise = [e for e in fit.parameters.values() if e.name in of_noise]
     return [e for e in fit.parameters.values() if e.name not in of_noise], noise
 
 
 def corrected(fit: FitResult, again: bool = False) -> Estimates | None:
-    """The estimates with standard errors for coloured residuals; None where a fit has none, or where they take much
-    more time than the fit. ``again``: also where they need another estimation."""
+    """Return the estimates with standard errors for coloured residuals; None where a fit has none, or where they take
+    much more time than the fit. ``again``: also where they need another estimation."""
     if not cheap(fit, again):
         return None
     try:
         found = coloured(fit).parameters
-    except PhugoidError:  # what the page is of has its reasons
+    except PhugoidError:  # no correction for this fit
         return None
     return found if np.isfinite(found.std_errors_array).any() else None
 
@@ -93,7 +93,7 @@ def _header(fit: FitResult) -> str:
 
 
 def _entries(fit: FitResult) -> dict[str, str]:
-    """How the run went, by heading."""
+    """Return the facts of the run, by heading."""
     samples = sum(record.n for record in fit.records)
     mesh = sum(record.mesh_t.size for record in fit.records)
     runs = f"{len(fit.records)} experiments, " if len(fit.records) > 1 else ""
@@ -117,7 +117,7 @@ _MATCH = "lrrlrr"
 
 
 def _match_rows(fit: FitResult, outputs: list[str]) -> tuple[list[str], list[list[str]]]:
-    """Per output, over all experiments: σ, RMS of residuals or innovations, R² about the mean of each, samples."""
+    """Return heads, and for each output over all experiments: σ, RMS of residuals or innovations, R², samples."""
     rows = []
     for name in outputs:
         m = match([r for r in fit.records if name in r.residuals], name)

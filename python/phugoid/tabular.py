@@ -48,7 +48,7 @@ _GROUPS = {
 
 
 def estimates_frame(estimates: Iterable[Any]) -> pandas.DataFrame:
-    """A row an estimate. See `Estimates.to_pandas`."""
+    """Return a table with one row for each estimate. See `Estimates.to_pandas`."""
     pd = _package("pandas", "to_pandas")
     rows = {
         e.name: {
@@ -69,13 +69,13 @@ def estimates_frame(estimates: Iterable[Any]) -> pandas.DataFrame:
 
 
 def _kinds(record: Any) -> str:
-    """How inputs behave between samples in words: ``"linear"``, or ``"de hold, V linear"``."""
+    """Return how inputs behave between samples in words: ``"linear"``, or ``"de hold, V linear"``."""
     kinds = record.interpolation
     return kinds if isinstance(kinds, str) else ", ".join(f"{name} {kind}" for name, kind in kinds.items())
 
 
 def record_frame(record: Any) -> pandas.DataFrame:
-    """Time histories of a `Record`. See `Record.to_pandas`."""
+    """Return the time histories of a `Record`. See `Record.to_pandas`."""
     pd = _package("pandas", "to_pandas")
     columns = {(group, name): values for group in _GROUPS for name, values in getattr(record, group).items()}
     frame = _joined(pd, record.t, columns, {("inputs", n): own for n, own in record.input_samples.items()})
@@ -85,7 +85,8 @@ def record_frame(record: Any) -> pandas.DataFrame:
 
 
 def record_dataset(record: Any, apart: Collection[str] = ()) -> xarray.Dataset:
-    """Time histories of a `Record`, inputs ``apart`` over an axis of their own anyway. See `Record.to_xarray`."""
+    """Return the time histories of a `Record`, with inputs ``apart`` always over their own axis. See
+    `Record.to_xarray`."""
     xr = _package("xarray", "to_xarray")
     data: xarray.Dataset = xr.Dataset(coords={"time": ("time", record.t, {"units": "s"})})
     for group, prefix in _GROUPS.items():
@@ -99,7 +100,7 @@ def record_dataset(record: Any, apart: Collection[str] = ()) -> xarray.Dataset:
 
 
 def experiment_frame(e: Any) -> pandas.DataFrame:
-    """An `Experiment`. See `Experiment.to_pandas`."""
+    """Return an `Experiment` as a table. See `Experiment.to_pandas`."""
     pd = _package("pandas", "to_pandas")
     frame = _joined(pd, e.t, {name: values for name, _, values in _channels(e)}, _own(e))
     frame.attrs = {"name": e.name, "units": dict(e.units), "interpolation": _kinds(e), "history": list(e.history)}
@@ -107,7 +108,7 @@ def experiment_frame(e: Any) -> pandas.DataFrame:
 
 
 def experiment_dataset(e: Any) -> xarray.Dataset:
-    """An `Experiment`. See `Experiment.to_xarray`."""
+    """Return an `Experiment` as a dataset. See `Experiment.to_xarray`."""
     xr = _package("xarray", "to_xarray")
     data: xarray.Dataset = xr.Dataset(coords={"time": ("time", e.t, {"units": "s"})})
     samples = _own(e)
@@ -154,7 +155,7 @@ def _package(name: str, caller: str) -> Any:
 
 
 def _channels(e: Any) -> list[tuple[str, str, _Array]]:
-    """Name, role and values of each column; what is there twice, alike, once."""
+    """Return name, role and values of each column; equal columns of one name are returned once."""
     found: dict[str, tuple[str, _Array]] = {}
     for role, group in (("input", e.inputs), ("output", e.outputs), ("channel", e.channels)):
         for name, values in group.items():
@@ -169,13 +170,13 @@ def _channels(e: Any) -> list[tuple[str, str, _Array]]:
 
 
 def _own(e: Any) -> dict[str, tuple[_Array, _Array]]:
-    """Times and samples of the columns that have some of their own; no output has."""
+    """Return times and samples of the columns that have their own; no output has."""
     found: dict[str, tuple[_Array, _Array]] = e.own_samples([n for n, role, _ in _channels(e) if role != "output"])
     return found
 
 
 def _joined(pd: Any, t: _Array, columns: Mapping[Any, _Array], samples: Mapping[Any, tuple[_Array, _Array]]) -> Any:
-    """Columns at their own times, in one table."""
+    """Return columns, each at its own times, in one table."""
     near = {key: (_snapped(own, t), there) for key, (own, there) in samples.items()}
     times = np.unique(np.concatenate([t, *(own for own, _ in near.values())]))
     table = {}
@@ -188,7 +189,7 @@ def _joined(pd: Any, t: _Array, columns: Mapping[Any, _Array], samples: Mapping[
 
 
 def _snapped(own: _Array, t: _Array) -> _Array:
-    """Times, but those of ``t`` where they differ from these by rounding: 3 * 0.2 is not 6 * 0.1."""
+    """Return times, replaced by those of ``t`` where they differ by rounding only: 3 * 0.2 is not 6 * 0.1."""
     after = np.clip(np.searchsorted(t, own), 1, t.size - 1)
     nearest = np.where(own - t[after - 1] < t[after] - own, t[after - 1], t[after])
     gap = min(float(np.diff(v).min()) for v in (own, t) if v.size > 1)
@@ -196,7 +197,7 @@ def _snapped(own: _Array, t: _Array) -> _Array:
 
 
 def _with(data: Any, name: str, channel: str, values: _Array, own: Any, attributes: Mapping[str, str]) -> Any:
-    """The dataset with one more variable, over an axis of its own where it has other times."""
+    """Return the dataset with one more variable, over its own axis where it has other times."""
     if own is None:
         data[name] = ("time", np.array(values), dict(attributes))
         return data

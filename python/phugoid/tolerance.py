@@ -1,4 +1,4 @@
-"""How far an output may be from its measurements: so much, or such a part of them, whichever is greater."""
+"""Tolerances of outputs: an absolute deviation, or a part of the measurements, whichever is greater."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ class Tolerance:
             raise OptionError("Tolerance: give an absolute or a relative part above 0, or both")
 
     def at(self, measured: _Array) -> _Array:
-        """How far samples (N,) may be off; NaN where one is missing."""
+        """Return the greatest allowed deviation of samples (N,); NaN where one is missing."""
         sizes = np.abs(np.asarray(measured, dtype=float))
         return np.asarray(np.where(np.isnan(sizes), np.nan, np.maximum(self.absolute, self.relative * sizes)))
 
     def text(self, unit: str = "") -> str:
-        """Short, for tables and figures.
+        """Return a short text for tables and figures.
 
         >>> Tolerance(absolute=1.5, relative=0.05).text("m/s")
         '±1.5 m/s or ±5 %'
@@ -65,7 +65,7 @@ class Tolerance:
 
 
 def tolerance_of(whose: str, value: Any) -> Tolerance:
-    """What is given for one output; ``whose`` names it in errors."""
+    """Return the tolerance given for one output; ``whose`` names it in errors."""
     if isinstance(value, Tolerance):
         return value
     try:
@@ -78,7 +78,7 @@ def tolerance_of(whose: str, value: Any) -> Tolerance:
 
 
 def tolerances_by_output(caller: str, outputs: Sequence[str], given: Any) -> dict[str, Tolerance]:
-    """The tolerances given to ``caller``, in the order of ``outputs``; None is none.
+    """Return the tolerances given to ``caller``, in the order of ``outputs``; {} for None.
 
     Raises OptionError for what is no mapping, an output that there is not, or a tolerance that is none.
     """

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and checksums by which a damaged one is found out."""
+"""Files written whole or not at all, and checksums that detect damage."""
 
 from __future__ import annotations
 

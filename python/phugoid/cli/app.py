@@ -46,5 +46,5 @@ def _common(
 
 
 def main() -> None:
-    """What the installed command calls."""
+    """Run the application; the entry point of the installed command."""
     app(prog_name="phugoid")

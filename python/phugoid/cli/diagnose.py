@@ -1,4 +1,4 @@
-"""``phugoid diagnose``: what a fit says that its model misses."""
+"""``phugoid diagnose``: finds what the model of a fit misses."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def diagnose(
         if json:
             emit_json("diagnose", {"fit": fit_facts(base), "findings": None})
         else:
-            print(f"{base.summary()}\n\nThere is nothing to diagnose: what is missing shows at an optimum only.")
+            print(f"{base.summary()}\n\nThere is nothing to diagnose: a diagnosis needs a converged fit.")
         return code_of(base) or NOT_CONVERGED
     with _steps() as watch:
         found = find_missing(base, validation=others, progress=watch)
@@ -65,7 +65,8 @@ def diagnose(
 
 
 def _base(model: str, reading: Reading, data: list[Path], saved: Path | None, how: Estimation) -> Fit:
-    """The fit to diagnose: as saved where no data are given, else estimated, from a saved one where there is one."""
+    """Return the fit to diagnose: the saved one where no data are given, else one estimated from the data, with a saved
+    fit as start."""
     source = load_source(model)
     before = load_fit(saved) if saved is not None else source if isinstance(source, Fit) else None
     if not data:
@@ -79,7 +80,8 @@ def _base(model: str, reading: Reading, data: list[Path], saved: Path | None, ho
 
 @contextmanager
 def _steps() -> Iterator[Callable[[str], None]]:
-    """What to call with each step: a status line on a terminal, else a line on stderr each."""
+    """Yield a function to call with each step: it updates a status line on a terminal, or prints a line to stderr
+    elsewhere."""
     if not sys.stderr.isatty():
         yield lambda text: print(f"diagnose: {text}", file=sys.stderr)
         return

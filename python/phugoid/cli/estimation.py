@@ -1,4 +1,4 @@
-"""An estimation as commands ask for it."""
+"""The options of an estimation, as the commands take them."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ __all__ = ["Estimation"]
 
 @contextmanager
 def progress_bar(title: str, limit: int) -> Iterator[Callable[[Iteration], None]]:
-    """Give what to call each iteration: a bar of at most ``limit`` iterations on a terminal, else a line every tenth.
+    """Yield a function to call with each iteration: a bar on a terminal, else one line for every tenth iteration.
 
-    Iterations end where the optimum is, mostly long before the limit.
+    The bar ends at ``limit`` iterations; most runs converge long before.
     """
     if not sys.stderr.isatty():
         with Progress.of(True, title) as watch:
@@ -63,7 +63,7 @@ _SOLVERS: Mapping[str, type[Newton] | type[Ipopt]] = {"newton": Newton, "ipopt":
 
 @dataclass(frozen=True)
 class Estimation:
-    """Hold the options of an estimation, as texts. Raises OptionError for what they cannot be."""
+    """Hold the options of an estimation, as texts. Raises OptionError for invalid ones."""
 
     order: Annotated[
         int | None,
@@ -74,7 +74,7 @@ class Estimation:
     ] = None
     fix: Annotated[
         list[str] | None,
-        Option("--fix", help="Holds a parameter at its start, or at a value.", metavar="NAME[=VALUE]"),
+        Option("--fix", help="Fixes a parameter at its start, or at a value.", metavar="NAME[=VALUE]"),
     ] = None
     solver: Annotated[str, Option("--solver", help="newton or ipopt.", metavar="NAME")] = "newton"
     iterations: Annotated[
@@ -92,17 +92,17 @@ class Estimation:
         return kind() if self.iterations is None else kind(max_iterations=self.iterations)
 
     def _values(self) -> tuple[dict[str, float], dict[str, float | None]]:
-        """Values to start from, and what is fixed: at a value, or (None) at the start as declared."""
+        """Return the start values, and the fixed parameters: name -> value, or None for the declared start."""
         start = numbers("--start", self.start)
         return start, fixes(self.fix, start)
 
     def check_unused(self, source: str) -> None:
-        """Raises OptionError for options that a saved fit has no use for."""
+        """Raise OptionError for options that do not apply to a saved fit."""
         if self.start or self.fix:
             raise OptionError(f"--start and --fix are for a model that is fitted first: {source} holds a fit")
 
     def run(self, model: Model, data: Sequence[Experiment], before: Fit | None = None) -> Fit:
-        """Estimates with progress on stderr; goes on from a fit ``before`` where there is one, with its noise."""
+        """Estimate with progress on stderr; continue from the fit ``before``, with its noise, where there is one."""
         start, fixed = self._values()
         solver = self._solver()
         model = _with_fixed(model, fixed)
@@ -118,13 +118,13 @@ class Estimation:
                 transcription=mesh,
                 noise=None if before is None else before.noise,
                 start=begin,
-                solver=None if isinstance(mesh, FilterError) else solver,  # which has its own
+                solver=None if isinstance(mesh, FilterError) else solver,  # the filter-error method has its own
                 progress=watch,
             )
 
 
 def _with_fixed(model: Model, fixed: Mapping[str, float | None]) -> Model:
-    """The model with parameters held at values, or (None) where they start."""
+    """Return the model with parameters fixed at values, or (None) at their declared starts."""
     declared, changes = model.declared_parameters, {}
     for name, value in fixed.items():
         if name not in declared:

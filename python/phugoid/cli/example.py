@@ -1,4 +1,4 @@
-"""``phugoid example``: writes a packaged model file and simulated records, to try the other commands on."""
+"""``phugoid example``: writes a packaged model file and simulated records to try the other commands on."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SECOND = ((3, 5, -1), (5, 7, 1), (20, 22, -1), (22, 23, 1))
 
 @dataclass(frozen=True)
 class Example:
-    """A model with the truth that its records are simulated from.
+    """A model with the true parameters that its records are simulated with.
 
     ``inputs``: name -> (trim, size of a step of the manoeuvres, in its unit). ``sigma``: output -> standard deviation
     of white Gaussian noise. ``seconds`` and ``rate`` (Hz) of a record.
@@ -50,11 +50,11 @@ class Example:
 
     @property
     def text(self) -> str:
-        """The model file."""
+        """The text of the model file."""
         return files(__package__).joinpath("examples", f"{self.name}.txt").read_text(encoding="utf-8")
 
     def record(self, model: Model, which: int) -> tuple[Record, dict[str, NDArray[np.float64]]]:
-        """The first or the second manoeuvre, and its measurements with noise; the same at every call."""
+        """Return the first or the second manoeuvre, and its measurements with noise; the same at every call."""
         t = np.arange(round(self.seconds * self.rate) + 1) / self.rate
         stretch = self.seconds / 60.0
         shape = np.zeros(t.size)
@@ -68,7 +68,7 @@ class Example:
 
 
 def example_of(name: str) -> Example:
-    """The example of a name; OptionError for another."""
+    """Return the example of a name; raise OptionError for an unknown name."""
     if name not in EXAMPLES:
         raise OptionError(f"there is no example '{name}'.{listing(name, EXAMPLES)}")
     return EXAMPLES[name]

@@ -39,7 +39,7 @@ def fit(
     check_targets([plot], [save, report])
     source = load_source(model)
     records = reading.read(data)
-    # A saved fit is gone on from.
+    # The estimation continues from a saved fit.
     result = how.run(source.model, records, source) if isinstance(source, Fit) else how.run(source, records)
     files: list[str | Path] = [model if Path(model).is_file() else model.rpartition(":")[0], *data]
     finish(
@@ -58,20 +58,20 @@ def fit(
 def write_report(
     result: Fit, report: Path, *, files: Sequence[str | Path], validation: Validation | None = None
 ) -> None:
-    """The page, with the files that there are and the command."""
+    """Write the report page, with the source files that exist and the command line."""
     sources = [Path(f) for f in files if Path(f).is_file()]
     result.report(report, validation=validation, files=sources, command=_command())
 
 
 def _command() -> str:
-    """As it was typed; nothing where another program called."""
+    """Return the command line as typed; "" where another program called."""
     called = Path(sys.argv[0])
-    mine = called.stem == "phugoid" or called.parent.name == "phugoid"
-    return shlex.join(["phugoid", *sys.argv[1:]]) if mine else ""
+    is_command = called.stem == "phugoid" or called.parent.name == "phugoid"
+    return shlex.join(["phugoid", *sys.argv[1:]]) if is_command else ""
 
 
 def code_of(result: Fit) -> int:
-    """The exit code that an estimation ends with."""
+    """Return the exit code for the status of an estimation."""
     if result.status == "interrupted":
         return INTERRUPTED
     return 0 if result.converged else NOT_CONVERGED

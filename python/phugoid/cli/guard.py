@@ -1,4 +1,4 @@
-"""Call a command and end it: its options, exit codes, and one clear line where something is wrong."""
+"""Run a command: its options, exit codes, and one clear line for an error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import typer
 from ..errors import PhugoidError
 from ..interrupts import interrupts
 
-__all__ = ["INTERRUPTED", "NOT_CONVERGED", "command", "told"]
+__all__ = ["INTERRUPTED", "NOT_CONVERGED", "command", "printed_summary"]
 
 NOT_CONVERGED = 1
 BAD_INPUT = 2
@@ -27,7 +27,7 @@ _DEBUG = Annotated[bool, typer.Option("--debug", help="Shows the traceback of an
 
 
 def command(function: Callable[..., int | None]) -> Callable[..., None]:
-    """Return what typer runs of a function that gives the exit code (None: 0).
+    """Return the function that typer runs, made of a function that returns an exit code (None: 0).
 
     A parameter of a dataclass stands for the options that the fields of the class are; ``--debug`` is added.
     """
@@ -57,18 +57,18 @@ def command(function: Callable[..., int | None]) -> Callable[..., None]:
 
 @contextmanager
 def guard(debug: bool) -> Iterator[None]:
-    """Turns errors of phugoid and of the file system into a line on stderr and exit code 2, Ctrl-C into 130.
+    """Turn errors of phugoid and of the file system into a line on stderr and exit code 2, and Ctrl-C into 130.
 
     ``debug`` shows the traceback too. Other errors are faults of phugoid itself, and pass.
     """
     try:
         yield
-    except BrokenPipeError:  # whoever read stdout, such as `head`, has enough; typer ends quietly
+    except BrokenPipeError:  # the reader of stdout, such as `head`, has closed it; typer ends quietly
         raise
     except (PhugoidError, OSError) as error:
         if debug:
             traceback.print_exc()
-        # A message of several lines, as of an equation with its place, is told whole.
+        # A message of several lines, as of an equation with its place, is printed whole.
         print(f"phugoid: {_text(error)}", file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from None
     except KeyboardInterrupt:
@@ -76,8 +76,8 @@ def guard(debug: bool) -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from None
 
 
-def told(result: Any) -> str:
-    """The summary; where Ctrl-C is pressed while it is made, what is at hand."""
+def printed_summary(result: Any) -> str:
+    """Return the summary of a result; where Ctrl-C interrupts it, a short listing of the parameters."""
     try:
         return str(result.summary())
     except KeyboardInterrupt:

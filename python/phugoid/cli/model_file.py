@@ -1,4 +1,4 @@
-"""Models from files: Python that makes one, or JSON that was saved."""
+"""Models from files: Python code that builds one, or saved JSON."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _MAKERS = ("model", "make_model", "build_model")
 
 
 def load_model(source: str) -> Model:
-    """The model of ``model.py``, ``model.py:name`` or ``model.json``; of a saved fit its model."""
+    """Return the model of ``model.py``, ``model.py:name``, ``model.json`` or a saved fit."""
     found = load_source(source)
     return found.model if isinstance(found, Fit) else found
 
 
 def load_source(source: str) -> Model | Fit:
-    """The model of a file, or the fit that the file holds.
+    """Return the model of a file, or the fit that the file holds.
 
     A Python file defines one `Model`, or a function without arguments that makes it; ``file.py:name`` says which.
     Raises ModelError with file and line for what goes wrong in it, DataError for a file that cannot be read.
@@ -77,7 +77,8 @@ def _saved(path: Path, text: str) -> Model | Fit:
 
 
 def _run(path: Path, text: str) -> dict[str, Any]:
-    """The names that a Python file defines. What it prints goes to stderr: stdout is for results."""
+    """Execute a Python file and return the names that it defines. Its output goes to stderr, since stdout is for
+    results."""
     module = ModuleType(f"phugoid_model_{path.stem}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses look their module up
@@ -93,13 +94,13 @@ def _run(path: Path, text: str) -> dict[str, Any]:
 
 
 def _at_line(path: Path, error: BaseException) -> ModelError:
-    """What went wrong, with the innermost line of the user's file."""
+    """Return an error as a ModelError that names the innermost line of the user's file."""
     if isinstance(error, SyntaxError) and error.filename == str(path):
         return ModelError(f"{path}, line {error.lineno}: {error.msg}")
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
     where = f"{path}, line {lines[-1]}" if lines else str(path)
     kind = "" if isinstance(error, ModelError) else f"{type(error).__name__}: "
-    # Python itself tells the nearest name only where it prints the traceback.
+    # Python itself suggests the nearest name only where it prints the traceback.
     hint = did_you_mean(error.name, dir(error.obj)) if isinstance(error, AttributeError) and error.name else ""
     return ModelError(f"{where}: {kind}{error}{'.' if hint else ''}{hint}")
 

@@ -1,4 +1,4 @@
-"""Options that several commands have, each declared once, and how their texts are read."""
+"""Options shared by several commands, each declared once, and the parsers of their texts."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ JsonOption: TypeAlias = Annotated[bool, typer.Option("--json", help="Results on 
 
 
 def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:
-    """``A=B`` of a repeated option, or several apart by commas.
+    """Parse ``A=B`` of a repeated option, or several separated by commas.
 
     >>> pairs("--rename", ["a=b,c=d"])
     {'a': 'b', 'c': 'd'}
@@ -58,7 +58,7 @@ def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:
 
 
 def numbers(option: str, texts: Sequence[str] | None) -> dict[str, float]:
-    """``NAME=VALUE`` with finite numbers.
+    """Parse ``NAME=VALUE`` with finite numbers.
 
     >>> numbers("--start", ["Mw=0.2", "Mq=-1e-3"])
     {'Mw': 0.2, 'Mq': -0.001}
@@ -67,7 +67,7 @@ def numbers(option: str, texts: Sequence[str] | None) -> dict[str, float]:
 
 
 def tolerances(texts: Sequence[str] | None) -> dict[str, Tolerance]:
-    """``OUTPUT=VALUE``, ``OUTPUT=PART%`` or ``OUTPUT=VALUE/PART%``, whichever is greater.
+    """Parse ``OUTPUT=VALUE``, ``OUTPUT=PART%`` or ``OUTPUT=VALUE/PART%`` (whichever is greater).
 
     >>> tolerances(["V=1.5/5%", "q=0.01"])
     {'V': Tolerance(absolute=1.5, relative=0.05), 'q': Tolerance(absolute=0.01, relative=0.0)}
@@ -90,7 +90,8 @@ def tolerances(texts: Sequence[str] | None) -> dict[str, Tolerance]:
 
 
 def fixes(texts: Sequence[str] | None, start: Mapping[str, float]) -> dict[str, float | None]:
-    """``NAME`` or ``NAME=VALUE``; a name alone is held where it starts, None where that is as declared."""
+    """Parse ``NAME`` or ``NAME=VALUE``; a name alone is fixed at its start value, None where that is the
+    declared one."""
     found: dict[str, float | None] = {}
     for text in (part.strip() for given in texts or () for part in given.split(",")):
         if "=" in text:
@@ -101,12 +102,12 @@ def fixes(texts: Sequence[str] | None, start: Mapping[str, float]) -> dict[str, 
 
 
 def names(text: str | None) -> list[str] | None:
-    """``A,B`` as a list."""
+    """Parse ``A,B`` into a list."""
     return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
 
 
 def span(text: str | None) -> tuple[float, float] | None:
-    """``T0,T1`` in s.
+    """Parse ``T0,T1`` in s.
 
     >>> span("2,10.5")
     (2.0, 10.5)
@@ -144,7 +145,7 @@ _CALLED = {
 
 @dataclass(frozen=True)
 class Reading:
-    """Hold the options of `read` for data files, as texts. Raises OptionError for what they cannot be."""
+    """Hold the options of `read` for data files, as texts. Raises OptionError for invalid ones."""
 
     time: Annotated[
         str | None, Option("--time", help="Column of time, in s; default: t, or one called time.", metavar="NAME")
@@ -180,7 +181,7 @@ class Reading:
         self._given()
 
     def _given(self) -> dict[str, Any]:
-        """The arguments of `read`."""
+        """Return the arguments of `read`."""
         return {
             "time": self.time,
             "rate": self.rate,
@@ -194,7 +195,7 @@ class Reading:
         }
 
     def read(self, files: Sequence[Path]) -> list[Experiment]:
-        """One record a file, each with a name of its own: the file's, with its folder where that is not enough."""
+        """Read one record a file; each is named after its file, with the folder where file names are equal."""
         twice = [f for i, f in enumerate(files) if f.resolve() in [g.resolve() for g in files[:i]]]
         if twice:
             raise OptionError(f"{twice[0]} is given twice")

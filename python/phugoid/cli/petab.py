@@ -97,7 +97,7 @@ def petab(
 
 
 def _nominal(problem: PetabProblem) -> float | None:
-    """The log-likelihood at the nominal point; None where the solution does not exist there."""
+    """Return the log-likelihood at the nominal point; None where the solution does not exist there."""
     try:
         return problem.log_likelihood()
     except EvaluationError:

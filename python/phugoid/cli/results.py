@@ -1,4 +1,4 @@
-"""What commands give out: JSON on stdout, figures and files where they were asked for."""
+"""Output of the commands: JSON on stdout, and the figures and files that were asked for."""
 
 from __future__ import annotations
 
@@ -16,39 +16,40 @@ from ..result import Fit
 from ..saving.json_file import SUFFIXES
 from ..summary import corrected
 from ..writing import drawn, write
-from .guard import told
+from .guard import printed_summary
 
 __all__ = ["check_saved", "check_targets", "emit_json", "finish", "fit_facts", "match_facts", "save_figures", "saved"]
 
 
 def check_saved(path: Path | None, what: str) -> None:
-    """Raises OptionError, before any work is done, for an ending that ``--save`` does not know."""
+    """Raise OptionError, before any work is done, for a suffix that ``--save`` does not support."""
     if path is not None and path.suffix.lower() not in (".json", *SUFFIXES):
         raise OptionError(f"--save {path}: a saved {what} ends in .json, {' or '.join(SUFFIXES)}")
 
 
 def check_targets(figures: Sequence[Path | None] = (), others: Sequence[Path | None] = ()) -> None:
-    """Raises OptionError, before any work is done, for a file that could not be written."""
+    """Raise OptionError, before any work is done, for a file that could not be written."""
     for path in (p for p in (*figures, *others) if p is not None):
         if not path.resolve().parent.is_dir():
             raise OptionError(f"{path}: cannot be written, since there is no folder {path.resolve().parent}")
         if path.is_dir():
             raise OptionError(f"{path}: is a folder, not a file to write")
-    wanted = [p for p in figures if p is not None]
-    if wanted:
+    paths = [p for p in figures if p is not None]
+    if paths:
         import matplotlib
 
         matplotlib.use("Agg")  # no window: figures go to files
         from matplotlib.figure import Figure
 
         known = Figure().canvas.get_supported_filetypes()
-        for path in wanted:
+        for path in paths:
             if path.suffix[1:].lower() not in known:
                 raise OptionError(f"{path}: a figure's file ends in one of {', '.join('.' + k for k in sorted(known))}")
 
 
 def save_figures(result: Any, path: Path | None) -> list[Path]:
-    """The proof of match of each experiment of a fit or a validation: ``path``, or ``path`` with the name of each."""
+    """Write the proof of match of each experiment to ``path``, or to ``path`` with the name of each; return the
+    paths."""
     if path is None:
         return []
     import matplotlib.pyplot as plt
@@ -65,7 +66,7 @@ def save_figures(result: Any, path: Path | None) -> list[Path]:
 
 
 def emit_json(command: str, facts: Mapping[str, Any], written: Sequence[Path] = ()) -> None:
-    """One JSON document on stdout; NaN and infinities, which JSON has not, are null."""
+    """Print one JSON document to stdout; NaN and infinities, which JSON does not have, become null."""
     document = {"command": command, "phugoid": _core.__version__, **facts, "written": [str(p) for p in written]}
     print(json.dumps(_plain(document), ensure_ascii=False, indent=1, allow_nan=False))
 
@@ -76,18 +77,18 @@ def finish(
     facts: Callable[[], Mapping[str, Any]] | None,
     writers: Sequence[Callable[[], list[Path]]],
 ) -> None:
-    """Write the files asked for, then tell the result: as JSON where there are ``facts``, else as its summary.
+    """Write the files asked for, then print the result: as JSON where there are ``facts``, else as its summary.
 
-    Files come first, since whoever reads stdout may stop before its end. Where one cannot be written, or Ctrl-C is
-    pressed, the result is told all the same: the work is done.
+    Files come first, since the reader of stdout may stop before its end. Where one cannot be written, or Ctrl-C is
+    pressed, the result is printed all the same: the work is done.
     """
     written: list[Path] = []
 
-    def tell() -> None:
+    def print_result() -> None:
         if facts is not None:
             emit_json(command, facts(), written)
             return
-        print(told(result))
+        print(printed_summary(result))
         if written:
             print(f"\nWritten: {', '.join(map(str, written))}")
 
@@ -95,13 +96,13 @@ def finish(
         for write_files in writers:
             written += write_files()
     except (PhugoidError, OSError, KeyboardInterrupt):
-        tell()
+        print_result()
         raise
-    tell()
+    print_result()
 
 
 def saved(save: Callable[[Path], object], path: Path | None) -> Callable[[], list[Path]]:
-    """Return what writes one file with ``save``; nothing without a path."""
+    """Return a function that writes one file with ``save``; it does nothing without a path."""
 
     def write_file() -> list[Path]:
         if path is None:
@@ -113,7 +114,7 @@ def saved(save: Callable[[Path], object], path: Path | None) -> Callable[[], lis
 
 
 def fit_facts(fit: Fit) -> dict[str, Any]:
-    """A fit as plain values."""
+    """Return a fit as plain values for JSON."""
     return {
         "model": fit.model.name,
         "status": fit.status,
@@ -132,7 +133,7 @@ def fit_facts(fit: Fit) -> dict[str, Any]:
 
 
 def match_facts(matches: Mapping[str, Match]) -> dict[str, Any]:
-    """The match of each output as plain values."""
+    """Return the goodness of fit of each output as plain values for JSON."""
     kept = ("unit", "samples", "rms", "r_squared", "theil", "lag_one", "whiteness")
     return {name: {key: getattr(m, key) for key in kept} for name, m in matches.items()}
 

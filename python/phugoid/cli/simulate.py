@@ -1,4 +1,4 @@
-"""``phugoid simulate``: what a model says with given parameters."""
+"""``phugoid simulate``: simulates a model with given parameters over the inputs of a data file."""
 
 from __future__ import annotations
 
@@ -74,7 +74,8 @@ def simulate(
 def _parameters(
     model: Model, fit: Fit | None, given: Sequence[str] | None
 ) -> tuple[Fit | None, Mapping[str, Any] | Fit]:
-    """The fit whose initial states hold, and the values: those given by name before those of the fit."""
+    """Return the fit whose initial states apply, and the parameter values: those given by name override those of the
+    fit."""
     files = [text for text in given or () if "=" not in text]
     if len(files) > 1:
         raise OptionError(f"--parameters: one saved fit, not {len(files)}")
@@ -108,14 +109,14 @@ def _first(model: Model, fit: Fit | None, experiment: str, given: Mapping[str, f
 
 
 def _columns(record: Record) -> dict[str, list[float]]:
-    """Time, inputs, outputs, and states that are not outputs under the same name."""
+    """Return time, inputs, outputs, and the states that are not outputs of the same name."""
     groups = {**record.states, **record.inputs, **record.outputs}
     order = dict.fromkeys([*record.inputs, *record.outputs, *record.states])
     return {"t": record.t.tolist(), **{name: groups[name].tolist() for name in order}}
 
 
 def _write(record: Record, file: TextIO) -> None:
-    """A CSV that `read` reads back to the last bit, with units in its header."""
+    """Write a CSV, with units in its header, that `read` reads back to the last bit."""
     columns = _columns(record)
     units = {"t": "s", **record.units}
     writer = csv.writer(file, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""``phugoid validate``: tries a fitted model on records that it was not fitted to."""
+"""``phugoid validate``: validates a fitted model on records that it was not fitted to."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def validate(
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Try a fitted model on other records: only initial states and sensor biases are found anew."""
+    """Validate a fitted model on other records: only initial states and sensor biases are re-estimated."""
     check_targets([plot], [report])
     limits = tolerances(tolerance)
     source = load_source(model)
@@ -57,7 +57,7 @@ def validate(
     else:
         if len(data) < 2:
             raise OptionError(
-                f"{model} is a model: give a data file to fit it to, and others to try it on; or a saved fit"
+                f"{model} is a model: give a data file to fit it to, and others to validate it on; or a saved fit"
             )
         fit = how.run(source, reading.read(data[:1]))
         others = list(data[1:])

@@ -1,4 +1,5 @@
-"""Numbers of a record as they must be: what could spoil an estimate without a trace is refused, with its place."""
+"""Checks of the numbers of a record: values that would spoil an estimate without a trace are refused, with
+their place."""
 
 from __future__ import annotations
 
@@ -31,12 +32,12 @@ FloatArray = NDArray[np.float64]
 
 
 def where(experiment: str, kind: str, channel: str) -> str:
-    """How messages call a channel."""
+    """Return the name of a channel for error messages."""
     return f"experiment '{experiment}', {kind} '{channel}'"
 
 
 def times(experiment: str, t: ArrayLike) -> FloatArray:
-    """(N,) times in s, at least 2, strictly increasing; DataError for others."""
+    """Return (N,) times in s, checked: at least 2, strictly increasing; raise DataError otherwise."""
     where = f"experiment '{experiment}', time"
     time = real(t, where)
     if time.ndim != 1:
@@ -58,7 +59,7 @@ def times(experiment: str, t: ArrayLike) -> FloatArray:
 
 
 def columns(experiment: str, kind: str, group: Mapping[str, ArrayLike] | None, t: FloatArray) -> dict[str, FloatArray]:
-    """Name -> (N,) of channels at times (N,); DataError for what is no such mapping."""
+    """Return name -> (N,) of channels at the times ``t`` (N,); raise DataError for anything else."""
     if group is None:
         return {}
     if not isinstance(group, Mapping):
@@ -79,7 +80,7 @@ def columns(experiment: str, kind: str, group: Mapping[str, ArrayLike] | None, t
 
 
 def check_input(where: str, values: FloatArray, t: FloatArray) -> None:
-    """Raises DataError for an input with a gap."""
+    """Raise DataError for an input with a missing or infinite sample."""
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         raise DataError(
@@ -90,7 +91,7 @@ def check_input(where: str, values: FloatArray, t: FloatArray) -> None:
 
 
 def check_output(where: str, values: FloatArray, t: FloatArray) -> None:
-    """Raises DataError for an output with an infinite sample, or without any."""
+    """Raise DataError for an output with an infinite sample, or without any sample."""
     bad = np.flatnonzero(np.isinf(values))
     if bad.size:
         raise DataError(f"{where}: {_sample(bad[0], t)} is {values[bad[0]]}; mark a missing sample with NaN")
@@ -99,7 +100,7 @@ def check_output(where: str, values: FloatArray, t: FloatArray) -> None:
 
 
 def moves(values: FloatArray) -> bool:
-    """Whether the samples that are there differ by more than rounding."""
+    """Return whether the finite samples differ by more than rounding errors."""
     present = values[np.isfinite(values)]
     return bool(present.size) and bool(np.ptp(present) > 4.0 * np.finfo(np.float64).eps * np.abs(present).max())
 
@@ -109,16 +110,16 @@ def _sample(i: int | np.intp, t: FloatArray | None) -> str:
 
 
 def units(name: str, given: Mapping[str, str] | None) -> dict[str, str]:
-    """Units of the channels of the experiment ``name``; DataError where they are no texts by name."""
+    """Return the units of the channels of the experiment ``name``; raise DataError unless they are texts by name."""
     if not isinstance(given, (Mapping, type(None))) or not all(isinstance(u, str) for u in (given or {}).values()):
         raise DataError(f"experiment '{name}': units are texts by name, such as {{'q': 'rad/s'}}, not {given!r}")
     return dict(given or {})
 
 
 def real(values: ArrayLike, where: str, t: FloatArray | None = None) -> FloatArray:
-    """A read-only float64 copy of any shape; None, pandas' NA and masked samples become NaN."""
+    """Return a read-only float64 copy of an array of any shape; None, pandas' NA and masked samples become NaN."""
     if isinstance(values, np.ma.MaskedArray):
-        # np.asarray would drop the mask and let the junk beneath pass for data.
+        # np.asarray would drop the mask and take the values beneath it as data.
         values = np.ma.filled(values.astype(np.float64), np.nan)
     try:
         raw = np.asarray(values)
@@ -142,7 +143,7 @@ def real(values: ArrayLike, where: str, t: FloatArray | None = None) -> FloatArr
 
 
 def _scalar(value: Any, i: int, where: str, t: FloatArray | None) -> float:
-    # pandas' NA is known by its type's name: importing pandas only to compare would be dear.
+    # pandas' NA is known by its type's name: importing pandas only to compare would take long.
     if value is None or type(value).__name__ in ("NAType", "NaTType"):
         return float("nan")
     # float() would drop the imaginary part of numpy's complex numbers.

@@ -43,7 +43,7 @@ class Experiment(Preprocessing):
                    ``{"de": "hold", "V": "linear"}``, where inputs that are not named are linear. A wrong assumption
                    here looks like an error of the model. An input that is held jumps at its samples; at a sample time
                    the outputs see the value that is held from that sample on.
-    channels       name -> (N,): columns not yet told apart. A model finds here what it does not find in
+    channels       name -> (N,): columns not yet assigned. A model finds here what it does not find in
                    ``inputs`` and ``outputs``; extra channels do no harm.
     units          name -> unit, for labels; nothing is converted.
 
@@ -94,7 +94,7 @@ class Experiment(Preprocessing):
 
     @property
     def name(self) -> str:
-        """How messages and plots call the record."""
+        """The name of the record in messages and plots."""
         return self._name
 
     @property
@@ -114,7 +114,7 @@ class Experiment(Preprocessing):
 
     @property
     def channels(self) -> Mapping[str, FloatArray]:
-        """The columns that may serve as either: name -> (N,), read-only."""
+        """The columns that may serve as inputs or outputs: name -> (N,), read-only."""
         return MappingProxyType(self._channels)
 
     @property
@@ -123,7 +123,7 @@ class Experiment(Preprocessing):
         return MappingProxyType(self._units)
 
     def signal(self, name: str) -> Signal | None:
-        """How an input was sampled at times of its own, and what is taken of it.
+        """Return how an input was sampled at times of its own, and what is taken of it.
 
         Times (s), samples, delay (s), order of the derivative; None for an input that has a sample at each time of the
         record.
@@ -131,12 +131,12 @@ class Experiment(Preprocessing):
         return self._signals.get(name)
 
     def samples(self, name: str) -> tuple[FloatArray, FloatArray]:
-        """Times (s) and values that an input is interpolated between: its own, or those of the record."""
+        """Return the times (s) and values that an input is interpolated between: its own, or those of the record."""
         own = self._signals.get(name)
         return (self._t, self.input(name)) if own is None else (own[0], own[1])
 
     def own_samples(self, names: Sequence[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """`samples` of those inputs that have some of their own, taken as they are: neither late nor differentiated."""
+        """Return `samples` of the inputs that have their own, if these are neither delayed nor differentiated."""
         return {n: self.samples(n) for n in names if n in self._signals and self._signals[n][2:] == (0.0, 0)}
 
     @property
@@ -146,7 +146,7 @@ class Experiment(Preprocessing):
 
     @property
     def interpolation(self) -> Interpolations:
-        """Return how inputs behave between samples: one word for all, or a mapping by name, else ``"linear"``."""
+        """How inputs behave between samples: one word for all, or a mapping by name, else ``"linear"``."""
         return self._interpolation if isinstance(self._interpolation, str) else dict(self._interpolation)
 
     def interpolation_of(self, name: str) -> Interpolation:
@@ -155,7 +155,7 @@ class Experiment(Preprocessing):
 
     @property
     def history(self) -> tuple[str, ...]:
-        """What was done to the record since it was read or made: a sentence a step, in order."""
+        """The steps that were applied to the record since it was read or made: one sentence each, in order."""
         return self._history
 
     @property
@@ -181,11 +181,11 @@ class Experiment(Preprocessing):
         )
 
     def input(self, name: str) -> FloatArray:
-        """The input channel ``name``, shape (N,); DataError where there is none."""
+        """Return the input channel ``name``, shape (N,); raise DataError where there is none."""
         return self._resolve(name, self._inputs, "input")
 
     def output(self, name: str) -> FloatArray:
-        """The output channel ``name``, shape (N,), NaN where missing; DataError where there is none."""
+        """Return the output channel ``name``, shape (N,), NaN where missing; raise DataError where there is none."""
         return self._resolve(name, self._outputs, "output")
 
     def check_for(
@@ -196,7 +196,7 @@ class Experiment(Preprocessing):
         *,
         conditions: Collection[str] = (),
     ) -> None:
-        """Raises DataError unless a model with these inputs and outputs can be estimated from this record.
+        """Raise DataError unless a model with these inputs and outputs can be estimated from this record.
 
         Every name must be there, inputs without gaps, outputs with at least one sample. An output that never
         changes is refused, since its σ cannot be estimated, unless it is in ``known_sigma``. ``conditions``: those of
@@ -222,7 +222,8 @@ class Experiment(Preprocessing):
                 )
 
     def window(self, t0: float, t1: float, name: str | None = None) -> Experiment:
-        """The samples with ``t0 <= t <= t1`` (s), time unchanged; DataError where fewer than 2 are left."""
+        """Return the samples with ``t0 <= t <= t1`` (s), time unchanged; raise DataError where fewer than 2 are
+        left."""
         # Sample times such as 0.1*k carry rounding: without slack window(0, 0.3) would lose its last sample.
         slack = 1e-6 * float(np.median(np.diff(self._t)))
         kept = (self._t >= t0 - slack) & (self._t <= t1 + slack)
@@ -252,7 +253,7 @@ class Experiment(Preprocessing):
     def split(self, gaps: bool | float = True) -> list[Experiment]:
         """Return the parts of the record between gaps in its sampling, called ``name[1]``, ``name[2]``, ...
 
-        Over a gap nobody knows what the inputs did, and what interpolation makes of them there drives the model. The
+        In a gap the inputs are unknown, and the model would be driven by what interpolation makes of them. The
         parts are estimated together, each with first states of its own.
 
         gaps  True: an interval is a gap where it is longer than ten times those beside it (the twenty nearest, of which
@@ -291,7 +292,7 @@ class Experiment(Preprocessing):
         return found
 
     def rename(self, names: Mapping[str, str]) -> Experiment:
-        """The same record with channels renamed, ``{"old": "new"}``; DataError for unknown or taken names."""
+        """Return the record with channels renamed, ``{"old": "new"}``; raise DataError for unknown or taken names."""
         present = self._names()
         for old in names:
             if old not in present:
@@ -338,7 +339,7 @@ class Experiment(Preprocessing):
         return other._sampled(self._signals, self._mesh_times)._after(self, f"interpolation: {interpolation}")
 
     def with_outputs(self, outputs: Mapping[str, ArrayLike], name: str | None = None) -> Experiment:
-        """The same inputs with ``outputs`` (name -> (N,)) in place of the measured ones: simulated data."""
+        """Return the record with ``outputs`` (name -> (N,)) in place of the measured ones, as for simulated data."""
         other = Experiment(
             self._t,
             self._inputs,
@@ -380,7 +381,7 @@ class Experiment(Preprocessing):
         return other._after(self, f"channels given: {', '.join(channels)}")
 
     def to_pandas(self) -> pandas.DataFrame:
-        """The channels by time (s), one column each.
+        """Return the channels as a table over time (s), one column each.
 
         An input that has samples of its own stands at their times, and there are rows for these too; NaN where a
         channel has no sample. ``attrs`` holds name, units, interpolation and history. Raises DataError where an input
@@ -389,15 +390,15 @@ class Experiment(Preprocessing):
         return experiment_frame(self)
 
     def to_xarray(self) -> xarray.Dataset:
-        """The channels over ``time`` (s), each with ``units`` and its ``role`` (input, output or channel) among its
-        attributes. An input that has samples of its own has an axis of its own, ``time_<input>``.
+        """Return the channels over ``time`` (s), each with ``units`` and its ``role`` (input, output or channel) as
+        attributes. An input that has samples of its own has its own axis, ``time_<input>``.
 
         Raises DataError where an input and an output of one name differ, MissingDependency without xarray.
         """
         return experiment_dataset(self)
 
     def _after(self, before: Experiment, *steps: str) -> Experiment:
-        """This record with the history of the one that it was made of, and what was done since."""
+        """Set the history: that of the record this one was made of, and the steps since; return this record."""
         self._history = (*before._history, *steps)
         self._left_out = before._left_out
         return self
@@ -427,7 +428,7 @@ class Experiment(Preprocessing):
     ) -> Experiment:
         groups = (columns["input"], columns["output"])
         kind = self._interpolation
-        if cubic:  # but for inputs that are held, of which there is nothing finer
+        if cubic:  # not for inputs that are held between samples, which have no finer values
             names = [*columns["input"], *columns["channel"]]
             held = {name: self.interpolation_of(name) for name in names if self._is_held(name)}
             kind = {name: held.get(name, "cubic") for name in names} if held else "cubic"
@@ -438,7 +439,7 @@ class Experiment(Preprocessing):
         return other._sampled(signals, self._mesh_times if t is None else None)._after(self, step)
 
     def _sampled(self, signals: Mapping[str, Signal], mesh_times: FloatArray | None) -> Experiment:
-        """The same record with inputs that have samples of their own, and a mesh that follows other times."""
+        """Set the inputs that have samples of their own, and the times that a mesh follows; return this record."""
         self._signals = dict(signals)
         if mesh_times is not None:
             # A mesh spans the record.
@@ -480,7 +481,8 @@ def _between(times: FloatArray, t: FloatArray) -> NDArray[np.bool_]:
 
 
 def as_experiments(data: Any, caller: str) -> list[Experiment]:
-    """One experiment or several as a list; DataError, in the caller's name, for anything else or repeated names."""
+    """Return one experiment or several as a list; raise DataError, in the caller's name, for anything else or repeated
+    names."""
     runs = [data] if isinstance(data, Experiment) else list(data) if isinstance(data, (list, tuple)) else None
     if runs is None or not all(isinstance(e, Experiment) for e in runs):
         first = data if runs is None else next(e for e in runs if not isinstance(e, Experiment))
@@ -498,9 +500,9 @@ def as_experiments(data: Any, caller: str) -> list[Experiment]:
 
 
 def completed(experiments: Sequence[Experiment], outputs: Sequence[str]) -> list[Experiment]:
-    """Experiments that have all outputs: what one does not measure, and another does, is missing throughout.
+    """Return experiments that have all outputs: an output that only others measure is missing throughout.
 
-    One that measures nothing stays as it is: whoever checks it says so.
+    An experiment without any output is unchanged: `Experiment.check_for` reports it.
     """
     there = [{*e.outputs, *e.channels} for e in experiments]
     anywhere = set().union(*there)

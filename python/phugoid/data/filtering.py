@@ -1,4 +1,4 @@
-"""Digital filters on evenly sampled channels, and on the channels of a record one by one. All by scipy.signal."""
+"""Digital filters on evenly sampled channels, and on each channel of a record, with scipy.signal."""
 
 from __future__ import annotations
 
@@ -42,17 +42,17 @@ _REACH = 20
 
 
 def intervals(t: _Array) -> tuple[float, _Array, NDArray[np.intp]]:
-    """The median interval (s), all of them, and which are too far from it for sampling to count as even."""
+    """Return the median interval (s), all intervals, and the indices of those too far from it for even sampling."""
     steps = np.diff(t)
     step = float(np.median(steps))
     return step, steps, np.flatnonzero(np.abs(steps - step) > EVEN * step)
 
 
 def even_rate(t: _Array, values: _Array, where: str, purpose: str) -> float:
-    """Samples a second of a complete, evenly sampled channel.
+    """Return the sampling rate (Hz) of a complete, evenly sampled channel.
 
     Raises DataError, which begins with ``where`` and names the first gap: a missing sample, or an interval that is
-    more than 1 % off the median one. ``purpose`` is what needs it, such as "band_pass".
+    more than 1 % off the median one. ``purpose`` names the method that needs it, such as "band_pass".
     """
     step, steps, uneven = intervals(t)
     missing = np.flatnonzero(~np.isfinite(values))
@@ -73,7 +73,7 @@ def even_rate(t: _Array, values: _Array, where: str, purpose: str) -> float:
 
 
 def number(value: Any, what: str) -> float:
-    """A positive finite number; OptionError in the words of ``what`` for anything else."""
+    """Return a positive finite number; raise OptionError, beginning with ``what``, for anything else."""
     try:
         real = math.nan if isinstance(value, (bool, str)) else float(value)
     except (TypeError, ValueError):
@@ -84,34 +84,35 @@ def number(value: Any, what: str) -> float:
 
 
 def whole_from(low: int, value: Any, what: str) -> int:
-    """A whole number not below ``low``; OptionError in the words of ``what`` for anything else."""
+    """Return a whole number not below ``low``; raise OptionError, beginning with ``what``, for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
         raise OptionError(f"{what} is a whole number from {low}, not {value!r}")
     return int(value)
 
 
 def butterworth(kinds: list[tuple[Kind, float]], order: int, rate: float) -> _Array:
-    """Butterworth filters in cascade as second-order sections, (n, 6): each of that order, with its corner in Hz."""
+    """Return Butterworth filters in cascade as second-order sections, (n, 6): each of that order, with its corner in
+    Hz."""
     from scipy.signal import butter
 
     return np.vstack([butter(order, corner, kind, fs=rate, output="sos") for kind, corner in kinds])
 
 
 def anti_alias(edge: float, rate: float) -> _Array:
-    """The low-pass of `scipy.signal.decimate`: Chebyshev of order 8 with 0.05 dB of ripple up to its edge (Hz)."""
+    """Return the low-pass of `scipy.signal.decimate`: Chebyshev, order 8, 0.05 dB ripple up to its edge (Hz)."""
     from scipy.signal import cheby1
 
     return np.asarray(cheby1(8, 0.05, edge, fs=rate, output="sos"))
 
 
 def settling(sections: _Array, rate: float) -> float:
-    """Time in s in which the slowest mode of a filter falls to 1 %."""
+    """Return the time in s in which the slowest mode of a filter falls to 1 %."""
     slowest = max(float(np.abs(np.roots(section[3:])).max(initial=0.0)) for section in sections)
     return math.log(_SETTLED) / math.log(slowest) / rate if slowest > 0.0 else 0.0
 
 
 def filtered(sections: _Array, values: _Array, zero_phase: bool) -> _Array:
-    """A channel (N,) through second-order sections.
+    """Return a channel (N,) passed through second-order sections.
 
     Causal: it starts as if the channel had stood at its first value for ever, so that a record which begins at rest
     has no transient. Zero phase: forward and backward, which doubles the attenuation in dB.
@@ -124,7 +125,7 @@ def filtered(sections: _Array, values: _Array, zero_phase: bool) -> _Array:
 
 
 def power_above(values: _Array, share_of_nyquist: float) -> float:
-    """Part (0 to 1) of a channel's power, trend apart, above that share of its Nyquist frequency.
+    """Return the part (0 to 1) of a detrended channel's power above a part of its Nyquist frequency.
 
     NaN is filled linearly. 0 for a channel that does not move.
     """
@@ -134,7 +135,7 @@ def power_above(values: _Array, share_of_nyquist: float) -> float:
     if there.size < 4:
         return 0.0
     whole = np.interp(np.arange(values.size), there, values[there])
-    # The window keeps what leaks from low frequencies, where records do not begin and end alike, out of the high.
+    # The window limits leakage from low to high frequencies where records do not begin and end alike.
     f, power = periodogram(whole, fs=2.0, window="hann", detrend="linear")
     size = float(np.abs(whole).max())
     if power.sum() <= (1e-12 * size) ** 2:
@@ -143,7 +144,7 @@ def power_above(values: _Array, share_of_nyquist: float) -> float:
 
 
 def polyphase(values: _Array, up: int, down: int, where: str) -> _Array:
-    """A channel (N,) at up/down times its rate, (ceil(N up/down),), the first sample where it was.
+    """Return a channel (N,) resampled to up/down times its rate, (ceil(N up/down),), starting at the same time.
 
     Band-limited: `scipy.signal.resample_poly` with a filter that is true to 0.1 % up to 0.44 of the lower rate and
     falls by 70 dB from there to 0.56. The channel is continued beyond its ends by its image turned about them, so
@@ -172,23 +173,23 @@ _Self = TypeVar("_Self", bound="Channelled")
 
 
 class Channelled:
-    """Holds what a step needs of a record."""
+    """The part of a record that the preprocessing steps need."""
 
     @abstractmethod
     def _columns_of(self) -> Columns:
-        """The columns by group."""
+        """Return the columns by group."""
 
     @abstractmethod
     def _signals_of(self) -> Mapping[str, Signal]:
-        """Inputs that have samples of their own."""
+        """Return the inputs that have samples of their own."""
 
     @abstractmethod
     def _times(self) -> tuple[str, _Array]:
-        """Name of the record and the times of its samples, (N,)."""
+        """Return the name of the record and its sample times, (N,)."""
 
     @abstractmethod
     def _between(self, name: str, signal: Signal) -> _Array:
-        """The own samples of the input of a name interpolated at the times of the record."""
+        """Return the samples of an input that has its own, interpolated at the times of the record."""
 
     @abstractmethod
     def _is_held(self, name: str) -> bool:
@@ -203,11 +204,12 @@ class Channelled:
         t: _Array | None = None,
         cubic: bool = False,
     ) -> _Self:
-        """The same record with other columns and signals, at other times where given, and the step's sentence."""
+        """Return the record with other columns and signals, at other times where given, and a sentence for its
+        history."""
 
 
 def mapped(record: _Self, method: str, channels: Sequence[str] | None, step: _Step, said: Callable[[], str]) -> _Self:
-    """Each of the channels by itself through ``step``; an input with samples of its own at these.
+    """Apply ``step`` to each of the channels; an input with samples of its own is processed at these.
 
     ``said`` gives the sentence for the history, once all is done.
     """
@@ -255,7 +257,7 @@ def through_butterworth(
     zero_phase: bool,
     what: str,
 ) -> _Self:
-    """Butterworth filters in cascade."""
+    """Filter the channels with Butterworth filters in cascade."""
     order = whole_from(1, order, f"{method}: order")
 
     def sections(rate: float) -> _Array:
@@ -278,7 +280,7 @@ def through(
     zero_phase: bool,
     what: str,
 ) -> _Self:
-    """The channels through a filter, which is made for the rate of each."""
+    """Filter the channels; the filter is designed for the sampling rate of each."""
     rates: dict[str, float] = {}
     times: list[float] = []  # s, in which the filter settles
 

@@ -1,4 +1,4 @@
-"""How inputs behave between their samples: the declaration, checked, and the values between."""
+"""The declaration of how inputs behave between samples, checked, and the interpolated values."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def multirate(
     *,
     units: Mapping[str, str] | None = None,
 ) -> Experiment:
-    """An experiment of channels with time stamps of their own (s), each given as ``(times, values)``.
+    """Return an experiment of channels with time stamps of their own (s), each given as ``(times, values)``.
 
     Its samples are those of all outputs together, in the span that all inputs cover; an output is missing (NaN) where
     it has no sample of its own. Inputs are interpolated between their own samples, as ``interpolation`` says. A mesh
@@ -67,13 +67,13 @@ def multirate(
 
 
 def distinct(times: FloatArray, same: float) -> FloatArray:
-    """Times in order; of those within ``same`` (s) of the one before, the first."""
+    """Return the times in order; of those within ``same`` (s) of each other only the first."""
     times = np.sort(times)
     return np.asarray(times[np.concatenate([[True], np.diff(times) > same])])
 
 
 def together(channels: Mapping[str, Channel]) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """The times of all channels, (N,), and each channel at these, NaN where it has no sample."""
+    """Return the times of all channels, (N,), and each channel at these, NaN where it has no sample."""
     gaps = [np.diff(t).min() for t, _ in channels.values() if t.size > 1]
     same = _SAME * min(gaps, default=1.0)
     t = distinct(np.concatenate([t for t, _ in channels.values()]), same)

@@ -1,6 +1,6 @@
-"""What is done to measured records before estimation: filters, trends, sampling rates. `Experiment` has these steps.
+"""Preprocessing of measured records: filters, trends, sampling rates; the methods are inherited by `Experiment`.
 
-Each step gives a new record, and adds one sentence to its ``history``.
+Each step returns a new record, and adds one sentence to its ``history``.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ _RELEVANT = 0.01
 
 
 class Preprocessing(Channelled):
-    """The steps.
+    """The preprocessing steps of a record.
 
     Filters are linear. The same one on all inputs and outputs leaves the dynamics of a **linear** model as they are,
-    since filters commute with it: y = G u means F y = G F u. This is not so for a nonlinear model: its outputs answer
+    since filters commute with it: y = G u means F y = G F u. This is not so for a nonlinear model: its outputs respond
     to the whole input, not to its pass-band; filter such records only to drop what lies far above the motion.
     """
 
@@ -54,7 +54,7 @@ class Preprocessing(Channelled):
         channels: Sequence[str] | None = None,
         zero_phase: bool = False,
     ) -> _Self:
-        """Keeps what lies between ``low`` and ``high`` (Hz): a Butterworth high-pass, then a low-pass, of that order.
+        """Pass the band from ``low`` to ``high`` (Hz): a Butterworth high-pass, then a low-pass, of that order.
 
         channels    the channels to filter; None: all, which alone keeps a linear model's dynamics (and only a linear
                     one's: a nonlinear model is no longer right for filtered records).
@@ -80,7 +80,7 @@ class Preprocessing(Channelled):
     def low_pass(
         self: _Self, corner: float, order: int = 5, channels: Sequence[str] | None = None, zero_phase: bool = False
     ) -> _Self:
-        """Keeps what lies below ``corner`` (Hz, where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
+        """Pass frequencies below ``corner`` (Hz, where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
         corner = number(corner, "low_pass: the corner frequency (Hz)")
         what = f"low-pass {corner:g} Hz, Butterworth of order {order}"
         return through_butterworth(self, "low_pass", [("lowpass", corner)], order, channels, zero_phase, what)
@@ -88,7 +88,7 @@ class Preprocessing(Channelled):
     def high_pass(
         self: _Self, corner: float, order: int = 5, channels: Sequence[str] | None = None, zero_phase: bool = False
     ) -> _Self:
-        """Keeps what lies above ``corner`` (Hz, where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
+        """Pass frequencies above ``corner`` (Hz, where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
         corner = number(corner, "high_pass: the corner frequency (Hz)")
         what = f"high-pass {corner:g} Hz, Butterworth of order {order}"
         return through_butterworth(self, "high_pass", [("highpass", corner)], order, channels, zero_phase, what)
@@ -96,7 +96,7 @@ class Preprocessing(Channelled):
     def detrend(
         self: _Self, kind: Literal["constant", "linear"] = "constant", channels: Sequence[str] | None = None
     ) -> _Self:
-        """Subtracts from each channel its mean, or the straight line that fits it best (least squares).
+        """Subtract from each channel its mean, or the straight line that fits it best (least squares).
 
         Missing samples and uneven times do no harm. ``channels``: None for all. Raises OptionError for another kind,
         DataError for unknown channels.
@@ -118,12 +118,12 @@ class Preprocessing(Channelled):
         return mapped(self, "detrend", channels, step, lambda: f"{removed} removed")
 
     def decimate(self: _Self, factor: int, inputs: int | None = None, *, filter: bool = False) -> _Self:
-        """Keeps every ``factor``-th sample.
+        """Keep every ``factor``-th sample.
 
         inputs  keep every so-many-th sample of the inputs instead (a divisor of ``factor``): what is estimated then
                 sees inputs finer than outputs, with cubic splines between. Straight lines lose 3 dB already at 0.32
                 of the sampling rate (the square of sin(x)/x), and a model pays for that with wrong parameters.
-                Columns that are not yet told apart are kept both ways. Inputs that are held between their
+                Columns that are not yet assigned are kept both ways. Inputs that are held between their
                 samples keep them all in any case: their jumps stay where they are.
         filter  first an anti-alias filter on all channels: Chebyshev of order 8, causal, to 0.8 of the new Nyquist
                 frequency, as `scipy.signal.decimate` has it. It starts like `band_pass`.
@@ -183,11 +183,12 @@ class Preprocessing(Channelled):
         return self._stepped(step, columns, signals, t[::factor], cubic=fine is not None)
 
     def resample(self: _Self, rate: float) -> _Self:
-        """All channels at a lower ``rate`` (Hz), band-limited: what lies above the new Nyquist frequency is removed.
+        """Resample all channels to a lower ``rate`` (Hz), band-limited: content above the new Nyquist frequency is
+        removed.
 
         The filter (`scipy.signal.resample_poly`, zero phase) is true to 0.1 % up to 0.44 of the new rate; near the
-        ends of the record, over some 20 new samples, it has to guess what lies beyond. Raises OptionError for a
-        higher rate: it would give outputs that nobody measured, and standard errors that are too small.
+        ends of the record, over some 20 new samples, it has to extrapolate. Raises OptionError for a
+        higher rate: it would give outputs that were not measured, and standard errors that are too small.
         """
         name, t = self._times()
         for channel in {**self._columns_of()["input"], **self._columns_of()["channel"]}:
@@ -226,12 +227,13 @@ class Preprocessing(Channelled):
         return self._stepped(f"resampled from {old:g} to {rate:g} Hz, band-limited", columns, {}, times)
 
     def upsample_inputs(self: _Self, factor: int) -> _Self:
-        """Inputs at a ``factor`` times higher rate, band-limited, with cubic splines between; the samples stay.
+        """Resample the inputs to a ``factor`` times higher rate, band-limited, with cubic splines between; outputs are
+        unchanged.
 
         For an input whose content reaches far up to its Nyquist frequency, where lines and splines through the
         samples lose amplitude (lines 3 dB at 0.32 of the sampling rate): with a factor of 4 the input is true to
         0.1 % up to 0.44 of it, except over some 20 samples at either end. Not for inputs that jump or were held
-        between samples: these are not band-limited. Columns that are not yet told apart are upsampled as well,
+        between samples: these are not band-limited. Columns that are not yet assigned are upsampled as well,
         unless samples are missing; inputs that are held between their samples are left alone.
         """
         name, t = self._times()
@@ -248,7 +250,7 @@ class Preprocessing(Channelled):
                 even_rate(own, values, where, "upsample_inputs")
                 fine = np.interp(np.arange(factor * (own.size - 1) + 1) / factor, np.arange(own.size), own)
                 between = polyphase(values, factor, 1, where)[: fine.size]
-                # What was measured stays to the bit.
+                # Measured values are kept to the bit.
                 between[::factor] = values
                 signals[channel] = fine, between, 0.0, 0
                 done.append(channel)

@@ -1,4 +1,4 @@
-"""Records from files and tables as flight-test people have them: `read`."""
+"""Records from files and tables: `read`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Units = Mapping[str, "str | tuple[str, str]"]
 
 
 class _Columns:
-    """The columns of a source under the names that the user gave them, as numbers in the units that he asked for."""
+    """The columns of a source under the user's names, as numbers in the units asked for."""
 
     def __init__(
         self,
@@ -65,14 +65,14 @@ class _Columns:
             raise DataError(f"{self.where}: has no column '{n}' ({option}=...).{_listing(n, self.available)}")
 
     def clock(self, name: str) -> str:
-        """The name of the column with the times of this one."""
+        """Return the name of the column with the times of a column."""
         clock = self._clock[name]
         if clock not in self._columns:
             raise DataError(f"{self.where}: has no time column '{clock}' for '{name}'.{_listing(clock, self._columns)}")
         return clock
 
     def times(self, clock: str) -> FloatArray:
-        """Times in s: a unit that the file or the user tells is converted."""
+        """Return times in s, converted from the unit that the file or the user gives."""
         if clock not in self._read:
             where = f"{self.where}, time '{clock}'"
             values = real(_seconds(self._columns[clock].values(clock)), where)
@@ -82,7 +82,7 @@ class _Columns:
                 measure = unit.partition(" since ")[0]
                 if si(measure) != "s":
                     raise DataError(
-                        f"{where}: '{unit}' is no unit of time that is known; tell what it is, units={{'{clock}': 's'}}"
+                        f"{where}: '{unit}' is no unit of time that is known; give it, units={{'{clock}': 's'}}"
                     )
                 values = converted(values, measure, "s", where)
                 self._labels[clock] = "s"
@@ -90,7 +90,7 @@ class _Columns:
         return self._read[clock]
 
     def values(self, name: str) -> FloatArray:
-        """The column's numbers, converted where that is asked for; the step and the label are kept."""
+        """Return the numbers of a column, converted where asked for; the step and the label are recorded."""
         if name in self._read:
             return self._read[name]
         where = f"{self.where}, column '{name}'"
@@ -108,7 +108,7 @@ class _Columns:
             into = si(unit)
             if into is None:
                 raise DataError(
-                    f"{where}: convert=True, but its unit '{unit}' is not known; tell what it is with "
+                    f"{where}: convert=True, but its unit '{unit}' is not known; give it with "
                     f"units={{'{name}': 'unit'}}, where '' is none"
                 )
         if into is not None:
@@ -157,7 +157,8 @@ _TIMES = ("time", "time_s", "t_s")
 
 
 def _time_of(source: Source, names: Sequence[str], named: str | None) -> str:
-    """The name of the time column: as given, or one whose whole header is as given; else ``t`` or one of `_TIMES`."""
+    """Return the name of the time column: as given, or the one whose header is as given; else ``t`` or one of
+    `_TIMES`."""
     wanted = "t" if named is None else named
     if wanted in names:
         return wanted
@@ -170,12 +171,12 @@ def _time_of(source: Source, names: Sequence[str], named: str | None) -> str:
 
 
 def _bare(header: str) -> str:
-    """A header without its blanks: whether one stands before the unit is no matter."""
+    """Return a header without blanks, so that headers compare with or without one before the unit."""
     return "".join(header.split())
 
 
 def _seconds(values: Any) -> Any:
-    """Dates as seconds since the first, time differences as seconds; all else as it is."""
+    """Return dates as seconds since the first and time differences as seconds; anything else unchanged."""
     array = np.asarray(values)
     if array.dtype.kind == "M" and array.size:
         array = array - array[0]
@@ -187,7 +188,7 @@ def _listing(name: str, available: Any) -> str:
 
 
 def some(names: Sequence[str], most: int = 40) -> str:
-    """Names in a row; of the hundreds in a log the first few only."""
+    """Return names separated by commas, the first few only where there are many."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
@@ -246,7 +247,7 @@ def read(
     convert: bool = False,
     split_gaps: bool | float = False,
 ) -> Experiment | list[Experiment]:
-    """Reads a record from a file, whose ending says what it is, or from a table in memory.
+    """Read a record from a file, whose ending gives the format, or from a table in memory.
 
     path       a text table (CSV, TSV or columns apart by blanks, also gzipped), MATLAB ``.mat``, HDF5 ``.h5`` or
                ``.hdf5``, ``.parquet``; a log of PX4 (``.ulg``, or a folder of its CSV tables, or what their names
@@ -271,7 +272,7 @@ def read(
     rate       samples a second, for a file without a time column: time runs from 0, and ``time`` is not looked for.
     split_gaps  True or a length in s: the parts between gaps in the sampling, as `Experiment.split` has them, are
                returned as a list.
-    convert    True brings each column whose unit is known to SI. Times whose unit is told become seconds in any case.
+    convert    True brings each column whose unit is known to SI. Times whose unit is given become seconds in any case.
 
     Channels with time stamps of their own keep them, see `multirate`; ``inputs`` and ``outputs`` must then be given.
     In a text table, lines that begin with ``#`` or ``%`` are comments, and empty cells, ``NaN`` and ``NA`` are missing
@@ -318,12 +319,12 @@ def read(
 
 
 def _called(names: Sequence[str] | None, now: Mapping[str, str]) -> Sequence[str] | None:
-    """Names as they are after renaming, from names before or after."""
+    """Return names as they are after renaming, from names before or after it."""
     return None if names is None else [now.get(n, n) if isinstance(n, str) else n for n in names]
 
 
 def _span(window: Any) -> tuple[float, float] | None:
-    """The window as two numbers; DataError for anything else."""
+    """Return the window as two numbers; raise DataError for anything else."""
     if window is None:
         return None
     try:
@@ -343,7 +344,7 @@ def _one_rate(
     window: tuple[float, float] | None,
     open_ended: bool,
 ) -> Experiment | None:
-    """The record where one clock gives the times of all columns that are used; None where there are several."""
+    """Return the record where one column gives the times of all columns used; None where there are several."""
     if record.rate is not None:
         if not used:
             raise DataError(f"{record.where}: has no columns")
@@ -382,7 +383,7 @@ def _many_rates(
     window: tuple[float, float] | None,
 ) -> Experiment:
     def channel(n: str, beyond: int) -> tuple[FloatArray, FloatArray]:
-        """Times and values in the window, and so many samples on either side of it."""
+        """Return times and values in the window, with ``beyond`` more samples on either side of it."""
         t, values = record.times(record.clock(n)), record.values(n)
         if t.size != values.size:
             raise DataError(
@@ -399,7 +400,7 @@ def _many_rates(
         kept = slice(max(first - beyond, 0), last + beyond)
         return t[kept], values[kept]
 
-    # An input is taken a sample further, so that it covers the window.
+    # One more sample of an input on each side, so that it covers the window.
     experiment = multirate(
         {n: channel(n, 1) for n in inputs or ()},
         {n: channel(n, 0) for n in outputs or ()},

@@ -1,4 +1,4 @@
-"""Units of flight-test records: what they are in SI, and whether a record has those that a model declares."""
+"""Units of flight-test records: conversion to SI, and the check of a record against the units of a model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FT = 0.3048
 _LB = 0.45359237
 _G0 = 9.80665  # standard gravity, exact by definition, as foot, pound and nautical mile are
 
-# Unit -> (the unit in SI, factor). "g" is the load factor's: nobody records a flight in grams.
+# Unit -> (the unit in SI, factor). "g" is the acceleration of gravity, not the gram, which flight records do not use.
 _TABLE: dict[str, tuple[str, float]] = {
     **{unit: (unit, 1.0) for unit in ("s", "m", "kg", "rad", "N", "Pa", "K", "W", "J", "Hz", "V", "A", "T")},
     "": ("", 1.0),
@@ -64,7 +64,8 @@ _BASE: dict[str, dict[str, int]] = {
 
 @dataclass(frozen=True)
 class _Scale:
-    """``si = factor * (value + offset)``, in the unit that ``label`` writes, of these dimensions."""
+    """A unit as ``si = factor * (value + offset)``: ``label`` is the unit in SI, ``dimensions`` its powers of base
+    units."""
 
     label: str
     factor: float
@@ -73,7 +74,7 @@ class _Scale:
 
 
 def si(unit: str) -> str | None:
-    """The unit in SI that takes the place of this one, ``"rad/s"`` of ``"deg/s"``; None for an unknown unit.
+    """Return the SI unit of the same kind, ``"rad/s"`` for ``"deg/s"``; None for an unknown unit.
 
     >>> si("ft/s^2"), si("kt"), si("furlong")
     ('m/s^2', 'm/s', None)
@@ -83,7 +84,8 @@ def si(unit: str) -> str | None:
 
 
 def convert(values: FloatArray, unit: str, into: str, where: str) -> FloatArray:
-    """Values in ``unit`` given in ``into``; DataError, with ``where``, for units unknown or of different kinds.
+    """Return values in ``unit`` converted to ``into``; raise DataError, with ``where``, for unknown or incompatible
+    units.
 
     >>> convert(np.array([180.0, 90.0]), "deg", "rad", "alpha")
     array([3.14159265, 1.57079633])
@@ -105,7 +107,7 @@ def convert(values: FloatArray, unit: str, into: str, where: str) -> FloatArray:
 
 
 def differ(unit: str, other: str) -> bool:
-    """Whether a number in one unit means something else in the other; False where either is not known.
+    """Return whether a number in one unit means something else in the other; False where either is not known.
 
     Radians are no dimension here: who writes ``1/s`` for an angular rate means ``rad/s``.
 
@@ -121,7 +123,7 @@ def differ(unit: str, other: str) -> bool:
 
 
 def _scale(unit: str) -> _Scale | None:
-    """Of a unit as people write it: ``deg/s``, ``m/s**2``, ``m s^-2``, ``kg*m²``; None where a part is not known."""
+    """Parse a unit as people write it: ``deg/s``, ``m/s**2``, ``m s^-2``, ``kg*m²``; None where a part is not known."""
     text = unit.strip().replace("²", "^2").replace("³", "^3").replace("**", "^").replace("µ", "u").replace("μ", "u")
     text = text.replace("·", "*")
     if text in _OFFSET:
@@ -154,7 +156,7 @@ def _scale(unit: str) -> _Scale | None:
 
 
 def _atom(text: str) -> tuple[str, float] | None:
-    """A unit of the table, in capitals too where these cannot be mistaken: DEG, FT, KTS."""
+    """Look a unit up in the table, also in capitals where these are unambiguous: DEG, FT, KTS."""
     text = _ALSO.get(text, text)
     if text not in _TABLE and text.lower() != "kn":  # KN is knots to one and kilonewtons to another
         lowered = {key.lower(): key for key in _TABLE}
@@ -163,7 +165,7 @@ def _atom(text: str) -> tuple[str, float] | None:
 
 
 def _parts(base: str) -> list[tuple[str, int]]:
-    """The dimensions of a unit in SI as the table writes it: of ``m/s^2`` the metre once, the second less twice."""
+    """Return the dimensions of a unit in SI as the table writes it: for ``m/s^2`` metre 1, second -2."""
     parts: list[tuple[str, int]] = []
     for i, piece in enumerate(filter(None, base.split("/"))):
         name, _, power = piece.partition("^")
@@ -173,20 +175,22 @@ def _parts(base: str) -> list[tuple[str, int]]:
 
 
 def check_units(model: Model, runs: Sequence[Experiment], caller: str) -> None:
-    """Raises DataError, in the caller's name, for a channel in degrees that the model has in radians, and the like.
+    """Raise DataError, in the caller's name, for a channel in degrees that the model has in radians, and the like.
 
-    Estimates from such data would be wrong without a sign of it. Units that are not told, or not known, are let pass.
+    Estimates from such data would be wrong without any sign of it. Units that are not given or not known are not
+    checked.
     """
     declared = model.units
     for run in runs:
         for side, names in (("input", model.input_names), ("output", model.output_names)):
             for name in names:
                 kind = "condition" if side == "input" and model.is_condition(name) else side
-                told, wanted = run.units.get(name, ""), declared.get(name, "")
-                if told and wanted and differ(told, wanted):
+                recorded, expected = run.units.get(name, ""), declared.get(name, "")
+                if recorded and expected and differ(recorded, expected):
                     raise DataError(
-                        f"{caller}: {kind} '{name}' of experiment '{run.name}' is in '{told}', but the model has it in "
-                        f"'{wanted}'; convert it where it is read, units={{'{name}': ('{told}', '{wanted}')}}, or all "
-                        f"channels to SI, convert=True (--convert at the command line); or put right a wrong label, "
-                        f"units={{'{name}': '{wanted}'}} (--units {name}={wanted})"
+                        f"{caller}: {kind} '{name}' of experiment '{run.name}' is in '{recorded}', but the model has "
+                        f"it in '{expected}'; convert it where it is read, "
+                        f"units={{'{name}': ('{recorded}', '{expected}')}}, or all channels to SI, convert=True "
+                        f"(--convert at the command line); or put right a wrong label, "
+                        f"units={{'{name}': '{expected}'}} (--units {name}={expected})"
                     )

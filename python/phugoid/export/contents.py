@@ -1,4 +1,4 @@
-"""What is exported of a fit or a model, and what it may be called."""
+"""The part of a fit or a model that is exported, and the rules for names in C."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _RESERVED = {
 
 @dataclass(frozen=True)
 class Contents:
-    """What is exported: a model, values of its parameters, where its states and inputs begin, and where it is from."""
+    """What is exported: a model, values of its parameters, initial states and inputs, and facts on the origin."""
 
     model: Model
     values: Mapping[str, float]
@@ -44,12 +44,12 @@ def contents_of(
     experiment: str | None,
     late_inputs: bool = False,
 ) -> Contents:
-    """What to export of a fit or a model. ModelError where it does not say enough."""
+    """Return what to export of a fit or a model; raise ModelError where values or choices are missing."""
     model, values = numbers_of(caller, fit, parameters, experiment)
     if model.delays and not late_inputs:
         late = ", ".join([*model.delays.inputs, *model.delays.outputs])
         raise ModelError(
-            f"{caller}: the model has delays ({late}), which functions of the present state cannot hold; with "
+            f"{caller}: the model has delays ({late}), which functions of the present state cannot represent; with "
             f"{caller}(..., late_inputs=True) each late input is one of its own, which the caller delays"
         )
     states = dict.fromkeys(model.state_names, 0.0)
@@ -77,7 +77,7 @@ def contents_of(
 
 
 def identifier(text: str) -> str:
-    """A name in C made of any text.
+    """Return a name in C made of any text.
 
     >>> identifier("HFB-320 longitudinal"), identifier("1st try"), identifier("int")
     ('hfb_320_longitudinal', 'm_1st_try', 'int_')
@@ -88,7 +88,7 @@ def identifier(text: str) -> str:
 
 
 def checked_name(name: str) -> str:
-    """A name that C takes; OptionError for any other."""
+    """Return a name that is valid in C; raise OptionError for any other."""
     if not (isinstance(name, str) and re.fullmatch(r"[A-Za-z]\w*", name, flags=re.ASCII)) or name in _RESERVED:
         raise OptionError(f"export: {name!r} is no name in C: letters, digits and underscores, a letter first")
     return name

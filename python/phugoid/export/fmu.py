@@ -27,7 +27,7 @@ from .writer import Code, source
 __all__ = ["export_fmu"]
 
 _WRAPPER = "fmi2.c"
-_STEP = 0.01  # s; of co-simulation where no record tells its sampling
+_STEP = 0.01  # s; of co-simulation where there is no record with a sampling interval
 _PARTS = 10  # of the shortest sampling interval
 # Nothing in the archive depends on when it was made.
 _LONG_AGO = (1980, 1, 1, 0, 0, 0)
@@ -43,7 +43,8 @@ def export_fmu(
     binary: bool = True,
     late_inputs: bool = False,
 ) -> Path:
-    """Writes a functional mock-up unit (FMI 2.0) for model exchange and co-simulation, its C source within.
+    """Write a functional mock-up unit (FMI 2.0) for model exchange and co-simulation, with its C source; return the
+    path.
 
     Returns the path.
 
@@ -109,7 +110,7 @@ def _archive(target: Path, members: Mapping[str, bytes]) -> None:
 
 
 def _glue(contents: Contents, code: Code, guid: str, step: float) -> str:
-    """What the wrapper calls the model's."""
+    """Return the header by which the wrapper finds the functions and sizes of the model."""
     name, big = code.name, code.name.upper()
     sizes = "\n".join(f"#define N_{k} {big}_N_{k}" for k in "XUPY")
     functions = "\n".join(
@@ -131,7 +132,7 @@ def _glue(contents: Contents, code: Code, guid: str, step: float) -> str:
 
 
 def _description(contents: Contents, name: str, guid: str) -> bytes:
-    """modelDescription.xml."""
+    """Return the content of modelDescription.xml."""
     from xml.etree import ElementTree
 
     model, units = contents.model, contents.model.units
@@ -207,7 +208,7 @@ def _description(contents: Contents, name: str, guid: str) -> bytes:
 
 
 def _structure(root: Any, contents: Contents, places: Mapping[str, int], taken: set[str]) -> None:
-    """What depends on what: states and inputs in each equation."""
+    """Add the model structure: the states and inputs that each equation depends on."""
     from xml.etree import ElementTree
 
     model = contents.model
@@ -227,7 +228,7 @@ def _structure(root: Any, contents: Contents, places: Mapping[str, int], taken: 
 
 
 def _platform() -> tuple[str, str]:
-    """The folder of binaries for this machine, as the standard names it, and how a library ends."""
+    """Return the folder of binaries for this machine, as the standard names it, and the suffix of a library."""
     bits = "64" if sys.maxsize > 2**32 else "32"
     if sys.platform == "win32":
         return f"win{bits}", ".dll"

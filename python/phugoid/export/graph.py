@@ -1,4 +1,4 @@
-"""Expressions and interpolation tables as C: equal sub-expressions are computed once, single uses stand in place."""
+"""C code of expressions and interpolation tables: equal sub-expressions are computed once, single uses are inlined."""
 
 from __future__ import annotations
 
@@ -74,7 +74,8 @@ class _Text:
 
 
 class Graph:
-    """Nodes of several expressions, equal ones stored once; arguments stand before what uses them."""
+    """A graph of the nodes of several expressions, equal ones stored once; arguments precede the nodes that use
+    them."""
 
     def __init__(self) -> None:
         self._nodes: list[_Key] = []
@@ -84,7 +85,7 @@ class Graph:
         """Helpers, and tables as ``table <n>``, that statements written so far call."""
 
     def add(self, e: Expr) -> int:
-        """Takes an expression in; returns its node."""
+        """Add an expression; return its node."""
         saved: dict[str, Any] = json.loads(e.to_json())
         own: list[int] = []
         for node in saved["nodes"]:
@@ -129,7 +130,7 @@ class Graph:
         return (key[1],) if key[0] == "powi" else key[3:] if key[0] == "lookup" else key[1:]
 
     def symbols(self, roots: Iterable[int]) -> set[str]:
-        """Names of the symbols that the roots depend on."""
+        """Return the names of the symbols that the roots depend on."""
         return {str(self._nodes[k][1]) for k in self._reached(roots) if self._nodes[k][0] == "symbol"}
 
     def _reached(self, roots: Iterable[int]) -> list[int]:
@@ -145,9 +146,9 @@ class Graph:
     def statements(
         self, roots: Sequence[tuple[str, int]], symbols: Mapping[str, str], names: Mapping[int, str]
     ) -> list[str]:
-        """Statements that assign each root to its place, as ``dx[0]``.
+        """Return statements that assign each root to its target, such as ``dx[0]``.
 
-        ``symbols`` has the C text of each symbol, ``names`` what to call nodes that have a name: the quantities.
+        ``symbols`` has the C text of each symbol, ``names`` the variable names of nodes that have one: the quantities.
         """
         reached = self._reached(node for _, node in roots)
         uses = dict.fromkeys(reached, 0)
@@ -199,7 +200,7 @@ class Graph:
 
 
 def number(value: float) -> str:
-    """A constant in C, exact to the bit."""
+    """Return a constant in C, exact to the bit."""
     if math.isnan(value):
         return "NAN"
     if math.isinf(value):
@@ -241,7 +242,7 @@ static int cell_of(const double *axis, int n, double a) {
 
 
 def definition(index: int, table: Table) -> str:
-    """The data of a table, and the function ``table_<index>``: orders of the derivatives, then the arguments."""
+    """Return the data of a table, and the function ``table_<index>``: orders of the derivatives, then the arguments."""
     name, axes, values = table
     prefix = f"table_{index}"
     grids = [np.array(axis) for axis in axes]
@@ -279,7 +280,8 @@ def definition(index: int, table: Table) -> str:
 
 
 def _cells(x: _Array, values: _Array) -> _Array:
-    """(n + 1, 4, ...) coefficients of each cell about its lower corner, the lowest power first; ``values`` (n, ...)."""
+    """Return (n + 1, 4, ...) coefficients of each cell about its lower corner, lowest power first; ``values``
+    (n, ...)."""
     from scipy.interpolate import CubicSpline
 
     spline = CubicSpline(x, values, axis=0, bc_type="natural")
@@ -292,7 +294,7 @@ def _cells(x: _Array, values: _Array) -> _Array:
 
 
 def _cells_of_two(x: _Array, y: _Array, values: _Array) -> _Array:
-    """(n_x + 1, n_y + 1, 4 powers of x, 4 powers of y)."""
+    """Return (n_x + 1, n_y + 1, 4 powers of x, 4 powers of y) coefficients of each cell."""
     along_y = _cells(y, values.T)  # (n_y + 1, 4, n_x)
     along_x = _cells(x, np.moveaxis(along_y, 2, 0))  # (n_x + 1, 4, n_y + 1, 4)
     return np.asarray(np.moveaxis(along_x, 1, 2))

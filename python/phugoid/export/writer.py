@@ -33,7 +33,7 @@ class Code:
 
 
 def source(contents: Contents, name: str) -> Code:
-    """The header and the source of what is exported."""
+    """Return the header and the source of what is exported."""
     return _Writer(contents, name).code()
 
 
@@ -213,7 +213,7 @@ def _uses(lines: Sequence[str], name: str) -> bool:
 
 
 def _unique(names: Any) -> list[str]:
-    """Names as parts of identifiers in C, each another."""
+    """Return names as parts of identifiers in C, all different."""
     found: list[str] = []
     for name in names:
         label = re.sub(r"\W+", "_", str(name), flags=re.ASCII) or "_"
@@ -224,7 +224,7 @@ def _unique(names: Any) -> list[str]:
 
 
 def _string(text: str) -> str:
-    """A literal in C; what is not ASCII as the bytes of UTF-8 in octal."""
+    """Return a literal in C; characters beyond ASCII become the bytes of UTF-8 in octal."""
     shown = "".join(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode("utf-8"))
     return f'"{shown}"'
 
@@ -242,7 +242,7 @@ def export_c(
     experiment: str | None = None,
     late_inputs: bool = False,
 ) -> tuple[Path, Path]:
-    """Writes ``<name>.h`` and ``<name>.c``; returns their paths. The folder is made where it is not there.
+    """Write ``<name>.h`` and ``<name>.c``; return their paths. The folder is created where it does not exist.
 
     There are, for n_x states, n_u inputs, n_y outputs and n_p parameters (``<NAME>_N_X``, ...; ``<NAME>_X_<state>`` is
     the place of a state):

@@ -1,4 +1,4 @@
-"""How a solver came to its end: log-likelihood, defects, distance from the optimum and step of every iteration."""
+"""Figure of a solver's convergence: log-likelihood, defects, distance from the optimum and step of every iteration."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _SMALLEST = 1e-16  # of what is drawn; a zero has no logarithm
 
 
 def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
-    """One panel for each number of the iteration table over the iterations, logarithmic where it changes much.
+    """Plot each column of the iteration table over the iterations, on a logarithmic scale where it changes much.
 
     Log-likelihood: the distance from that of the last iteration; hollow where it was above, which a point can be that
     does not meet the equations yet. Defect: the largest scaled violation of the equations; zero with shooting, which
     has none. Distance from the optimum: what `Newton` expects the next step to gain in log-likelihood; with Ipopt the
     largest scaled entry of the gradient. Step: as a part of the full one; a ring where shorter ones had to be tried.
 
-    Where iterations start anew, as with mesh refinement, they go on being counted, and a line marks the place.
+    Where iterations start again, as with mesh refinement, they are counted on, and a line marks the place.
 
     Returns the figure and the axes by ``"log-likelihood"``, ``"defect"``, ``"optimum"`` and ``"step"``. Raises
     DataError for a fit without iterations, such as one whose solver keeps no table.
@@ -87,7 +87,7 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
 
 
 def _counted(numbers: Sequence[int]) -> _Array:
-    """The numbers, which go on where the table starts anew."""
+    """Return the numbers, counted on where the table starts again."""
     found: list[int] = []
     offset = 0
     for i, number in enumerate(numbers):

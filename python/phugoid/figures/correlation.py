@@ -31,12 +31,12 @@ _STRONG = 0.9  # written bold
 
 
 def plot_correlation(fit: FitResult, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
-    """The lower triangle of the correlation matrix of the estimates, from ``fit.covariance``.
+    """Plot the lower triangle of the correlation matrix of the estimates, from ``fit.covariance``.
 
     names  the parameters to show, in this order; None: all of the model that were estimated, without those of the
            noise.
 
-    Values are written where cells have room for them, bold from 0.9 on: such parameters the data hardly tell apart.
+    Values are written where cells have room for them, bold from 0.9 on: the data hardly distinguish such parameters.
     What is fixed or at a bound has no correlation and is left out.
 
     Returns the figure and the axes by ``"correlation"`` and ``"scale"``. Raises UnknownName for a parameter that is
@@ -92,7 +92,7 @@ def _chosen(fit: FitResult, known: Sequence[str], names: Sequence[str] | None) -
 
 
 def _draw(axis: Axes, matrix: _Array, names: Sequence[str], cell: float) -> Any:
-    """Rows from the second name, columns to the last but one; ``cell`` in points."""
+    """Draw the rows from the second name, the columns to the last but one; ``cell`` is their size in points."""
     n = len(names)
     lower = np.where(np.tril(np.ones((n - 1, n - 1), dtype=bool)), matrix[1:, :-1], np.nan)
     image = axis.imshow(lower, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto", interpolation="nearest")
@@ -126,7 +126,7 @@ def _draw(axis: Axes, matrix: _Array, names: Sequence[str], cell: float) -> Any:
 
 
 def _written(value: float) -> str:
-    """Two digits; ±1 is a correlation that rounds to it."""
+    """Return a correlation with two digits; ±1 stands for a value that rounds to it."""
     text = f"{abs(value):.2f}"
     if text == "0.00":
         return "0"

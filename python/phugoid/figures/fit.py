@@ -43,11 +43,11 @@ __all__ = ["choose_record", "draw_channel", "draw_residual", "plot_fit", "plot_r
 _Array: TypeAlias = NDArray[np.float64]
 
 _LETTER = 0.58  # mean width of a letter, in units of the font's size
-_FAR = 3.0  # a tolerance of so many times what a panel must show is left out of its range
+_FAR = 3.0  # a tolerance so many times as large as the data is left out of a panel's range
 
 
 def draw_channel(axis: Axes, record: Record, name: str, tolerance: Tolerance | None = None) -> None:
-    """An output (measured points, model, band of the tolerance), an input or a state."""
+    """Draw an output (measured points, model, band of the tolerance), an input or a state."""
     many = record.n > 5000  # as vectors, so many points would make a PDF heavy
     if name in record.outputs:
         if name in record.measured:
@@ -85,7 +85,7 @@ def draw_channel(axis: Axes, record: Record, name: str, tolerance: Tolerance | N
 
 
 def _measured(record: Record, name: str) -> list[tuple[_Array, _Array]]:
-    """Times and measurements between long gaps; a short one does not end a band."""
+    """Return times and measurements in pieces between long gaps; a short gap does not end a piece."""
     there = np.isfinite(record.measured[name])
     t, z = record.t[there], record.measured[name][there]
     if t.size < 2:
@@ -96,14 +96,14 @@ def _measured(record: Record, name: str) -> list[tuple[_Array, _Array]]:
 
 
 def _draw_tolerance(axis: Axes, record: Record, name: str, tolerance: Tolerance) -> None:
-    """The band about the measurements that the model should stay in."""
+    """Draw the tolerance band about the measurements."""
     for t, z in _measured(record, name):
         low, high = z - tolerance.at(z), z + tolerance.at(z)
         axis.fill_between(t, low, high, color=TOLERANCE, alpha=0.55, linewidth=0.0, label="tolerance", zorder=0.5)
 
 
 def _write_share(axis: Axes, record: Record, name: str, tolerance: Tolerance) -> None:
-    """The part of the samples that lies within."""
+    """Write the part of the samples that lies within the tolerance above the panel."""
     inside = match(record, name, tolerance=tolerance).inside
     if inside == inside:
         within = tolerance.text(record.units.get(name, ""))
@@ -111,7 +111,7 @@ def _write_share(axis: Axes, record: Record, name: str, tolerance: Tolerance) ->
 
 
 def _keep_in_view(axis: Axes, record: Record, name: str, tolerance: Tolerance) -> None:
-    """A band far wider than what it is about reaches out of the panel, or nothing else would be seen."""
+    """Limit the panel to the data where the tolerance band is far wider than these."""
     drawn = np.concatenate([record.measured[name], record.outputs[name]])
     drawn = drawn[np.isfinite(drawn)]
     span = float(np.ptp(drawn)) if drawn.size else 0.0
@@ -122,7 +122,7 @@ def _keep_in_view(axis: Axes, record: Record, name: str, tolerance: Tolerance) -
 def draw_residual(
     axis: Axes, record: Record, name: str, sigma: float | None, tolerance: Tolerance | None = None
 ) -> None:
-    """Residuals about zero, the band of ±2σ and the limits of the tolerance."""
+    """Draw residuals about zero, the band of ±2σ and the limits of the tolerance."""
     residual = record.residuals[name]
     if sigma is not None:
         axis.axhspan(-2.0 * sigma, 2.0 * sigma, color=BAND, linewidth=0.0, label="±2σ")
@@ -144,7 +144,8 @@ def draw_residual(
 
 
 def _draw_limits(axis: Axes, record: Record, name: str, tolerance: Tolerance, limit: float) -> float:
-    """What residuals are held against, unless it is so far away that it would flatten them; gives the panel's limit."""
+    """Draw the limits of the tolerance, unless they are so far away that they would flatten the residuals; return the
+    panel's limit."""
     widths = tolerance.at(record.measured[name])
     if not np.isfinite(widths).any() or np.nanmin(widths) >= _FAR * limit:
         return limit
@@ -158,7 +159,7 @@ def _draw_limits(axis: Axes, record: Record, name: str, tolerance: Tolerance, li
 
 
 def _seen(t: _Array, r: _Array) -> tuple[_Array, _Array]:
-    """For a line: as it is, unless so many samples stand alone between missing ones that little would be drawn."""
+    """Return times and residuals for a line: unchanged, unless many samples stand alone between missing ones."""
     there = np.isfinite(r)
     alone = there & ~np.append(there[1:], False) & ~np.insert(there[:-1], 0, False)
     return with_gaps(t, r) if 3 * alone.sum() > there.sum() else (t, r)
@@ -181,7 +182,8 @@ def plot_fit(
     axes: Mapping[str, Axes] | None = None,
     tolerances: Mapping[str, float | Tolerance] | None = None,
 ) -> tuple[Figure, dict[str, Axes]]:
-    """Proof of match of one experiment: per output measured points, the model's line, the residual beneath.
+    """Plot the proof of match of one experiment: for each output the measured points, the model, and the residuals
+    beneath.
 
     fit         whose ``sigma_<output>`` gives the band of ±2σ.
     record      index or name of the experiment.
@@ -201,7 +203,7 @@ def plot_fit(
 def plot_validation(
     validation: Any, record: int | str = 0, channels: Sequence[str] | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
-    """`plot_fit` of a `Validation`, with its tolerances as bands about the measurements."""
+    """Plot a `Validation` as `plot_fit` does, with its tolerances as bands about the measurements."""
     chosen = choose_record(validation.records, record)
     sigma = {name: m.sigma for name, m in validation.matches.items() if math.isfinite(m.sigma)}
     title = f"{validation.model.name}: {chosen.name}, validation"
@@ -214,7 +216,7 @@ def plot_record(
     axes: Mapping[str, Axes] | None = None,
     title: str | None = None,
 ) -> tuple[Figure, dict[str, Axes]]:
-    """The time histories of one record, such as a simulation; measured points are drawn where there are any.
+    """Plot the time histories of one record, such as a simulation, with the measured points where there are any.
 
     Parameters, return value and errors as for `plot_fit`.
     """
@@ -222,7 +224,8 @@ def plot_record(
 
 
 def sigmas_of(fit: FitResult, record: Record) -> dict[str, float]:
-    """Output -> standard deviation (scale) of its noise in a record: estimated, for all or for this one, or known."""
+    """Return output -> standard deviation (scale) of its noise in a record: estimated, shared or of this record, or
+    known."""
     found = dict(fit.noise.known_sigmas(tuple(record.outputs)))
     for name in record.outputs:
         for label in (f"sigma_{name}", f"sigma_{name}[{record.name}]"):
@@ -232,7 +235,7 @@ def sigmas_of(fit: FitResult, record: Record) -> dict[str, float]:
 
 
 def choose_record(records: Sequence[Record], which: int | str) -> Record:
-    """The record of that index or name; UnknownName where there is none."""
+    """Return the record of that index or name; raise UnknownName where there is none."""
     if isinstance(which, str):
         for record in records:
             if record.name == which:
@@ -288,7 +291,7 @@ def _draw(
 
 
 def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, Axes]]:
-    """A new figure: outputs (and states) on top, down the columns, each over its strip; inputs below them."""
+    """Create a figure: outputs (and states) on top, column by column, each above its residuals; inputs below them."""
     import matplotlib.pyplot as plt
 
     upper = [name for name in channels if name in record.outputs or name not in record.inputs]
@@ -329,7 +332,7 @@ def _layout(record: Record, channels: Sequence[str]) -> tuple[Figure, dict[str, 
 
 
 def _finish(figure: Figure, panels: Mapping[str, Axes], title: str) -> None:
-    """Time labels at the foot of each column only, a title, and one legend for all panels."""
+    """Add time labels at the foot of each column only, a title, and one legend for all panels."""
     lowest: dict[float, Axes] = {}
     handles: dict[str, Any] = {}
     for axis in panels.values():

@@ -21,7 +21,7 @@ __all__ = ["plot_parameters"]
 _SIDE = 1.959963984540054  # standard errors on either side: 95 % of a normal distribution
 _ROW, _MORE = 0.21, 0.09  # inches: a parameter, and each fit more
 _PAGE, _LOWEST = 9.2, 0.1  # inches: all rows of a page, and the lowest of them
-_PERCENT = 100.0  # the scale ends here: a longer interval holds zero
+_PERCENT = 100.0  # the scale ends here: a longer interval includes zero
 _SMALL = 0.01  # per cent; below, in millionths
 _WIDE = 10.0  # times the median from which on the scale is logarithmic
 _FAR = 3.0  # in comparisons the scale ends at so many times the median reach
@@ -30,13 +30,13 @@ _FAR = 3.0  # in comparisons the scale ends at so many times the median reach
 def plot_parameters(
     fits: Sequence[Any], names: Sequence[str] | None = None, labels: Sequence[str] | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
-    """Estimates with the interval of ±1.96 standard errors, one row a parameter.
+    """Plot estimates with the interval of ±1.96 standard errors, one row a parameter.
 
     Units differ, so rows are scaled. Of one fit: deviation from the estimate in per cent of it (in millionths where all
-    are tiny), on a scale that is logarithmic away from zero where intervals differ much; one beyond 100 % holds zero.
-    Of several: deviation from the estimate of the first fit, in its standard errors, so that its intervals are all as
-    long and others stand off by what the first one believes to be chance. (A parameter that the first has no standard
-    error of is scaled by the next fit that has one.) What reaches beyond the scale ends in an arrow, with the number
+    are tiny), on a scale that is logarithmic away from zero where intervals differ much; one beyond 100 % includes
+    zero. Of several: deviation from the estimate of the first fit, in its standard errors, so that its intervals are
+    equally long and others are shown relative to its uncertainty. (A parameter that the first has no standard error of
+    is scaled by the next fit that has one.) What reaches beyond the scale ends in an arrow, with the number
     beside it. On the right is the estimate of the first fit ± 1.96 standard errors.
 
     fits    with .parameters; fits, regressions or anything else that has them.
@@ -44,7 +44,7 @@ def plot_parameters(
     labels  what the fits are called in the legend; None: by model or records, whichever differ.
 
     Standard errors are those of ``fit.parameters``, which take residuals for white. A parameter that no fit has a
-    standard error of (fixed, or at a bound) is left out; the foot of the figure tells.
+    standard error of (fixed, or at a bound) is left out, and named at the foot of the figure.
 
     Returns the figure and the axes by ``"parameters"``. Raises UnknownName for a parameter that no fit has, DataError
     where there is none with a standard error, OptionError for labels that are not one a fit.
@@ -110,13 +110,13 @@ def _row(fits: Sequence[Any], name: str) -> list[_Interval]:
         if e is None:
             found.append(None)
             continue
-        half = _SIDE * e.std_error if e.std_error > 0.0 else 0.0  # held: a point
+        half = _SIDE * e.std_error if e.std_error > 0.0 else 0.0  # fixed: a point
         found.append(((e.value - first.value) / scale, half / scale) if scale > 0.0 else (0.0, math.inf))
     return found
 
 
 def _limit(rows: Sequence[Sequence[_Interval]], fits: int) -> float:
-    """Where the scale ends: at all there is, unless some reach far beyond the others."""
+    """Return where the scale ends: at the largest deviation, unless some lie far beyond the others."""
     reach = np.array([max(abs(v[0]) + v[1] for v in row if v is not None) for row in rows])
     largest = float(reach.max())
     if fits == 1:
@@ -126,7 +126,7 @@ def _limit(rows: Sequence[Sequence[_Interval]], fits: int) -> float:
 
 
 def _scale(axis: Axes, rows: Sequence[Sequence[_Interval]], limit: float) -> None:
-    """Per cent on a linear scale, or on one that is logarithmic where intervals differ much in size."""
+    """Set the horizontal axis in per cent: linear, or logarithmic where intervals differ much in size."""
     from matplotlib.ticker import FuncFormatter, NullLocator
 
     halves = np.array([row[0][1] for row in rows if row[0] is not None])
@@ -182,7 +182,7 @@ def _percent(half: float) -> str:
 
 
 def _value(fits: Sequence[Any], name: str) -> str:
-    """The estimate that the row is about, with its interval."""
+    """Return the text of the estimate that the row is about, with its interval."""
     first: Estimate = next(
         fit.parameters[name] for fit in fits if name in fit.parameters and fit.parameters[name].std_error > 0.0
     )
@@ -219,7 +219,7 @@ def _labels(fits: Sequence[Any], labels: Sequence[str] | None) -> list[str]:
 
 
 def _chosen(fits: Sequence[Any], names: Sequence[str] | None) -> tuple[list[str], list[str]]:
-    """Names to show, and those that no fit has a standard error of."""
+    """Return the names to show, and those that no fit has a standard error of."""
     if isinstance(names, str):
         raise DataError(f"plot_parameters: names='{names}' is text: give a list, such as names=['{names}']")
     every = dict.fromkeys(name for fit in fits for name in fit.parameters)

@@ -1,4 +1,4 @@
-"""How all figures look: colours, sizes of letters, labels with units."""
+"""Common style of all figures: colours, font sizes, labels with units."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ WIDTH = 7.2
 
 
 def figure_of(axis: Axes) -> Figure:
-    """The figure that an axis is in, also where it is in a subfigure."""
+    """Return the figure that an axis is in, also where it is in a subfigure."""
     parent: Any = axis.figure
     while parent is not parent.figure:
         parent = parent.figure
@@ -87,12 +87,12 @@ def figure_of(axis: Axes) -> Figure:
 
 
 def headline(figure: Figure, left: float, text: str) -> None:
-    """The title of a figure that is laid out by hand: at its top, from ``left``, a part of its width, on."""
+    """Write the title of a figure that is laid out by hand at its top, starting at ``left``, a part of its width."""
     figure.text(left, 1.0 - 0.08 / figure.get_figheight(), plain(text), ha="left", va="top", fontsize=9.5)
 
 
 def labelled(name: str, units: Mapping[str, str]) -> str:
-    """The name, with its unit where it has one.
+    """Return a name with its unit, where it has one.
 
     >>> labelled("q", {"q": "rad/s"}), labelled("Mach", {"Mach": "1"})
     ('q, rad/s', 'Mach')
@@ -102,7 +102,7 @@ def labelled(name: str, units: Mapping[str, str]) -> str:
 
 
 def squared(unit: str) -> str:
-    """The unit of a power spectral density.
+    """Return the unit of a power spectral density.
 
     >>> squared("rad"), squared("rad/s"), squared("")
     ('rad²/Hz', '(rad/s)²/Hz', '1/Hz')
@@ -113,12 +113,12 @@ def squared(unit: str) -> str:
 
 
 def plain(text: str) -> str:
-    """Names as given: matplotlib would take dollar signs for mathematics."""
+    """Return a text in which dollar signs are escaped, since matplotlib would take them for mathematics."""
     return text.replace("$", r"\$")
 
 
 def with_gaps(t: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times and values for a line through the samples that there are, broken where more than a few are missing.
+    """Return times and values for a line through the samples that exist, broken where more than a few are missing.
 
     A channel slower than the record's times has a value at few of them: a line with NaN between would not be seen.
 

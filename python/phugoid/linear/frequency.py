@@ -1,4 +1,4 @@
-"""Frequency responses, asked for alike: of a record (without a model), a fit, a model, a numeric system."""
+"""Frequency responses by one function: of a record (without a model), a fit, a model, or a numeric system."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
 Method = Literal["etfe", "h1"]
 
-# A signal repeats where it is correlated with itself, so many samples later, at least this much.
+# A signal repeats with a lag at which its autocorrelation is at least this.
 _REPEATS = 0.95
 # Of times at which it repeats, the first within this of the best is the period; the others are its multiples.
 _AS_GOOD = 0.01
@@ -42,7 +42,7 @@ def empirical_response(
     floor_db: float = -40.0,
     label: str | None = None,
 ) -> FrequencyResponse:
-    """Response of ``output`` to ``input`` as the record shows it; arguments as in `frequency_response`."""
+    """Estimate the response of ``output`` to ``input`` from a record; arguments as in `frequency_response`."""
     if method not in get_args(Method):
         raise OptionError(f"frequency_response: method is 'etfe' or 'h1', not {method!r}")
     if smoothing is not None and (method != "etfe" or period is not None):
@@ -98,7 +98,8 @@ def empirical_response(
 
 
 def find_period(values: _Array, where: str = "the signal") -> int:
-    """Samples after which a signal repeats, by its correlation with itself; DataError where it does not.
+    """Return the number of samples after which a signal repeats, by its autocorrelation; raise DataError where it does
+    not.
 
     >>> find_period(np.tile([0.0, 1.0, 0.0, -2.0, 0.5], 20))
     5
@@ -107,12 +108,12 @@ def find_period(values: _Array, where: str = "the signal") -> int:
     centred = values - values.mean()
     spectrum = np.fft.rfft(centred, 2 * n)
     products = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[: n // 2 + 1]
-    # Of what overlaps only, so that a long period counts as much as a short one.
+    # Normalised by the overlap, so that a long period counts as much as a short one.
     squares = np.concatenate([[0.0], np.cumsum(centred**2)])
     lags = np.arange(n // 2 + 1)
     norm = np.sqrt(squares[n - lags] * (squares[-1] - squares[lags]))
     alike = np.divide(products, norm, out=np.zeros_like(products), where=norm > 1e-12 * squares[-1])
-    # Next to no lag any smooth signal is like itself.
+    # At small lags any smooth signal is correlated with itself.
     apart = np.flatnonzero(alike < 0.5)
     first = int(apart[0]) if apart.size else alike.size
     best = float(alike[first:].max(initial=0.0))
@@ -127,7 +128,7 @@ def find_period(values: _Array, where: str = "the signal") -> int:
 
 
 def _channels(data: Experiment, input: str, output: str) -> tuple[float, _Array, _Array]:
-    """Samples a second, input and output less their means."""
+    """Return the sampling rate (Hz), input and output, without their means."""
     u, y = data.input(input), data.output(output)
     rate = even_rate(data.t, u, f"experiment '{data.name}', input '{input}'", "frequency_response")
     even_rate(data.t, y, f"experiment '{data.name}', output '{output}'", "frequency_response")
@@ -144,7 +145,8 @@ def _channels(data: Experiment, input: str, output: str) -> tuple[float, _Array,
 
 
 def _periods(u: _Array, y: _Array, length: int, rate: float, where: str) -> tuple[_Array, _Complex, _Complex]:
-    """Frequencies (F,), and the Fourier transforms of the last whole periods of input and output, (periods, F)."""
+    """Return frequencies (F,), and the Fourier transforms of the last whole periods of input and output,
+    (periods, F)."""
     count = u.size // length
     if count < 1:
         raise DataError(f"{where}: a period of {length} samples is longer than the record of {u.size}")
@@ -161,7 +163,7 @@ def _welch(u: _Array, y: _Array, length: int, rate: float) -> tuple[_Array, _Arr
 
 
 def _independent(n: int, length: int) -> float:
-    """Averages of independent segments that are worth as much as these, which overlap by half.
+    """Return the number of independent segments that are worth as much as these, which overlap by half.
 
     (P. D. Welch, IEEE Trans. Audio Electroacoustics AU-15(2), 1967.) The Hann window of neighbours has a correlation
     of 1/6.
@@ -171,7 +173,7 @@ def _independent(n: int, length: int) -> float:
 
 
 def _kernel(width: float, resolution: float, bins: int, name: str) -> _Array:
-    """Weights of a Hann window as wide as ``width`` (Hz) at half its height."""
+    """Return the weights of a Hann window of full width ``width`` (Hz) at half its height."""
     half = round(width / resolution)
     if half < 2 or 2 * half - 1 > bins:
         raise OptionError(
@@ -187,7 +189,7 @@ def _power(transform: _Complex) -> _Array:
 
 
 def _ratio(above: _Complex | _Array, below: _Complex | _Array) -> _Complex:
-    """Without a warning where there is nothing below: such frequencies are dropped."""
+    """Divide without a warning where the denominator is zero: such frequencies are dropped."""
     return np.asarray(above / np.where(below == 0, 1.0, below), dtype=np.complex128)
 
 
@@ -230,7 +232,7 @@ def frequency_response(
 def frequency_response(
     source: Experiment | FitResult | Model | StateSpace, *args: Any, **options: Any
 ) -> FrequencyResponse:
-    """The frequency response that a record shows, or that of a fit, a model or a `StateSpace`.
+    """Return the frequency response of a record, or of a fit, a model or a `StateSpace`.
 
     **Of a record**, ``frequency_response(data, input, output, method="etfe", *, period, smoothing, segment, band,
     floor_db, label)``: how ``output`` responds to ``input``; means are removed first.

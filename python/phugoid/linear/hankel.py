@@ -1,4 +1,4 @@
-"""Triangular factors of data matrices too tall to hold, and the subspace that past and future outputs share."""
+"""Triangular factors of data matrices too tall to store, and the subspace that past and future outputs share."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ __all__ = ["Observability", "observability", "triangle"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# So many rows are reduced at once, which stay in the cache; and so many columns.
+# Rows reduced at once, few enough for the cache; and columns of a panel.
 _ROWS, _PANEL = 1000, 16
 
 
 def triangle(blocks: Iterable[_Array]) -> _Array:
-    """R (k, k) of the QR factorisation of the blocks (rows, k) on top of each other; blocks are used up."""
+    """Return R (k, k) of the QR factorisation of the stacked blocks (rows, k); the blocks are overwritten."""
     from scipy.linalg.lapack import dtpqrt
 
     R: _Array | None = None
@@ -33,7 +33,7 @@ def triangle(blocks: Iterable[_Array]) -> _Array:
 
 
 def rows_at_once(columns: int) -> int:
-    """Rows of a block for so many columns: at least as many as there are columns, or the work is in R."""
+    """Return the rows of a block with so many columns: at least as many as columns, or the work is in R."""
     return max(columns, _ROWS)
 
 
@@ -48,7 +48,7 @@ class Observability:
     directions: _Array
 
     def system(self, order: int, outputs: int) -> tuple[_Array, _Array]:
-        """Discrete A (n, n) and C (p, n), by the shift of the matrix."""
+        """Return the discrete A (n, n) and C (p, n), from the shift of the matrix."""
         from scipy.linalg import lstsq
 
         gamma = self.directions[:, :order]
@@ -57,7 +57,7 @@ class Observability:
 
 
 def observability(runs: Sequence[tuple[_Array, _Array]], block_rows: int, weighting: str) -> Observability:
-    """What past inputs and outputs tell of future outputs beyond future inputs.
+    """Estimate the extended observability matrix from what past inputs and outputs predict of future outputs.
 
     ``runs``: of each experiment inputs (m, N) and outputs (p, N), of about unit size. Rows of the block Hankel matrices
     are, with i block rows: future inputs, past inputs and outputs, future outputs. With the L of their LQ factorisation
@@ -84,7 +84,7 @@ def observability(runs: Sequence[tuple[_Array, _Array]], block_rows: int, weight
 
 
 def _blocks(u: _Array, y: _Array, i: int) -> Iterator[_Array]:
-    """Columns of the Hankel matrices of one experiment, transposed, some at a time."""
+    """Yield the columns of the Hankel matrices of one experiment, transposed, block by block."""
     m, p, count = u.shape[0], y.shape[0], u.shape[1] - 2 * i + 1
     # Column k of the block is channel `row` delayed by `lag`.
     channels = [(u[r], lag) for lag in range(i, 2 * i) for r in range(m)]

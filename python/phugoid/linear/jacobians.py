@@ -1,4 +1,4 @@
-"""A model's equations differentiated by its states and inputs: A, B, C and D, as expressions and as numbers."""
+"""Derivatives of a model's equations by its states and inputs: A, B, C and D, as expressions and as numbers."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ class Jacobians:
         self.parameters = [name for name in model.parameter_names if name in used]
 
     def point(self, values: Mapping[str, float], at: Mapping[str, float] | None) -> dict[str, float]:
-        """Numbers for all symbols: parameters by ``values``, and the point. ModelError where it does not say enough."""
+        """Return numbers for all symbols: parameters from ``values``, and the point. ModelError where a value is
+        missing."""
         if not isinstance(at, (Mapping, type(None))):
             raise ModelError(f"{self.caller}: at: give states and inputs by name, such as {{'alpha': 0.1}}, not {at!r}")
         at = dict(at or {})
@@ -58,7 +59,7 @@ class Jacobians:
         return {**values, **{name: float(value) for name, value in at.items()}}
 
     def matrix(self, block: str, numbers: Mapping[str, float]) -> _Array:
-        """A block in numbers. EvaluationError where they are not finite."""
+        """Return the numbers of a block; raise EvaluationError where they are not finite."""
         found = np.zeros(self.shapes[block])
         for place, e in self.blocks[block].items():
             found[place] = e.evaluate({name: numbers[name] for name in e.symbols})
@@ -70,7 +71,7 @@ class Jacobians:
         return found
 
     def slopes(self, parameter: str, numbers: Mapping[str, float]) -> dict[str, list[tuple[_Place, float]]]:
-        """Of each block the elements that depend on a parameter, with their derivatives by it."""
+        """Return for each block the elements that depend on a parameter, with their derivatives by it."""
         found: dict[str, list[tuple[_Place, float]]] = {}
         for block, entries in self.blocks.items():
             found[block] = []

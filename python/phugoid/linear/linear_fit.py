@@ -28,13 +28,13 @@ _Array: TypeAlias = NDArray[np.float64]
 
 # An iteration that gains less log-likelihood than this is the last; and, while modes are moved, than this.
 _GAIN, _ROUGH = 1e-7, 1e-3
-# A mode has found a better place where the log-likelihood rises by this. So many places of a mode are tried.
+# Rise of the log-likelihood from which on a place is better for a mode; number of places that are tried.
 _BETTER, _PLACES = 0.5, 4
-# A search that gains less than this part of what it lacks is given up.
+# A search is stopped where a step gains less than this part of its distance from the known optimum.
 _REACH = 0.02
 # So near to a known optimum, in squared standard deviations of the outputs, a search is taken to lead there.
 _BACK = 1.0
-# Directions that change the outputs by less than this part of what the first does change nothing.
+# Directions that change the outputs by less than this part of the first one's effect are ignored.
 _NOTHING = 1e-10
 # Damping of the first step, as a part of the greatest singular value squared; and how often a step is damped more.
 _DAMPING, _TRIALS = 1e-9, 15
@@ -53,10 +53,11 @@ def fit_linear(
     progress: bool | Callable[[Iteration], None] = False,
     time_limit: float | None = None,
 ) -> StateSpace:
-    """The linear system of the same order that fits evenly sampled records best: maximum likelihood of the outputs.
+    """Return the linear system of the same order that fits evenly sampled records best: maximum likelihood of the
+    outputs.
 
     Output error as in `estimate`, the noise white and of each output with a variance of its own, but for linear
-    systems, where much can be had for nothing: given A and C, the outputs are linear in B, D, the first states and
+    systems, where part of the problem is linear: given A and C, the outputs are linear in B, D, the first states and
     offsets, which so are found by least squares for each A and C that is tried (variable projection: Golub and Pereyra,
     SIAM J. Numer. Anal. 10(2), 1973; the approximation of Kaufman, BIT 15, 1975). What is left, two numbers a mode and
     C, is found by Levenberg-Marquardt steps with orthogonal factorisations, so that modes of which a record tells
@@ -122,7 +123,7 @@ def fit_linear(
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A and C, what modes do there, what least squares finds for them, and the log-likelihood."""
+    """A point of the search: A and C, the modal responses there, the least-squares solution, and the log-likelihood."""
 
     blocks: ModalBlocks
     answers: Sequence[Answers]
@@ -132,7 +133,7 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """An optimum that is known: outputs (p, N) of each experiment, what least squares found, and log-likelihood."""
+    """A known optimum: outputs (p, N) of each experiment, the least-squares solution, and the log-likelihood."""
 
     paths: Sequence[_Array]
     regression: ModalRegression
@@ -164,7 +165,7 @@ class _Linearised:
 
 
 class _Task:
-    """What a search needs, and the searches."""
+    """The data and options of a search, and the searches."""
 
     def __init__(
         self, records: Sampled, direct: tuple[bool, ...], offset: bool, growing: bool, max_iterations: int
@@ -185,8 +186,8 @@ class _Task:
         return _Point(blocks, answers, found, -float(self.samples @ (np.log(rms) + 0.5)))
 
     def search(self, point: _Point, least: float, known: _Known | None = None) -> _Point:
-        """Levenberg-Marquardt steps, each better, until one gains less than ``least``, or they lead to an optimum that
-        is known, or to none as good."""
+        """Take Levenberg-Marquardt steps, each an improvement, until one gains less than ``least``, or until they lead
+        to a known optimum, or to none as good."""
         damping = _DAMPING
         goal = -np.inf if known is None else known.log_likelihood
         for _ in range(self.max_iterations):
@@ -207,7 +208,7 @@ class _Task:
             if better is None:
                 break
             gain = better.log_likelihood - point.log_likelihood
-            if gain > 0.375 * (q @ q - np.sum((q - J @ step) ** 2)):  # three quarters of what was promised
+            if gain > 0.375 * (q @ q - np.sum((q - J @ step) ** 2)):  # three quarters of the predicted gain
                 damping /= 5.0
             point = better
             if self.best is None or point.log_likelihood > self.best.log_likelihood:
@@ -220,7 +221,7 @@ class _Task:
         return point
 
     def moved(self, point: _Point, moves: int) -> _Point:
-        """Puts pairs that the fit would miss least where they fit best, as long as that is better."""
+        """Move pairs whose loss costs the fit least to the places where they fit best, as long as that improves it."""
         better = moves > 0 and len(point.blocks) > 1
         while better:
             better, known = False, _Known.of(point)
@@ -238,9 +239,9 @@ class _Task:
         return point
 
     def _tried(self, blocks: ModalBlocks) -> _Point | None:
-        """None where there is no answer, modes are too fast to matter, or grow that must not.
+        """Return the point of these modes; None where there is none, modes are too fast, or grow though they must not.
 
-        Those that grow a little are reflected: a mode without damping would be stuck at the edge.
+        Modes that grow a little are reflected: a mode without damping would be stuck at the edge.
         """
         values = blocks.modal()[0]
         if not np.all(np.abs(values) < _FASTEST * np.pi * self.records.rate):

@@ -1,4 +1,4 @@
-"""Models made linear at a point: matrices, frequency responses and modes, with standard errors."""
+"""Models linearised at a point: matrices, frequency responses and modes, with standard errors."""
 
 from __future__ import annotations
 
@@ -45,12 +45,13 @@ class Uncertainty:
         noise = fit.noise_parameters
         self.names = [name for name in fit.parameters if name not in noise]
         self._places = [k for k, name in enumerate(fit.parameters) if name not in noise]
-        # What is held has no error of its own.
+        # Parameters that are fixed or at a bound have no error.
         self._held = np.array([fit.parameters[n].fixed or bool(fit.parameters[n].bounds_active) for n in self.names])
         self._settled: list[_Array] | None = None
 
     def covariance(self, gradients: _Array) -> _Array:
-        """(k, k) of k functions with these derivatives (k, n) by the parameters ``names``; NaN where not determined."""
+        """Return (k, k) of k functions with these derivatives (k, n) by the parameters ``names``; NaN where not
+        determined."""
         g = np.where(self._held, 0.0, gradients)
         own = self.fit.covariance[np.ix_(self._places, self._places)]
         used = np.any(g != 0.0, axis=0)
@@ -65,7 +66,8 @@ class Uncertainty:
         return np.where(np.outer(same, same), wide, np.nan)
 
     def _settle(self) -> list[_Array]:
-        """Covariances (n, n) with narrower and wider priors where there are none; [] where that cannot be done."""
+        """Return covariances (n, n) with narrower and wider priors on undetermined parameters; [] where that is
+        impossible."""
         fit = self.fit
         if isinstance(fit.transcription, FilterError) or fit.solution is None or not fit.experiments or fit._moved:
             return []
@@ -93,7 +95,7 @@ class Uncertainty:
         return found
 
     def _with_priors(self, width: float) -> Model:
-        """The model with priors on parameters that the data leave open, so many times as wide as these are large."""
+        """Return the model with priors on undetermined parameters, ``width`` times as wide as these are large."""
         fit = self.fit
         variance = np.diag(fit.covariance)[self._places]
         without = [n for n, v, h in zip(self.names, variance, self._held, strict=True) if not h and not v > 0.0]
@@ -116,7 +118,7 @@ def linearise(
     at: Mapping[str, float] | None = None,
     experiment: str | None = None,
 ) -> StateSpace:
-    """A model about a point: x' = A x + B u, y = C x + D u of the differences from it. Derivatives are exact.
+    """Linearise a model about a point: x' = A x + B u, y = C x + D u in the deviations from it, with exact derivatives.
 
     ``parameters``  values by name of a model; of a fit instead of its own.
     ``at``          states, inputs and time at the point, by name: of a model that is not linear all that its
@@ -147,7 +149,7 @@ def model_response(
     at: Mapping[str, float] | None = None,
     experiment: str | None = None,
 ) -> FrequencyResponse:
-    """The frequency response of a fit, a model or a `StateSpace`: C (j 2 pi f - A)^-1 B + D, with its delays.
+    """Return the frequency response of a fit, a model or a `StateSpace`: C (j 2 pi f - A)^-1 B + D, with its delays.
 
     ``frequencies_hz``  (F,) in Hz.
     ``input``, ``output``  names; may be left out where there is only one.
@@ -186,7 +188,7 @@ def model_response(
 
 
 class _Transfer:
-    """The response of an output to an input, late ones among them, and its derivatives by parameters; each (F,)."""
+    """The response of an output to an input, delayed inputs included, and its derivatives by parameters; each (F,)."""
 
     def __init__(
         self, jacobians: Jacobians, numbers: Mapping[str, float], frequencies_hz: _Array, input: str, output: str
@@ -195,7 +197,7 @@ class _Transfer:
         self.i = jacobians.outputs.index(output)
         delays = jacobians.model.delays
         s = 2j * np.pi * frequencies_hz
-        # (F, m): by how much each input, that asked for and those that are it late, moves with it.
+        # (F, m): the response of each input to the one asked for: 1 for itself, exp(-s tau) for its delayed copies.
         self.push = np.zeros((s.size, len(jacobians.inputs)), dtype=np.complex128)
         self.push_slopes: dict[str, Any] = {}
         for k, name in enumerate(jacobians.inputs):
@@ -220,7 +222,7 @@ class _Transfer:
         self.response = self.late * self.now
 
     def slope(self, parameter: str) -> NDArray[np.complex128]:
-        """d response / d parameter: y dA x + dc x + y dB + dD, and what a delay does."""
+        """Return d response / d parameter: y dA x + dc x + y dB + dD, and the effect of a delay."""
         found = np.zeros_like(self.s)
         slopes = self.jacobians.slopes(parameter, self.numbers)
         for (i, j), value in slopes["A"]:
@@ -242,7 +244,7 @@ class _Transfer:
 def numbers_of(
     caller: str, fit: FitResult | Model, parameters: Mapping[str, Any] | None, experiment: str | None
 ) -> tuple[Model, dict[str, float]]:
-    """The model, and values of its parameters. ModelError where one is missing or unknown."""
+    """Return the model and the values of its parameters; raise ModelError where one is missing or unknown."""
     if isinstance(fit, FitResult):
         model = fit.model
         estimates = fit.parameters.to_dict()
@@ -273,7 +275,7 @@ def numbers_of(
 
 
 def labels_of(caller: str, fit: FitResult, experiment: str | None) -> dict[str, str]:
-    """Of each parameter of the model its name among the estimates."""
+    """Return for each parameter of the model its name among the estimates."""
     there = [record.name for record in fit.records]
     if experiment is not None and experiment not in there:
         raise ModelError(f"{caller}: '{experiment}' is no experiment of the fit.{listing(experiment, there)}")
@@ -287,7 +289,7 @@ def labels_of(caller: str, fit: FitResult, experiment: str | None) -> dict[str, 
 
 
 def _matters(fit: FitResult, parameter: str) -> bool:
-    """Whether derivatives by states or inputs depend on a parameter: a bias does not matter."""
+    """Return whether derivatives by states or inputs depend on a parameter; they do not depend on a bias."""
     return parameter in {*Jacobians(fit.model, "").parameters, *fit.model.delays.parameters}
 
 
@@ -301,7 +303,7 @@ def modes(
     at: Mapping[str, float] | None = None,
     experiment: str | None = None,
 ) -> Modes:
-    """Natural frequencies, damping ratios and time constants: of the eigenvalues of A = df/dx, exactly differentiated.
+    """Return natural frequencies, damping ratios and time constants of the eigenvalues of A = df/dx.
 
     ``parameters``  values by name of a model; of a fit instead of its own.
     ``at``          of a model that is not linear, states, inputs (and time) about which it is linearised, by name. The

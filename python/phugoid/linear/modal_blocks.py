@@ -1,4 +1,5 @@
-"""The eigenvalues of a linear system, and C, in numbers that pass smoothly from a pair to two real ones."""
+"""The eigenvalues of a linear system, and C, in parameters in which a complex pair passes smoothly into two
+real ones."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ class ModalBlocks:
 
     @classmethod
     def of(cls, values: _Complex, C: _Complex, units: _Array) -> ModalBlocks:
-        """From eigenvalues (r,), of a complex pair one, and the columns of C (p, r); real ones go in pairs too."""
+        """Return the blocks of eigenvalues (r,), one of each complex pair, and the columns of C (p, r); real ones are
+        paired too."""
         C = C / units[:, None]
         # B is free, so that the size (and of a pair the phase) of a column of C does not matter.
         largest = C[np.argmax(np.abs(C), axis=0), np.arange(values.size)]
@@ -66,7 +68,7 @@ class ModalBlocks:
         return cls(np.array(pairs).reshape(-1, 2), np.array(singles), made, units)
 
     def modal(self) -> tuple[_Complex, _Complex, NDArray[np.intp]]:
-        """Eigenvalues (r,), of a complex pair one; their columns of C (p, r); and the block of each (r,)."""
+        """Return eigenvalues (r,), one of each complex pair; their columns of C (p, r); and the block of each (r,)."""
         values, owners = [], []
         for k, (a, b) in enumerate(self.pairs):
             d = 0.25 * a * a - b
@@ -92,7 +94,7 @@ class ModalBlocks:
         return len(self.pairs) + self.singles.size
 
     def without(self, k: int) -> ModalBlocks:
-        """All blocks but one."""
+        """Return all blocks but block ``k``."""
         n = len(self.pairs)
         if k < n:
             C = np.delete(self.C, [2 * k, 2 * k + 1], 1)
@@ -100,7 +102,7 @@ class ModalBlocks:
         return replace(self, singles=np.delete(self.singles, k - n), C=np.delete(self.C, n + k, 1))
 
     def joined(self, other: ModalBlocks) -> ModalBlocks:
-        """These blocks and others."""
+        """Return these blocks and those of another."""
         n, m = 2 * len(self.pairs), 2 * len(other.pairs)
         C = np.hstack([self.C[:, :n], other.C[:, :m], self.C[:, n:], other.C[:, m:]])
         pairs, singles = np.vstack([self.pairs, other.pairs]), np.append(self.singles, other.singles)
@@ -108,7 +110,7 @@ class ModalBlocks:
 
     @property
     def sizes(self) -> _Array:
-        """By how much each number may move, about: the scales of `moved`."""
+        """Typical sizes of the numbers: the scales of `moved`."""
         b = np.maximum(np.abs(self.pairs[:, 1]), 0.25 * self.pairs[:, 0] ** 2)
         own = [np.column_stack([np.sqrt(b), b]).ravel(), np.abs(self.singles)]
         if self.C.shape[0] > 1:
@@ -117,18 +119,18 @@ class ModalBlocks:
         return np.where(found > 0.0, found, 1.0)
 
     def moved(self, step: _Array) -> ModalBlocks:
-        """With a step of pairs, singles and (of several outputs) C added."""
+        """Return the blocks with a step added to pairs, singles and (of several outputs) C."""
         n, m = self.pairs.size, self.singles.size
         C = self.C + step[n + m :].reshape(self.C.shape) if self.C.shape[0] > 1 else self.C
         return replace(self, pairs=self.pairs + step[:n].reshape(-1, 2), singles=self.singles + step[n : n + m], C=C)
 
     def reflected(self) -> ModalBlocks:
-        """With modes that decay in place of those that grow."""
+        """Return the blocks with growing modes reflected into decaying ones."""
         return replace(self, pairs=np.abs(self.pairs), singles=-np.abs(self.singles))
 
     def slopes(self, answers: Answers, found: ModalRegression) -> Iterator[tuple[list[int], _Array]]:
-        """Of each output the derivatives (k, N) of its path in an experiment, B and first states held, and by which
-        numbers of `moved` they are."""
+        """Yield for each output the derivatives (k, N) of its path in an experiment by the numbers of `moved`, with B
+        and first states fixed, and the indices of these numbers."""
         values, C, own = self.modal()
         run = answers.driven.run
         xi, eta = answers.slopes(found.B, found.motion[run.name])
@@ -139,7 +141,7 @@ class ModalBlocks:
                 if block >= k:
                     rows[k + block] = (C[j, i] * eta[i]).real
                     continue
-                # value' = -(value a' + b') / (2 value + a), and what the output sees of the mode moves with it.
+                # value' = -(value a' + b') / (2 value + a), and the column of C changes with it.
                 c, slope = C[j, i], self.C[j, 2 * block + 1] * self.units[j]
                 g = -(c * eta[i] + slope * xi[i]) / (2.0 * value + self.pairs[block, 0])
                 rows[2 * block] += (value * g).real
@@ -162,20 +164,21 @@ class ModalBlocks:
 _BELOW, _ABOVE, _NYQUIST = 0.6, 1.3, 0.8
 # Damping ratios, each with the ratio of frequencies that lie next to each other: a resonance must not fall between.
 _DAMPING = ((0.01, 1.02), (0.03, 1.06), (0.1, 1.2), (0.6, 1.5))
-# Places that differ by less than this part lead to the same end: the better one stands for both.
+# Places that differ by less than this part lead to the same optimum: only the better one is kept.
 _DIFFERENT = 0.15
-# Places whose responses are held at once; directions below this part of the greatest are none.
+# Places whose responses are stored at once; relative size below which a direction is ignored.
 _AT_ONCE, _RANK = 8, 1e-10
 
 
 def best_places(
     records: Sampled, blocks: ModalBlocks, found: ModalRegression, direct: tuple[bool, ...], offset: bool
 ) -> list[ModalBlocks]:
-    """Pairs, one a `ModalBlocks`, that differ, in the order of how much they would lower the weighted sum of squares.
+    """Return candidate pairs, each a `ModalBlocks`, in the order of how much they would lower the weighted sum of
+    squares.
 
-    What the modes that are there can do with another B, in each experiment and output by itself, is projected out of
+    What the present modes can explain with another B, in each experiment and output by itself, is projected out of
     the outputs and of the response of each new mode; first states of the new mode are left out. Of several outputs C
-    of the new mode is the direction in which these answer most.
+    of the new mode is the direction of the largest response.
     """
     places = _grid(records, blocks)
     m, p = len(records.inputs), len(records.outputs)
@@ -224,7 +227,7 @@ def best_places(
 
 
 def _basis(columns: _Array) -> _Array:
-    """Orthonormal columns of the same span."""
+    """Return orthonormal columns of the same span."""
     size = np.linalg.norm(columns, axis=0)
     scaled = columns / np.where(size > 0.0, size, 1.0)
     _, s, Vt = np.linalg.svd(triangle([scaled.copy()]))
@@ -235,7 +238,7 @@ def _basis(columns: _Array) -> _Array:
 
 
 def _grid(records: Sampled, blocks: ModalBlocks) -> _Complex:
-    """Eigenvalues to try, 1/s."""
+    """Return the eigenvalues to try, 1/s."""
     nyquist = np.pi * records.rate
     size = np.abs(blocks.modal()[0])
     size = size[(size > 0.0) & (size < nyquist)]
@@ -251,6 +254,6 @@ def _grid(records: Sampled, blocks: ModalBlocks) -> _Complex:
 
 
 def _block(value: complex, residue: _Complex, units: _Array) -> ModalBlocks:
-    """A pair with the C (p, 1) of the residue (p, m) nearest to one of rank one."""
+    """Return a pair with the C (p, 1) of the rank-one matrix nearest to the residue (p, m)."""
     left, _, _ = np.linalg.svd(residue / units[:, None])
     return ModalBlocks.of(np.array([value]), np.asarray(left[:, :1] * units[:, None], dtype=np.complex128), units)

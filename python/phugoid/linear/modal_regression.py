@@ -1,4 +1,4 @@
-"""B, D and initial states of a linear system whose A and C are known: linear least squares on the simulated outputs."""
+"""Linear least squares for B, D and initial states of a linear system whose A and C are known."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Layout", "ModalRegression", "identified", "path", "regression", "row
 _Array: TypeAlias = NDArray[np.float64]
 _Complex: TypeAlias = NDArray[np.complex128]
 
-# Outputs are weighted by their residuals: so many times anew.
+# Passes of the weighting of outputs by their residuals.
 _PASSES = 3
 # Directions of the unknowns that matter less than this part of the greatest are left at zero.
 _RANK = 1e-12
@@ -28,7 +28,7 @@ _RANK = 1e-12
 
 @dataclass(frozen=True)
 class ModalRegression:
-    """What the least squares found.
+    """The least-squares solution.
 
     B (r, m), complex, of the modal coordinates; D (p, m); x0: experiment -> (r,), complex; offsets: experiment -> (p,);
     rms (p,) of the residuals; gains (r,), if asked for: by how much the sum of squares, in units of the noise, would be
@@ -52,7 +52,7 @@ def regression(
     offset: bool,
     gains: bool = False,
 ) -> ModalRegression:
-    """B, D, x0 and offsets such that y_j = Re(C_j xi) + D_j u + offset_j, xi' = lambda xi + B u, fits best.
+    """Estimate B, D, x0 and offsets such that y_j = Re(C_j xi) + D_j u + offset_j, xi' = lambda xi + B u, fits best.
 
     ``data``: of each experiment what modes of the same eigenvalues (r,), of a pair one, do there. C (p, r), complex.
     ``feedthrough``: which outputs have D. The inputs between samples are taken to run as the experiment says (linear,
@@ -80,7 +80,7 @@ def regression(
 
 
 def path(answers: Answers, C: _Complex, found: ModalRegression) -> _Array:
-    """Outputs (p, N) of an experiment."""
+    """Return the outputs (p, N) of an experiment."""
     run = answers.driven.run
     xi = answers.states(found.B, found.motion[run.name])
     return np.asarray((C @ xi).real + found.D @ answers.driven.u + found.offsets[run.name][:, None])
@@ -88,7 +88,7 @@ def path(answers: Answers, C: _Complex, found: ModalRegression) -> _Array:
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of the unknowns: of each experiment first states and offsets; then B; D of the outputs that have it."""
+    """Indices of the unknowns: of each experiment first states and offsets; then B; D of the outputs that have it."""
 
     paired: NDArray[np.bool_]
     m: int
@@ -98,22 +98,22 @@ class Layout:
 
     @property
     def width(self) -> int:
-        """Real unknowns of a modal state: two for a pair."""
+        """Number of real unknowns of a modal state: two for a pair."""
         return int(np.where(self.paired, 2, 1).sum())
 
     def own(self, e: int) -> slice:
-        """Of an experiment: first states, then offsets of all outputs."""
+        """Return the indices of an experiment: first states, then offsets of all outputs."""
         size = self.width + len(self.feedthrough) * int(self.offset)
         return slice(e * size, (e + 1) * size)
 
     @property
     def common(self) -> slice:
-        """B, input by input."""
+        """Indices of B, input by input."""
         start = self.own(self.runs).start
         return slice(start, start + self.width * self.m)
 
     def direct(self, j: int) -> slice:
-        """D of output j; empty where it has none."""
+        """Return the indices of D of output j; empty where it has none."""
         start = self.common.stop + self.m * sum(self.feedthrough[:j])
         return slice(start, start + self.m * int(self.feedthrough[j]))
 
@@ -123,7 +123,7 @@ class Layout:
         return int(self.direct(len(self.feedthrough) - 1).stop)
 
     def of_mode(self, i: int) -> list[int]:
-        """Its first states in all experiments, and its row of B."""
+        """Return the indices of a mode: its first states in all experiments, and its row of B."""
         first = int(np.where(self.paired[:i], 2, 1).sum())
         parts = range(first, first + (2 if self.paired[i] else 1))
         starts = [self.own(e).start for e in range(self.runs)]
@@ -131,7 +131,7 @@ class Layout:
         return [start + k for start in starts for k in parts]
 
     def columns(self, e: int, j: int) -> list[int]:
-        """The unknowns that output j of experiment e depends on, in the order of `rows`."""
+        """Return the indices of the unknowns that output j of experiment e depends on, in the order of `rows`."""
         first = self.own(e).start
         offset = [first + self.width + j] if self.offset else []
         places = [self.common, self.direct(j)]
@@ -139,7 +139,7 @@ class Layout:
 
 
 def _triangles(answers: Answers, C: _Complex, outputs: Sequence[str], layout: Layout) -> list[_Array]:
-    """The least squares of each output of an experiment, reduced to a triangle; the last column is the output."""
+    """Reduce the least squares of each output of an experiment to a triangle, whose last column is the output."""
     found = []
     for j, name in enumerate(outputs):
         z = answers.driven.run.output(name)
@@ -148,14 +148,14 @@ def _triangles(answers: Answers, C: _Complex, outputs: Sequence[str], layout: La
 
 
 def samples_of(data: Sequence[Experiment], outputs: Sequence[str]) -> NDArray[np.intp]:
-    """Of each output how many samples there are, (p,)."""
+    """Return the number of samples of each output, (p,)."""
     return np.array([sum(int(np.isfinite(run.output(name)).sum()) for run in data) for name in outputs])
 
 
 def _solved(
     triangles: Sequence[Sequence[_Array]], layout: Layout, samples: NDArray[np.intp], gains: bool
 ) -> tuple[_Array, _Array, _Array]:
-    """All unknowns; the root mean square (p,) of the residuals, by which outputs are weighted; gains of modes."""
+    """Solve for all unknowns; return them, the rms (p,) of the residuals, which are the weights, and gains of modes."""
     from scipy.linalg import lstsq
 
     p = len(layout.feedthrough)
@@ -181,7 +181,7 @@ def _solved(
 
 
 def _gains(whole: _Array, size: _Array, layout: Layout, samples: int) -> _Array:
-    """By how much the sum of squares grows without each mode, the others found anew, in units of the noise."""
+    """Return the growth of the sum of squares without each mode, the others re-estimated, in units of the noise."""
     from scipy.linalg import lstsq
 
     def squares(kept: NDArray[np.intp]) -> float:
@@ -195,7 +195,7 @@ def _gains(whole: _Array, size: _Array, layout: Layout, samples: int) -> _Array:
 
 
 def _first(answers: Answers, B: _Complex, found: _Complex) -> _Complex:
-    """Modal states at the first sample: of growing modes those found are at the last."""
+    """Return the modal states at the first sample; those of growing modes are estimated at the last."""
     values = answers.values
     growing = values.real > 0.0
     if not growing.any():
@@ -207,7 +207,7 @@ def _first(answers: Answers, B: _Complex, found: _Complex) -> _Complex:
 
 
 def _complex(numbers: _Array, paired: NDArray[np.bool_]) -> _Complex:
-    """Modal coordinates from their real unknowns."""
+    """Return modal coordinates made of their real unknowns."""
     found, k = np.zeros(paired.size, dtype=np.complex128), 0
     for i, two in enumerate(paired):
         found[i] = complex(numbers[k], numbers[k + 1]) if two else numbers[k]
@@ -223,12 +223,12 @@ def rows(
     offset: bool,
     more: _Array | None = None,
 ) -> Iterator[_Array]:
-    """Rows of the least squares of one output, some at a time; samples that are missing are left out. ``c`` (r,).
+    """Yield the rows of the least squares of one output, block by block, without missing samples. ``c`` is (r,).
 
     Columns: free motions, offset, responses to each input, inputs, and ``more`` (k, N) of them; the last is the output.
     """
     paired = answers.values.imag != 0.0
-    # Real and imaginary parts of what the output sees of each mode; real modes have no imaginary one.
+    # Real and imaginary parts of the contribution of each mode; real modes have no imaginary part.
     parts = np.flatnonzero(np.column_stack([np.ones_like(paired), paired]))
     seen = [answers.free, *answers.forced]
     count = parts.size * len(seen) + int(offset)
@@ -258,7 +258,8 @@ def rows(
 
 
 def identified(records: Sampled, values: _Complex, C: _Complex, found: ModalRegression, **more: Any) -> StateSpace:
-    """The system with these eigenvalues (r,), of pairs one, and C (p, r) of them; ``more`` as `StateSpace` takes it."""
+    """Return the system with these eigenvalues (r,), one of each pair, and C (p, r); ``more`` as `StateSpace`
+    takes it."""
     A, B, C_real, states = _real(values, C, found.B)
     return StateSpace(
         A=A,
@@ -276,7 +277,8 @@ def identified(records: Sampled, values: _Complex, C: _Complex, found: ModalRegr
 
 
 def _real(values: _Complex, c: _Complex, b: _Complex) -> tuple[_Array, _Array, _Array, Callable[[_Complex], _Array]]:
-    """A, B and C in real blocks, of a pair [[sigma, omega], [-omega, sigma]]; and what makes such states of modal ones.
+    """Return A, B and C in real blocks, of a pair [[sigma, omega], [-omega, sigma]], and the map from modal to such
+    states.
 
     With xi = x_a - j x_b, xi' = (sigma + j omega) xi and Re(c xi) = Re(c) x_a + Im(c) x_b.
     """

@@ -1,4 +1,4 @@
-"""What modes answer to the inputs of a record, and how that moves with their eigenvalues."""
+"""Modal responses to the inputs of a record, and their derivatives by the eigenvalues."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _STRIDE = 256
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What modes do in an experiment: free (r, N), as `Driven.free` has it, and forced, (r, N) of each input."""
+    """Modal responses in an experiment: free (r, N), as `Driven.free` defines it, and forced, (r, N) for each input."""
 
     driven: Driven
     values: _Complex
@@ -34,20 +34,20 @@ class Answers:
     forced: Sequence[_Complex]
 
     def states(self, B: _Complex, motion: _Complex) -> _Complex:
-        """Modal states (r, N), B (r, m) and what multiplies the free motions (r,) being known."""
+        """Return modal states (r, N) for given B (r, m) and factors of the free motions (r,)."""
         xi = motion[:, None] * self.free
         for b, response in zip(B.T, self.forced, strict=True):
             xi += b[:, None] * response
         return xi
 
     def slopes(self, B: _Complex, motion: _Complex) -> tuple[_Complex, _Complex]:
-        """Modal states, and their derivatives by the eigenvalues."""
+        """Return modal states, and their derivatives by the eigenvalues."""
         xi = self.states(B, motion)
         return xi, self.driven.slopes(self.values, xi, B)
 
 
 class Driven:
-    """An experiment as modes see it: its inputs at the nodes of a quadrature between the samples.
+    """An experiment prepared for modal responses: its inputs at quadrature nodes between the samples.
 
     run, inputs  the experiment, and the names of its inputs, m of them.
     u            (m, N) at the samples.
@@ -59,12 +59,13 @@ class Driven:
         self._signals = [_Signal(run, name) for name in inputs]
 
     def forced(self, values: _Complex) -> list[_Complex]:
-        """Of each input the response (r, N) of each mode, xi' = lambda xi + u, from zero at the start; at the end for
-        modes that grow, so that these are as well conditioned. Exact for inputs that run as the experiment says."""
+        """Return for each input the response (r, N) of each mode, xi' = lambda xi + u, from zero at the start, or at
+        the end for growing modes, so that these are as well conditioned. It is exact for inputs that run as the
+        experiment says."""
         return [signal.responses(values) for signal in self._signals]
 
     def free(self, values: _Complex) -> _Complex:
-        """e^(lambda t) from the end where it is 1 to where it has decayed, (r, N)."""
+        """Return e^(lambda t), (r, N), from the end where it is 1 to where it has decayed."""
         step, n = _step(self.run), self.run.n
         decay, k = _decay(values) * step, np.arange(0, n, _STRIDE)
         each = np.exp(decay[:, None] * k)[:, :, None] * np.exp(decay[:, None] * np.arange(_STRIDE))[:, None, :]
@@ -74,11 +75,12 @@ class Driven:
         return found
 
     def answers(self, values: _Complex) -> Answers:
-        """Both."""
+        """Return the free and the forced responses."""
         return Answers(self, values, self.free(values), self.forced(values))
 
     def slopes(self, values: _Complex, xi: _Complex, B: _Complex) -> _Complex:
-        """d xi / d lambda, (r, N), of modal states xi: the recursion of `forced`, differentiated, for all inputs."""
+        """Return d xi / d lambda, (r, N), of modal states xi: the recursion of `forced`, differentiated, for all
+        inputs."""
         growing = values.real > 0.0
         push = np.zeros((values.size, self.run.n - 1), dtype=np.complex128)
         for b, signal in zip(B.T, self._signals, strict=True):
@@ -91,7 +93,7 @@ class Driven:
 
 
 class _Signal:
-    """One input, ``u`` (N - 1, nodes) of all intervals; ``at`` (nodes,) are their places, s."""
+    """One input: ``u`` (N - 1, nodes) in all intervals, and the offsets ``at`` (nodes,) of the nodes, s."""
 
     def __init__(self, run: Experiment, name: str) -> None:
         self.step = _step(run)
@@ -112,28 +114,29 @@ class _Signal:
         return _recursion(values, push, self.step)
 
     def pushed_slope(self, values: _Complex) -> _Complex:
-        """Derivatives by the eigenvalues of what the input adds in each interval, (r, N - 1)."""
+        """Return the derivatives by the eigenvalues of the input's contribution in each interval, (r, N - 1)."""
         reach = self._reach(values.real > 0.0)
         return self._pushed(np.asarray(reach * np.exp(_decay(values) * reach)))
 
     def _reach(self, growing: NDArray[np.bool_]) -> _Array:
-        """Time (nodes, r) from a node to the end of its interval; of growing modes to the start."""
+        """Return the time (nodes, r) from a node to the end of its interval; for growing modes to the start."""
         return np.asarray(np.where(growing, self.at[:, None], self.step - self.at[:, None]))
 
     def _pushed(self, kernel: _Complex) -> _Complex:
-        """What the input adds to each mode in each interval, (r, N - 1): integrals with kernels (nodes, r)."""
+        """Return the input's contribution to each mode in each interval, (r, N - 1): integrals with kernels
+        (nodes, r)."""
         weighted = np.ascontiguousarray(self.weights[:, None] * kernel)
         both = self.u @ weighted.view(np.float64)  # real and imaginary parts in one product
         return np.asarray(both.view(np.complex128).T)
 
 
 def _step(run: Experiment) -> float:
-    """Of the samples, s."""
+    """Return the sampling interval, s."""
     return float(run.t[-1] - run.t[0]) / (run.n - 1)
 
 
 def _recursion(values: _Complex, push: _Complex, step: float) -> _Complex:
-    """xi(t + step) = e^(lambda step) xi(t) + push from zero; of growing modes backwards from the end."""
+    """Solve xi(t + step) = e^(lambda step) xi(t) + push from zero; for growing modes backwards from the end."""
     from scipy.signal import lfilter
 
     xi = np.zeros((values.size, push.shape[1] + 1), dtype=np.complex128)
@@ -146,12 +149,12 @@ def _recursion(values: _Complex, push: _Complex, step: float) -> _Complex:
 
 
 def _decay(values: _Complex) -> _Complex:
-    """Eigenvalues in the direction of time in which the modes decay."""
+    """Return the eigenvalues in the direction of time in which the modes decay."""
     return np.asarray(np.where(values.real > 0.0, -values, values))
 
 
 def _pieces(run: Experiment, name: str, step: float) -> int:
-    """Intervals of the input's own samples within one of the record."""
+    """Return the number of intervals of the input's own samples within one of the record."""
     signal = run.signal(name)
     if signal is None:
         return 1
@@ -159,7 +162,7 @@ def _pieces(run: Experiment, name: str, step: float) -> int:
 
 
 def _between(run: Experiment, name: str, times: _Array) -> _Array:
-    """An input at any times."""
+    """Return an input interpolated at any times."""
     signal = run.signal(name)
     if signal is not None and signal[3] == 0:
         t, samples, delay, _ = signal

@@ -106,7 +106,7 @@ class Modes(Sequence[Mode]):
 
 
 def table_of(eigenvalues: NDArray[np.complex128], covariances: NDArray[np.float64] | None = None) -> Modes:
-    """The table of all eigenvalues (n,) of a real matrix, 1/s.
+    """Return the table of all eigenvalues (n,) of a real matrix, 1/s.
 
     ``covariances`` (n, 2, 2): of real and imaginary part of each; NaN where it is not known.
     """
@@ -121,7 +121,7 @@ def table_of(eigenvalues: NDArray[np.complex128], covariances: NDArray[np.float6
 
 
 def _mode(eigenvalue: complex, covariance: NDArray[np.float64]) -> Mode:
-    """With standard errors by the delta method."""
+    """Return a mode with standard errors by the delta method."""
     size, (re, im) = abs(eigenvalue), (eigenvalue.real, eigenvalue.imag)
     if im == 0.0:  # real for small changes of the parameters too
         covariance = covariance * np.array([[1.0, 0.0], [0.0, 0.0]]) if np.isfinite(covariance).all() else covariance
@@ -145,4 +145,4 @@ def _mode(eigenvalue: complex, covariance: NDArray[np.float64]) -> Mode:
 
 
 def _cell(e: Estimate) -> str:
-    return plus_minus(e.value, e.std_error or math.nan)  # what is held, as at a bound, has no error
+    return plus_minus(e.value, e.std_error or math.nan)  # a parameter at a bound has no error

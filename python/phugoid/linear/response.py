@@ -1,4 +1,4 @@
-"""A frequency response from one input to one output: what records show, and what models say."""
+"""A frequency response from one input to one output, estimated from a record or computed from a model."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def plot_frequency_response(
     band: tuple[float, float] | None = None,
     axes: Mapping[str, Axes] | None = None,
 ) -> tuple[Figure, dict[str, Axes]]:
-    """Magnitude in dB over frequency in Hz: the empirical response as points, each model's as a line.
+    """Plot magnitude in dB over frequency in Hz: the empirical response as points, each model's as a line.
 
     empirical, models  `FrequencyResponse` objects of one input and output; a band of ±2 standard errors is drawn
                        where the empirical one has them.
@@ -98,7 +98,7 @@ def plot_frequency_response(
 
 
 def _layout(wanted: list[str], rows: int) -> dict[str, Axes]:
-    """Panels below one another, with room for so many rows of a legend above."""
+    """Create panels below one another, with room for the rows of a legend above."""
     import matplotlib.pyplot as plt
 
     heights = [_MAGNITUDE] + [_SMALL] * (len(wanted) - 1)
@@ -189,7 +189,7 @@ def _values(response: Any, name: str) -> Any:
 
 
 def _apart(f: Any, values: Any) -> tuple[Any, Any]:
-    """Frequencies and values with NaN where frequencies were left out, so that no line bridges the gap."""
+    """Return frequencies and values with NaN where frequencies were left out, so that no line bridges the gap."""
     steps = np.diff(f)
     gaps = np.flatnonzero(steps > 3.0 * np.median(steps)) + 1 if steps.size else np.zeros(0, dtype=np.intp)
     return np.insert(f, gaps, np.nan), np.insert(values, gaps, np.nan)
@@ -261,7 +261,8 @@ class FrequencyResponse:
         return np.asarray(np.angle(self.response, deg=True))
 
     def band(self, low: float, high: float) -> FrequencyResponse:
-        """The part from ``low`` to ``high`` in Hz, both included; DataError where no frequency lies between."""
+        """Return the part from ``low`` to ``high`` in Hz, both included; raise DataError where no frequency lies
+        between."""
         kept = (self.frequencies_hz >= low) & (self.frequencies_hz <= high)
         if not kept.any():
             f = self.frequencies_hz
@@ -276,7 +277,7 @@ class FrequencyResponse:
         )
 
     def plot(self, *models: FrequencyResponse, **options: Any) -> tuple[Figure, dict[str, Axes]]:
-        """Magnitude over frequency, this response as points and those of models as lines.
+        """Plot magnitude over frequency, this response as points and those of models as lines.
 
         ``options``: phase, coherence, logarithmic, band, axes, as for `frequency_plot.plot_frequency_response`.
         """

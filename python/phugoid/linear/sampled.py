@@ -1,4 +1,4 @@
-"""Records as a method for evenly sampled ones takes them: of one rate, without gaps, each channel of unit size."""
+"""Records for methods that need even sampling: one rate, no gaps, channels scaled to unit size."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Sampled:
 
     @cached_property
     def driven(self) -> list[Driven]:
-        """The experiments as modes see them."""
+        """The experiments prepared for modal responses."""
         return [Driven(run, self.inputs) for run in self.runs]
 
     @property
@@ -54,8 +54,8 @@ class Sampled:
         caller: str = "subspace",
         complete: bool = True,
     ) -> Sampled:
-        """Raises DataError where a channel is not there or never changes, or time is uneven; and where a sample is
-        missing, if all must be there (``complete``)."""
+        """Return the experiments with scaled channels. Raises DataError where a channel is missing or never changes, or
+        time is uneven; and, with ``complete``, where a sample is missing."""
         runs = as_experiments(data, caller)
         u_names = _names(caller, "inputs", inputs, runs[0])
         y_names = _names(caller, "outputs", outputs, runs[0])
@@ -86,7 +86,7 @@ def _names(
 
 
 def _rate(caller: str, runs: Sequence[Experiment]) -> float:
-    """Sampling rate of all, Hz."""
+    """Return the sampling rate of all experiments, Hz."""
     rates = []
     for run in runs:
         step, steps, uneven = intervals(run.t)
@@ -110,7 +110,7 @@ def _rate(caller: str, runs: Sequence[Experiment]) -> float:
 def _columns(
     caller: str, run: Experiment, inputs: Sequence[str], outputs: Sequence[str], complete: bool
 ) -> tuple[_Array, _Array]:
-    """Inputs (m, N) and outputs (p, N)."""
+    """Return inputs (m, N) and outputs (p, N)."""
     run.check_for(inputs, outputs, outputs)
     for name in outputs if complete else ():
         missing = np.flatnonzero(np.isnan(run.output(name)))
@@ -126,7 +126,7 @@ def _columns(
 
 
 def _sizes(channels: Sequence[_Array]) -> _Array:
-    """Of each channel the standard deviation about the mean of each experiment."""
+    """Return the standard deviation of each channel about the mean of each experiment."""
     squares = [np.nansum((c - np.nanmean(c, axis=1, keepdims=True)) ** 2, axis=1) for c in channels]
     count = np.sum([np.isfinite(c).sum(axis=1) for c in channels], axis=0)
     size = np.sqrt(np.sum(squares, axis=0) / count)
@@ -135,7 +135,7 @@ def _sizes(channels: Sequence[_Array]) -> _Array:
 
 
 def chosen_outputs(caller: str, feedthrough: bool | Collection[str], outputs: Sequence[str]) -> list[bool]:
-    """On which outputs inputs act at once: on all, or on those named."""
+    """Return for each output whether inputs act on it directly: on all, or on those named."""
     if isinstance(feedthrough, bool):
         return [feedthrough] * len(outputs)
     chosen = [feedthrough] if isinstance(feedthrough, str) else list(feedthrough)

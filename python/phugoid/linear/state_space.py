@@ -31,12 +31,12 @@ class StateSpace:
     x0                experiment -> (n,): states at its first sample.
     offsets           experiment -> (p,): what is added to each output there.
     rate              of the samples it was identified from, Hz.
-    singular_values   of the subspace method, the greatest first: the order is where they sink into the noise.
+    singular_values   of the subspace method, the greatest first: the order is where they fall to the noise level.
     suggested_order   the order that these values suggest.
     residual_rms      output -> root mean square of measured minus simulated, over all experiments.
     log_likelihood    of the outputs, each with white noise of the size of its residuals, without the constant
                       -N n_y/2 ln 2 pi: of `fit_linear`.
-    warnings          what to beware of, in words.
+    warnings          in words.
     states            names of the states; x, or x1, x2, ..., unless given.
 
     Raises ModelError for shapes that do not fit each other, and numbers that are not finite.
@@ -95,8 +95,8 @@ class StateSpace:
     def frequency_response(
         self, frequencies_hz: ArrayLike, input: str | None = None, output: str | None = None
     ) -> FrequencyResponse:
-        """C (j 2 pi f - A)^-1 B + D at F frequencies in Hz; ``input`` and ``output`` may be left out where there is
-        one.
+        """Return C (j 2 pi f - A)^-1 B + D at F frequencies in Hz; ``input`` and ``output`` may be left out where there
+        is only one.
 
         Raises ModelError for names that are not there, DataError for frequencies out of order.
         """
@@ -110,7 +110,7 @@ class StateSpace:
         return FrequencyResponse(frequencies, response[:, 0, 0], u, y)
 
     def to_control(self, name: str | None = None) -> Any:
-        """The system as a `control.StateSpace` of python-control, with the names of states, inputs and outputs.
+        """Return the system as a `control.StateSpace` of python-control, with the names of states, inputs and outputs.
 
         A dot in a name becomes an underscore, since python-control takes none. Offsets and initial states are left
         behind. Raises MissingDependency without python-control.
@@ -149,12 +149,13 @@ class ModalParts:
 
     @property
     def paired(self) -> NDArray[np.bool_]:
-        """Which are pairs."""
+        """Which eigenvalues stand for pairs."""
         return np.asarray(self.values.imag > 0.0)
 
 
 def modal_parts(A: _Array, B: _Array, C: _Array) -> ModalParts:
-    """The modes of a system with distinct eigenvalues, in the order of natural frequencies. ModelError for others."""
+    """Return the modes of a system with distinct eigenvalues, in the order of natural frequencies; ModelError for
+    others."""
     values, right = np.linalg.eig(A)
     condition = np.linalg.cond(right) if values.size else 1.0
     if not condition < _DISTINCT:
@@ -181,7 +182,8 @@ def _nearest(values: _Complex) -> tuple[int, int]:
 
 
 def response_of(A: _Array, B: Any, C: Any, D: Any, frequencies_hz: _Array) -> _Complex:
-    """C (j 2 pi f - A)^-1 B + D, (F, p, m), at frequencies in Hz. B, C and D may be complex, and differ with frequency.
+    """Return C (j 2 pi f - A)^-1 B + D, (F, p, m), at frequencies in Hz. B, C and D may be complex, and differ with
+    frequency.
 
     ModelError at a frequency where the system has an undamped mode.
     """
@@ -198,7 +200,7 @@ def response_of(A: _Array, B: Any, C: Any, D: Any, frequencies_hz: _Array) -> _C
 
 
 def only(caller: str, kind: str, name: str | None, names: Sequence[str]) -> str:
-    """The channel asked for, or the only one."""
+    """Return the channel asked for, or the only one."""
     if name is None:
         if len(names) != 1:
             raise ModelError(
@@ -211,7 +213,7 @@ def only(caller: str, kind: str, name: str | None, names: Sequence[str]) -> str:
 
 
 def as_state_space(caller: str, system: Any) -> StateSpace:
-    """A `StateSpace`, or the matrices (A, B, C) or (A, B, C, D)."""
+    """Return a `StateSpace`, also of the matrices (A, B, C) or (A, B, C, D)."""
     if isinstance(system, StateSpace):
         return system
     if isinstance(system, (tuple, list)) and len(system) in (3, 4):

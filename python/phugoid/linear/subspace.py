@@ -28,7 +28,7 @@ Weighting = Literal["cva", "moesp"]
 _TIMES, _BLOCK_ROWS, _MOST = (2, 3, 4), 20, 40
 # A state that is gone after a sample is taken to keep this part of itself.
 _FASTEST = 0.01
-# Damping ratio below which, and part of the Nyquist frequency up to which, a mode is told from a background.
+# Damping ratio below which, and part of the Nyquist frequency up to which, a mode is distinguished from a background.
 _LIGHT, _BELOW = 0.15, 0.75
 
 
@@ -46,20 +46,20 @@ def subspace(
     background: bool = False,
     prune: bool = False,
 ) -> StateSpace:
-    """A linear system in continuous time from evenly sampled records, without start values or iterations.
+    """Identify a linear system in continuous time from evenly sampled records, without start values or iterations.
 
-    The states are found as what past samples tell of future outputs, by an LQ factorisation and a singular value
-    decomposition of block Hankel matrices (MOESP: Verhaegen, Automatica 30(1), 1994; canonical variates and the
-    weights: Van Overschee and De Moor, Subspace Identification for Linear Systems, Kluwer 1996). Its A and C give the
-    modes; their eigenvalues pass to continuous time by the logarithm. B, D, initial states and offsets are then those
-    that simulate the outputs best: linear least squares, in which inputs run between samples as each experiment says
-    (linear, cubic, or sampled faster than the outputs, as `multirate` has them).
+    The states are estimated as the prediction of future outputs from past samples, by an LQ factorisation and a
+    singular value decomposition of block Hankel matrices (MOESP: Verhaegen, Automatica 30(1), 1994; canonical variates
+    and the weights: Van Overschee and De Moor, Subspace Identification for Linear Systems, Kluwer 1996). Its A and C
+    give the modes; their eigenvalues pass to continuous time by the logarithm. B, D, initial states and offsets are
+    then those that simulate the outputs best: linear least squares, in which inputs run between samples as each
+    experiment says (linear, cubic, or sampled faster than the outputs, as `multirate` has them).
 
     The result starts an estimation: ``ph.estimate(ph.models.modal(start=ph.linear.subspace(run, 8)), run)``. It has no
     standard errors, and is not the maximum of the likelihood.
 
     ``data``        one experiment or several, of one sampling rate; they are pooled.
-    ``order``       number of states. None: where the singular values sink into the noise (see ``suggested_order``);
+    ``order``       number of states. None: where the singular values fall to the noise level (see ``suggested_order``);
                     look at ``singular_values``, which hold the canonical correlations.
     ``inputs``, ``outputs``  channels to use; all inputs and outputs of the first experiment unless given.
     ``block_rows``  samples of past, and of future, that are compared. More tell near and lightly damped modes better
@@ -92,7 +92,7 @@ def subspace(
     _whole("order", order)
     _whole("block_rows", block_rows)
     if order is None:
-        # From as much past as may hold any order.
+        # From as much past as any order needs.
         rows = [block_rows] if block_rows else _block_rows(_MOST // 2, records, at_most=True)
         order = _suggested(_observability(records, rows[-1], weighting), records)
     best: _Tried | None = None
@@ -116,7 +116,8 @@ def subspace(
 
 @dataclass(frozen=True)
 class _Tried:
-    """What so many block rows gave: eigenvalues (r,) in 1/s, of pairs one; C (p, r) of them, complex; the rest."""
+    """The result with one number of block rows: eigenvalues (r,) in 1/s, one of each pair; their C (p, r), complex; the
+    rest."""
 
     shared: Observability
     values: _Complex
@@ -156,7 +157,7 @@ def _tried(
         if not prune or values.size == 1:
             break
         worst = int(np.argmin(found.gains))
-        # Of the mode: eigenvalue, first states, row of B; what the outputs see of it comes with their number.
+        # Parameters of a mode: eigenvalue, first states, row of B, and a column of C.
         numbers = (2 if values[worst].imag else 1) * (len(records.runs) + len(records.inputs) + p)
         if found.gains[worst] > numbers * np.log(sum(records.lengths)):
             break
@@ -165,7 +166,7 @@ def _tried(
 
 
 def _observability(records: Sampled, i: int, weighting: str) -> Observability:
-    """With enough columns for i block rows, or DataError."""
+    """Return the observability matrix; raise DataError for too few columns for i block rows."""
     if not _enough(records, i):
         lengths, channels = records.lengths, len(records.inputs) + len(records.outputs)
         least = min(range(len(lengths)), key=lengths.__getitem__)
@@ -178,13 +179,13 @@ def _observability(records: Sampled, i: int, weighting: str) -> Observability:
 
 
 def _enough(records: Sampled, i: int) -> bool:
-    """Whether the Hankel matrices have more columns than rows."""
+    """Return whether the Hankel matrices have more columns than rows."""
     channels = len(records.inputs) + len(records.outputs)
     return min(records.lengths) >= 2 * i and sum(n - 2 * i + 1 for n in records.lengths) >= 2 * i * channels
 
 
 def _block_rows(order: int, records: Sampled, at_most: bool = False) -> list[int]:
-    """Block rows to try: as many as hold the states, and one more for the shift; and as many as the records allow.
+    """Return the numbers of block rows to try: enough for the states and the shift, as far as the records allow.
 
     ``at_most``: the order may be lower.
     """
@@ -199,7 +200,7 @@ def _block_rows(order: int, records: Sampled, at_most: bool = False) -> list[int
 
 
 def _continuous(A: _Array, C: _Array, rate: float, stable: bool) -> tuple[_Complex, _Complex, tuple[str, ...]]:
-    """Eigenvalues in 1/s, of pairs one, and what the outputs see of them; of a discrete A and C."""
+    """Return eigenvalues in 1/s, one of each pair, and their columns of C, of a discrete A and C."""
     parts = modal_parts(A, np.zeros((A.shape[0], 1)), C)
     z = parts.values
     warnings = []
@@ -207,8 +208,8 @@ def _continuous(A: _Array, C: _Array, rate: float, stable: bool) -> tuple[_Compl
     lost = (z.imag == 0.0) & (z.real <= 0.0)
     if lost.any():
         warnings.append(
-            f"{int(lost.sum())} of {A.shape[0]} states alternate from sample to sample, which none does in "
-            "continuous time; modes near half the sampling rate stand in for them: the order may be too high"
+            f"{int(lost.sum())} of {A.shape[0]} states alternate from sample to sample, which no state does in "
+            "continuous time; modes near half the sampling rate replace them: the order may be too high"
         )
     size = np.abs(z)
     if stable:
@@ -230,7 +231,7 @@ def _continuous(A: _Array, C: _Array, rate: float, stable: bool) -> tuple[_Compl
 
 
 def _with_background(records: Sampled, tried: _Tried, direct: Sequence[bool], offset: bool) -> _Tried:
-    """The lightly damped modes, and pairs for all else, each where the sum of squares falls most."""
+    """Return the lightly damped modes, and pairs in place of all others, each where the sum of squares falls most."""
     if len(records.outputs) > 1:
         raise OptionError("subspace: background=True is for one output; the residues of more are not of one rank")
     size = np.abs(tried.values)
@@ -261,7 +262,7 @@ def _with_background(records: Sampled, tried: _Tried, direct: Sequence[bool], of
 
 
 def _suggested(shared: Observability, records: Sampled) -> int:
-    """Order with the least s_{n+1}^2 + d(n) log(T) / T, d(n) = n (2 p + m) the parameters of n more states.
+    """Return the order with the least s_{n+1}^2 + d(n) log(T) / T; d(n) = n (2 p + m) parameters for n more states.
 
     (D. Bauer, Order estimation for subspace methods, Automatica 37(10), 2001: SVC.)
     """

@@ -1,4 +1,4 @@
-"""Trim: states and inputs at which a model stays as it is."""
+"""Trim: states and inputs at which all derivatives of a model have given values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Trim", "trim"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# What is left of an equation beside its terms (each derivative times its unknown) where it is met.
+# Largest residual of an equation, relative to its terms (each derivative times its unknown), where it is satisfied.
 _MET = 1e-9
 # Unknowns are taken to be of this size at least there, and to be 0 where they are as small as the other.
 _LEAST, _ROUNDING = 1e-6, 1e-20
@@ -36,7 +36,7 @@ class Trim(Mapping[str, float]):
     states, inputs, outputs  name -> value, in their units.
     rates      state -> its derivative there, per s; what was asked for but for rounding.
     found      names that were solved for; the others were held.
-    warnings   what to beware of, in words.
+    warnings   in words.
     """
 
     states: Mapping[str, float]
@@ -84,7 +84,7 @@ def trim(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     experiment: str | None = None,
 ) -> Trim:
-    """Finds states and inputs at which all derivatives vanish: f(x, u, theta) = 0 by Newton's method, from exact
+    """Find states and inputs at which all derivatives vanish: f(x, u, theta) = 0, by Newton's method with exact
     derivatives, globalised by a trust region (`scipy.optimize.least_squares`).
 
     ``fit``, ``parameters``, ``experiment``  as in `linearise`.
@@ -122,7 +122,7 @@ def trim(
 
 
 class _TrimEquations:
-    """Equations and unknowns. Late inputs are what the inputs are: nothing moves."""
+    """Equations and unknowns of a trim point. A delayed input equals the input, since all is constant."""
 
     def __init__(
         self,
@@ -164,7 +164,7 @@ class _TrimEquations:
                 "outputs are to be"
             )
         if not self.unknown:
-            raise OptionError("trim: everything is held, and nothing is left to find")
+            raise OptionError("trim: everything is held: there is no unknown")
 
     def numbers(self, x: _Array) -> dict[str, float]:
         return {**self.values, **self.held, **dict(zip(self.unknown, x.tolist(), strict=True))}
@@ -187,7 +187,7 @@ class _TrimEquations:
         if not (np.isfinite(self.residuals(x)).all() and np.isfinite(self.jacobian(x)).all()):
             first = ", ".join(f"{n} = {v:g}" for n, v in zip(self.unknown, x, strict=True))
             raise EvaluationError(f"trim: the equations or their derivatives are not finite at {first}: give a start")
-        for _ in range(2):  # anew from where it ended: scales are those of its Jacobian
+        for _ in range(2):  # again from the end point: scales are those of its Jacobian
             try:
                 with np.errstate(all="ignore"):
                     x = least_squares(
@@ -210,7 +210,7 @@ class _TrimEquations:
         return self._result(np.where(np.abs(x) < _ROUNDING, 0.0, x), self._loose(jacobian, sizes))
 
     def _polished(self, x: _Array, bounds: tuple[_Array, _Array]) -> _Array:
-        """By Newton steps, while they help."""
+        """Improve the solution by Newton steps, as long as they reduce the residuals."""
         for _ in range(_STEPS):
             step = np.linalg.lstsq(self.jacobian(x), -self.residuals(x), rcond=_FREE)[0]
             trial = np.clip(x + step, *bounds)
@@ -221,7 +221,7 @@ class _TrimEquations:
         return x
 
     def _loose(self, jacobian: _Array, sizes: _Array) -> list[str]:
-        """Unknowns that the equations leave open: those in the null space."""
+        """Return the unknowns that the equations do not determine: those in the null space."""
         scaled = jacobian * sizes
         rows = np.abs(scaled).max(axis=1, keepdims=True)
         _, values, directions = np.linalg.svd(scaled / np.where(rows > 0.0, rows, 1.0))

@@ -1,1 +1,1 @@
-"""Inputs for manoeuvres that tell parameters: steps, multisines and sweeps, as arrays over a time grid."""
+"""Inputs for manoeuvres: steps, multisines and sweeps, as arrays over a time grid."""

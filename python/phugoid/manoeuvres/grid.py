@@ -1,4 +1,4 @@
-"""What all inputs check: the times, and numbers that are asked for."""
+"""Common checks of the input functions: the times, and numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _Array = NDArray[np.float64]
 
 
 def grid(caller: str, t: ArrayLike) -> _Array:
-    """Times (N,), s: increasing."""
+    """Return times (N,), s, checked to increase."""
     try:
         times = np.asarray(t, dtype=np.float64)
     except (TypeError, ValueError):
@@ -27,7 +27,7 @@ def grid(caller: str, t: ArrayLike) -> _Array:
 
 
 def number(caller: str, what: str, value: Any, positive: bool = False) -> float:
-    """A finite number, above 0 where ``positive``."""
+    """Return a finite number, above 0 where ``positive``; raise OptionError for anything else."""
     if not isinstance(value, (Real, np.generic)) or isinstance(value, bool) or not np.isfinite(float(value)):
         raise OptionError(f"{caller}: {what} is a number, not {value!r}")
     if positive and float(value) <= 0.0:
@@ -36,7 +36,7 @@ def number(caller: str, what: str, value: Any, positive: bool = False) -> float:
 
 
 def pair(caller: str, what: str, value: Any) -> tuple[float, float]:
-    """Two positive numbers, the lower one first."""
+    """Return two positive numbers, the lower one first; raise OptionError for anything else."""
     try:
         low, high = value
     except (TypeError, ValueError):
@@ -48,7 +48,7 @@ def pair(caller: str, what: str, value: Any) -> tuple[float, float]:
 
 
 def placed(caller: str, t: _Array, start: float | None, end: float | None) -> None:
-    """Raises OptionError unless a manoeuvre lies within the grid."""
+    """Raise OptionError unless a manoeuvre lies within the grid."""
     slack = 1e-9 * (t[-1] - t[0])
     if start is not None and not t[0] - slack <= start < t[-1]:
         raise OptionError(f"{caller}: start is {start:g} s, but the times run from {t[0]:g} to {t[-1]:g} s")

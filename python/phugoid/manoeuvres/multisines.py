@@ -1,7 +1,7 @@
 """Multisines: sums of harmonics with phases that keep the peaks low, orthogonal for several inputs at once.
 
 u(t) = sum over k of A_k sin(2 pi k t/T + phi_k), with whole k, so that each input fills the period T with whole cycles;
-two inputs with different harmonics are orthogonal over T, and their effects are told apart although they move together.
+two inputs with different harmonics are orthogonal over T, so their effects can be separated although they act together.
 (E. A. Morelli, Flight test maneuvers for efficient aerodynamic modeling, J. Aircraft 49(6), 2012. Start of the phases:
 M. R. Schroeder, Synthesis of low-peak-factor signals, IEEE Trans. Inf. Theory 16, 1970.)
 """
@@ -41,7 +41,7 @@ def multisine(
     phases: Phases = "optimised",
     seed: int = 0,
 ) -> _Array:
-    """A multisine on one input, (N,); see `multisines`."""
+    """Return a multisine on one input, (N,); see `multisines`."""
     chosen = None if harmonics is None else {"input": harmonics}
     options = {"start": start, "period": period, "phases": phases, "seed": seed}
     return _made("multisine", t, {"input": amplitude}, band, chosen, power, **options)["input"]  # type: ignore[arg-type]
@@ -59,7 +59,7 @@ def multisines(
     phases: Phases = "optimised",
     seed: int = 0,
 ) -> dict[str, _Array]:
-    """Orthogonal multisines on several inputs at once: name -> (N,).
+    """Return orthogonal multisines on several inputs at once: name -> (N,).
 
     t           (N,) times, s.
     amplitudes  input -> greatest deflection, in its unit.
@@ -88,8 +88,8 @@ def multisines(
 
 
 def peak_factor(u: ArrayLike) -> float:
-    """Relative peak factor (max - min)/(2 sqrt(2) rms) of a signal about its mean: 1 for a sine, less is gentler at the
-    same power. (Klein and Morelli, ch. 9.)
+    """Return the relative peak factor (max - min)/(2 sqrt(2) rms) of a signal about its mean: 1 for a sine; a lower one
+    needs smaller deflections for the same power. (Klein and Morelli, ch. 9.)
 
     >>> round(peak_factor([0.0, 1.0, 0.0, -1.0]), 6)
     1.0
@@ -152,7 +152,7 @@ def _dealt(
     harmonics: Mapping[str, Sequence[int]] | None,
     period: float,
 ) -> dict[str, NDArray[np.int64]]:
-    """Harmonics of each input."""
+    """Return the harmonics of each input."""
     if (band is None) == (harmonics is None):
         raise OptionError(f"{caller}: give the band in Hz, or the harmonics: one of the two")
     if band is not None:
@@ -182,7 +182,7 @@ def _dealt(
 
 
 def _powers(caller: str, power: Power | None, k: NDArray[np.int64], period: float, single: bool) -> _Array:
-    """Powers of the harmonics, of sum 1."""
+    """Return the powers of the harmonics, normalised to the sum 1."""
     if power is None:
         p = np.ones(k.size)
     elif callable(power):
@@ -215,7 +215,7 @@ def _lowest_peak(k: NDArray[np.int64], amplitude: _Array, phase: _Array) -> _Arr
     angle = 2.0 * np.pi * np.outer(_fine(k, _COARSE), k)
 
     def size(x: _Array, norm: int) -> tuple[float, _Array]:
-        """Logarithm of the norm, and its gradient."""
+        """Return the logarithm of the norm, and its gradient."""
         u = np.sin(angle + x) @ amplitude
         top = np.abs(u).max()
         powers = (u / top) ** norm
@@ -229,7 +229,7 @@ def _lowest_peak(k: NDArray[np.int64], amplitude: _Array, phase: _Array) -> _Arr
 
 
 def _at_zero(k: NDArray[np.int64], amplitude: _Array, phase: _Array) -> _Array:
-    """Phases of the same signal that begins where it passes zero, upwards: its time is shifted."""
+    """Return the phases of the same signal shifted in time, so that it begins at an upward zero crossing."""
     from scipy.optimize import brentq
 
     fine = np.append(_fine(k), 1.0)
@@ -245,7 +245,7 @@ def _at_zero(k: NDArray[np.int64], amplitude: _Array, phase: _Array) -> _Array:
 
 
 def _fine(k: NDArray[np.int64], points: int = _FINE) -> _Array:
-    """Parts of a period, so many to a cycle of the highest harmonic."""
+    """Return points in a period, as parts of it, ``points`` for a cycle of the highest harmonic."""
     n = points * int(k.max())
     return np.arange(n) / n
 

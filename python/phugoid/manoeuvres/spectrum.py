@@ -1,4 +1,4 @@
-"""Where in frequency the energy of an input is, and how long steps are that excite a mode."""
+"""Energy spectrum of an input, and the step length that excites a mode."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _BLOCK = 1_000_000
 
 
 def spectrum(t: ArrayLike, u: ArrayLike, frequency_hz: ArrayLike | None = None) -> tuple[_Array, _Array]:
-    """Frequencies (Hz) and the energy spectrum |U(f)|^2, U(f) = integral of u exp(-2 pi j f t) dt, unit²·s².
+    """Return frequencies (Hz) and the energy spectrum |U(f)|^2, U(f) = integral of u exp(-2 pi j f t) dt, unit²·s².
 
     ``u`` (N,), linear between the samples, as an experiment's inputs are: the integral is exact. ``frequency_hz`` (M,):
     400 from 0 to half the sampling rate, equally spaced, unless given. Subtract the trim first, if there is one.
@@ -57,7 +57,7 @@ def spectrum(t: ArrayLike, u: ArrayLike, frequency_hz: ArrayLike | None = None) 
 
 
 def step_width(mode: Mode | float, kind: _Kind = "3-2-1-1") -> float:
-    """Length of a step of length 1 (s) with which a pattern excites a mode.
+    """Return the length of a step of length 1 (s) with which a pattern excites a mode.
 
     ``mode``: one of `phugoid.linear.modes`, or its natural frequency in Hz.
 

@@ -1,4 +1,4 @@
-"""Inputs in the time domain: pulse, doublet, 3-2-1-1 and any other row of steps, sine sweeps, and limits of rate."""
+"""Inputs in the time domain: pulse, doublet, 3-2-1-1 and other sequences of steps, sine sweeps, and rate limits."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _Array = NDArray[np.float64]
 
 
 def rate_limited(t: ArrayLike, u: ArrayLike, rate: float) -> _Array:
-    """An input that follows ``u`` (N,) with no more than ``rate`` (its unit per s) up and down.
+    """Return an input that follows ``u`` (N,) with no more than ``rate`` (its unit per s) up and down.
 
     It starts at u[0]. Raises OptionError where sizes differ or the rate is not positive.
 
@@ -32,7 +32,7 @@ def rate_limited(t: ArrayLike, u: ArrayLike, rate: float) -> _Array:
 
 
 def limited(t: _Array, u: _Array, rate: float) -> _Array:
-    """The same, of what was checked."""
+    """Return the rate-limited input, of arguments that were checked."""
     out = u.copy()
     reach = rate * np.diff(t)
     for k in range(reach.size):
@@ -59,7 +59,7 @@ def multistep(
     start: float | None = None,
     rise: float | None = None,
 ) -> _Array:
-    """A row of steps, each ``lengths[i] * width`` long, of height ``heights[i] * amplitude``.
+    """Return a sequence of steps, each ``lengths[i] * width`` long, of height ``heights[i] * amplitude``.
 
     t          (N,) times, s.
     amplitude  unit of the input; its sign is that of the first step.
@@ -81,7 +81,8 @@ def multistep(
 def doublet(
     t: ArrayLike, amplitude: float, *, width: float, start: float | None = None, rise: float | None = None
 ) -> _Array:
-    """Up and down, ``width`` (s) each. Much of its energy is about 0.37/width Hz. For the rest see `multistep`."""
+    """Return a step up and one down, ``width`` (s) each. Much of its energy is near 0.37/width Hz. Otherwise see
+    `multistep`."""
     return _steps("doublet", t, amplitude, *PATTERNS["doublet"], width, start, rise)
 
 
@@ -95,7 +96,8 @@ def three_two_one_one(
     start: float | None = None,
     rise: float | None = None,
 ) -> _Array:
-    """The 3-2-1-1 of DLR: steps of 3, 2, 1 and 1 ``width`` (s), up and down; broader in frequency than a doublet.
+    """Return the 3-2-1-1 of DLR: steps of 3, 2, 1 and 1 ``width`` (s), up and down; broader in frequency than a
+    doublet.
 
     ``balanced``: the first step is lower by a third, so that ups and downs cancel and the vehicle drifts less from its
     trim. ``heights``: four of your own, such as (1.0, -0.9, 0.8, -0.8). For the rest see `multistep`.
@@ -110,12 +112,12 @@ def three_two_one_one(
 def pulse(
     t: ArrayLike, amplitude: float, *, width: float, start: float | None = None, rise: float | None = None
 ) -> _Array:
-    """One step of ``width`` (s), and back. For the rest see `multistep`."""
+    """Return one step of ``width`` (s), and back. Otherwise see `multistep`."""
     return _steps("pulse", t, amplitude, (1,), (1.0,), width, start, rise)
 
 
 def step(t: ArrayLike, amplitude: float, *, start: float | None = None, rise: float | None = None) -> _Array:
-    """A step at ``start`` (s) that stays. For the rest see `multistep`."""
+    """Return a step at ``start`` (s) that stays. Otherwise see `multistep`."""
     times = grid("step", t)
     begin = times[0] if start is None else number("step", "start", start)
     placed("step", times, begin, None)
@@ -179,7 +181,7 @@ def sweep(
     pace: _Pace = "log",
     fade: float = 0.0,
 ) -> _Array:
-    """A sine whose frequency goes through ``band`` (lowest, highest), Hz.
+    """Return a sine whose frequency goes through ``band`` (lowest, highest), Hz.
 
     t          (N,) times, s.
     amplitude  unit of the input.

@@ -1,1 +1,1 @@
-"""Models: what is declared, equations, and what is late."""
+"""Models: declarations, equations, delays."""

@@ -1,4 +1,4 @@
-"""Models and expressions compiled, to be evaluated at many points at once."""
+"""Compiled models and expressions, to be evaluated at many points at once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _Array = NDArray[np.float64]
 class CompiledModel:
     """State equations and outputs of a model, for parameters (n_p,) and columns (rows, n) of points.
 
-    The rows are time, the inputs as declared (those that are late among them), and the states. With
+    The rows are time, the inputs as declared (delayed ones included), and the states. With
     ``own_parameters`` each point has parameters of its own: they are rows after the inputs, and (n_p,) is empty.
     """
 

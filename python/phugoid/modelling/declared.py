@@ -1,4 +1,4 @@
-"""What declarations of a model read and return: names with units, states, symbols, and the line where they stand."""
+"""Arguments and results of declarations: names with units, states, symbols, and the line of the declaration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PACKAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__
 
 
 def source_line() -> str | None:
-    """``file:line`` of the user's call: the innermost frame outside this package."""
+    """Return ``file:line`` of the user's call: the innermost frame outside this package."""
     frame = sys._getframe(1)
     while frame is not None:
         if not os.path.abspath(frame.f_code.co_filename).startswith(_PACKAGE):
@@ -31,7 +31,7 @@ def source_line() -> str | None:
 
 
 def read_names(kind: str, names: tuple[str, ...], units: Mapping[str, Any]) -> dict[str, Any]:
-    """Names from ``"a b"`` or ``"a", "b"`` (without value) and from ``a=..., b=...``."""
+    """Return names from ``"a b"`` or ``"a", "b"`` (without value) and from ``a=..., b=...``."""
     given: list[tuple[str, Any]] = []
     for text in names:
         if not isinstance(text, str):
@@ -55,9 +55,9 @@ def check_units(kind: str, declared: Mapping[str, Any]) -> dict[str, str]:
 
 
 class Declared(tuple[Expr, ...]):
-    """A tuple of symbols, which says what is wrong where it is taken for the one symbol in it.
+    """A tuple of symbols, with an error message for its use in place of the one symbol in it.
 
-    ``q = m.states(q="rad/s")`` lacks a comma; Python alone would tell of a sequence that cannot be multiplied.
+    ``q = m.states(q="rad/s")`` lacks a comma; Python alone would complain of a sequence that cannot be multiplied.
 
     >>> import phugoid as ph
     >>> q = ph.Model("m").states(q="rad/s")
@@ -70,7 +70,7 @@ class Declared(tuple[Expr, ...]):
     __slots__ = ()
 
     def no_expression(self, *_: Any) -> NoReturn:
-        """Raises ModelError."""
+        """Raise ModelError, since a tuple is no expression."""
         names = ", ".join(map(str, self)) + ("," if len(self) == 1 else "")
         raise ModelError(
             f"({names}) is a tuple, as declarations return it even for one symbol: write `{names} = ...`, with a comma"
@@ -110,7 +110,7 @@ class State:
             try:
                 low, high = (float(b) for b in self.bounds)
             except (TypeError, ValueError):
-                low, high = -math.inf, math.inf  # wrong in itself, as is told below
+                low, high = -math.inf, math.inf  # wrong in itself: reported below
             inside = min(max(0.0, low), high)
             inside = inside if math.isfinite(inside) else 0.0
         try:

@@ -1,4 +1,4 @@
-"""How kinks and jumps of the state equations are told of."""
+"""Messages on kinks and jumps of the state equations."""
 
 from __future__ import annotations
 

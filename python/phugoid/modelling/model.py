@@ -56,12 +56,12 @@ class Model:
 
     @property
     def name(self) -> str:
-        """Title."""
+        """Name of the model."""
         return self._core.name
 
     def states(self, *names: str, **states: str | State) -> tuple[Expr, ...]:
-        """Declares states, ``name="unit"``, ``"a b c"``, or ``name=State("unit", start=..., bounds=...)``; returns
-        their symbols in order."""
+        """Declare states, ``name="unit"``, ``"a b c"``, or ``name=State("unit", start=..., bounds=...)``; return their
+        symbols in order."""
         declared = read_names("states", names, states)
         plain = {name: value for name, value in declared.items() if not isinstance(value, State)}
         whole = {name: State(unit) for name, unit in check_units("states", plain).items()}
@@ -69,7 +69,7 @@ class Model:
         return Declared(self._core.state(name, s.unit, s.start, *s.bounds) for name, s in each.items())
 
     def inputs(self, *names: str, **units: str) -> tuple[Expr, ...]:
-        """Declares inputs, ``name="unit"`` or ``"a b c"``; returns their symbols in order.
+        """Declare inputs, ``name="unit"`` or ``"a b c"``; return their symbols in order.
 
         They are controls: what a pilot, a test engineer or an actuator moves. What is only measured is declared by
         `conditions`.
@@ -78,9 +78,9 @@ class Model:
         return Declared(self._core.input(n, u) for n, u in declared.items())
 
     def conditions(self, *names: str, **units: str) -> tuple[Expr, ...]:
-        """Declares measured conditions: airspeed, dynamic pressure, mass, a wind; returns their symbols in order.
+        """Declare measured conditions: airspeed, dynamic pressure, mass, a wind; return their symbols in order.
 
-        They are inputs, which records must have, as those of `inputs` are, but nobody commands them. So `candidates`
+        They are inputs, which records must have, as those of `inputs` are, but they are not commanded. So `candidates`
         offers a scale, a bias and a delay of their measurement, but no dead-band, saturation, backlash, limited rate or
         lag; no manoeuvre is advised on them; and `plan` keeps them where they are unless they are given.
 
@@ -98,9 +98,9 @@ class Model:
         return Declared(symbols)
 
     def parameters(self, *names: str, **parameters: Parameter | float) -> tuple[Expr, ...]:
-        """Declares unknown parameters: ``"a b"`` (start 0), ``a=start`` or ``a=Parameter(...)``.
+        """Declare unknown parameters: ``"a b"`` (start 0), ``a=start`` or ``a=Parameter(...)``.
 
-        Returns their symbols in order.
+        Return their symbols in order.
         """
         declared = read_names("parameters", names, parameters)
         symbols = []
@@ -113,9 +113,9 @@ class Model:
         return Declared(symbols)
 
     def delay(self, input: Expr, by: Expr, name: str | None = None) -> Expr:
-        """The symbol of an input that acts late, u(t - tau), with ``by`` the parameter tau (s), which is estimated.
+        """Return the symbol of the delayed input u(t - tau), with ``by`` the parameter tau (s), which is estimated.
 
-        ``name`` is what to call it, ``<input>_delayed`` unless given. Before the first sample the input is taken as
+        ``name`` names the symbol, ``<input>_delayed`` unless given. Before the first sample the input is taken as
         constant. A delay below zero is a lead.
         """
         u = self._declared(input, self.input_names, "delay", "an input")
@@ -126,7 +126,8 @@ class Model:
         return symbol
 
     def sensor_delay(self, **by: Expr) -> None:
-        """Says that outputs are measured late, z(t) = y(t - tau): ``sensor_delay(alpha=tau)``, tau a parameter (s)."""
+        """Declare that outputs are measured with a delay, z(t) = y(t - tau): ``sensor_delay(alpha=tau)``, tau a
+        parameter (s)."""
         for output, tau in by.items():
             if output not in self.output_names:
                 hint = did_you_mean(output, self.output_names)
@@ -142,7 +143,7 @@ class Model:
 
     @property
     def delays(self) -> Delays:
-        """Inputs and outputs that are late."""
+        """Inputs and outputs that are delayed."""
         return self._delays
 
     @property
@@ -151,7 +152,7 @@ class Model:
         return Expr.symbol("time")
 
     def quantities(self, **expressions: Any) -> tuple[Expr, ...]:
-        """Names intermediate quantities; returns their symbols in order.
+        """Declare intermediate quantities; return their symbols in order.
 
         A term that is added to a quantity later enters wherever the quantity is used.
         """
@@ -159,24 +160,24 @@ class Model:
         return Declared(self._each("quantity", expressions, lambda n, e: self._core.quantity(n, e, source)))
 
     def dynamics(self, **expressions: Any) -> None:
-        """Gives state equations: ``dynamics(x=...)`` is x' = ... (per second)."""
+        """Declare state equations: ``dynamics(x=...)`` is x' = ... (per second)."""
         source = source_line()
         self._each("dynamics", expressions, lambda n, e: self._core.equation(n, e, source))
 
     def initial(self, **expressions: Any) -> None:
-        """Gives states at the first sample, which are else free: ``initial(q=0.0)``, ``initial(h=h0)``.
+        """Declare states at the first sample, which are free otherwise: ``initial(q=0.0)``, ``initial(h=h0)``.
 
         An expression may hold parameters, and inputs, time and other states at that sample: a trim condition.
         """
         self._end_conditions("initial", expressions)
 
     def final(self, **expressions: Any) -> None:
-        """Gives states at the last sample, as `initial` does at the first."""
+        """Declare states at the last sample, as `initial` does at the first."""
         self._end_conditions("final", expressions)
 
     def periodic(self, *states: str, **differences: Any) -> None:
-        """Lets states end as they began: ``periodic("q")``; ``periodic(psi=2*math.pi)`` but for a difference, which may
-        depend on parameters."""
+        """Declare that states end as they began: ``periodic("q")``; or with a difference, ``periodic(psi=2*math.pi)``,
+        which may depend on parameters."""
         self._end_conditions("periodic", {**dict.fromkeys(states, 0.0), **differences})
 
     def _end_conditions(self, end: str, expressions: Mapping[str, Any]) -> None:
@@ -184,7 +185,7 @@ class Model:
         self._each(f"{end} condition", expressions, lambda n, e: self._core.condition(end, n, e, source))
 
     def outputs(self, *args: Any, **expressions: Any) -> None:
-        """Declares what is measured: ``outputs(name=expression)`` or ``name=(expression, "unit")``."""
+        """Declare what is measured: ``outputs(name=expression)`` or ``name=(expression, "unit")``."""
         if args:
             raise ModelError("outputs: give each output a name, as in outputs(q=q)")
         source = source_line()
@@ -209,14 +210,14 @@ class Model:
         return results
 
     def noise(self, *args: Noise, **sigma: float | Sigma | Expr | Noise) -> None:
-        """States what is known of the noise: ``noise(alpha=0.002)`` for a known standard deviation of an output,
-        ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, ``noise(az=StudentT())`` for the
-        density of an output, ``noise(q=a + b*abs(q))`` for a standard deviation that depends on states, inputs and
-        parameters of the model, or a whole noise model, ``noise(Gaussian(correlated=True))``."""
+        """Declare what is known of the noise: ``noise(alpha=0.002)`` for a known standard deviation of an output,
+        ``noise(alpha=Sigma(...))`` for an unknown one with start and bounds, ``noise(az=StudentT())`` for the density
+        of an output, ``noise(q=a + b*abs(q))`` for a standard deviation that depends on states, inputs and parameters
+        of the model, or a whole noise model, ``noise(Gaussian(correlated=True))``."""
         self._with_noise(stated_noise(self._noise, args, sigma))
 
     def _with_noise(self, noise: Noise) -> Model:
-        """Take a noise, whose expressions the core sees too; return the model."""
+        """Set the noise, whose expressions the core needs too; return the model."""
         self._noise = noise
         self._core.noise_expressions(list(noise.expressions.items()))
         return self
@@ -304,31 +305,32 @@ class Model:
         return tuple((end, state, e) for end, state, e, _ in self._core.conditions)
 
     def quantity_expressions(self) -> dict[str, Expr]:
-        """Quantities, those above put into each."""
+        """Return the quantities by name, with the preceding ones substituted into each."""
         known: dict[str, Any] = {}
         for name, e, *_ in self._core.quantities:
             known[name] = Expr(e.substitute(known))
         return known
 
     def state_expressions(self) -> dict[str, Expr]:
-        """Right-hand sides of the state equations by state, in the order of `dynamics`, with all quantities put in."""
+        """Return the right-hand sides of the state equations, in the order of `dynamics`, with all quantities
+        substituted."""
         known: dict[str, Any] = {**self.quantity_expressions()}
         return {name: Expr(e.substitute(known)) for name, e, *_ in self._core.dynamics}
 
     def output_expressions(self) -> dict[str, Expr]:
-        """Outputs with all quantities put in."""
+        """Return the outputs by name, with all quantities substituted."""
         known: dict[str, Any] = {**self.quantity_expressions()}
         return {name: e.substitute(known) for name, e, *_ in self._core.outputs}
 
     def check(self) -> None:
-        """Raises ModelError where the model is incomplete: a state without equation, an unknown symbol, ..."""
+        """Raise ModelError where the model is incomplete: a state without equation, an unknown symbol, ..."""
         if self._delays:
             at_delays(self, {name: self.declared_parameters[name].start for name in self._delays.parameters}).check()
         else:
             self._core.check()
 
     def latex(self) -> str:
-        """The equations as a LaTeX ``aligned`` block."""
+        """Return the equations as a LaTeX ``aligned`` block."""
         lines = [f"{Expr.symbol(n).latex()} &= {e.latex()}" for n, e, *_ in self._core.quantities]
         lines += [rf"\dot{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in self._core.dynamics]
         lines += [rf"\tilde{{{Expr.symbol(n).latex()}}} &= {e.latex()}" for n, e, *_ in self._core.outputs]
@@ -342,21 +344,21 @@ class Model:
         return f"$$\n{text}\n$$" if len(text) <= _LONGEST else None  # a notebook shows its text then
 
     def to_json(self) -> str:
-        """The model as text that `from_json`, and the Rust crate, read back exactly."""
+        """Return the model as text that `from_json`, and the Rust crate, read back exactly."""
         text = self._equations_to_json()
         more: dict[str, Any] = {"noise": self._noise.to_dict(), "delays": self._delays.to_dict()}
-        # Of an own name: "conditions" are those at the ends of records.
+        # Under its own key: "conditions" are those at the ends of records.
         more["measured_conditions"] = list(self._condition_names)
         more = {key: value for key, value in more.items() if value}
         return json.dumps({**json.loads(text), **more}) if more else text
 
     def _equations_to_json(self) -> str:
-        """The model without noise and delays, as the Rust crate reads it."""
+        """Return the model without noise and delays, as the Rust crate reads it."""
         return self._core.to_json()
 
     @classmethod
     def from_json(cls, text: str) -> Model:
-        """Reads `to_json`. Raises ModelError for other text."""
+        """Read the text of `to_json`. Raises ModelError for other text."""
         model = cls.__new__(cls)
         model._core = _core.Model.from_json(text)
         try:
@@ -441,7 +443,7 @@ class Model:
         states: Mapping[str, tuple[str, Expr, Expr]] = {},
         delays: Delays | None = None,
     ) -> Model:
-        """The model with parameters and equations replaced or added, and other delays.
+        """Return the model with parameters and equations replaced or added, and other delays.
 
         ``equations`` are keyed as in `equations_of`; new ``states`` are unit, right-hand side and initial value;
         ``inputs`` are units.
@@ -454,33 +456,35 @@ class Model:
         return self._around(core, self._delays if delays is None else delays)
 
     def _right_hand_sides(self) -> dict[Key, Expr]:
-        """All right-hand sides by kind ("quantity", "equation", "output", or the end of a condition) and name."""
+        """Return all right-hand sides by kind ("quantity", "equation", "output", or the end of a condition) and
+        name."""
         return dict(equations_of(self._core))
 
     def _holding(self, values: Mapping[str, float]) -> Model:
-        """The model with some parameters fixed at these values."""
+        """Return the model with some parameters fixed at these values."""
         if not values:
             return self
         declared = self.declared_parameters
         return self.with_parameters({n: replace(declared[n], start=v, fixed=True) for n, v in values.items()})
 
     def _smoothed(self, widths: Sequence[float]) -> Model:
-        """The model with each kink of its state equations made smooth over a width."""
+        """Return the model with each kink of its state equations smoothed over a width."""
         return self._around(self._core.smoothed(widths), self._delays)
 
     def _around(self, core: _core.Model, delays: Delays) -> Model:
-        """A model with another core, and the noise and the roles of inputs of this one."""
+        """Return a model with another core, and the noise and the conditions of this one."""
         model = type(self).__new__(type(self))
         model._core, model._delays, model._condition_names = core, delays, self._condition_names
         return model._with_noise(self._noise)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes `to_json` to a file; DataError where that cannot be done."""
+        """Write `to_json` to a file; raise DataError where that is impossible."""
         write(path, json.dumps(sealed(json.loads(self.to_json())), ensure_ascii=False), "the model")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Model:
-        """Reads a file that `save` wrote; DataError where it cannot be read, ModelError where it holds no model."""
+        """Read a file that `save` wrote; raise DataError where it cannot be read, ModelError where it holds no
+        model."""
         try:
             text = Path(path).read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
@@ -513,7 +517,7 @@ class Model:
 
 
 def _saved_conditions(names: Any, inputs: Sequence[str]) -> tuple[str, ...]:
-    """The names of conditions as saved; ModelError for what is no list of names of inputs, each once."""
+    """Return the names of conditions as saved; raise ModelError unless they are inputs of the model, each once."""
     if not isinstance(names, list) or any(n not in inputs for n in names) or len(set(names)) < len(names):
         raise ModelError(f"saved model: measured_conditions are inputs of the model, each once, not {names!r}")
     return tuple(names)

@@ -1,4 +1,4 @@
-"""A core model again, with other inputs, parameters or equations."""
+"""A core model rebuilt with other inputs, parameters or equations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Key = tuple[str, str]
 
 
 def equations_of(core: _core.Model) -> Iterator[tuple[Key, Expr]]:
-    """All right-hand sides by kind ("quantity", "equation", "output", or the end of a condition) and name."""
+    """Yield all right-hand sides by kind ("quantity", "equation", "output", or the end of a condition) and name."""
     groups = {"quantity": core.quantities, "equation": core.dynamics, "output": core.outputs}
     for kind, equations in groups.items():
         for name, e, *_ in equations:
@@ -35,7 +35,7 @@ def declare_parameter(core: _core.Model, name: str, p: Parameter) -> Expr:
 def changed_parameters(
     declared: Mapping[str, Parameter], changes: Mapping[str, Parameter | float]
 ) -> dict[str, Parameter]:
-    """What `Model.with_parameters` declares in place of what it had; raises as that does."""
+    """Return the declarations that `Model.with_parameters` replaces; raises as that does."""
     found = {}
     for name, value in changes.items():
         if name not in declared:
@@ -50,7 +50,7 @@ def changed_parameters(
 def added_parameters(
     declared: Mapping[str, Parameter], parameters: Mapping[str, Parameter | float]
 ) -> dict[str, Parameter]:
-    """What `Model.with_terms` declares beside what it had; raises as that does."""
+    """Return the declarations that `Model.with_terms` adds; raises as that does."""
     found = {}
     for name, value in parameters.items():
         if name in declared:
@@ -68,8 +68,8 @@ def rebuilt(
     declare: Callable[[_core.Model, Any], None],
     change: Callable[[Key, Expr], Expr] = lambda _, e: e,
 ) -> _core.Model:
-    """A model with the states of another, ``inputs`` as (name, unit), what ``declare`` makes of each of its parameters,
-    and its equations, keyed as by `equations_of`, passed through ``change``."""
+    """Return a model with the states of another, ``inputs`` as (name, unit), the parameters that ``declare`` declares
+    for each of its own, and its equations, keyed as by `equations_of`, passed through ``change``."""
     core = _core.Model(old.name)
     for declared_state in old.declared_states:
         core.state(*declared_state)
@@ -95,7 +95,7 @@ def changed(
     inputs: Mapping[str, str],
     outputs: Mapping[str, Expr],
 ) -> _core.Model:
-    """A model with some parameters and equations replaced, and with parameters, inputs and outputs that it had not."""
+    """Return a model with some parameters and equations replaced, and new parameters, inputs and outputs added."""
 
     def declare(core: _core.Model, declared: Any) -> None:
         if declared[0] in parameters:

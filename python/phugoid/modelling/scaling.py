@@ -1,4 +1,4 @@
-"""Scalings of states and parameters that no output can tell."""
+"""Scalings of states and parameters that leave all outputs unchanged."""
 
 from __future__ import annotations
 
@@ -24,5 +24,5 @@ class ScalingSymmetry:
 
 
 def scalings(core: _core.Model, starts: Mapping[str, float]) -> list[ScalingSymmetry]:
-    """The scalings of a model that is complete, its parameters starting at ``starts``."""
+    """Return the scaling symmetries of a complete model, its parameters starting at ``starts``."""
     return [ScalingSymmetry(dict(exponents), held, at) for exponents, held, at in core.scalings(list(starts.values()))]

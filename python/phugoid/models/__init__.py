@@ -1,13 +1,13 @@
 """Ready models: linear systems (the modal form, for structural dynamics, and general state spaces), and the kinematics
 of a flight (`flight_path`), which needs nothing of what follows.
 
-What a record of inputs and outputs tells of a linear system is its transfer function; states may be transformed at will
+A record of inputs and outputs determines the transfer function of a linear system; states may be transformed at will
 (x -> T x), so of the n^2 + n (m + p) numbers in A, B and C (n states, m inputs, p outputs) n^2 are arbitrary. Each form
 here fixes as many of them, or says that it does not. Start values come from numbers, say of `phugoid.linear.subspace`:
 
     fit = ph.estimate(ph.models.modal(start=ph.linear.subspace(run, order=8)), run)
 
-A parameter that is fixed by a form can be told in the fit by ``fixed``; all others are estimated.
+A parameter that is fixed by a form has ``fixed`` set in the fit; all others are estimated.
 """
 
 from .flight_path import flight_path

@@ -1,4 +1,4 @@
-"""What the forms share: names of channels, feedthrough, outputs."""
+"""Common parts of the linear model forms: names of channels, feedthrough, outputs."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def add_feedthrough(
     parts: list[list[Expr | float]],
     always: bool = False,
 ) -> None:
-    """Adds D u: ``d``, with names where there are several inputs or outputs, or ``always``."""
+    """Add D u: ``d``, with names where there are several inputs or outputs, or ``always``."""
     if feedthrough is None:
         chosen = [] if system is None else [y for y, row in zip(outputs, system.D, strict=True) if np.any(row != 0.0)]
     elif isinstance(feedthrough, bool):

@@ -19,7 +19,7 @@ Vector: TypeAlias = tuple[Any, Any, Any]
 
 
 def in_plane(m: Model, s: Mapping[str, Any], a: Mapping[str, Any], q: Any, gravity: float) -> Vector:
-    """Gives the equations of motion with wings level; returns the body's speeds through the air, along its axes.
+    """Add the equations of motion with wings level; return the body-axis velocity relative to the air.
 
     ``s``: states; ``a``: specific forces at the centre of gravity, by ``ax_true``, ...
     """
@@ -43,7 +43,8 @@ def in_space(
     gravity: float,
     air: dict[str, Expr],
 ) -> Vector:
-    """The same in six degrees of freedom; adds speeds over ground to ``s``. ``air``: components of the wind."""
+    """Add the equations in six degrees of freedom, and speeds over ground to ``s``; return the body-axis velocity.
+    ``air``: components of the wind."""
     V, alpha, beta, phi, theta = (s[n] for n in ("V", "alpha", "beta", "phi", "theta"))
     p, q, r = rates
     Fx, Fy, Fz = m.quantities(
@@ -70,7 +71,7 @@ def in_space(
 
 
 def rotation(arm: tuple[float, float, float], rates: Vector, turning: Vector) -> Vector:
-    """Acceleration that rotation adds at a place off the centre of gravity."""
+    """Return the acceleration due to rotation at a point off the centre of gravity."""
     of_turning, inwards = cross(turning, arm), cross(rates, cross(rates, arm))
     return tuple(plus(a, b) for a, b in zip(of_turning, inwards, strict=True))
 
@@ -84,7 +85,7 @@ def plus(x: Any, y: Any) -> Any:
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """The vector product; what is zero is left out, so that equations stay short."""
+    """Return the vector product; zero terms are left out, so that equations stay short."""
 
     def product(x: Any, y: Any) -> Any:
         return 0.0 if _nothing(x) or _nothing(y) else x * y
@@ -96,7 +97,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 def _over_ground(body: Vector, phi: Expr, theta: Expr, psi: Expr | None, air: dict[str, Expr]) -> dict[str, Any]:
-    """Speeds over ground: of the body through the air, and of the air."""
+    """Return the speeds over ground: the sum of the velocity relative to the air and the wind."""
     u, v, w = body
     down = -u * sin(theta) + (v * sin(phi) + w * cos(phi)) * cos(theta)
     found = {"down": down - air["up"] if "up" in air else down}
@@ -137,7 +138,8 @@ def flight_path(
     gravity: float = 9.80665,
     name: str = "flight path",
 ) -> Model:
-    """The kinematic equations alone: whatever the aerodynamics are, sensors of one flight must agree with each other.
+    """Return a model of the kinematic equations alone: whatever the aerodynamics, the sensors of a flight must be
+    consistent.
 
     States are V (true airspeed, m/s), alpha, beta, phi, theta, and where outputs need them psi (all rad), h (m,
     upwards), north and east (m). Inputs are what accelerometers and gyros read: specific forces ax, ay, az (m/s², along
@@ -156,10 +158,10 @@ def flight_path(
                    which unwraps it, or numpy.unwrap.
     longitudinal   V, alpha, theta (and h) only, inputs ax, az, q: wings level, no sideslip.
     biases         channels, inputs or outputs, with a bias ``b_<channel>``: measured = true + b. Unless given, those
-                   inertial sensors whose bias the outputs tell: ax by V, ay by beta, az by alpha or h, p by phi, q by
-                   theta, r by psi; and alpha where h or v_down tells the flight path. In steady flight biases of one
-                   axis look alike (b_ay and b_r; b_ax and an error of theta): manoeuvres tell them, standard errors how
-                   well.
+                   inertial sensors whose bias the outputs determine: ax by V, ay by beta, az by alpha or h, p by phi,
+                   q by theta, r by psi; and alpha where h or v_down gives the flight path. In steady flight biases of
+                   one axis look alike (b_ay and b_r; b_ax and an error of theta): manoeuvres separate them, standard
+                   errors show how well.
     scales         channels with a scale factor ``K_<channel>``: measured = K true + b. Unless given alpha and beta,
                    where they are outputs: vanes and probes stand in air that the fuselage deflects.
     late           outputs that are measured late, by ``tau_<output>`` (s, 0 to 2). `estimate` needs ``start={"V":
@@ -177,7 +179,7 @@ def flight_path(
     gravity        m/s².
 
     Noise of the inertial sensors is taken as none: it goes into the states, as process noise would, and colours
-    residuals. Raises OptionError for channels that are not there, or options that do not go together.
+    residuals. Raises OptionError for channels that are not there, or options that contradict each other.
 
     >>> print(flight_path("V alpha theta", longitudinal=True, scales=()))
     flight path
@@ -199,12 +201,12 @@ def flight_path(
         if n not in allowed:
             raise OptionError(f"flight_path: '{n}' is no output of it.{listing(n, allowed)}")
     if "V" not in measured:
-        raise OptionError("flight_path: V, the true airspeed, must be among the outputs: without it nothing is told")
+        raise OptionError("flight_path: V, the true airspeed, must be among the outputs: all depends on it")
     if longitudinal and (flank or beta_vane is not None or wind):
         raise OptionError("flight_path: flank, beta_vane and wind are for the motion in six degrees of freedom")
     inertial = _LONGITUDINAL_INPUTS if longitudinal else tuple(_INERTIAL)
     known = {*inertial, *measured}
-    biased = _chosen("biases", biases, _told(measured, inertial), known)
+    biased = _chosen("biases", biases, _observable_biases(measured, inertial), known)
     scaled = _chosen("scales", scales, {"alpha", "beta"}.intersection(measured), known)
     own = _chosen("per_experiment", per_experiment, set(), biased)
     lagging = _chosen("late", late, set(), set(measured))
@@ -241,12 +243,12 @@ def flight_path(
     air = {c: m.parameters(**{f"wind_{c}": Parameter(unit="m/s", per_experiment=True)})[0] for c in blowing}
 
     def read(channel: str, true: Any) -> Any:
-        """What a sensor reads."""
+        """Return the expression of what a sensor reads for a true value."""
         value = K[channel] * true if channel in K else true
         return value + b[channel] if channel in b else value
 
     def true(channel: str) -> Any:
-        """What it means."""
+        """Return the expression of the true value of an inertial channel."""
         value = u[channel] - b[channel] if channel in b else u[channel]
         return value / K[channel] if channel in K else value
 
@@ -296,8 +298,8 @@ def _chosen(what: str, given: Collection[str] | None, usual: set[str], known: se
     return set(names)
 
 
-def _told(measured: Collection[str], inertial: Collection[str]) -> set[str]:
-    """Channels whose bias the others tell."""
+def _observable_biases(measured: Collection[str], inertial: Collection[str]) -> set[str]:
+    """Return the channels whose bias is observable from the others."""
     path = {"h", "v_down"}.intersection(measured)
     tells = {
         "ax": {"V"}, "ay": {"beta"}, "az": {"alpha", *path}, "p": {"phi"}, "q": {"theta"}, "r": {"psi"},
@@ -320,7 +322,7 @@ def _winds(wind: Collection[str] | None, ground: bool, measured: Collection[str]
 
 
 def _place(m: Model, what: str, given: Sequence[float | None]) -> Vector:
-    """The place of a vane, with a parameter for each coordinate that is None."""
+    """Return the position of a vane, with a parameter for each coordinate that is None."""
     try:
         unknown = [n for n, v in zip("xyz", given, strict=True) if v is None]
     except (TypeError, ValueError):

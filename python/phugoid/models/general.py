@@ -23,12 +23,13 @@ _SINGULAR = 1e12
 
 
 def lengths(n: int, p: int) -> list[int]:
-    """Lengths of the chains: n states for p outputs, as equal as can be. Almost any system has this form."""
+    """Return the lengths of the chains: n states for p outputs, as equal as possible. Almost any system has
+    this form."""
     return [n // p + (j < n % p) for j in range(p)]
 
 
 def chains(n: int, p: int, rate: float) -> tuple[_Array, _Array]:
-    """A (n, n) and C (p, n) of the form, NaN where an element is free.
+    """Return A (n, n) and C (p, n) of the form, NaN where an element is free.
 
     Within the chain of output j (s_j states, x_0 = y_j) x_k' = rate x_k+1, and the last row of each is free. An output
     without a chain has a free row of C. (J. M. Maciejowski, Multivariable Feedback Design, 1989, sec. 8.3.)
@@ -49,7 +50,8 @@ def chains(n: int, p: int, rate: float) -> tuple[_Array, _Array]:
 def observer_form(
     A: _Array, B: _Array, C: _Array, rate: float, names: Sequence[str], kind: str
 ) -> tuple[_Array, _Array, _Array]:
-    """A system in the coordinates c_j A^k x / rate^k of the chains. ModelError where these do not span the states."""
+    """Return a system in the coordinates c_j A^k x / rate^k of the chains; ModelError where these do not span the
+    states."""
     rows = []
     for j, length in enumerate(lengths(A.shape[0], C.shape[0])):
         row = C[j]
@@ -84,7 +86,7 @@ def state_space(
     bias: bool = False,
     name: str = "state space",
 ) -> Model:
-    """A general linear system, x' = A x + B u, y = C x + D u, with ``n`` states x_1 ... x_n.
+    """Return a general linear system, x' = A x + B u, y = C x + D u, with ``n`` states x_1 ... x_n.
 
     Free elements are the parameters ``a_<row>_<column>``, ``b_<row>_<input>``, ``c_<output>_<column>`` and
     ``d_<output>_<input>``. ``structure`` says which elements are free:
@@ -148,7 +150,7 @@ def state_space(
 
 
 def _products(pairs: Iterable[tuple[Expr | float, Expr]]) -> list[Expr | float]:
-    """Factor times symbol, but for factors 0 and 1."""
+    """Return factor times symbol for each pair, simplified for the factors 0 and 1."""
     return [
         x if isinstance(a, float) and a == 1.0 else a * x for a, x in pairs if not (isinstance(a, float) and a == 0.0)
     ]
@@ -157,7 +159,7 @@ def _products(pairs: Iterable[tuple[Expr | float, Expr]]) -> list[Expr | float]:
 def _elements(
     structure: Structure, n: int, m: int, p: int, system: StateSpace | None, rate: float
 ) -> tuple[dict[str, _Array], dict[str, _Array]]:
-    """What is fixed of A, B and C, NaN where free, and where the free elements start."""
+    """Return the fixed elements of A, B and C, NaN where free, and the start values of the free elements."""
     if structure == "full":
         fixed = {"A": np.full((n, n), np.nan), "B": np.full((n, m), np.nan), "C": np.full((p, n), np.nan)}
         if system is not None:

@@ -19,7 +19,7 @@ __all__ = ["modal"]
 
 Scale: TypeAlias = Literal["fixed", "free"]
 
-# Without start values a mode has this damping ratio, so that it neither grows nor hides.
+# Without start values a mode has this damping ratio: it decays, and is still visible.
 _DAMPING = 0.02
 
 
@@ -37,8 +37,8 @@ def modal(
     stable: bool = False,
     name: str = "modal form",
 ) -> Model:
-    """A sum of ``n_modes`` oscillators (and ``n_real`` lags), in the real modal form of the paper's ground vibration
-    test:
+    """Return a sum of ``n_modes`` oscillators (and ``n_real`` lags), in the real modal form of the paper's ground
+    vibration test:
 
         x_1a' =  sigma_1 x_1a + omega_1 x_1b + b_1 u        y = c_1a x_1a + c_1b x_1b + ... + d u
         x_1b' = -omega_1 x_1a + sigma_1 x_1b                poles sigma_1 ± j omega_1
@@ -138,7 +138,7 @@ class _Start:
 
 
 class _Default(_Start):
-    """Poles one after another; b and c are 1, as in the paper."""
+    """Start values without a system: poles at given or evenly spaced frequencies; b and c are 1, as in the paper."""
 
     def __init__(self, modes: int, reals: int, m: int, p: int, frequencies_hz: Sequence[float] | None) -> None:
         if frequencies_hz is None:
@@ -162,7 +162,7 @@ class _Default(_Start):
 
 @dataclass(frozen=True)
 class _Form:
-    """Adds modes to a model, and what they show of themselves to the outputs, ``parts``."""
+    """The parts that add the equations of modes to a model, and their contributions to the outputs, ``parts``."""
 
     model: Model
     start: _Start
@@ -212,5 +212,5 @@ class _Form:
         return self.scale == "fixed" and i == self.start.held[k]
 
     def _seen(self, j: int, label: str) -> str:
-        """The name of what multiplies the mode in output j."""
+        """Return the name of the factor of the mode in output j."""
         return f"c_{self.outputs[j]}_{label}" if len(self.outputs) > 1 else f"c_{label}"

@@ -49,22 +49,22 @@ class StudentT(Noise):
         object.__setattr__(self, "dof", plain if isinstance(self.dof, Mapping) else plain[""])
 
     def _dof(self, output: str) -> float | None:
-        # Those not named are as they are where nothing is said.
+        # An output that is not named has the default.
         return self.dof.get(output, 4.0) if isinstance(self.dof, Mapping) else self.dof
 
     def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
-        """``sigma_<output>``, then ``dof_<output>``."""
+        """Return ``sigma_<output>``, then ``dof_<output>``."""
         return super().names(outputs) + tuple(f"dof_{name}" for name in outputs if self._dof(name) is None)
 
     @property
     def description(self) -> str:
-        """What it is, and what sigma is."""
+        """The density, and the meaning of sigma."""
         dof = f"{self.dof:g} degrees of freedom" if isinstance(self.dof, float) else "degrees of freedom estimated"
         dof = "degrees of freedom by output" if isinstance(self.dof, Mapping) else dof
         return f"Student's t, {dof}; sigma is its scale"
 
     def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """Degrees of freedom, or start and bounds of them."""
+        """Return the degrees of freedom, or their start and bounds."""
         dof = self._dof(output)
         if dof is not None:
             return (self.kind, [dof], None, [])
@@ -75,14 +75,14 @@ class StudentT(Noise):
         return (self.kind, [float(value), low, high], None, [])
 
     def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
-        """The noise as the core takes it, with all starts and bounds."""
+        """Return the noise as the core takes it, with all starts and bounds."""
         for name in self.dof if isinstance(self.dof, Mapping) else ():
             if name not in outputs:
                 raise ModelError(f"StudentT: dof of '{name}', which is not an output.{did_you_mean(name, outputs)}")
         return super().resolve(outputs, spread, start)
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return the noise as JSON takes it."""
         return {**super().to_dict(), "dof": self.dof, "bounds": list(self.bounds)}
 
 
@@ -105,15 +105,15 @@ class Huber(Noise):
 
     @property
     def description(self) -> str:
-        """What it is, and what sigma is."""
+        """The density, and the meaning of sigma."""
         return f"Huber's, k = {self.k:g}; sigma is its scale"
 
     def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """k."""
+        """Return the constant k."""
         return (self.kind, [float(self.k)], None, [])
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return the noise as JSON takes it."""
         return {**super().to_dict(), "k": self.k}
 
 
@@ -138,15 +138,15 @@ class Laplace(Noise):
 
     @property
     def description(self) -> str:
-        """What it is, and what sigma is."""
+        """The density, and the meaning of sigma."""
         return f"Laplace's, smoothing {self.smoothing:g}; sigma is its scale"
 
     def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """The smoothing."""
+        """Return the smoothing."""
         return (self.kind, [float(self.smoothing)], None, [])
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return the noise as JSON takes it."""
         return {**super().to_dict(), "smoothing": self.smoothing}
 
 
@@ -214,16 +214,16 @@ class Density(Noise):
         return {name: p for name, p in self.parameters.items() if isinstance(p, Parameter) and not p.fixed}
 
     def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
-        """``sigma_<output>``, then the parameters of each output."""
+        """Return ``sigma_<output>``, then the parameters of each output."""
         return super().names(outputs) + tuple(f"{p}_{name}" for name in outputs for p in self._free())
 
     @property
     def description(self) -> str:
-        """What it is, and what sigma is."""
+        """The density, and the meaning of sigma."""
         return f"log-density {self.log_density}; sigma is its scale"
 
     def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """The expression, and its parameters with starts and bounds."""
+        """Return the expression, and its parameters with starts and bounds."""
         fixed = {name: p.start for name, p in self.parameters.items() if isinstance(p, Parameter) and p.fixed}
         parameters = []
         for name, p in self._free().items():
@@ -238,7 +238,7 @@ class Density(Noise):
         return (self.kind, [], self.log_density.substitute(fixed), parameters)
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return the noise as JSON takes it."""
         declared = {
             # JSON has no infinity.
             name: [p.start, *(None if abs(b) == float("inf") else b for b in p.bounds), p.unit, p.fixed]

@@ -1,4 +1,4 @@
-"""Noise of different kinds: on each output, in each experiment, in a file."""
+"""Noise that differs between outputs or experiments, and noise read from a file."""
 
 from __future__ import annotations
 
@@ -45,28 +45,28 @@ class PerOutput(Noise):
         return self.outputs.get(output, Gaussian())
 
     def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
-        """``sigma_<output>``, then the parameters of the densities."""
+        """Return ``sigma_<output>``, then the parameters of the densities."""
         own = (n for name in outputs for n in self._of(name).names([name]) if n != f"sigma_{name}")
         return super().names(outputs) + tuple(own)
 
     @property
     def description(self) -> str:
-        """What each output has."""
+        """The noise of each output."""
         return "; ".join(f"{name}: {noise.description or 'Gaussian'}" for name, noise in self.outputs.items())
 
     def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """That of the output's own noise."""
+        """Return the density of the output's own noise."""
         return self._of(output).shape(output, start)
 
     def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
-        """The noise as the core takes it, with all starts and bounds."""
+        """Return the noise as the core takes it, with all starts and bounds."""
         for name in self.outputs:
             if name not in outputs:
                 raise ModelError(f"noise: '{name}' is not an output.{did_you_mean(name, outputs)}")
         return super().resolve(outputs, spread, start)
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return the noise as JSON takes it."""
         return {**super().to_dict(), "outputs": {name: noise.to_dict() for name, noise in self.outputs.items()}}
 
 
@@ -90,28 +90,28 @@ class PerExperiment(Noise):
         super().__post_init__()
 
     def known_sigmas(self, outputs: Sequence[str]) -> dict[str, float]:
-        """Those of the noise itself."""
+        """Return the known scales of the inner noise."""
         return self.noise.known_sigmas(outputs)
 
     def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
-        """Those of the noise itself: starts are for all experiments."""
+        """Return the names of the inner noise: starts are for all experiments."""
         return self.noise.names(outputs)
 
     @property
     def description(self) -> str:
-        """What each experiment has."""
+        """The noise of each experiment."""
         return f"{self.noise.description or 'Gaussian'}, of each experiment its own"
 
     def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """That of the noise itself."""
+        """Return the density of the inner noise."""
         return self.noise.shape(output, start)
 
     def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
-        """The noise as the core takes it, with all starts and bounds."""
+        """Return the noise as the core takes it, with all starts and bounds."""
         return self.noise.resolve(outputs, spread, start).per_experiment()
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return the noise as JSON takes it."""
         return {"kind": self.kind, "noise": self.noise.to_dict()}
 
 
@@ -136,7 +136,7 @@ def stated_noise(before: Noise, args: Sequence[Noise], sigma: Mapping[str, float
 
 
 def noise_from_dict(saved: Mapping[str, Any]) -> Noise:
-    """Reads what `to_dict` of any noise model made. Raises ModelError for a kind that is not known."""
+    """Read the result of `to_dict` of any noise model. Raises ModelError for an unknown kind."""
     kind = saved.get("kind")
     if not isinstance(kind, str) or kind == Gaussian.kind:
         return Gaussian.from_dict(saved)

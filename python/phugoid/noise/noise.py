@@ -1,4 +1,4 @@
-"""What the measurement noise is assumed to be: what all kinds share, and Gaussian noise."""
+"""Models of the measurement noise: their common base, and Gaussian noise."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ KINDS = "a Gaussian, StudentT, Huber, Laplace, Density or PerOutput"
 
 
 def not_noise(given: object) -> str:
-    """Return the end of a message on what is no noise model: what one is, and what was meant by numbers.
+    """Return the end of a message on an argument that is no noise model: what one is, and what numbers may have meant.
 
     >>> not_noise({"az": 0.1}).partition("; ")[2]
     "known standard deviations are given as ph.Gaussian({'az': 0.1})"
@@ -70,7 +70,7 @@ class Sigma:
 
 @dataclass(frozen=True)
 class Noise:
-    """What all noise models share: ``sigma`` gives the scale by output name.
+    """Base of all noise models: ``sigma`` gives the scale by output name.
 
     It is a number (known), a `Sigma` (unknown), or an expression in the model's states, inputs, quantities and
     parameters, such as ``a + b*y``, which is positive at all samples.
@@ -103,25 +103,25 @@ class Noise:
         return {name: s for name, s in self.sigma.items() if isinstance(s, Expr)}
 
     def known_sigmas(self, outputs: Sequence[str]) -> dict[str, float]:
-        """The known scales of a model with these outputs."""
+        """Return the known scales of a model with these outputs."""
         return self.known
 
     def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
-        """What is estimated of the noise: ``sigma_<output>`` and others, in the order of a fit."""
+        """Return the names of the estimated noise parameters: ``sigma_<output>`` and others, in the order of a fit."""
         said = {**self.known, **self.expressions}
         return tuple(f"sigma_{name}" for name in outputs if name not in said)
 
     @property
     def description(self) -> str:
-        """For summaries; empty for the usual, independent Gaussian noise."""
+        """Text for summaries; empty for the usual, independent Gaussian noise."""
         return ""
 
     def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """The density of an output as the core takes it."""
+        """Return the density of an output as the core takes it."""
         raise NotImplementedError
 
     def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
-        """The noise as the core takes it, with all starts and bounds.
+        """Return the noise as the core takes it, with all starts and bounds.
 
         ``spread`` is the standard deviation of the measurements, ``start`` holds starts by name (`names`).
         """
@@ -134,7 +134,7 @@ class Noise:
         return noise
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it; `densities.noise_from_dict` reads it."""
+        """Return the noise as JSON takes it; `kinds.noise_from_dict` reads it."""
         return {"kind": self.kind, "sigma": self._sigma_dict()}
 
     def _sigma_dict(self) -> dict[str, Any]:
@@ -150,7 +150,8 @@ class Noise:
     def _sigmas(
         self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]
     ) -> list[SigmaSpec]:
-        """For each output: known?, value or start, lower bound, upper bound; 1 where an expression takes its place."""
+        """Return for each output: known?, value or start, lower bound, upper bound; 1 where an expression takes its
+        place."""
         for name in self.sigma:
             if name not in outputs:
                 raise ModelError(f"noise: '{name}' is not an output.{did_you_mean(name, outputs)}")
@@ -178,8 +179,8 @@ class Noise:
                 low, high = min(low, value), max(high, value)
             if not low <= value <= high:
                 raise ModelError(f"the start {value} of sigma_{name} lies outside its bounds {spec.bounds}")
-            # No useful fit is worse than a constant. Beside others of its kind, an output with a start far above its
-            # spread would have no say in the first steps, and these can lead far away.
+            # No useful fit is worse than a constant. Beside the other outputs, one with a start far above its
+            # spread would have no influence on the first steps, and these can lead far away.
             value = max(min(value, scale), low)
             resolved.append((False, float(value), float(low), float(high)))
         return resolved
@@ -224,13 +225,13 @@ class Gaussian(Noise):
         object.__setattr__(self, "covariance", _covariance(self.covariance))
 
     def known_sigmas(self, outputs: Sequence[str]) -> dict[str, float]:
-        """The known standard deviations of a model with these outputs."""
+        """Return the known standard deviations of a model with these outputs."""
         if self.covariance is None:
             return self.known
         return dict(zip(outputs, np.sqrt(np.maximum(np.diag(self.matrix(outputs)), 0)).tolist(), strict=True))
 
     def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
-        """``sigma_<output>``, and of correlated noise ``corr_<output>_<output>``."""
+        """Return ``sigma_<output>``, and for correlated noise ``corr_<output>_<output>``."""
         if self.covariance is not None:
             return ()
         names = super().names(outputs)
@@ -240,20 +241,20 @@ class Gaussian(Noise):
 
     @property
     def description(self) -> str:
-        """Empty for independent noise."""
+        """Text for summaries; empty for independent noise."""
         if self.covariance is not None:
             return "jointly Gaussian, covariance known"
         return "jointly Gaussian, covariance estimated" if self.correlated else ""
 
     def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """Nothing beside the scale."""
+        """Return the Gaussian density, which has no parameter beside the scale."""
         return ("gaussian", [], None, [])
 
     def matrix(
         self, outputs: Sequence[str], values: Mapping[str, float] | None = None
     ) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """The covariance, (n_y, n_y) in the order of the outputs: the known one, or that of correlated noise with
-        ``values`` of its parameters. Raises ModelError where it does not fit."""
+        """Return the covariance, (n_y, n_y) in the order of the outputs: the known one, or that of correlated noise
+        with ``values`` of its parameters. Raises ModelError where it does not fit."""
         n = len(outputs)
         if self.covariance is None and values is not None:
             sigmas = np.array([values[f"sigma_{name}"] for name in outputs])
@@ -281,7 +282,7 @@ class Gaussian(Noise):
         return matrix
 
     def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
-        """The noise as the core takes it, with all starts and bounds."""
+        """Return the noise as the core takes it, with all starts and bounds."""
         if self.covariance is not None:
             for name in outputs:
                 if f"sigma_{name}" in start:
@@ -302,8 +303,8 @@ class Gaussian(Noise):
         return noise
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it: output -> known value, or start and bounds; for other than independent noise with its
-        kind."""
+        """Return the noise as JSON takes it: output -> known value, or start and bounds; with its kind unless
+        independent."""
         sigmas = self._sigma_dict()
         if not self.correlated and self.covariance is None:
             return sigmas
@@ -311,14 +312,14 @@ class Gaussian(Noise):
 
     @staticmethod
     def from_dict(saved: Mapping[str, Any]) -> Gaussian:
-        """Reads `to_dict`."""
+        """Read the result of `to_dict`."""
         if isinstance(saved.get("kind"), str):
             return Gaussian(saved_sigma(saved["sigma"]), saved["correlated"], saved["covariance"])
         return Gaussian(saved_sigma(saved))
 
 
 def saved_sigma(saved: Mapping[str, Any]) -> dict[str, float | Sigma | Expr]:
-    """Scales by output, as saved."""
+    """Read the scales by output from their saved form."""
 
     def sigma(s: Mapping[str, Any]) -> float | Sigma | Expr:
         if "expression" in s:
@@ -329,7 +330,7 @@ def saved_sigma(saved: Mapping[str, Any]) -> dict[str, float | Sigma | Expr]:
 
 
 def positive(value: Any) -> bool:
-    """Whether it is a positive, finite number."""
+    """Return whether a value is a positive, finite number."""
     try:
         return bool(value > 0 and math.isfinite(value))
     except (TypeError, ValueError):
@@ -337,7 +338,8 @@ def positive(value: Any) -> bool:
 
 
 def _covariance(given: Any) -> Any:
-    """Plain, so that options compare and are saved: names -> names -> value, both ways, or a tuple of rows."""
+    """Return a covariance as plain data, so that options compare and can be saved: nested mappings, or a tuple
+    of rows."""
     if isinstance(given, Mapping):
         rows: dict[str, dict[str, float]] = {}
         for a, row in given.items():

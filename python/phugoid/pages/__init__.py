@@ -1,1 +1,1 @@
-"""What HTML pages are made of."""
+"""Building blocks of HTML pages."""

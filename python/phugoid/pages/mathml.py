@@ -1,4 +1,4 @@
-"""Expressions as MathML Core, which browsers set without any script."""
+"""Expressions as MathML Core, which browsers display without a script."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LONGEST = 600  # characters of the plain text; longer equations are shown as th
 
 
 def equation(left: str, right: Expr, new: Collection[str] = (), *, rate: bool = False) -> str:
-    """HTML of ``left = right``, with the symbols ``new`` marked; ``rate`` makes the left side a derivative."""
+    """Return HTML of ``left = right``, with the symbols ``new`` marked; ``rate`` makes the left side a derivative."""
     plain = str(right)
     if len(plain) > _LONGEST:
         prime = "'" if rate else ""
@@ -41,7 +41,7 @@ def equation(left: str, right: Expr, new: Collection[str] = (), *, rate: bool = 
 
 
 def _terms(e: Expr) -> list[tuple[str, Expr]]:
-    """The terms of a sum in order, each with how it is joined to those before."""
+    """Return the terms of a sum in order, each with the operation that joins it to those before."""
     joined: list[tuple[str, Expr]] = []
     while e.operation[0] in ("add", "sub"):
         operation, (e, last) = e.operation
@@ -50,7 +50,7 @@ def _terms(e: Expr) -> list[tuple[str, Expr]]:
 
 
 def _markup(e: Expr, new: Collection[str]) -> tuple[str, int]:
-    """Markup, and how tightly its outermost operation binds."""
+    """Return the markup of an expression, and the precedence of its outermost operation."""
     operation, arguments = e.operation
     if operation == "symbol":
         return _symbol(e.name or str(e), new), _ATOM
@@ -92,7 +92,7 @@ def _sum(operation: str, term: Expr, of: list[tuple[str, int]]) -> str:
 
 
 def _joined(operation: str, term: Expr, part: tuple[str, int]) -> tuple[str, str]:
-    """The sign before a term, and the term: in brackets where it would read otherwise without."""
+    """Return the sign before a term, and the term, in brackets where they are needed."""
     text, tightness = part
     if operation == "add" and _leads(part) and term.operation[0] in _SIGNED:
         return "−", text.replace("<mo>−</mo>", "", 1)  # a + (−b) is a − b
@@ -102,7 +102,7 @@ def _joined(operation: str, term: Expr, part: tuple[str, int]) -> tuple[str, str
 
 
 def _leads(part: tuple[str, int]) -> bool:
-    """Whether it begins with a sign, which must not follow another operator."""
+    """Return whether the markup begins with a sign, which must not follow another operator."""
     return part[0].replace("<mrow>", "").startswith("<mo>−")
 
 

@@ -66,7 +66,7 @@ class Picture:
 
 
 def picture(figure: Figure) -> Picture:
-    """Return a figure as data within the page; it is closed."""
+    """Return a figure as data within the page, and close it."""
     from matplotlib import pyplot as plt
     from PIL import Image
 
@@ -112,7 +112,7 @@ def sources(
 
 
 def _file(path: Path) -> tuple[str, str, str]:
-    """Name, size and SHA-256."""
+    """Return name, size and SHA-256 of a file."""
     try:
         content = path.read_bytes()
     except OSError as error:

@@ -1,1 +1,1 @@
-"""What a manoeuvre that is planned would tell: standard errors, weak directions, and how far the vehicle would go."""
+"""Evaluation of planned manoeuvres: standard errors to expect, weak directions, and excursions."""

@@ -1,4 +1,4 @@
-"""Measured conditions in planned manoeuvres: held where the records had them, unless they are given."""
+"""Measured conditions in planned manoeuvres: constant at their mean in the records, unless they are given."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a model and planned inputs to what they would tell."""
+"""Evaluation of an experiment design: Fisher information and excursions, from a model and planned inputs."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def plan(
     transcription: Collocation | None = None,
     name: str | None = None,
 ) -> Plan:
-    """The standard errors that parameters would have after a manoeuvre that was not flown yet.
+    """Return the standard errors to expect from a planned manoeuvre.
 
     They are the Cramér-Rao bounds at the assumed values: of the information of the samples, with the first states of
     each record free. For a manoeuvre that is flown, and a model that is right, `estimate` gives the same.
@@ -100,7 +100,7 @@ def plan(
         added = "after " + ", ".join(f"'{r.name}'" for r in after.records)
     matrix = matrix + _priors(model, names, () if after is None else after.parameters)
     information = Information(names, matrix)
-    # What is at a bound or fixed in each record is known.
+    # Parameters that are fixed, or at a bound in each record, are known.
     first_fit = fits[0].parameters
     errors = dict(zip(names, information.std_errors.tolist(), strict=True))
     known = {n: p for n, p in model.declared_parameters.items() if n not in {x.partition("[")[0] for x in names}}
@@ -131,14 +131,14 @@ def plan(
 def plans(
     source: Model | FitResult, manoeuvres: Mapping[str, Experiment | Sequence[Experiment]], **options: Any
 ) -> Plans:
-    """`plan` for several manoeuvres, by name, side by side; with the same options."""
+    """Evaluate `plan` for several manoeuvres, by name, with the same options; return them side by side."""
     if not isinstance(manoeuvres, Mapping) or not manoeuvres:
         raise DataError(f"plans: give the manoeuvres by name, as in {{'doublet': run1}}, not {manoeuvres!r}")
     return Plans({str(n): plan(source, m, name=str(n), **options) for n, m in manoeuvres.items()})
 
 
 def _together(model: Model, fits: Sequence[FitResult]) -> tuple[list[str], _Array]:
-    """Names and information of all records: each has its own of some parameters."""
+    """Return names and information of all records, each of which may have its own parameters."""
     local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
     parts = []
     for fit in fits:
@@ -155,12 +155,12 @@ def _together(model: Model, fits: Sequence[FitResult]) -> tuple[list[str], _Arra
 
 
 def _flown(model: Model, names: Sequence[str], after: Any) -> _Array:
-    """Information of a fit about parameters, whatever else it estimated."""
+    """Return the information of a fit about these parameters; its other estimates are marginalised."""
     if not isinstance(after, FitResult):
         raise OptionError(f"plan: after is a fit of records that are there, not a {type(after).__name__}")
     theirs = list(after.parameters)
     cov = after.covariance
-    # Of what each experiment has its own, those of other experiments say nothing.
+    # Parameters of single experiments carry no information on other experiments.
     local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
     shared = [n for n in names if n in theirs and n not in local and np.isfinite(cov[theirs.index(n), theirs.index(n)])]
     shared = [n for n in shared if cov[theirs.index(n), theirs.index(n)] > 0.0]
@@ -176,7 +176,7 @@ def _flown(model: Model, names: Sequence[str], after: Any) -> _Array:
 
 
 def _priors(model: Model, names: Sequence[str], counted: Collection[str]) -> _Array:
-    """Information of Gaussian priors, but those that a fit has counted."""
+    """Return the information of Gaussian priors, except of those that a fit has counted."""
     declared = model.declared_parameters
     each = [declared[n.partition("[")[0]].prior if n not in counted else None for n in names]
     return np.diag([0.0 if prior is None else prior[1] ** -2 for prior in each])
@@ -253,10 +253,10 @@ def source_of(source: Any) -> tuple[Model, FitResult | None]:
 def values_of(
     model: Model, fit: FitResult | None, runs: Sequence[Experiment], values: Mapping[str, Any] | None
 ) -> dict[str, float]:
-    """Values for all parameters; those that each experiment has its own of also as name[experiment]."""
+    """Return values for all parameters; those that each experiment has its own of also as name[experiment]."""
     found = {n: p.start for n, p in model.declared_parameters.items()}
     if fit is not None:
-        # Of what differs from record to record, the first record's.
+        # Of parameters of single experiments, those of the first record.
         own = {n: f"{n}[{fit.records[0].name}]" for n in found}
         found |= {n: fit.parameters[k].value for n in found for k in (own[n], n) if k in fit.parameters}
     local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
@@ -307,7 +307,7 @@ def sigmas_of(model: Model, fit: FitResult | None, noise: Mapping[str, float] | 
 
 def first_states(model: Model, fit: FitResult | None, initial: Mapping[str, float] | None) -> dict[str, float]:
     found = {} if fit is None else {n: e.value for n, e in fit.initial_states[fit.records[0].name].items()}
-    # What the model's conditions say follows from the values.
+    # States given by the model's initial conditions follow from the values.
     held = {state for end, state, _ in model.end_conditions if end == "initial"}
     found = {n: v for n, v in found.items() if n not in held}
     for n, v in (initial or {}).items():

@@ -1,4 +1,4 @@
-"""The figure of planned manoeuvres: what moves, where the limits are, what would be told."""
+"""Figure of planned manoeuvres: time histories with their limits, and the standard errors to expect."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_plans"]
 
-# Inches: of a channel, and of what stands above and below all of them.
+# Inches: height of a channel's panel, of the margins around all panels, and the least of the figure.
 _CHANNEL, _AROUND, _LEAST = 0.8, 0.9, 3.0
 
 
 def plot_plans(plans: Sequence[Plan]) -> tuple[Figure, dict[str, Axes]]:
-    """Time histories on the left, relative errors of all parameters on the right; axes by channel, and "errors"."""
+    """Plot time histories on the left, relative errors of all parameters on the right; axes by channel, and
+    "errors"."""
     from matplotlib import pyplot as plt
     from matplotlib import rc_context
 
@@ -48,7 +49,7 @@ def plot_plans(plans: Sequence[Plan]) -> tuple[Figure, dict[str, Axes]]:
 
 
 def _histories(axes: Mapping[str, Axes], p: Plan, colour: str) -> None:
-    """What moves, one record after another."""
+    """Draw the time histories, one record after another."""
     offset = 0.0
     for r in p.records:
         t = offset + r.t - r.t[0]
@@ -75,17 +76,17 @@ def _errors(a: Axes, plans: Sequence[Plan]) -> Axes:
         x = 100.0 * np.array([found.get(n, np.nan) for n in names])
         shift = 0.0 if len(plans) == 1 else 0.36 * (0.5 - i / (len(plans) - 1))
         colour, mark = SERIES[i % len(SERIES)]
-        told = np.where(np.isfinite(x), x, np.nan)
-        a.plot(told, y + shift, color=colour, linestyle="", marker=mark, markersize=4, label=plain(p.name))
+        finite = np.where(np.isfinite(x), x, np.nan)
+        a.plot(finite, y + shift, color=colour, linestyle="", marker=mark, markersize=4, label=plain(p.name))
         for at, value in zip((y + shift).tolist(), x.tolist(), strict=True):
             if np.isinf(value):
                 axis = a.get_yaxis_transform()
-                a.text(0.98, at, "not told", color=colour, fontsize=6.5, transform=axis, ha="right", va="center")
+                a.text(0.98, at, "not determined", color=colour, fontsize=6.5, transform=axis, ha="right", va="center")
     a.grid(axis="both", linewidth=0.3)
     a.set_xscale("log")
     a.xaxis.set_major_formatter("{x:g}")
     a.set_yticks(y, [plain(n) for n in names])
     a.set_ylim(-0.6, len(names) - 0.4)
-    a.set_xlabel("standard error that would be, % of size")
+    a.set_xlabel("expected standard error, % of size")
     a.legend(fontsize=7.0, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return a

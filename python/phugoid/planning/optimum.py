@@ -1,4 +1,4 @@
-"""The best of a family of manoeuvres."""
+"""Optimisation of a manoeuvre within a family."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["optimal_plan"]
 # Members of the population for each number that is chosen, and at least; steps of the search that follows it, and where
 # it ends (of the logarithm of the criterion).
 _MEMBERS, _FEWEST, _STEPS, _CLOSE = 6, 8, 25, 1e-3
-# What a manoeuvre costs that leaves its limits by their size; what one costs that cannot be flown.
+# Penalty for leaving limits by their size; cost of a manoeuvre that cannot be simulated.
 _BEYOND, _NEVER = 10.0, 1e3
 
 
@@ -38,13 +38,13 @@ def optimal_plan(
     time_limit: float | None = None,
     **options: Any,
 ) -> Plan:
-    """The manoeuvre of a family that tells most and keeps its limits.
+    """Return the most informative manoeuvre of a family that keeps its limits.
 
     make         gives the manoeuvre for numbers by name: ``make(width=0.5, amplitude=0.03)``. Measured conditions need
                  not be in it: they are held, as by `plan`.
     bounds       name -> (lower, upper) of these numbers.
     criterion    what is to be small: "D", "A" or "worst" (`Plan.criteria`), of the parameters in the option ``of``.
-    generations  of differential evolution (Storn and Price, J. Global Optim. 11, 1997), which does not mind widths that
+    generations  of differential evolution (Storn and Price, J. Global Optim. 11, 1997), which works with widths that
                  jump from sample to sample; a simplex search (Nelder and Mead) ends it. About (generations + 1) times 6
                  plans for each number, and 25. ``seed``: of its random numbers.
     time_limit   in seconds, of the whole. It ends the search as Ctrl-C does: the best plan so far is the result, with a

@@ -1,4 +1,4 @@
-"""What planned manoeuvres would tell (`Plan`), and several side by side (`Plans`)."""
+"""The evaluation of a planned manoeuvre (`Plan`), and of several side by side (`Plans`)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _CORRELATED = 0.9
 
 @dataclass(frozen=True)
 class Excursion:
-    """How far a channel goes.
+    """The range of a channel in a planned manoeuvre, and its limits.
 
     least, greatest  over the record, in ``unit``.
     limit            (lower, upper) that was given, or None; ``when``: the first time beyond it, s, or None.
@@ -58,11 +58,11 @@ class Excursion:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """What a planned manoeuvre would tell. All errors are Cramér-Rao bounds for white noise, first states free.
+    """The evaluation of a planned manoeuvre. All errors are Cramér-Rao bounds for white noise, first states free.
 
     name         of the manoeuvre.
     parameters   by name: the values that were assumed, and the standard error that an estimation would have. Infinite
-                 for a parameter that is not told, alone or in a combination; NaN for one that is fixed.
+                 for a parameter that is not determined, alone or in a combination; NaN for one that is fixed.
     information  `Information` on the parameters that are estimated: matrix, covariance, correlation.
     excursions   manoeuvre -> channel (inputs, states, outputs) -> `Excursion`.
     records      what the model predicts, one for each record that is flown.
@@ -90,7 +90,7 @@ class Plan:
 
     @property
     def weak(self) -> tuple[ParameterDirection, ...]:
-        """The three combinations of parameters that are told least, worst first."""
+        """The three combinations of parameters that are determined least, worst first."""
         return self.information.weak(np.where(np.isfinite(self.sizes), self.sizes, 1.0))
 
     @property
@@ -107,7 +107,7 @@ class Plan:
 
     @property
     def violations(self) -> tuple[str, ...]:
-        """What leaves its limits, in words."""
+        """The violations of limits, in words."""
         return tuple(
             f"{channel} of '{run}' leaves {e.limit[0]:g} to {e.limit[1]:g} {e.unit}".rstrip()
             + f" at {e.when:.3g} s: it goes from {e.least:.4g} to {e.greatest:.4g}"
@@ -117,18 +117,18 @@ class Plan:
         )
 
     def summary(self) -> str:
-        """Tables of errors, weak directions, and how far the vehicle goes."""
+        """Return tables of standard errors, weak directions, and excursions."""
         rows = []
         for e in self.parameters.values():
             percent = 100.0 * e.relative_std_error
-            error = "not told" if np.isinf(e.std_error) else f"{e.std_error:.3g}" if e.std_error >= 0.0 else ""
+            error = "not determined" if np.isinf(e.std_error) else f"{e.std_error:.3g}" if e.std_error >= 0.0 else ""
             rows.append([e.name, f"{e.value:.6g}", error, f"{percent:.3g}" if np.isfinite(percent) else "", e.unit])
         rows = [[*row, e.remark] for row, e in zip(rows, self.parameters.values(), strict=True)]
         title = f"Planned: {self.name}" + (f", {self.added}" if self.added else "")
         length = ", ".join(f"{r.t[-1] - r.t[0]:g} s, {r.t.size} samples" for r in self.records)
         text = [f"{title} ({length})"]
         text += ["", text_table(["parameter", "assumed", "std error", "in %", "unit", "remark"], rows, "lrrrll")]
-        text += ["", "told least (unit vectors, parameters in units of their sizes):"]
+        text += ["", "determined least (unit vectors, parameters in units of their sizes):"]
         text += [f"  {direction}" for direction in self.weak]
         pairs = ", ".join(f"{a} and {b} {r:+.3f}" for a, b, r in self.correlated[:6])
         text += [f"correlated: {pairs}"] if pairs else []
@@ -142,7 +142,7 @@ class Plan:
         return "\n".join([*text, *(f"Limit: {v}" for v in self.violations), *(f"Warning: {w}" for w in self.warnings)])
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
-        """Inputs and predicted outputs over time with their limits, and the predicted errors."""
+        """Plot inputs and predicted outputs over time with their limits, and the predicted errors."""
         return Plans({self.name: self}).plot()
 
     def __str__(self) -> str:
@@ -150,8 +150,8 @@ class Plan:
 
     def __repr__(self) -> str:
         worst = self.criteria["worst"]
-        told = "does not tell all parameters" if np.isinf(worst) else f"worst error {100 * worst:.3g} %"
-        return f"<Plan '{self.name}': {told}{'' if self.within_limits else ', leaves its limits'}>"
+        quality = "does not determine all parameters" if np.isinf(worst) else f"worst error {100 * worst:.3g} %"
+        return f"<Plan '{self.name}': {quality}{'' if self.within_limits else ', leaves its limits'}>"
 
 
 def _limit(e: Excursion) -> str:
@@ -182,7 +182,7 @@ class Plans(Mapping[str, Plan]):
         return len(self._plans)
 
     def best(self, criterion: Criterion = "D") -> Plan:
-        """The plan with the least ``criterion`` (see `Plan.criteria`) among those that keep their limits.
+        """Return the plan with the least ``criterion`` (see `Plan.criteria`) among those that keep their limits.
 
         Raises OptionError where none does.
         """
@@ -193,7 +193,7 @@ class Plans(Mapping[str, Plan]):
         return min(kept, key=lambda p: p.criteria[kind])
 
     def summary(self) -> str:
-        """Relative standard errors in % side by side, criteria, and which limits are left."""
+        """Return a table of relative standard errors in %, criteria, and violated limits, side by side."""
         plans = list(self._plans.values())
         names = list(dict.fromkeys(n for p in plans for n in p.parameters))
         rows = [[n, *(_percent(p, n) for p in plans)] for n in names]
@@ -208,7 +208,8 @@ class Plans(Mapping[str, Plan]):
         return "\n".join([text, *(f"{p.name}: {v}" for p in plans for v in p.violations)])
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
-        """Inputs and predicted outputs of all over time with their limits, and the predicted errors side by side."""
+        """Plot inputs and predicted outputs of all plans over time with their limits, and the predicted errors side by
+        side."""
         from .figure import plot_plans
 
         return plot_plans(list(self._plans.values()))
@@ -221,7 +222,7 @@ class Plans(Mapping[str, Plan]):
 
 
 def relative_errors(plan: Plan) -> dict[str, float]:
-    """Standard errors of the estimated parameters in units of their sizes; NaN where there is no size."""
+    """Return the standard errors of the estimated parameters in units of their sizes; NaN where there is no size."""
     return dict(zip(plan.information.names, (plan.information.std_errors / plan.sizes).tolist(), strict=True))
 
 
@@ -234,7 +235,7 @@ def _percent(plan: Plan, name: str) -> str:
 
 
 def _number(value: float) -> str:
-    return "not told" if np.isinf(value) else "" if np.isnan(value) else f"{value:.3g}"
+    return "not determined" if np.isinf(value) else "" if np.isnan(value) else f"{value:.3g}"
 
 
 def criterion_of(caller: str, criterion: Any) -> Criterion:
@@ -244,7 +245,7 @@ def criterion_of(caller: str, criterion: Any) -> Criterion:
     return found
 
 
-# Of the correlation form, an eigenvalue below this is a direction that the data do not tell.
+# An eigenvalue of the correlation form below this belongs to a direction that the data do not determine.
 _SINGULAR = 1e-11
 # Parts of a direction below this are not worth naming.
 _PART = 0.1
@@ -255,7 +256,7 @@ class ParameterDirection:
     """A combination of parameters.
 
     parts      name -> share of the unit vector, each parameter in units of its size; those above 0.1.
-    std_error  of a move along it, in these units; infinite where the manoeuvre does not tell it.
+    std_error  of a move along it, in these units; infinite where the manoeuvre does not determine it.
     """
 
     parts: dict[str, float]
@@ -263,7 +264,7 @@ class ParameterDirection:
 
     def __str__(self) -> str:
         text = " ".join(f"{share:+.2f} {name}" for name, share in self.parts.items())
-        return f"{text}: {'not told' if not np.isfinite(self.std_error) else f'± {100 * self.std_error:.3g} %'}"
+        return f"{text}: {'not determined' if not np.isfinite(self.std_error) else f'± {100 * self.std_error:.3g} %'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,32 +288,33 @@ class Information:
 
     @cached_property
     def covariance(self) -> _Array:
-        """(n, n); infinite variance, and NaN beside it, for parameters that are not told (also in combinations)."""
+        """(n, n); infinite variance, and NaN beside it, for parameters that are not determined (also in
+        combinations)."""
         scale, values, vectors = self._directions
-        told = values > _SINGULAR
-        part = vectors[:, told]
-        cov = (part / values[told]) @ part.T / np.outer(scale, scale)
-        lost = (np.abs(vectors[:, ~told]) > 1e-4).any(axis=1)
+        determined = values > _SINGULAR
+        part = vectors[:, determined]
+        cov = (part / values[determined]) @ part.T / np.outer(scale, scale)
+        lost = (np.abs(vectors[:, ~determined]) > 1e-4).any(axis=1)
         cov[lost], cov[:, lost] = np.nan, np.nan
         cov[lost, lost] = np.inf
         return np.asarray(cov)
 
     @property
     def std_errors(self) -> _Array:
-        """(n,), infinite for what is not told."""
+        """(n,) standard errors; infinite for parameters that are not determined."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def correlation(self) -> _Array:
-        """(n, n), NaN for what is not told."""
+        """(n, n) correlations; NaN for parameters that are not determined."""
         return correlation_matrix(self.covariance)
 
     def weak(self, sizes: _Array, n: int = 3) -> tuple[ParameterDirection, ...]:
-        """The directions that are told least, worst first, parameters in units of ``sizes`` (n,)."""
+        """Return the directions that are determined least, worst first, parameters in units of ``sizes`` (n,)."""
         values, vectors = np.linalg.eigh(self.matrix * np.outer(sizes, sizes))
         scale, eigen, own = self._directions
         found = []
-        for column in own[:, eigen <= _SINGULAR].T:  # not told at all
+        for column in own[:, eigen <= _SINGULAR].T:  # not determined at all
             direction = column / scale / sizes
             found.append(self._named(direction / np.linalg.norm(direction), np.inf))
         for value, vector in list(zip(values, vectors.T, strict=True))[len(found) :][:n]:
@@ -325,7 +327,7 @@ class Information:
         return ParameterDirection({self.names[i]: float(vector[i]) for i in order if abs(vector[i]) > _PART}, error)
 
     def log_determinant(self) -> float:
-        """Natural logarithm of the determinant; -inf where it is singular."""
+        """Return the natural logarithm of the determinant; -inf where the matrix is singular."""
         scale, values, _ = self._directions
         if not values.size or (values <= _SINGULAR).any():
             return -np.inf

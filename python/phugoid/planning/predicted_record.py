@@ -42,7 +42,7 @@ def predicted(
     sigmas: Mapping[str, float],
     mesh: Collocation,
 ) -> tuple[Record, FitResult]:
-    """What the model predicts for the inputs of ``run``, and the fit to it, at the parameters that predict it.
+    """Return the record that the model predicts for the inputs of ``run``, and the fit to it at these parameters.
 
     Raises EvaluationError where there is no solution, or where the fit does not lie on it.
     """
@@ -59,7 +59,7 @@ def predicted(
 
 
 def _stepped(model: Model, values: Mapping[str, float], run: Experiment, *, initial: Mapping[str, float]) -> Record:
-    """`simulate` by Runge-Kutta steps of fixed length, in the core."""
+    """Simulate by Runge-Kutta steps of fixed length, in the core; arguments as of `simulate`."""
     run.check_for(model.input_names, [], conditions=model.condition_names)
     silent = run.with_outputs({n: np.zeros(run.n) for n in model.output_names})
     noise = Gaussian(dict.fromkeys(model.output_names, 1.0)).resolve(model.output_names, {}, {})

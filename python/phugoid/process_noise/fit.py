@@ -1,4 +1,4 @@
-"""From a model and data to a fit with process noise: the filter-error method."""
+"""The filter-error method: a fit with process noise, from a model and data."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = ["better", "doubtful", "filter_error"]
 
 _Array = NDArray[np.float64]
 
-# What a step must promise, in log-likelihood: 1e-4 of a standard error, as the other solver has it.
+# Least predicted gain of a step in log-likelihood: 1e-4 of a standard error, as for the other solver.
 _TOLERANCE = 0.5e-8
 # Least standard deviation, as a part of the spread of an output.
 _FLOOR = 1e-4
@@ -42,7 +42,7 @@ _STILL = 0.1
 _SAME = _STILL**2
 # Ends of fits that were stopped.
 _STOPPED = ("interrupted", "time limit")
-# How often the exact Hessian takes the place of what the iterations have learnt of it.
+# How often the exact Hessian replaces the quasi-Newton one.
 _ROUNDS = 6
 
 
@@ -55,8 +55,8 @@ def filter_error(
     progress: bool | Callable[[Iteration], None],
     ordinary: FitResult | None = None,
 ) -> FitResult:
-    """The fit by the filter-error method; arguments as those of `estimate`, which has checked them, and an output-error
-    fit to start from."""
+    """Return the fit by the filter-error method; arguments as those of `estimate`, which has checked them, and an
+    output-error fit to start from."""
     begin = time.perf_counter()
     _check(model, noise)
     if len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values()):
@@ -147,16 +147,16 @@ def filter_error(
 
 
 def doubtful(fit: FitResult, options: FilterError) -> bool:
-    """Whether an end found from values far away may be none: it was not reached, or only once the noise between samples
-    was refined. Coarse steps have optima of their own, of motions too fast for them."""
+    """Return whether a fit from distant start values may be a spurious optimum: it did not converge, or only once the
+    noise between samples was refined. Coarse steps have optima of their own, with motions too fast for them."""
     if fit.status in _STOPPED:
         return False
     return not fit.converged or fit.transcription != options.meshes()[0]
 
 
 def better(fit: FitResult, other: Callable[[], FitResult]) -> FitResult:
-    """Of a doubtful fit and one that starts elsewhere the one that converged, or is likelier; the latter where both are
-    at the same optimum, with a treatment of the noise that need not be as fine."""
+    """Return, of a doubtful fit and one from another start, the one that converged, or is likelier; the latter where
+    both are at the same optimum, with a treatment of the noise that need not be as fine."""
     try:
         second = other()
     except PhugoidError:  # no ordinary fit, or no likelihood there
@@ -169,8 +169,8 @@ def better(fit: FitResult, other: Callable[[], FitResult]) -> FitResult:
 
 
 def _movement(fine: Objective, end: Minimum, curvature: _Array) -> tuple[float, tuple[float, _Array] | None]:
-    """How far the next Newton step goes with a finer treatment of the noise between samples, in standard errors of what
-    moves farthest; value and gradient there."""
+    """Return the length of the next Newton step with a finer treatment of the noise between samples, in standard errors
+    of the parameter that moves most; and value and gradient there."""
     first = fine(end.x)
     if first is None:
         return math.inf, None
@@ -180,7 +180,7 @@ def _movement(fine: Objective, end: Minimum, curvature: _Array) -> tuple[float, 
 
 
 def _held(bounds: tuple[_Array, _Array], end: Minimum) -> NDArray[np.bool_]:
-    """Variables that are fixed, or held at a bound."""
+    """Return which variables are fixed, or at an active bound."""
     lower, upper = bounds
     held: NDArray[np.bool_] = (
         (lower == upper) | ((end.x <= lower) & (end.gradient > 0)) | ((end.x >= upper) & (end.gradient < 0))
@@ -189,7 +189,7 @@ def _held(bounds: tuple[_Array, _Array], end: Minimum) -> NDArray[np.bool_]:
 
 
 def _check(model: Model, noise: Noise) -> None:
-    """Raises OptionError for what this method cannot do."""
+    """Raise OptionError for options and models that this method does not support."""
     if not isinstance(noise, Gaussian) or noise.correlated or noise.covariance is not None:
         raise OptionError("FilterError: measurement noise is independent and Gaussian here")
     if noise.expressions:
@@ -203,8 +203,8 @@ def _check(model: Model, noise: Noise) -> None:
 
 
 def _floored(sigma: tuple[bool, float, float, float], given: bool, scale: float) -> tuple[bool, float, float, float]:
-    """A higher lower bound than that of the output-error method, unless the user gave one: process noise can explain an
-    output exactly, and then the likelihood is flat below what matters."""
+    """Return sigma with a higher lower bound than that of the output-error method, unless the user gave one: process
+    noise can explain an output exactly, and then the likelihood is flat below that bound."""
     known, value, low, high = sigma
     low = low if known or given else max(low, _FLOOR * scale)
     return known, max(value, low), low, high
@@ -218,7 +218,7 @@ def _states(
     warm: FitResult | None,
     i: int,
 ) -> _Array:
-    """States to start from, (n_x, N)."""
+    """Return the states to start from, (n_x, N)."""
     states = state_start(model, e, e.t, parameters, given)
     if warm is not None and i < len(warm.records):
         record = warm.records[i]
@@ -237,7 +237,8 @@ def _maximise(
     watch: Callable[[Iteration], None] | None,
     number: int = 0,
 ) -> tuple[Minimum, _Array | None]:
-    """Quasi-Newton to the end, then the exact Hessian: it confirms the end, or sets out again from there.
+    """Maximise by quasi-Newton steps, then check with the exact Hessian, which confirms the optimum or restarts the
+    search from there. ``number`` iterations were made before.
 
     ``number`` iterations are behind it."""
     history: list[Iteration] = []
@@ -279,7 +280,8 @@ def _maximise(
 
 
 def _positive(hessian: _Array, metric: _Array, held: NDArray[np.bool_]) -> tuple[_Array, _Array | None]:
-    """A positive definite matrix near the Hessian, and a step along its most negative direction, if there is one."""
+    """Return a positive definite matrix near the Hessian, and a step along its most negative direction, if there is
+    one."""
     scale = 1 / np.sqrt(np.where(held, 1.0, np.maximum(np.abs(np.diag(hessian)), 1e-6 * np.diag(metric))))
     scaled = hessian * np.outer(scale, scale)
     scaled[held, held] = 1.0

@@ -1,4 +1,4 @@
-"""What a fit by the filter-error method says."""
+"""The result of the filter-error method as a `FitResult`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def make_filter_fit(
     hessian: _Array | None,
     seconds: float,
 ) -> FitResult:
-    """The fit at a maximum of the marginal likelihood.
+    """Return the fit at a maximum of the marginal likelihood.
 
     Standard errors are from the curvature there (``hessian``, of minus the likelihood in the variables of
     `Objective`); those of first states add to the smoother's variance what the parameters' uncertainty brings.
@@ -135,7 +135,7 @@ def make_filter_fit(
 def _invert(
     hessian: _Array, free: NDArray[np.intp], names: Sequence[str], out: _Array, warnings: list[str], status: str
 ) -> str:
-    """Fills in the covariance of the free variables; the status, which singular curvature changes."""
+    """Fill in the covariance of the free variables; return the status, which singular curvature changes."""
     block = hessian[np.ix_(free, free)]
     scale = np.sqrt(np.abs(np.diag(block)))
     none = scale == 0
@@ -184,7 +184,7 @@ def _records(
     covariance: _Array,
     feasible: bool,
 ) -> tuple[list[Record], dict[str, Estimates]]:
-    """Smoothed time histories, and the first states with their standard errors."""
+    """Return the smoothed time histories, and the first states with their standard errors."""
     n, p = len(model.state_names), len(model.parameter_names)
     of_model = np.nan_to_num(covariance[:p, :p])
     records, initial = [], {}

@@ -1,4 +1,4 @@
-"""Parameters of single experiments for methods that know shared ones only.
+"""Replacement of parameters of single experiments by shared ones, for methods that support only these.
 
 A parameter p of which each experiment has its own becomes the quantity p = s1 p1 + s2 p2 + ..., with an input s_i that
 is 1 in experiment i and 0 elsewhere. The fit is the same; it costs derivatives that are zero, so transcriptions that
@@ -26,7 +26,7 @@ __all__ = ["Separated"]
 
 
 class Separated:
-    """A model and experiments with shared parameters only, and the way back."""
+    """A model and experiments with shared parameters only, and the conversion of results back."""
 
     def __init__(self, model: Model, experiments: Sequence[Experiment]) -> None:
         self.original, self.records = model, list(experiments)
@@ -63,7 +63,7 @@ class Separated:
         return other._sampled(signals, e.mesh_times)
 
     def start(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Start values by the new names."""
+        """Return start values by the new names."""
         found = {name: value for name, value in given.items() if name in self.model.parameter_names}
         for new, old in self.names.items():
             base = old.partition("[")[0]
@@ -73,13 +73,13 @@ class Separated:
         return {**{name: value for name, value in given.items() if name not in taken}, **found}
 
     def fit(self, fit: FitResult) -> FitResult:
-        """A fit of the original model as one of this, to start from."""
+        """Return a fit of the original model as one of this model, to start from."""
         new = {old: name for name, old in self.names.items()}
         estimates = Estimates(replace(e, name=new.get(e.name, e.name)) for e in fit.parameters.values())
         return replace(fit, parameters=estimates, model=self.model)
 
     def restored(self, fit: FitResult) -> FitResult:
-        """A fit of this model as one of the original."""
+        """Return a fit of this model as one of the original."""
         estimates = Estimates(replace(e, name=self.names.get(e.name, e.name)) for e in fit.parameters.values())
         records = [
             replace(r, inputs={name: u for name, u in r.inputs.items() if name in self.original.input_names})

@@ -1,4 +1,4 @@
-"""The filter-error method in the variables that it is maximised in, and where these start."""
+"""The objective of the filter-error method in its variables, and their start values."""
 
 from __future__ import annotations
 
@@ -36,11 +36,12 @@ class Objective:
         self.n_sigma = len(problem.parameters) - self.n_model - n_q
         self.priors = [(i, *p.prior) for i, p in enumerate(model.declared_parameters.values()) if p.prior]
         self.reason = ""
-        # The least value so far, with the path there.
+        # The least value so far, with its path.
         self.best: tuple[float, _Array] | None = None
 
     def on(self, problem: _core.Filter) -> Objective:
-        """The same with another treatment of the noise between samples, from the path of this."""
+        """Return the objective with another treatment of the noise between samples, starting from the path of
+        this one."""
         path = problem.start(self.problem.states(self.path))
         return Objective(self.model, problem, path, self.bounds, self.n_q)
 
@@ -55,7 +56,7 @@ class Objective:
         return slice(self.n_model + self.n_sigma, None)
 
     def theta(self, z: _Array) -> _Array:
-        """The parameters as the core takes them."""
+        """Return the parameters as the core takes them."""
         theta = z.copy()
         theta[self.sigmas] = np.exp(-z[self.sigmas])
         return theta
@@ -65,7 +66,7 @@ class Objective:
         return float(sum(0.5 * ((z[i] - mean) / std) ** 2 for i, mean, std in self.priors))
 
     def __call__(self, z: _Array) -> tuple[float, _Array] | None:
-        """Value and gradient; None where there is none, and ``reason`` says why.
+        """Return value and gradient; None where they do not exist, with the cause in ``reason``.
 
         Raises TimeUp at the limit in force.
         """
@@ -88,8 +89,8 @@ class Objective:
         return value, gradient
 
     def metric(self, z: _Array, measured: Sequence[int], intervals: int) -> _Array:
-        """About the Hessian: the expected information of the model's parameters, and of noise levels what their
-        number of samples gives. Raises TimeUp at the limit in force."""
+        """Return an approximation of the Hessian: the expected information of the model's parameters, and for noise
+        levels that of their number of samples. Raises TimeUp at the limit in force."""
         n = z.size
         metric = np.zeros((n, n))
         p = self.n_model
@@ -102,7 +103,7 @@ class Objective:
         for i, _, std in self.priors:
             metric[i, i] += 1 / std**2
         diagonal = np.diag(metric)[:p]
-        # What has no influence here, or none of its own, must not make the metric singular.
+        # A parameter without influence here, or collinear with others, must not make the metric singular.
         floor = np.where(diagonal > 0, 1e-9 * diagonal, 1 / np.where(z[:p] == 0, 1.0, z[:p]) ** 2)
         metric[range(p), range(p)] += floor
         noise = [2.0 * count for count in measured]
@@ -111,8 +112,8 @@ class Objective:
         return metric
 
     def hessian(self, z: _Array, metric: _Array, held: NDArray[np.bool_]) -> _Array | None:
-        """The Hessian by central differences of the gradient, steps of a hundredth of a standard error; rows and
-        columns of ``held`` variables are zero. None where the likelihood ends near by."""
+        """Return the Hessian by central differences of the gradient, with steps of a hundredth of a standard error;
+        rows and columns of ``held`` variables are zero. None where the likelihood does not exist nearby."""
         path = self.path
         hessian = np.zeros((z.size, z.size))
         size = 0.01 / np.sqrt(np.diag(metric))
@@ -133,8 +134,8 @@ class Objective:
 def intensity_start(
     options: FilterError, model: Model, times: Sequence[_Array], states: Sequence[_Array], given: Any
 ) -> list[float]:
-    """Where intensities start: as given (``q_<state>``), else at half of what would explain all motion of the state
-    as a random walk; from there they come down fast.
+    """Return the start values of intensities: as given (``q_<state>``), else half of the value that would explain all
+    motion of the state as a random walk, from which they decrease fast.
 
     ``times`` and ``states``, (n_x, points): one array an experiment. Raises OptionError where a state stands still at
     the start.
@@ -172,6 +173,6 @@ def _positive(name: str, value: Any) -> float:
 
 
 def split(options: FilterError, start: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Starts of intensities, and all others."""
+    """Return the start values of intensities, and all others."""
     names = {f"q_{name}" for name in options.states}
     return {n: v for n, v in start.items() if n in names}, {n: v for n, v in start.items() if n not in names}

@@ -1,1 +1,1 @@
-"""Flight-path reconstruction: sensors made to agree with kinematics, and the record that follows."""
+"""Flight-path reconstruction: sensor errors from the kinematic equations, and the corrected record."""

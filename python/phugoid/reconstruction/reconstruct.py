@@ -1,4 +1,4 @@
-"""From a record of all sensors to their biases and scale factors, and to a record without them."""
+"""Flight-path reconstruction: biases and scale factors of the sensors, and the corrected record."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _SUFFIX = "_true"
 
 
 def corrected(fit: Fit, record: Record, run: Experiment) -> Experiment:
-    """A record with inertial channels at the centre of gravity and without bias, and states in place of what measured
-    them; its other channels as they were. All are channels, which serve as inputs or as outputs."""
+    """Return a record with inertial channels at the centre of gravity and without bias, and states in place of their
+    measurements; other channels are unchanged. All are channels, which serve as inputs or as outputs."""
     model = fit.model
     quantities = {n.removesuffix(_SUFFIX): n for n in model.quantity_names if n.endswith(_SUFFIX)}
     if "V" not in model.state_names or "q" not in quantities:
@@ -67,12 +67,12 @@ _JUMP = np.pi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reconstruction:
-    """Sensors that agree with each other.
+    """The result of `reconstruct`: sensor errors, and records without them.
 
     fit        of the model of the flight path: biases, scale factors, delays; states are the path.
     runs       the records that it was fitted to.
     places     the fit with places of vanes estimated in place of their delays, and which of the two the data prefer;
-               None where all places were given or none tells (see `reconstruct`).
+               None where all positions were given or none is estimated (see `reconstruct`).
     corrected  the same records, corrected: specific forces at the centre of gravity and rates without bias, and V,
                alpha, beta, phi, theta, ... as reconstructed; all other channels as they were. Each is one step's data
                for the next: the forces and moments are functions of these.
@@ -84,18 +84,18 @@ class Reconstruction:
 
     @cached_property
     def corrected(self) -> tuple[Experiment, ...]:
-        """See the class."""
+        """The corrected records; see the class."""
         return tuple(corrected(self.fit, r, run) for r, run in zip(self.fit.records, self.runs, strict=True))
 
     @cached_property
     def coloured_errors(self) -> Mapping[str, float]:
-        """Standard errors for residuals as coloured as they are, by parameter: those of `Fit.robust`. Noise of the
-        gyros and accelerometers is integrated, and so residuals are never white: the standard errors of the fit are too
-        small. Where residuals drift over the whole record, these are so too."""
+        """Standard errors corrected for autocorrelated residuals, by parameter, as `Fit.robust` gives them. Noise of
+        the gyros and accelerometers is integrated, so residuals are never white and the plain standard errors are too
+        small. Where residuals drift over the whole record, the corrected ones are too small as well."""
         return {n: e.std_error for n, e in self.fit.robust().parameters.items()}
 
     def summary(self) -> str:
-        """Sensor errors with both standard errors, and how well the path matches each output."""
+        """Return a table of sensor errors with both standard errors, and the goodness of fit of each output."""
         rows = []
         noise = self.fit.noise_parameters
         coloured: Mapping[str, Estimate] = with_coloured_errors(self.fit, again=True) or {}
@@ -120,7 +120,7 @@ class Reconstruction:
         return "\n".join(lines)
 
     def plot(self, record: int | str = 0) -> tuple[Figure, dict[str, Axes]]:
-        """Measured outputs and the reconstructed path."""
+        """Plot measured outputs and the reconstructed path."""
         return self.fit.plot(record)
 
     def __str__(self) -> str:
@@ -139,10 +139,10 @@ def reconstruct(
     time_limit: float | None = None,
     **options: Any,
 ) -> Reconstruction:
-    """Finds biases, scale factors and delays of the sensors from the kinematic equations alone, and corrects the
+    """Estimate biases, scale factors and delays of the sensors from the kinematic equations alone, and correct the
     record.
 
-    Needs no model of the aerodynamics, and so should come before one: an angle of attack that is late or scaled wrongly
+    It needs no model of the aerodynamics, and should precede one: an angle of attack that is delayed or scaled wrongly
     shows here, and not as a derivative.
 
     data     with the channels of `models.flight_path`: ax, ay, az (m/s²), p, q, r (rad/s), and outputs such as V (m/s),
@@ -156,7 +156,7 @@ def reconstruct(
 
     A vane ahead of the centre of gravity reads much like a late one, and it is its place that is known. So where the
     model is made here, and places of vanes for alpha or beta among the outputs are not given (``alpha_vane``,
-    ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result tells
+    ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result shows
     what it finds and which of the two the data prefer. What is corrected is by the fit that was asked for.
 
     psi is unwrapped where it jumps by a whole turn. With the accelerometers off the centre of gravity, angular
@@ -178,7 +178,7 @@ def reconstruct(
     ready = [_turning(_unwrapped(run, made), made) for run in runs]
     begin = dict(start or {})
     if "V" in made.delays.outputs:
-        # What is late measures no state, and states that none measures start at 0: there is no angle of attack at rest.
+        # A delayed output measures no state, and unmeasured states start at 0: there is no angle of attack at rest.
         begin.setdefault("V", float(np.nanmedian(np.concatenate([run.output("V") for run in ready]))))
     with deadline.in_force():
         fit = estimate(made, ready, start=begin, noise=noise)
@@ -189,20 +189,20 @@ def reconstruct(
 def _placed(
     fit: Fit, runs: Sequence[Experiment], start: Mapping[str, Any], noise: Any, options: Mapping[str, Any]
 ) -> VanePlaces | None:
-    """The places of vanes that were not given, estimated in place of delays."""
+    """Return the positions of the vanes that were not given, estimated in place of delays."""
     outputs = fit.model.output_names
     channels = [c for c in _VANES if c in outputs and options.get(f"{c}_vane") is None]
     if not channels or fit.status not in ("converged", "acceptable"):
         return None
-    late = [n for n in fit.model.delays.outputs if n not in channels]
-    other = flight_path(outputs, **{**options, "late": late, **{f"{c}_vane": (None, 0.0, 0.0) for c in channels}})
+    delayed = [n for n in fit.model.delays.outputs if n not in channels]
+    other = flight_path(outputs, **{**options, "late": delayed, **{f"{c}_vane": (None, 0.0, 0.0) for c in channels}})
     known = {*other.parameter_names, *other.state_names}
     begin = {n: v for n, v in start.items() if n.partition("[")[0] in known}
-    for n in late:  # delays take most of the time
+    for n in delayed:  # delays take most of the time
         begin.setdefault(f"tau_{n}", fit.parameters[f"tau_{n}"].value)
     try:
         found = estimate(other, runs, start=begin, noise=noise)
-    except PhugoidError:  # what was asked for is there
+    except PhugoidError:  # the fit that was asked for exists
         return None
     return compare_places(fit, found, channels)
 
@@ -226,7 +226,7 @@ def _unwrapped(run: Experiment, model: Model) -> Experiment:
 
 
 def _turning(run: Experiment, model: Model) -> Experiment:
-    """Angular accelerations, where the model needs them and the record has none."""
+    """Add angular accelerations, where the model needs them and the record has none."""
     lacking = [n for n in _TURNING if n in model.input_names and n not in {*run.inputs, *run.channels}]
     if not lacking:
         return run
@@ -235,7 +235,7 @@ def _turning(run: Experiment, model: Model) -> Experiment:
 
 
 def _with(run: Experiment, channels: Mapping[str, Any], step: str) -> Experiment:
-    """The record with more channels, or others in their place."""
+    """Return the record with channels added or replaced."""
     outputs = {n: v for n, v in run.outputs.items() if n not in channels}
     other = Experiment(
         run.t,

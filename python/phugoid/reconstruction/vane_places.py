@@ -1,4 +1,4 @@
-"""Vanes that are off the centre of gravity, tried in place of late ones: which of them the data prefer."""
+"""Positions of vanes off the centre of gravity, tried in place of delays: which of the two the data prefer."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _Array = NDArray[np.float64]
 
 # Parts of each record whose gains are taken for independent: residuals are coloured.
 _BLOCKS = 10
-# Standard deviations from which on a gain is none of chance.
+# Standard deviations from which on a gain is significant.
 _CLEAR = 2.0
 # Standard errors from which on a vane is off the centre of gravity.
 _OFF = 3.0
@@ -28,7 +28,7 @@ _OFF = 3.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VanePlaces:
-    """A fit with the places of vanes estimated, in place of the delays of these channels that were asked for.
+    """A fit with the positions of vanes estimated, in place of the delays of these channels that were asked for.
 
     channels   of ``alpha`` and ``beta`` those whose vane was given no place.
     delayed    those of them that are late in the other fit.
@@ -45,8 +45,8 @@ class VanePlaces:
 
     @property
     def preferred(self) -> bool | None:
-        """Whether the data prefer places (True) or the other fit (False) by two standard deviations; None: neither. A
-        place that is preferred is also off the centre of gravity by more than three standard errors."""
+        """Whether the data prefer positions (True) or the other fit (False) by two standard deviations; None: neither.
+        A position that is preferred also differs from the centre of gravity by more than three standard errors."""
         if abs(self.gain) <= _CLEAR * self.deviation:
             return None
         if self.gain < 0.0:
@@ -78,24 +78,24 @@ class VanePlaces:
         without = "delays" if self.delayed else "vanes at the centre of gravity"
         gain = f"log-likelihood {self.gain:+.0f} ± {self.deviation:.0f} on the same samples"
         verdict = {
-            True: f"the data prefer places to {without}",
+            True: f"the data prefer positions to {without}",
             False: f"the data prefer {without}",
-            None: f"the data do not tell places from {without}",
+            None: f"the data do not distinguish positions from {without}",
         }[self.preferred]
-        text = f"Places of vanes estimated{instead}: {', '.join(found)}; {gain}: {verdict}."
+        text = f"Positions of vanes estimated{instead}: {', '.join(found)}; {gain}: {verdict}."
         if self.preferred is False or (self.preferred is None and not self.delayed):
             return text
         given = ", ".join(f"{c}_vane=(x, y, z)" for c in self.channels)
         return (
-            f"{text} A vane ahead of the centre of gravity by x reads like one that is late by x/V: give the places as "
-            f"measured on the aircraft, {given}, before any delay."
+            f"{text} A vane ahead of the centre of gravity by x reads like one that is delayed by x/V: give the "
+            f"positions as measured on the aircraft, {given}, before any delay."
         )
 
     def __str__(self) -> str:
         return self.summary()
 
     def __repr__(self) -> str:
-        return f"<Places of vanes of {', '.join(self.channels)}: {self.gain:+.1f} ± {self.deviation:.1f}>"
+        return f"<Positions of vanes of {', '.join(self.channels)}: {self.gain:+.1f} ± {self.deviation:.1f}>"
 
 
 def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePlaces | None:
@@ -109,13 +109,14 @@ def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePlaces
     gains = np.array(
         [part.sum() for a, b in zip(one, other, strict=True) for part in np.array_split(np.nansum(b - a, 0), _BLOCKS)]
     )
-    late = tuple(c for c in channels if c in fit.model.delays.outputs)
+    delayed = tuple(c for c in channels if c in fit.model.delays.outputs)
     deviation = float(np.sqrt(gains.size) * np.std(gains, ddof=1))
-    return VanePlaces(tuple(channels), late, places, float(gains.sum()), deviation)
+    return VanePlaces(tuple(channels), delayed, places, float(gains.sum()), deviation)
 
 
 def _log_densities(fit: Fit) -> list[_Array] | None:
-    """Of each record (n_y, N), without the constant; NaN where missing; None for other than independent noise."""
+    """Return the log-density of each value (n_y, N) of each record, without the constant, NaN where missing; None for
+    other than independent Gaussian noise."""
     outputs = fit.model.output_names
     known = fit.noise.known_sigmas(outputs)
     values = {n: fit.parameters[f"sigma_{n}"].value for n in outputs if f"sigma_{n}" in fit.parameters}

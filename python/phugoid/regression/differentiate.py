@@ -1,4 +1,4 @@
-"""Smoothed values and slopes of a measured channel: what the equation-error method differentiates with."""
+"""Smoothed values and slopes of a measured channel, for the equation-error method."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ class SmoothingSpline:
         _positive("SmoothingSpline: penalty", self.penalty)
 
     def smooth(self, t: _Array, z: _Array) -> tuple[_Array, _Array]:
-        """Values and slopes (per second) at the times ``t`` (N,), of a channel ``z`` (N,) with NaN where missing.
+        """Return values and slopes (per second) at the times ``t`` (N,), of a channel ``z`` (N,) with NaN where
+        missing.
 
         Raises DataError for fewer than 5 samples.
         """
@@ -57,8 +58,8 @@ class SmoothingSpline:
 class FourierSmoothing:
     """Global Fourier smoothing: sine series of the record, less the line through its ends, through a low-pass filter.
 
-    ``cutoff`` in Hz is where the filter has fallen to one half; None puts it where the series sinks into the noise, as
-    Wiener's filter does for a signal whose coefficients fall with the third power of frequency (E. A. Morelli,
+    ``cutoff`` in Hz is where the filter has fallen to one half; None puts it where the series falls to the noise level,
+    as Wiener's filter does for a signal whose coefficients fall with the third power of frequency (E. A. Morelli,
     Estimating Noise Characteristics from Flight Test Data Using Optimal Fourier Smoothing, J. Aircraft 32(4), 1995).
     Needs evenly spaced times; missing samples are filled linearly first.
     """
@@ -69,7 +70,8 @@ class FourierSmoothing:
         _positive("FourierSmoothing: cutoff", self.cutoff)
 
     def smooth(self, t: _Array, z: _Array) -> tuple[_Array, _Array]:
-        """Values and slopes (per second) at the times ``t`` (N,), of a channel ``z`` (N,) with NaN where missing.
+        """Return values and slopes (per second) at the times ``t`` (N,), of a channel ``z`` (N,) with NaN where
+        missing.
 
         Raises DataError for fewer than 5 samples or uneven sampling.
         """
@@ -94,7 +96,7 @@ class FourierSmoothing:
 
     @staticmethod
     def _crossing(series: _Array) -> float:
-        """Number of the coefficient where the signal falls to the noise, which the upper half of them shows."""
+        """Return the number of the coefficient where the signal falls to the noise level of the upper half of them."""
         power = series**2
         noise = float(np.median(power[power.size // 2 :])) / _MEDIAN_CHI2
         width = max(3, power.size // 100)
@@ -125,7 +127,8 @@ class SavitzkyGolay:
             )
 
     def smooth(self, t: _Array, z: _Array) -> tuple[_Array, _Array]:
-        """Values and slopes (per second) at the times ``t`` (N,), of a channel ``z`` (N,) with NaN where missing.
+        """Return values and slopes (per second) at the times ``t`` (N,), of a channel ``z`` (N,) with NaN where
+        missing.
 
         Raises DataError for fewer samples than the window, or uneven sampling.
         """
@@ -159,7 +162,7 @@ def _size(z: _Array) -> float:
 
 
 def _even(t: _Array, who: str) -> float:
-    """The sampling interval, s."""
+    """Return the sampling interval, s; raise DataError for uneven sampling."""
     step, steps, uneven = intervals(t)
     if uneven.size:
         worst = int(np.argmax(np.abs(steps - step)))
@@ -176,7 +179,7 @@ def _filled(t: _Array, z: _Array, who: str) -> _Array:
 
 
 def _end(z: _Array) -> float:
-    """The first value, as a cubic through the first samples has it."""
+    """Return the first value of a cubic fitted to the first samples."""
     n = min(12, z.size)
     cubic = np.polynomial.Polynomial.fit(np.arange(n), z[:n], min(3, n - 2))
     return float(cubic(0.0))

@@ -40,10 +40,10 @@ class EquationError:
     sigmas             equation -> root mean square of its residuals, in its unit.
     groups             the equations that were solved together, since they share parameters.
     collinear          (names, condition index): parameters that compensate each other (index from 30); infinite
-                       where the data do not tell them apart at all.
+                       where the data do not distinguish them at all.
     records            one an experiment. Its outputs are the equations, named after the output or the state with a
                        prime: measured left-hand sides, right-hand sides, residuals; its states are smoothed.
-    warnings           what to beware of, in words.
+    warnings           in words.
     """
 
     model: Model
@@ -55,7 +55,7 @@ class EquationError:
     collinear: Sequence[tuple[tuple[str, ...], float]]
     records: Sequence[Record]
     warnings: tuple[str, ...] = ()
-    solution: None = field(default=None, init=False)  # an estimate from here has no multipliers to go on with
+    solution: None = field(default=None, init=False)  # an estimation started from here has no multipliers
 
     @property
     def t_statistics(self) -> dict[str, float]:
@@ -70,11 +70,11 @@ class EquationError:
         return self.records[0].residuals
 
     def as_start(self) -> dict[str, float]:
-        """Parameters as start values of an estimation."""
+        """Return the parameters as start values of an estimation."""
         return self.parameters.to_dict()
 
     def summary(self) -> str:
-        """The regression as plain-text tables."""
+        """Return the regression as plain-text tables."""
         rows = []
         for name, sigma in self.sigmas.items():
             pieces = [r.residuals[name][np.isfinite(r.residuals[name])] for r in self.records]
@@ -100,7 +100,7 @@ class EquationError:
         return "\n\n".join(parts)
 
     def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
-        """Both sides of the equations over time, residuals and inputs, of one experiment."""
+        """Plot both sides of the equations over time, residuals and inputs, of one experiment."""
         chosen = plot.choose_record(self.records, record)
         return plot.plot_record(chosen, channels, title=f"{self.model.name}: {chosen.name}")
 
@@ -132,7 +132,7 @@ def equation_error(
     differentiation: Differentiator | None = None,
     start: Mapping[str, float] | None = None,
 ) -> EquationError:
-    """Regression estimate: the model's equations at the states as measured, without any integration.
+    """Estimate by regression: the model's equations at the measured states, without integration.
 
     Every state must be measured by an output of its own (``q=q + bias``). Measured states are smoothed; the left side
     of a state equation is the slope of the smoothed channel, unless another output measures the slope itself; outputs
@@ -189,7 +189,7 @@ def equation_error(
     everything = _unknowns(model, model.parameter_names, runs)
     idle = [u.label for u in everything if not declared[u.name].fixed and u.label not in found]
     if idle:
-        warnings.append(f"{', '.join(idle)} stands in no equation and stays at its start")
+        warnings.append(f"{', '.join(idle)} appears in no equation and stays at its start")
     records = [side.record(own) for side, own in zip(sides, values, strict=True)]
     return EquationError(
         model=model,
@@ -213,7 +213,7 @@ class _Unknown:
     experiment: int | None
 
     def among(self, each: Sequence[_Of]) -> Sequence[_Of]:
-        """Those experiments' values that it belongs to."""
+        """Return the values of those experiments that the parameter belongs to."""
         return each if self.experiment is None else each[self.experiment : self.experiment + 1]
 
 
@@ -229,7 +229,8 @@ def _unknowns(model: Model, names: Sequence[str], runs: Sequence[Experiment]) ->
 
 
 class _Sides:
-    """What an experiment has for the equations: left-hand sides (E, N), which rows count, columns for the right."""
+    """The data of an experiment for the equations: left-hand sides (E, N), valid rows, columns for the right-hand
+    sides."""
 
     def __init__(
         self,
@@ -244,7 +245,7 @@ class _Sides:
         self.columns = np.vstack(
             [run.t, *(run.input(n) for n in model.input_names), *(smooth[n][0] for n in model.state_names)]
         )
-        # Beyond the first and the last sample of a state the smoothing only guesses.
+        # Beyond the first and the last sample of a state the smoothing extrapolates.
         covered = np.ones(run.n, dtype=bool)
         for c in measured:
             present = np.flatnonzero(np.isfinite(run.output(c.output)))
@@ -255,7 +256,7 @@ class _Sides:
         self.left = np.where(self.mask, np.array(left), 0.0)
 
     def record(self, values: Mapping[str, float]) -> Record:
-        """Both sides at the result."""
+        """Return a record of both sides at the result."""
         right, _ = Evaluation(self.model, self.listed, [])(values, self.columns)
         left = np.where(self.mask, self.left, np.nan)
         first = 1 + len(self.model.input_names)
@@ -325,7 +326,7 @@ def _solve(
         left = np.concatenate([left[i][mask[i]] for left, mask in zip(lefts, masks, strict=True)])
         scales[i] = (float(left.std()) if left.size else 0.0) or 1.0
     declared = [model.declared_parameters[u.name] for u in unknowns]
-    # What is estimated in its logarithm afterwards has to stay positive.
+    # A parameter that is estimated in its logarithm afterwards must stay positive.
     least = [_POSITIVE * p.start if p.transform == "log" else -np.inf for p in declared]
     lower = np.maximum([p.bounds[0] for p in declared], least)
     bounds = (lower, np.array([p.bounds[1] for p in declared]))
@@ -354,7 +355,9 @@ def _estimate(model: Model, unknown: _Unknown, value: float, of: tuple[Regressio
 def _warning(names: Sequence[str], index: float) -> str:
     listed = ", ".join(names)
     if np.isfinite(index):
-        return f"{listed} are nearly collinear (condition index {index:.0f}): errors of one are made up by the others"
+        return (
+            f"{listed} are nearly collinear (condition index {index:.0f}): errors of one are compensated by the others"
+        )
     if len(names) == 1:
         return f"{listed} has no influence on the equations with these data, and stays at its start"
     return f"{listed} cannot be told apart with these data: fix one of them, or give it a prior"

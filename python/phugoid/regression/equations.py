@@ -1,4 +1,4 @@
-"""A model as regression equations: what each measured channel, or its slope, is said to be by the others."""
+"""A model as regression equations: each measured channel, or its slope, expressed by the others."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class MeasuredChannel:
 
 @dataclass(frozen=True)
 class Equation:
-    """``name`` is the output, or the state with a prime; ``right`` what the model makes of it.
+    """A regression equation: ``name`` is the output, or the state with a prime; ``right`` its right-hand side.
 
     In ``right`` the name of a state stands for the channel that measures it.
     """
@@ -47,7 +47,8 @@ class Equation:
 
 
 def channels(model: Model, values: Mapping[str, float]) -> list[MeasuredChannel]:
-    """For each state the output that measures it. Raises ModelError, with the names of those not measured."""
+    """Return for each state the output that measures it; raise ModelError, with their names, where some are not
+    measured."""
     found = measured_states(model, values)
     lost = [name for name in model.state_names if name not in found]
     if lost:
@@ -68,10 +69,10 @@ def channels(model: Model, values: Mapping[str, float]) -> list[MeasuredChannel]
 def equations(
     model: Model, measured: Sequence[MeasuredChannel], values: Mapping[str, float], data: Sequence[Experiment]
 ) -> list[Equation]:
-    """The state equations and those outputs that serve as no state's measurement.
+    """Return the state equations, and the outputs that are not the measurement of a state.
 
     A state equation is left out where an output measures the slope itself. Where it does but for a bias, both stay:
-    the slope tells the bias from the constants of the equation.
+    the slope separates the bias from the constants of the equation.
     """
     inside = {c.state: (Expr.symbol(c.state) - c.offset) / c.slope for c in measured}
     taken = {c.output for c in measured}
@@ -91,7 +92,7 @@ def equations(
 def _measured_slopes(
     model: Model, measured: Sequence[MeasuredChannel], values: Mapping[str, float], run: Experiment
 ) -> set[str]:
-    """States whose x' is an output: told by numbers, whatever the form of the two expressions."""
+    """Return the states whose x' is an output, found by numbers, whatever the form of the two expressions."""
     evaluator = CompiledModel(model)
     random = np.random.default_rng(0)
     declared = model.declared_parameters
@@ -127,12 +128,13 @@ def _present(run: Experiment, output: str) -> tuple[_Array, _Array]:
 
 
 def parameters_in(model: Model, listed: Sequence[Equation], free: Sequence[str]) -> list[set[str]]:
-    """The free parameters that matter to each equation."""
+    """Return the free parameters in each equation."""
     return [set(free).intersection(e.right.symbols) for e in listed]
 
 
 def groups(inside: Sequence[set[str]]) -> list[list[int]]:
-    """Numbers of the equations that share parameters, directly or through others; those without any stay out."""
+    """Return groups of the numbers of equations that share parameters, directly or through others; those without any
+    are left out."""
     found: list[tuple[set[str], list[int]]] = []
     for k, names in enumerate(inside):
         if not names:
@@ -155,21 +157,21 @@ class Evaluation:
         self.order = [name for name in model.parameter_names if name in used]
         self.place: list[list[int]] = []
         self.linear = True
-        wanted: list[Expr] = []
+        expressions: list[Expr] = []
         for equation in listed:
             derivatives = []
-            wanted.append(equation.right)
+            expressions.append(equation.right)
             for j, name in enumerate(names):
                 if name in equation.right.symbols:
                     d = equation.right.diff(name)
                     self.linear &= not any(_depends(d, other) for other in names)
-                    wanted.append(d)
+                    expressions.append(d)
                     derivatives.append(j)
             self.place.append(derivatives)
-        self._rows = CompiledExpressions(wanted, self.order, model.input_names, model.state_names)
+        self._rows = CompiledExpressions(expressions, self.order, model.input_names, model.state_names)
 
     def __call__(self, values: Mapping[str, float], columns: _Array) -> tuple[_Array, _Array]:
-        """Right-hand sides (E, N) and derivatives (E, N, p) for columns of time, inputs and state channels."""
+        """Return right-hand sides (E, N) and derivatives (E, N, p) for columns of time, inputs and state channels."""
         rows = self._rows(np.array([values[n] for n in self.order]), columns)
         right = np.empty((len(self.listed), columns.shape[1]))
         derivatives = np.zeros((*right.shape, len(self.names)))
@@ -181,7 +183,7 @@ class Evaluation:
         return right, derivatives
 
     def check(self, right: _Array, derivatives: _Array, mask: NDArray[np.bool_], run: Experiment) -> None:
-        """Raises EvaluationError for the first number that is not finite where it is needed."""
+        """Raise EvaluationError for the first number that is not finite where it is needed."""
         wrong = mask & ~(np.isfinite(right) & np.isfinite(derivatives).all(axis=2))
         if wrong.any():
             i, k = np.argwhere(wrong)[0]

@@ -35,7 +35,7 @@ _PART = 0.1
 
 @dataclass(frozen=True)
 class Collinear:
-    """Parameters (their numbers) that compensate each other; the index is infinite where the data cannot tell them."""
+    """Collinear parameters (their numbers); the index is infinite where the data do not distinguish them at all."""
 
     parameters: tuple[int, ...]
     condition_index: float
@@ -63,7 +63,7 @@ def regress(
     priors: Sequence[tuple[float, float] | None],
     linear: bool,
 ) -> Regression:
-    """Maximum likelihood of residuals with an unknown standard deviation for each equation.
+    """Return the maximum-likelihood solution with an unknown standard deviation of the residuals of each equation.
 
     ``rows`` gives residuals and their negative derivatives at parameters; ``scales`` (E,) are the sizes of what the
     equations explain. Undetermined directions stay at ``start``.
@@ -95,7 +95,7 @@ class _WeightedLeastSquares:
         self.root = np.array([1.0 / p[1] for p in priors if p])
 
     def stacked(self, theta: _Array, roots: _Array) -> tuple[_Array, _Array]:
-        """Residuals and regressors of all rows in their units, those of the priors last."""
+        """Return residuals and regressors of all rows in their units, those of the priors last."""
         parts = self.rows(theta)
         prior = np.zeros((self.known.size, theta.size))
         prior[np.arange(self.known.size), self.known] = self.root
@@ -107,7 +107,7 @@ class _WeightedLeastSquares:
         )
 
     def solve(self, theta: _Array, roots: _Array) -> tuple[_Array, bool]:
-        """The least-squares point for given weights, and whether it was reached."""
+        """Return the least-squares point for given weights, and whether the solver converged."""
         from scipy.optimize import least_squares, lsq_linear
 
         lower, upper = self.bounds
@@ -135,7 +135,7 @@ class _WeightedLeastSquares:
         return np.clip(theta + bounded.x / size, lower, upper), bool(bounded.status > 0)
 
     def judge(self, theta: _Array, sigmas: _Array, masks: Sequence[NDArray[np.bool_]], settled: bool) -> Regression:
-        """Covariances and collinearity at the solution."""
+        """Return the regression with covariances and collinearity at the solution."""
         roots = 1.0 / sigmas
         r, a = self.stacked(theta, roots)
         pull = a.T @ r  # at a bound the residuals still pull outwards
@@ -183,7 +183,7 @@ def _sizes(a: _Array) -> _Array:
 
 
 def _collinear(values: _Array, directions: _Array, free: NDArray[np.intp], top: float) -> tuple[Collinear, ...]:
-    """Belsley's condition indices with the parameters that share most of their variance in one direction."""
+    """Return Belsley's condition indices with the parameters that share most of their variance in one direction."""
     found = []
     sound = values > _SINGULAR * top
     for direction in directions[~sound]:
@@ -199,7 +199,7 @@ def _collinear(values: _Array, directions: _Array, free: NDArray[np.intp], top: 
 
 
 def _coloured(r: _Array, a: _Array, mask: NDArray[np.bool_]) -> _Array:
-    """Covariance of a'r, (p, p), where r is a stationary sequence of the autocorrelation that the residuals show.
+    """Return the covariance of a'r, (p, p), for r a stationary sequence with the autocorrelation of the residuals.
 
     Sum over i, j of a_i R(i - j) a_j' (V. Klein and E. A. Morelli, Aircraft System Identification, AIAA 2006, ch. 5),
     for E equations with their cross-correlations; lags are counted in samples and fade out by a Parzen window, since
@@ -220,12 +220,12 @@ def _coloured(r: _Array, a: _Array, mask: NDArray[np.bool_]) -> _Array:
         matrices = (axes * np.maximum(power, 0.0)[:, None, :]) @ axes.conj().swapaxes(1, 2)
     x = np.fft.rfft(a, length, axis=1)
     twice = np.full(n + 1, 2.0)
-    twice[[0, -1]] = 1.0  # all other frequencies stand for their mirror images too
+    twice[[0, -1]] = 1.0  # all other frequencies also represent their mirror images
     weighted = np.einsum("fgh,hfp->gfp", matrices, x, optimize=True) * twice[:, None]
     return np.asarray(np.einsum("efp,efq->pq", x.conj(), weighted, optimize=True).real / length)
 
 
 def _parzen(x: _Array) -> _Array:
-    """Parzen's lag window, zero from 1 on; its transform is nowhere negative."""
+    """Return Parzen's lag window, zero from 1 on; its transform is nowhere negative."""
     near, far = 1.0 - 6.0 * x**2 * (1.0 - x), 2.0 * np.maximum(1.0 - x, 0.0) ** 3
     return np.where(x < 0.5, near, far)

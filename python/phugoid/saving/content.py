@@ -1,4 +1,4 @@
-"""Whether what was read from a file is a fit: kinds, sizes and names of its parts, and that they belong together.
+"""Checks that the content of a file is a fit: kinds, sizes and names of its parts, and their consistency.
 
 A checksum finds damage, but files of earlier releases have none, and a program may write what it likes. What is let
 through here, every method of a fit can use.

@@ -1,4 +1,4 @@
-"""Fits saved and loaded, with the data they were made of.
+"""Saving and loading of fits, with the data that they were made of.
 
 Version 1 of the format had neither experiments nor solution: such fits have none, and what needs these (a diagnosis)
 takes what the records hold, and estimates again from there.
@@ -39,12 +39,12 @@ _OF_FILTER = ("state_std", "innovations", "innovation_std", "predicted_states")
 
 
 def save(fit: FitResult, path: str | os.PathLike[str]) -> None:
-    """Writes a fit: HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON. See `Fit.save`."""
+    """Write a fit: HDF5 where the suffix is ``.h5`` or ``.hdf5``, else JSON. See `Fit.save`."""
     io.save_fit_dict(path, fit_payload(fit), lambda place: fit_unit(fit, place))
 
 
 def load(path: str | os.PathLike[str]) -> FitResult:
-    """Reads a fit that `Fit.save` wrote, of this version or an older one; what the file is shows from its content.
+    """Read a fit that `Fit.save` wrote, of this version or an older one; the format is recognised by the content.
 
     Raises DataError for a missing, damaged or newer file, MissingDependency for HDF5 without h5py.
     """
@@ -55,16 +55,16 @@ def load(path: str | os.PathLike[str]) -> FitResult:
 
 @contextmanager
 def damage(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Raise DataError in the name of the file for whatever content that is no fit leads to."""
+    """Raise DataError in the name of the file for any exception that invalid content causes."""
     try:
         yield
-    except Exception as error:  # what lies in wait in a file is of many kinds, up to RecursionError and MemoryError
+    except Exception as error:  # invalid content may raise anything, up to RecursionError and MemoryError
         what = str(error) if isinstance(error, PhugoidError) else f"{type(error).__name__}: {error}"
         raise DataError(f"{path}: is damaged ({what[:500]})") from error
 
 
 def fit_payload(fit: FitResult) -> dict[str, Any]:
-    """A fit as numbers, texts, lists, mappings and arrays."""
+    """Return a fit as numbers, texts, lists, mappings and arrays."""
     return {
         "model": fit.model.to_json(),
         "noise": fit.noise.to_dict(),
@@ -120,13 +120,13 @@ def _solution_payload(solution: Solution) -> dict[str, Any]:
 
 
 def _sparse(values: _Array) -> dict[str, Any]:
-    """Few variables have bounds."""
+    """Return an array by its entries that are not zero, since few variables have bounds."""
     at = np.flatnonzero(values)
     return {"size": values.size, "at": at, "values": values[at]}
 
 
 def fit_unit(fit: FitResult, place: tuple[str | int, ...]) -> str:
-    """Of an array: ``("records", 0, "outputs", "q")`` has the unit of q."""
+    """Return the unit of an array by its place: ``("records", 0, "outputs", "q")`` has the unit of q."""
     if place[0] == "moved":
         return fit_unit(fit._moved, place[1:]) if fit._moved else ""
     if place[0] not in ("records", "experiments") or len(place) < 3:
@@ -145,7 +145,7 @@ def fit_unit(fit: FitResult, place: tuple[str | int, ...]) -> str:
 
 
 def fit_from(saved: Mapping[str, Any], version: int) -> FitResult:
-    """The fit of a payload. Raises DataError, or another exception, where it is none."""
+    """Return the fit of a payload; raise DataError, or another exception, where it is none."""
     fit = FitResult(
         model=Model.from_json(saved["model"]),
         noise=noise_from_dict(saved["noise"]),

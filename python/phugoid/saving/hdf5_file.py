@@ -41,15 +41,15 @@ def _h5py(what: str) -> Any:
 
 
 class Writer:
-    """A new file in memory: `keep` for every array, then `finish`."""
+    """A new file in memory: call `keep` for every array, then `finish`."""
 
     def __init__(self, unit: Callable[[tuple[str | int, ...]], str]) -> None:
-        # The times at which datasets were made are left out: the same fit gives the same bytes.
+        # Creation times of datasets are left out: the same fit gives the same bytes.
         self._file = _h5py("save").File("saved.h5", "w", track_order=True, driver="core", backing_store=False)
         self._unit = unit
 
     def keep(self, array: NDArray[Any], place: tuple[str | int, ...]) -> dict[str, str]:
-        """Writes an array; returns what stands for it in the JSON."""
+        """Write an array; return the value that stands for it in the JSON."""
         path = "/".join(_part(part) for part in place)
         while path in self._file or path == _DOCUMENT:  # names that differ by a slash
             path += "_"
@@ -62,7 +62,7 @@ class Writer:
         return {_KEY: f"/{path}"}
 
     def finish(self, text: str, name: str, version: int) -> bytes:
-        """Adds the JSON, and what the file is; returns the content of the file."""
+        """Add the JSON, the format and its version; return the content of the file."""
         data = np.array([text.encode("utf-8")])
         self._file.create_dataset(_DOCUMENT, data=data, track_times=False, chunks=(1,), fletcher32=True)
         self._file.attrs["format"], self._file.attrs["version"] = name, version
@@ -78,7 +78,7 @@ class Writer:
 
 
 class Reader:
-    """A file. DataError where it is damaged or holds something else."""
+    """A file to read; raises DataError where it is damaged or holds something else."""
 
     def __init__(self, path: str | PathLike[str]) -> None:
         self._path = path
@@ -90,11 +90,11 @@ class Reader:
         self._file = self._try(lambda: h5py.File(BytesIO(content), "r"))
 
     def name(self) -> Any:
-        """Of the format, as `Writer.finish` was told; None where there is none."""
+        """Return the name of the format, as passed to `Writer.finish`; None where there is none."""
         return self._try(lambda: self._file.attrs.get("format"))
 
     def text(self, name: str, what: str) -> str:
-        """The JSON; DataError where the format is not that of ``what``."""
+        """Return the JSON; raise DataError where the format is not that of ``what``."""
         found = self.name()
         if found != name:
             raise DataError(f"{self._path}: is not a {what} saved by phugoid (format {found!r} instead of '{name}')")
@@ -108,7 +108,7 @@ class Reader:
         return np.asarray(dataset[()])
 
     def filled(self, value: Any) -> Any:
-        """The JSON's content with arrays in their places."""
+        """Return the content of the JSON with arrays in their places."""
         if isinstance(value, dict):
             where = value.get(_KEY)
             if len(value) == 1 and isinstance(where, str) and where.startswith("/"):
@@ -138,6 +138,6 @@ def _seal(content: bytes) -> bytes:
 
 
 def _part(part: str | int) -> str:
-    """A name as part of a path, where a slash divides and a dot stands for the group itself."""
+    """Return a name as part of a path, in which a slash divides and a dot stands for the group itself."""
     text = str(part).replace("/", "∕")
     return text if text.strip(".") else f"_{text}"

@@ -1,4 +1,4 @@
-"""Saved fits as files: JSON, or HDF5 for much data; with a format name and a version, and never half a file.
+"""Files of saved results: JSON, or HDF5 for much data; with a format name and a version, written whole or not at all.
 
 JSON has no NaN and no infinity: they are written as null and as ``"inf"`` or ``"-inf"``, which `to_float` and
 `to_array` read back. Floats keep every bit. In HDF5 arrays are datasets, and the rest is the same JSON (`hdf5_file`).
@@ -49,7 +49,7 @@ _Keep: TypeAlias = Callable[[NDArray[Any], _Place], Any]
 
 
 def to_json(obj: Mapping[str, Any], keep: _Keep | None = None, name: str = FORMAT) -> str:
-    """JSON text of ``obj`` under the format's name and version.
+    """Return JSON text of ``obj`` under the format's name and version.
 
     Takes None, bool, int, float, str, numpy scalars and arrays, and mappings, lists and tuples of them; ``keep`` says
     what to write for an array at a place, unless its numbers. Raises DataError for anything else, with its place.
@@ -65,7 +65,7 @@ def to_json(obj: Mapping[str, Any], keep: _Keep | None = None, name: str = FORMA
 
 
 def from_json(text: str, source: str = "the text", name: str = FORMAT) -> tuple[dict[str, Any], int]:
-    """The dictionary that `to_json` took, with arrays as lists, and the version of the format ``name``.
+    """Return the dictionary that `to_json` took, with arrays as lists, and the version of the format ``name``.
 
     Raises DataError where ``text`` is cut short, is no JSON, is of another format, comes from a newer version, or is
     not what its checksum says; ``source`` is how the message calls it.
@@ -101,7 +101,7 @@ def save_fit_dict(
     unit: Callable[[_Place], str] = lambda place: "",
     name: str = FORMAT,
 ) -> None:
-    """Writes the payload to ``path``, whole or not at all: the old file stays until then.
+    """Write the payload to ``path``, whole or not at all: the old file stays until then.
 
     The suffix says how: HDF5 for ``.h5`` and ``.hdf5``, with ``unit`` of the array at a place as an attribute; JSON
     else. Raises DataError where the file cannot be written, MissingDependency for HDF5 without h5py.
@@ -116,7 +116,7 @@ def save_fit_dict(
 
 
 def load_fit_dict(path: str | PathLike[str], name: str = FORMAT) -> tuple[dict[str, Any], int]:
-    """The payload that `save_fit_dict` took, whatever the suffix says, and the version of the format.
+    """Return the payload that `save_fit_dict` took, whatever the suffix, and the version of the format.
 
     DataError for a missing or damaged file, or another format; MissingDependency for HDF5 without h5py.
     """
@@ -129,7 +129,8 @@ def load_fit_dict(path: str | PathLike[str], name: str = FORMAT) -> tuple[dict[s
 
 
 def format_of(path: str | PathLike[str]) -> str:
-    """The name of the format of a saved file; where none is told that of a fit, whose reader says what is wrong."""
+    """Return the name of the format of a saved file; that of a fit where none is found, whose reader reports
+    the error."""
     text = _text(path, "fit")
     if text is None:
         with hdf5_file.Reader(path) as saved:
@@ -142,7 +143,7 @@ def format_of(path: str | PathLike[str]) -> str:
 
 
 def _text(path: str | PathLike[str], what: str) -> str | None:
-    """The text of a file; None where it is HDF5."""
+    """Return the text of a file; None where it is HDF5."""
     try:
         with open(path, "rb") as file:
             binary = file.read(len(hdf5_file.MAGIC)) == hdf5_file.MAGIC
@@ -157,7 +158,7 @@ def _text(path: str | PathLike[str], what: str) -> str | None:
 
 
 def to_float(value: Any) -> float:
-    """A number read back: null is NaN, ``"inf"`` is infinity.
+    """Return a number read back from JSON: null is NaN, ``"inf"`` is infinity.
 
     >>> to_float(None), to_float("-inf"), to_float(0.1)
     (nan, -inf, 0.1)
@@ -166,12 +167,12 @@ def to_float(value: Any) -> float:
 
 
 def to_array(value: Any) -> NDArray[np.float64]:
-    """A list of numbers (nested for more dimensions) read back as float64."""
+    """Return a list of numbers (nested for more dimensions) read back as float64."""
     return np.array(value, dtype=np.float64)
 
 
 def _plain(value: Any, place: _Place = (), keep: _Keep | None = None) -> Any:
-    """``value`` in what JSON has: dict, list, str, bool, int, finite float, null."""
+    """Return ``value`` in the types of JSON: dict, list, str, bool, int, finite float, null."""
     if isinstance(value, np.ndarray):
         if keep is not None and value.dtype.kind in "biuf":
             return keep(value, place)

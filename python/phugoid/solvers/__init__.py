@@ -1,4 +1,4 @@
-"""Solvers of the nonlinear program: ours, and Ipopt."""
+"""Solvers of the nonlinear program: Newton's method of the crate, and Ipopt."""
 
 from .ipopt import Ipopt
 from .newton import Newton

@@ -1,4 +1,4 @@
-"""The package cyipopt, as little of it as is needed."""
+"""Import of the package cyipopt, as little of it as is needed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ __all__ = ["load_cyipopt"]
 
 
 def load_cyipopt() -> Any:
-    """cyipopt's extension module, without the rest of cyipopt: that imports scipy.optimize, ten times as long.
+    """Return cyipopt's extension module alone; the full package also imports scipy.optimize, which takes ten times as
+    long.
 
     Raises MissingDependency where cyipopt is not installed or its Ipopt cannot be loaded.
     """

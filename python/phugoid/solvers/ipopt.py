@@ -30,7 +30,7 @@ _WARM_PUSHES = (
     "warm_start_slack_bound_frac",
     "warm_start_mult_bound_push",
 )
-# What Ipopt asks of the program in the user's units, besides `tol` of the scaled one.
+# Ipopt's tolerances of the unscaled program, besides `tol` of the scaled one.
 _UNSCALED_TOLERANCES = (
     "dual_inf_tol",
     "constr_viol_tol",
@@ -77,13 +77,13 @@ class Ipopt:
         sparse: bool = False,
         stop: Callable[[], bool] | None = None,
     ) -> Solution:
-        """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration, ``stop`` is
-        asked at each evaluation and ends the run.
+        """Minimise from ``xi``; ``warm`` gives start values of multipliers, ``watch`` is called with each iteration,
+        ``stop`` at each evaluation, and ends the run where it returns True.
 
         In stages, unless ``warm`` or ``gauss_newton`` False asks for the last alone: with the Gauss-Newton Hessian
         until the log-likelihood hardly changes, then with the exact Hessian. Scaled by the data at first and by the
-        curvature of the log-likelihood from then on; scaled anew each time that a standard deviation has come down
-        far, or defects that are small beside the signal would be large beside the noise, and pass for a better fit.
+        curvature of the log-likelihood from then on; scaled again each time that a standard deviation has come down
+        far, or defects that are small beside the signal would be large beside the noise, and look like a better fit.
 
         ``states_known`` and ``near`` make no difference.
 
@@ -143,7 +143,7 @@ class Ipopt:
         multipliers: Mapping[str, Any] | None,
         started: float,
     ) -> tuple[_Array, dict[str, Any]]:
-        """One run of Ipopt."""
+        """Run Ipopt once."""
         problem = run.problem
         lower, upper = problem.bounds()
         zeros = np.zeros(problem.m)
@@ -171,7 +171,7 @@ class Ipopt:
             "mumps_pivot_order": 5,
             # The only inequalities are bounds far away: nothing is won by adapting the barrier.
             "mu_strategy": "monotone",
-            # Ipopt widens bounds a little; what comes back lies within the user's.
+            # Ipopt widens bounds a little; its result is to lie within the user's.
             "honor_original_bounds": "yes",
         }
         if self.time_limit is not None:

@@ -1,4 +1,4 @@
-"""The program as cyipopt wants it, and what happens on the way."""
+"""The callbacks of cyipopt, and the record of the iterations."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _Array = NDArray[np.float64]
 # a small part of their standard errors) and the scaled defects are below that.
 _NEAR = 1.0
 _NEAR_DEFECT = 1e-3
-# Scaled anew when a standard deviation has come down by this factor.
+# The program is scaled again when a standard deviation has come down by this factor.
 _SMALLER = 100.0
 # Ipopt's return codes, as statuses of ours.
 STATUS = {
@@ -46,7 +46,7 @@ STATUS = {
 
 
 class Callbacks:
-    """The program as cyipopt wants it, and what happened on the way."""
+    """The functions of the program as cyipopt calls them, and the record of the iterations."""
 
     def __init__(
         self,
@@ -79,13 +79,13 @@ class Callbacks:
         self._hessian_structure = problem.hessian_structure()
 
     def begin_stage(self, xi: _Array) -> None:
-        """Iterations are counted on from the stage before."""
+        """Begin a stage: iterations are counted on from the stage before."""
         self.before = self.history[-1].number if self.history else 0
         self.rescale = False
         self._roots_at_start = xi[self._roots].copy()
 
     def goes_on(self, code: int) -> bool:
-        """Whether another stage follows one that ended with Ipopt's ``code``."""
+        """Return whether another stage follows one that ended with Ipopt's ``code``."""
         if self.stop or self.late or self.error is not None or STATUS.get(code) in ("iteration limit", "time limit"):
             return False
         if not self.rescale:
@@ -93,7 +93,7 @@ class Callbacks:
         return True
 
     def _ask(self) -> None:
-        """Refuses all evaluations once the run is to end: Ipopt then ends at the point that it has."""
+        """Refuse all evaluations once the run is to end: Ipopt then stops at its present point."""
         self.stop = self.stop or (self._pressed is not None and self._pressed())
         self.late = self.late or self._deadline.passed()
         if self.stop or self.late:
@@ -173,7 +173,7 @@ class Callbacks:
 
 @contextmanager
 def interruptible(callbacks: Callbacks) -> Iterator[None]:
-    """Ctrl-C ends the run after the iteration in progress; the point reached is kept. A second one is as ever."""
+    """Let Ctrl-C end the run after the iteration in progress, keeping the point reached; a second one raises."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""When a solver ends: limits as the user gives them, and the time that is left."""
+"""Limits of solvers as the user gives them, and deadlines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..errors import OptionError
 
 __all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "limited", "shielded", "time_is_up"]
 
-# What is told at the end may take so much longer, in s and as a part of the limit.
+# The completion of a result may take so much longer, in s and as a part of the limit.
 _GRACE, _GRACE_PART = 0.015, 0.03
 
 
@@ -67,7 +67,7 @@ class Deadline:
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Do work that must be done, whatever the limit in force."""
+    """Suspend the limit in force for work that must be completed."""
     before = _END.set(math.inf)
     try:
         yield
@@ -95,7 +95,7 @@ def limited(caller: str, time_limit: Any) -> Deadline:
 
 
 def check_limits(solver: str, max_iterations: Any, tolerance: Any, time_limit: Any) -> None:
-    """Raises OptionError, in the solver's name, for what these cannot be."""
+    """Raise OptionError, in the solver's name, for invalid limits."""
     whole = isinstance(max_iterations, Integral) and not isinstance(max_iterations, bool)
     if not whole or max_iterations < 0:
         raise OptionError(f"{solver}: max_iterations is a whole number from 0, not {max_iterations!r}")

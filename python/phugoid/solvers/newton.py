@@ -1,4 +1,4 @@
-"""Newton's method in Rust, made for these problems: the default."""
+"""Newton's method in the Rust crate, made for these problems: the default solver."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _Array = NDArray[np.float64]
 class Newton:
     """Gauss-Newton with profiled standard deviations, then Newton with the exact Hessian.
 
-    Its linear algebra knows that a trajectory is a chain of segments, so an iteration costs time proportional to
+    Its linear algebra exploits that a trajectory is a chain of segments, so an iteration costs time proportional to
     the length of the record. It needs no other package.
 
     ``tolerance``: distance from the optimum, in standard errors, at which the last step is taken (what is left
@@ -31,7 +31,7 @@ class Newton:
     where every state is measured or its start is given. Where the model is not linear in its parameters, the linear
     ones are projected out (Golub & Pereyra 1973) and other places are looked at, too, unless a fit is the start.
     ``gauss_newton`` False uses the exact Hessian from the start.
-    ``paths``: start with steps along paths that satisfy the equations, integrated anew after each step, with the
+    ``paths``: start with steps between paths that satisfy the equations, integrated again after each step, with the
     parameters in a trust region; None does so where states are neither measured nor given and there are few samples.
     ``time_limit`` in seconds, of all that the estimation does; the best point so far is the result.
     """
@@ -60,11 +60,11 @@ class Newton:
         sparse: bool = False,
         stop: Callable[[], bool] | None = None,
     ) -> Solution:
-        """Minimises from ``xi``; ``warm`` gives multipliers to start with, ``watch`` sees each iteration, ``stop`` is
-        asked now and then and ends the run.
+        """Minimise from ``xi``; ``warm`` gives start values of multipliers, ``watch`` is called with each iteration,
+        ``stop`` now and then, and ends the run where it returns True.
 
         ``states_known``: the states in ``xi`` are measured, so that a regression on them makes sense.
-        ``sparse``: they are not, and there are few samples, so that steps along consistent paths make sense.
+        ``sparse``: they are not, and there are few samples, so that steps between consistent paths make sense.
         ``near``: they and the parameters are those of a fit, so that there is no need to look elsewhere.
 
         Raises EvaluationError where a function is not finite at the start.

@@ -1,4 +1,4 @@
-"""A quasi-Newton method with bounds, for few unknowns and a first metric that is known."""
+"""A quasi-Newton method with bounds, for few unknowns and a known initial Hessian."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TRIALS = 30
 
 @dataclass
 class Minimum:
-    """Where `minimise` ended."""
+    """The end point of `minimise`."""
 
     x: _Array
     value: float
@@ -36,9 +36,10 @@ class Minimum:
 
 
 def bounded_step(gradient: _Array, metric: _Array, low: _Array, high: _Array) -> _Array:
-    """The step within ``low <= d <= high`` that lessens g d + d B d / 2, B positive definite: an active-set method.
+    """Return the minimiser of g d + d B d / 2 within ``low <= d <= high``, B positive definite, by an active-set
+    method.
 
-    A variable that a step would take past its bound is put on it, and is not set free again: near the solution, where
+    A variable that a step would take past its bound is put on it, and is not freed again: near the solution, where
     it matters, few are.
     """
     step = np.clip(np.zeros_like(gradient), low, high)
@@ -69,7 +70,7 @@ def minimise(
     watch: Callable[[Iteration], None] | None = None,
     number: int = 0,
 ) -> Minimum:
-    """Minimises ``function`` from ``x``, where it is ``first``, by BFGS with Powell's damping, from the Hessian
+    """Minimise ``function`` from ``x``, where it is ``first``, by BFGS with Powell's damping, from the Hessian
     ``metric`` (Nocedal and Wright, *Numerical Optimization*, 2006, chapters 6 and 18).
 
     Ends where a step promises less than ``tolerance``. An interrupt, and the limit in force, end with the best point so
@@ -88,7 +89,7 @@ def minimise(
                 break
             found = _search(function, end, step, slope, lower, upper)
             if found is None:
-                # A metric that leads nowhere is given up once.
+                # A metric without progress is reset once.
                 start = np.diag(np.diag(metric))
                 if np.array_equal(end.metric, start):
                     end.status = "failed"
@@ -111,7 +112,7 @@ def minimise(
 def _search(
     function: Function, at: Minimum, step: _Array, slope: float, lower: _Array, upper: _Array
 ) -> tuple[float, _Array, tuple[float, _Array], int] | None:
-    """A step length by bisection: (length, point, value and gradient there, trials)."""
+    """Find a step length by bisection; return (length, point, value and gradient there, trials)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.where(step > 0, (upper - at.x) / step, np.where(step < 0, (lower - at.x) / step, np.inf))
     longest = max(1.0, float(np.min(room)))
@@ -137,7 +138,7 @@ def _search(
 
 
 def _updated(metric: _Array, s: _Array, y: _Array) -> _Array:
-    """BFGS, damped so that the metric stays positive definite."""
+    """Return the BFGS update, damped so that it stays positive definite."""
     bs = metric @ s
     sbs = float(s @ bs)
     if not sbs > 0:

@@ -24,7 +24,7 @@ class Scaling:
 
 
 def scale_from_data(problem: _core.Problem, xi: _Array) -> Scaling:
-    """Scaling for the way to the optimum, at the starting point ``xi``.
+    """Return the scaling for the steps towards the optimum, at the starting point ``xi``.
 
     States by their spread along the starting path (the measurements, where they are measured); defects by the
     spread of their state, so that a scaled defect is a fraction of what the state does; a parameter by the root
@@ -40,7 +40,7 @@ def scale_from_data(problem: _core.Problem, xi: _Array) -> Scaling:
 
 
 def scale_from_curvature(problem: _core.Problem, xi: _Array, first: Scaling) -> Scaling:
-    """Scaling for the last steps, near the optimum ``xi``: everything in units of its own uncertainty.
+    """Return the scaling for the last steps, near the optimum ``xi``: everything in units of its own uncertainty.
 
     A state by the root of the mean curvature of the log-likelihood with respect to it, a parameter by the norm of
     its column then. Gradients are then of order one whatever the noise: with noise eight orders below the signal,
@@ -60,7 +60,7 @@ def scale_from_curvature(problem: _core.Problem, xi: _Array, first: Scaling) -> 
 
 
 def _scaling(problem: _core.Problem, xi: _Array, units: _Array, column_weight: float, objective: float) -> Scaling:
-    """Scaling from factors for the states; ``column_weight`` multiplies the squared column norms."""
+    """Return the scaling made of factors for the states; ``column_weight`` multiplies the squared column norms."""
     n_theta = problem.n_theta
     ends = problem.boundary_states
     constraints = np.concatenate(

@@ -1,4 +1,4 @@
-"""What a solver gives back."""
+"""The common result of all solvers."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Iteration:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where a solver ended."""
+    """The end point of a solver, and how it was reached."""
 
     xi: NDArray[np.float64]
     """Decision variables, shape (n,)."""
@@ -60,6 +60,6 @@ class Solution:
     """Floating-point operations of one factorisation, where the solver counts."""
 
     def multipliers_by_name(self) -> dict[str, NDArray[np.float64]]:
-        """The multipliers as Ipopt calls them."""
+        """Return the multipliers under Ipopt's names."""
         lower, upper = self.bound_multipliers
         return {"mult_g": self.multipliers, "mult_x_L": lower, "mult_x_U": upper}

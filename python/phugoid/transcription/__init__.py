@@ -1,1 +1,1 @@
-"""How an estimation is posed: collocation, shooting, the filter-error method."""
+"""Transcriptions of an estimation problem: collocation, shooting, the filter-error method."""

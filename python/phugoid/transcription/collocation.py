@@ -1,4 +1,4 @@
-"""How an estimation problem becomes a nonlinear program."""
+"""Collocation: an estimation problem as a nonlinear program."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Collocation:
         object.__setattr__(self, "segments", checked_segments("Collocation", self.segments))
 
     def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
-        """The division into segments as the core takes it: one for all, or one an experiment.
+        """Return the division into segments as the core takes it: one for all, or one for each experiment.
 
         Raises OptionError for segment ends that do not fit the experiments.
         """
@@ -81,7 +81,7 @@ class Collocation:
         return division("Collocation", self.segments, experiments)
 
     def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Collocation:
-        """The nonlinear program."""
+        """Return the nonlinear program."""
         records = records_of(model, experiments)
         return _core.Collocation(model._core, records, noise, self.order, self.grids(experiments), self.threads)
 
@@ -97,7 +97,7 @@ class Collocation:
 
 
 def _divided(times: FloatArray, parts: int) -> list[float]:
-    """Times with every interval divided into parts."""
+    """Return times with every interval divided into ``parts``."""
     share = np.arange(parts * (times.size - 1) + 1) / parts
     return [float(t) for t in np.interp(share, np.arange(times.size), times)]
 
@@ -110,7 +110,7 @@ def limit(what: str, name: str, value: int) -> None:
 
 
 def records_of(model: Model, experiments: Sequence[Experiment]) -> list[Record]:
-    """Experiments as the core takes them."""
+    """Return experiments as the core takes them."""
     return [
         (
             e.name,
@@ -125,7 +125,7 @@ def records_of(model: Model, experiments: Sequence[Experiment]) -> list[Record]:
 
 
 def division(what: str, segments: Any, experiments: Sequence[Experiment]) -> list[GridSpec]:
-    """Checked segments as the core takes them: one division for all, or one an experiment.
+    """Return checked segments as the core takes them: one division for all, or one for each experiment.
 
     Raises OptionError for segment ends that do not fit the experiments.
     """
@@ -148,12 +148,13 @@ def division(what: str, segments: Any, experiments: Sequence[Experiment]) -> lis
 
 
 def whole(value: Any) -> bool:
-    """Whether a value is a whole number."""
+    """Return whether a value is a whole number."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def checked_segments(what: str, segments: Any) -> Any:
-    """None, a number, the ends of one experiment's segments, or a tuple of such: plain, so that options compare."""
+    """Return None, a number, the segment ends of one experiment, or a tuple of such, as plain data, so that options
+    compare."""
     if segments is None:
         return None
     if whole(segments):

@@ -92,7 +92,7 @@ class FilterError:
     def problem(
         self, model: Model, experiments: Sequence[Experiment], sigmas: list[tuple[bool, float, float, float]]
     ) -> _core.Filter:
-        """The marginal likelihood. Raises OptionError for names that are no states."""
+        """Return the marginal likelihood. Raises OptionError for names that are no states."""
         initial = self.initial or {}
         for name in (*self.states, *initial):
             if name not in model.state_names:
@@ -110,11 +110,11 @@ class FilterError:
 
     @property
     def mesh(self) -> tuple[int, int]:
-        """Steps and terms; where they are to be chosen, the fewest."""
+        """Numbers of steps and terms; the fewest where they are to be chosen."""
         return int(self.substeps or FEWEST[0]), int(self.terms or FEWEST[1])
 
     def meshes(self) -> list[FilterError]:
-        """Itself with numbers of steps and terms, from the fewest on; one alone where both are given."""
+        """Return the options with increasing numbers of steps and terms; only one where both are given."""
         steps, terms = self.mesh
         found = [replace(self, substeps=steps, terms=terms)]
         while (self.substeps is None or self.terms is None) and len(found) < _MESHES:
@@ -123,7 +123,7 @@ class FilterError:
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return the options as JSON takes them."""
         initial = {name: list(pair) if pair else None for name, pair in (self.initial or {}).items()}
         saved = {name: value for name, value in vars(self).items() if name != "time_limit"}
         return {**saved, "states": list(self.states), "initial": initial}

@@ -1,4 +1,4 @@
-"""Shooting: the states follow from integration, not from equations of their own."""
+"""Shooting: the states result from integration; there are no equations for them in the program."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class SingleShooting:
     """Simulation from the first sample to the last (Eq. oem_ivp of the paper): unknowns are parameters and the
     initial states alone.
 
-    The classical way, and a fragile one: where a simulation with poor parameters runs away, there is no likelihood
-    to improve. Collocation and multiple shooting do not mind.
+    The classical method, and a fragile one: where a simulation with poor parameters diverges, there is no likelihood
+    to improve. Collocation and multiple shooting do not have this problem.
 
     ``integrator``: a Runge-Kutta method of fixed steps, "euler", "heun", "kutta", "rk4" or "dopri5", of orders 1 to 5.
     A step leads from sample to sample; ``substeps`` divides it. Instead, ``step`` (s) is the greatest length of a step,
@@ -46,11 +46,11 @@ class SingleShooting:
         _check(self)
 
     def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
-        """The division into segments as the core takes it."""
+        """Return the division into segments as the core takes it."""
         return [("uniform", 1, None)]
 
     def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Shooting:
-        """The nonlinear program."""
+        """Return the nonlinear program."""
         return _problem(self, model, experiments, noise)
 
     def __str__(self) -> str:
@@ -80,14 +80,14 @@ class MultipleShooting:
         object.__setattr__(self, "segments", checked_segments("MultipleShooting", self.segments))
 
     def grids(self, experiments: Sequence[Experiment]) -> list[GridSpec]:
-        """The division into segments as the core takes it: one for all, or one an experiment.
+        """Return the division into segments as the core takes it: one for all, or one for each experiment.
 
         Raises OptionError for segment ends that do not fit the experiments.
         """
         return division("MultipleShooting", self.segments, experiments)
 
     def problem(self, model: Model, experiments: Sequence[Experiment], noise: _core.Noise) -> _core.Shooting:
-        """The nonlinear program."""
+        """Return the nonlinear program."""
         return _problem(self, model, experiments, noise)
 
     def __str__(self) -> str:
@@ -147,7 +147,7 @@ def _steps_in_words(options: _Shooting) -> str:
 
 
 def to_dict(transcription: Transcription) -> dict[str, Any]:
-    """Kind and options but for threads, as plain data."""
+    """Return kind and options, without threads, as plain data."""
 
     def plain(value: Any) -> Any:
         return [plain(v) for v in value] if isinstance(value, tuple) else value
@@ -157,7 +157,8 @@ def to_dict(transcription: Transcription) -> dict[str, Any]:
 
 
 def from_dict(saved: Mapping[str, Any]) -> Transcription:
-    """What `to_dict` has made; without a kind it is collocation's. Raises KeyError or TypeError for anything else."""
+    """Read the result of `to_dict`; without a kind it is a `Collocation`. Raises KeyError or TypeError for anything
+    else."""
     kinds: dict[str, type[Transcription]] = {c.__name__: c for c in (Collocation, MultipleShooting, SingleShooting)}
     options = dict(saved)
     kind = kinds[options.pop("kind", "Collocation")]

@@ -1,1 +1,1 @@
-"""How far estimates may be trusted: standard errors for coloured noise, correlations, profiles, bootstrap, bands."""
+"""Uncertainty of estimates: standard errors for coloured noise, correlations, profiles, bootstrap, bands."""

@@ -1,4 +1,4 @@
-"""Bands about the outputs of a fit: how far the model may be off, and where another measurement may lie."""
+"""Prediction bands about the outputs of a fit: for the model, and for another measurement."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Bands:
     _title: str = field(default="", repr=False)
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
-        """Each output with both bands. Returns the figure and its axes by name."""
+        """Plot each output with both bands. Return the figure and its axes by name."""
         from .figures import plot_bands
 
         return plot_bands(self, self._title)
@@ -77,7 +77,7 @@ def prediction_bands(
     biases: Sequence[str] | None = None,
     values: Mapping[str, float] | None = None,
 ) -> Bands:
-    """What `Fit.prediction_bands` does; see there."""
+    """Compute prediction bands; see `Fit.prediction_bands`."""
     if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
         raise OptionError(f"prediction_bands: level is a number between 0 and 1, such as 0.95, not {level!r}")
     filtered = isinstance(fit.transcription, FilterError)
@@ -127,7 +127,7 @@ def _which(fit: FitResult, experiment: str | int | None) -> int:
 
 
 def _errors(fit: FitResult, tangents: Tangents, covariance: _Array, e: int, record: Record) -> dict[str, _Array]:
-    """Output -> (N,) standard errors along a record."""
+    """Return output -> (N,) standard errors over a record."""
     changes = tangents.outputs()[e]
     variance = np.einsum("ytk,kl,ytl->yt", changes, covariance, changes)
     times = tangents.linear.inner.records[e].t
@@ -141,8 +141,8 @@ def _errors(fit: FitResult, tangents: Tangents, covariance: _Array, e: int, reco
 def _elsewhere(
     fit: FitResult, other: Experiment, coloured: bool, biases: Sequence[str] | None, values: Mapping[str, float]
 ) -> tuple[Record, dict[str, _Array], Parametric]:
-    """Of an experiment that the fit was not made on: its initial states and biases are found anew, for parameters as
-    fitted, so the errors of the former follow those of the latter."""
+    """Return the record, standard errors and noise of an experiment that the fit was not made on: its initial states
+    and biases are re-estimated with the fitted parameters, so their errors depend on those of the parameters."""
     found, free, held, _ = re_estimated(fit, [other], biases, values)
     if not found.converged:
         raise DataError(
@@ -161,8 +161,8 @@ def _elsewhere(
     names = list(fit.parameters)
     at = [names.index(name) for name in labels]
     given = (corrected(fit).covariance if coloured else fit.covariance)[np.ix_(at, at)]
-    # Coordinates are orthonormal in the outputs: the least change that has the parameters there is the refit of the
-    # rest, and what moves no parameter is what the noise of the new record moves.
+    # Coordinates are orthonormal in the outputs: the least change with given parameters is the refit of the
+    # rest, and directions without a change of parameters are moved by the noise of the new record.
     back = np.linalg.pinv(moves, rcond=1e-9)
     rest = np.eye(t.k) - back @ moves
     noise = Colouring(t).spread if coloured else np.eye(t.k)
@@ -173,7 +173,7 @@ def _elsewhere(
 
 
 def _opened(fit: FitResult, found: FitResult, held: Mapping[str, float]) -> FitResult:
-    """A fit of initial states and biases alone as one of the whole model, where it is, so that parameters may move."""
+    """Return a fit of initial states and biases alone as one of the whole model at that point, with free parameters."""
     inner, before = found._moved or found, fit._moved or fit
     assert inner.solution is not None
     model = before.model

@@ -1,4 +1,4 @@
-"""The bootstrap: estimates from data as they might have been (Efron & Tibshirani 1993)."""
+"""The bootstrap: estimates from resampled data (Efron & Tibshirani 1993)."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Bootstrap:
     n           how many runs were asked for.
     failed      how many ended without converging: they are left out.
     status      "complete", or "interrupted" or "time limit" where runs are missing.
-    warnings    what to beware of, in words.
+    warnings    in words.
     time        s.
     """
 
@@ -62,7 +62,7 @@ class Bootstrap:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Names of the parameters."""
         return self.parameters.names
 
     @cached_property
@@ -86,8 +86,8 @@ class Bootstrap:
     def intervals(
         self, level: float = 0.95, method: Literal["percentile", "basic"] = "percentile"
     ) -> dict[str, tuple[float, float]]:
-        """Name -> (low, high). "percentile" are the quantiles of the estimates; "basic" mirrors them at the fit, so
-        that a bias is taken off rather than doubled. Raises OptionError for other methods and levels."""
+        """Return name -> (low, high). "percentile" takes the quantiles of the estimates; "basic" mirrors them at the
+        fit, so that a bias is subtracted rather than doubled. Raises OptionError for other methods and levels."""
         if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
             raise OptionError(f"bootstrap: level is a number between 0 and 1, such as 0.95, not {level!r}")
         if method not in ("percentile", "basic"):
@@ -101,8 +101,11 @@ class Bootstrap:
         return {n: (float(a), float(b)) for n, a, b in zip(self.names, low, high, strict=True)}
 
     def summary(self, level: float = 0.95) -> str:
-        """A table: estimate, Cramér-Rao and bootstrap standard errors, percentile interval."""
-        what = {"parametric": "white noise of the fit's model", "coloured": "noise as coloured as the residuals"}
+        """Return a table: estimate, Cramér-Rao and bootstrap standard errors, percentile interval."""
+        what = {
+            "parametric": "white noise of the fit's model",
+            "coloured": "noise with the autocorrelation of the residuals",
+        }
         noise = what.get(self.kind, f"residuals in blocks of {self.block} samples")
         lines = [
             f"bootstrap, {self.status}: {len(self.estimates)} of {self.n} runs converged, {noise}; {self.time:.1f} s"
@@ -127,14 +130,14 @@ class Bootstrap:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Resampled(Problem):
-    """A problem whose data are drawn anew for each start, which holds only the seed."""
+    """A problem whose data are drawn for each start, which holds only the number of the draw."""
 
     base: FitResult | None = None
     resampler: Resampler | None = None
     seed: int = 0
 
     def outcome(self, index: int, start: Mapping[str, Any]) -> Outcome:
-        """The estimate from the data of that number."""
+        """Return the outcome of the estimation from the data of draw ``index``."""
         assert self.resampler is not None
         drawn = self.resampler.draw(stream(self.seed, index))
         data = [e.with_outputs(y) for e, y in zip(self.experiments, drawn, strict=True)]
@@ -144,7 +147,7 @@ class _Resampled(Problem):
             return Outcome(index, start, "error", str(error))
 
     def fit(self, start: Mapping[str, Any]) -> FitResult:
-        """The fit to data."""
+        """Return the fit to the drawn data."""
         return estimate(
             self.model,
             start["data"],
@@ -166,7 +169,7 @@ def bootstrap(
     progress: bool | Callable[[Outcome], None] = False,
     time_limit: float | None = None,
 ) -> Bootstrap:
-    """What `Fit.bootstrap` does; see there."""
+    """Run the bootstrap; see `Fit.bootstrap`."""
     begin = time.perf_counter()
     deadline = limited("bootstrap", time_limit)
     if not _whole(n, 1):

@@ -1,4 +1,4 @@
-"""Standard errors for residuals as coloured as they are (Maine & Iliff 1981; Morelli & Klein 1997)."""
+"""Standard errors corrected for residual autocorrelation (Maine & Iliff 1981; Morelli & Klein 1997)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Coloured:
-    """What `Fit.robust` gives: a fit's standard errors, corrected for coloured residuals.
+    """The result of `Fit.robust`: a fit's standard errors, corrected for coloured residuals.
 
     parameters      by name, with corrected standard errors; NaN where the fit has none, and for noise parameters of
                     densities that are not Gaussian.
@@ -40,7 +40,7 @@ class Coloured:
     covariance      (n, n) of the parameters in their order, corrected.
     plain           (n,) standard errors of the fit, which take residuals for white.
     autocorrelation  output -> (L,) of the noise, from lag 0 on, with fewer than 1 % left at the end.
-    times           output -> s, how long noise remembers: the sum of its autocorrelation at positive and negative
+    times           output -> s, correlation time of the noise: the sum of its autocorrelation at positive and negative
                     lags times the step. White noise has its step.
     """
 
@@ -59,14 +59,15 @@ class Coloured:
             return dict(zip(self.parameters, (errors / self.plain).tolist(), strict=True))
 
     def summary(self) -> str:
-        """Both standard errors of each parameter, and how long the noise of each output remembers."""
+        """Return a table of both standard errors of each parameter, and the correlation time of the noise of each
+        output."""
         return "\n\n".join(text_table(*each) for each in self._tables())
 
     def _repr_html_(self) -> str:
         return notebook_page("Standard errors for coloured residuals", *(table(*each) for each in self._tables()))
 
     def _tables(self) -> tuple[tuple[list[str], list[list[str]], str], ...]:
-        """Heads, rows and alignment of both tables."""
+        """Return heads, rows and alignment of both tables."""
         rows = []
         for (name, ratio), e, plain in zip(self.inflation.items(), self.parameters.values(), self.plain, strict=True):
             error = "" if math.isnan(plain) else f"{plain:.2g}"
@@ -78,7 +79,7 @@ class Coloured:
         noise = [
             [n, f"{r[1] if r.size > 1 else 0.0:.2f}", f"{self.times[n]:.3g}"] for n, r in self.autocorrelation.items()
         ]
-        return (heads, rows, "lrrrrl"), (["noise of", "lag-1", "memory in s"], noise, "lrr")
+        return (heads, rows, "lrrrrl"), (["noise of", "lag-1", "correlation time, s"], noise, "lrr")
 
     def __str__(self) -> str:
         return self.summary()
@@ -93,9 +94,9 @@ class Coloured:
 
 
 class Colouring:
-    """The noise of a fit as it is, and what it does to estimates.
+    """The autocorrelated noise of a fit, and its effect on the estimates.
 
-    The estimate answers to noise by M^-1 sum_k S_k' R^-1 v_k, so that its covariance is
+    The error of the estimate is M^-1 sum_k S_k' R^-1 v_k, so that its covariance is
 
         P = M^-1 [sum_k sum_l S_k' R^-1 C(k - l) R^-1 S_l] M^-1,
 
@@ -107,7 +108,7 @@ class Colouring:
     processes  one an output: of scores, in units of the fit's noise.
     linked     correlations between channels.
     spread      (k, k) covariance of the sums of scores along the tangents.
-    covariance  (k + j, k + j) of the coordinates, for noise as coloured as it is.
+    covariance  (k + j, k + j) of the coordinates, for the autocorrelated noise.
     """
 
     def __init__(self, tangents: Tangents) -> None:
@@ -132,7 +133,7 @@ class Colouring:
         for process, laid in zip(self.processes, columns, strict=True):
             for a in laid:
                 spread += a.columns @ a.times(process).T
-        # Of the noise's own unknowns, on which these estimates hardly depend, the curvature serves.
+        # For the noise's own unknowns, on which these estimates hardly depend, the curvature suffices.
         middle = np.linalg.inv(t.inverse)
         self.spread = _proper(0.5 * (spread + spread.T))
         middle[:k, :k] = self.spread + t.priors[:k, :k]
@@ -143,8 +144,8 @@ class Colouring:
         return [[GridColumns(s, columns) for s in line] for line in self.segments]
 
     def spectral_root(self, members: Sequence[int], lags: int, size: int) -> NDArray[np.complex128]:
-        """(size // 2 + 1, n, n) roots of the spectral matrix of some outputs' noise, at the frequencies of
-        `numpy.fft.rfft`, with what they have in common."""
+        """Return (size // 2 + 1, n, n) roots of the spectral matrix of the noise of some outputs, cross-spectra
+        included, at the frequencies of `numpy.fft.rfft`."""
         n, bins = len(members), size // 2 + 1
         turn = 2j * np.pi * np.arange(bins) / size
         matrix = np.zeros((bins, n, n), dtype=np.complex128)
@@ -163,7 +164,7 @@ class Colouring:
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
 
     def lengthening(self, i: int, j: int, experiments: Sequence[int]) -> float:
-        """By how much the variance of a mean square or product of outputs i and j is greater than of white noise: the
+        """Return the ratio of the variance of a mean square or product of outputs i and j to that for white noise: the
         mean over samples of sum_l rho_i(k - l) rho_j(k - l) (Bartlett 1946)."""
         total = count = 0.0
         for e in experiments:
@@ -181,7 +182,7 @@ class Colouring:
 
 
 def _proper(matrix: _Array) -> _Array:
-    """Without what an estimated covariance has below 0."""
+    """Return a symmetric matrix with its negative eigenvalues, which only an estimate has, set to 0."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
@@ -223,7 +224,7 @@ def _corrected(fit: FitResult) -> Coloured:
 
 
 def _memory(process: Autoregression, most: int) -> _Array:
-    """Autocorrelation, as long as there is any."""
+    """Return the autocorrelation up to the last lag where it is 0.01 or more."""
     c = process.autocorrelation(max(most, 1))
     return np.asarray(c[: int(np.flatnonzero(np.abs(c) >= 0.01)[-1]) + 2])
 
@@ -243,7 +244,7 @@ def _initial(fit: FitResult, c: Colouring) -> dict[str, Estimates]:
 
 
 def _noise_inflations(fit: FitResult, c: Colouring) -> _Array:
-    """(n,) by which standard errors of the noise's parameters grow; 1 for the model's."""
+    """Return (n,) factors on the standard errors of the noise's parameters; 1 for the model's."""
     outputs, records = list(fit.model.output_names), [r.name for r in fit.records]
     names = fit.noise_parameters
     single = {f"sigma_{n}": (i, i) for i, n in enumerate(outputs)}

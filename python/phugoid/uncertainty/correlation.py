@@ -1,4 +1,4 @@
-"""How estimates hang together: correlations, and directions in which the data hardly hold them."""
+"""Correlations of estimates, and directions in which the data determine the parameters weakly."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _Array: TypeAlias = NDArray[np.float64]
 
 # Pairs are named from this on (Klein & Morelli 2006, section 5.4).
 _STRONG = 0.9
-# Collinear from this condition index on (Belsley, Kuh & Welsch 1980), and worth a word where one standard error is this
+# Collinear from this condition index on (Belsley, Kuh & Welsch 1980), and reported where one standard error is this
 # part of a value.
 _INDEX, _LARGE = 30.0, 0.1
 # Parts of a direction below this, of the greatest, are not named.
@@ -30,7 +30,7 @@ _PART = 0.2
 
 @dataclass(frozen=True)
 class WeakDirection:
-    """A combination of parameters that the data hold less well than each of them alone.
+    """A combination of parameters that the data determine less well than each of them alone.
 
     steps      name -> change by one standard error along the direction; the greatest parts only.
     index      condition index: by how much less well than the best one (Belsley, Kuh & Welsch 1980).
@@ -44,7 +44,7 @@ class WeakDirection:
         listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
         moves = ", ".join(f"{name} by {step:+.2g}" for name, step in self.steps.items())
         return (
-            f"{listed} are hardly told apart: {moves} together is only one standard error (condition index "
+            f"{listed} are hardly distinguishable: {moves} together is only one standard error (condition index "
             f"{self.index:.0f}); fix one of them, give it a prior, or fly a manoeuvre that moves them separately"
         )
 
@@ -55,7 +55,7 @@ class Correlation:
 
     names   of the parameters, in the order of the fit.
     matrix  (n, n); NaN where a parameter has no standard error: fixed, at a bound, not identifiable.
-    weak    directions in which the data hardly hold the model's parameters; none where data are good.
+    weak    directions in which the data hardly determine the model's parameters; none where data are good.
     """
 
     names: tuple[str, ...]
@@ -70,7 +70,7 @@ class Correlation:
         return float(self.matrix[i, j])
 
     def pairs(self, above: float = _STRONG) -> list[tuple[str, str, float]]:
-        """Pairs of parameters with a correlation of at least this size, the strongest first."""
+        """Return pairs of parameters with a correlation of at least this size, the strongest first."""
         found = [
             (self.names[i], self.names[j], float(self.matrix[i, j]))
             for i in range(len(self.names))
@@ -81,7 +81,7 @@ class Correlation:
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What is to be said of it, in words."""
+        """Remarks on strong correlations and weak directions, in words."""
         said = []
         pairs = self.pairs()
         if pairs:
@@ -91,7 +91,7 @@ class Correlation:
         return (*said, *(f"Weakly identified: {w}." for w in self.weak))
 
     def summary(self) -> str:
-        """The matrix as a table, then what is to be said of it."""
+        """Return the matrix as a table, and the remarks."""
         rows = [
             [name, *("" if not np.isfinite(v) else f"{v:+.2f}" for v in line[: i + 1])]
             + [""] * (len(self.names) - i - 1)
@@ -129,7 +129,7 @@ def correlation(fit: FitResult) -> Correlation:
 
 
 def _weak(names: Sequence[str], values: _Array, deviation: _Array, correlation: _Array) -> list[WeakDirection]:
-    """Directions of small information, each parameter in units of its error if all others were known."""
+    """Return directions of small information, each parameter in units of its error if all others were known."""
     if len(names) < 2 or not np.isfinite(correlation).all():
         return []
     eigenvalues = np.linalg.eigvalsh(correlation)

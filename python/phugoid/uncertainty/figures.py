@@ -26,8 +26,8 @@ _BEYOND = 4.0
 
 
 def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, dict[str, Axes]]:
-    """One panel a parameter: log-likelihood below the best; dashed the parabola of the Cramér-Rao standard error; the
-    threshold and the interval."""
+    """Plot one panel for each parameter: the drop of log-likelihood, the parabola of the Cramér-Rao standard error
+    (dashed), the threshold and the interval."""
     import matplotlib.pyplot as plt
     from matplotlib import rc_context
     from matplotlib.lines import Line2D
@@ -90,7 +90,7 @@ def _draw_profile(axis: Any, p: Profile) -> None:
 
 
 def plot_bands(bands: Any, title: str) -> tuple[Figure, dict[str, Axes]]:
-    """A panel an output: measured points, the model's line, and the bands of both."""
+    """Plot one panel for each output: measured points, the model's line, and both bands."""
     import matplotlib.pyplot as plt
     from matplotlib import rc_context
 

@@ -25,7 +25,7 @@ __all__ = ["Filtered", "elsewhere", "of_fit", "within"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# By how much of its standard error a parameter is moved to see what follows it.
+# Step of a parameter for differences of the outputs, in standard errors.
 _PART = 0.1
 
 
@@ -45,7 +45,8 @@ class Filtered:
         known: Mapping[str, float],
         states: Sequence[_Array],
     ) -> None:
-        """``values`` by name, ``known`` sigmas by output; ``states`` of each experiment, (n_x, N), to start from."""
+        """Take ``values`` by name, ``known`` sigmas by output, and the ``states`` of each experiment to start from,
+        (n_x, N)."""
         self.model, self.experiments, self.options = model, list(experiments), options
         sigmas = [
             (name in known, known.get(name, values.get(f"sigma_{name}", math.nan)), 0.0, math.inf)
@@ -57,21 +58,21 @@ class Filtered:
         self.path = self.problem.start(np.concatenate([x.T.ravel() for x in states]))
 
     def theta(self, values: _Array) -> _Array:
-        """Numbers as the core takes them: of sigmas their inverses."""
+        """Return numbers as the core takes them: inverses of sigmas."""
         theta = values.copy()
         for i in range(len(self.model.parameter_names), theta.size - len(self.options.states)):
             theta[i] = 1.0 / theta[i]
         return theta
 
     def outputs(self, values: _Array) -> list[tuple[_Array, _Array]]:
-        """Of the smoothed path of each experiment, with the standard deviations that they have for numbers known: each
-        (n_y, N); nothing where there is no path."""
+        """Return the outputs of the smoothed path of each experiment, and their standard deviations for known numbers:
+        each (n_y, N); [] where there is no path."""
         found = self.problem.smooth(self.theta(values), self.path)
         return [] if found is None else [pairs[1] for pairs, *_ in found]
 
     def errors(self, covariance: _Array, e: int) -> _Array:
-        """(n_y, N) standard errors of the outputs in one experiment: what the smoother leaves open, and what comes of
-        the numbers' errors with that ``covariance`` (n, n), to first order. NaN where there is no path."""
+        """Return (n_y, N) standard errors of the outputs in one experiment: those of the smoother, and those due to the
+        errors of the numbers with this ``covariance`` (n, n), to first order. NaN where there is no path."""
         path = self.outputs(self.values)
         shape = (len(self.model.output_names), self.experiments[e].n)
         if not path:
@@ -84,7 +85,7 @@ class Filtered:
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def _slope(self, i: int, size: float, e: int) -> _Array:
-        """Central differences of the outputs."""
+        """Return central differences of the outputs."""
         if i >= len(self.model.parameter_names):  # noise is positive
             size = min(size, 0.5 * abs(self.values[i]))
         ends = []
@@ -98,7 +99,7 @@ class Filtered:
 
 
 def of_fit(fit: FitResult) -> tuple[Filtered, _Array]:
-    """That of a fit itself, and the covariance of its numbers: 0 for those that are known or at a bound."""
+    """Return the likelihood of a fit, and the covariance of its numbers: 0 for those that are known or at a bound."""
     model, experiments, covariance = fit.model, list(dataset(fit)), np.nan_to_num(fit.covariance)
     states = [np.array([r.states[name] for name in model.state_names]) for r in fit.records]
     if len(experiments) > 1 and any(p.per_experiment for p in model.declared_parameters.values()):
@@ -113,7 +114,7 @@ def of_fit(fit: FitResult) -> tuple[Filtered, _Array]:
 
 
 def within(fit: FitResult, e: int) -> dict[str, _Array]:
-    """Output -> (N,) standard errors of the outputs in an experiment of the fit."""
+    """Return output -> (N,) standard errors of the outputs in an experiment of the fit."""
     _ended(fit)
     likelihood, covariance = of_fit(fit)
     return dict(zip(fit.model.output_names, likelihood.errors(covariance, e), strict=True))
@@ -122,8 +123,8 @@ def within(fit: FitResult, e: int) -> dict[str, _Array]:
 def elsewhere(
     fit: FitResult, other: Experiment, biases: Sequence[str] | None, values: Mapping[str, float]
 ) -> tuple[Record, dict[str, _Array], FitResult]:
-    """Of an experiment that the fit was not made on: its record, the standard errors, and the fit of what was found
-    anew there. Biases follow the parameters, and have the errors that the new record leaves them."""
+    """Return, for an experiment that the fit was not made on, its record, the standard errors, and the fit of the
+    re-estimated states and biases. Errors of biases follow from those of the parameters and from the new record."""
     _ended(fit)
     found, free, held, _ = re_estimated(fit, [other], biases, values)
     if not found.converged:
@@ -157,7 +158,7 @@ def _ended(fit: FitResult) -> None:
 
 
 def _follow(likelihood: Filtered, covariance: _Array, own: NDArray[np.intp]) -> None:
-    """Puts biases into a covariance: each set of the other numbers has its own best biases."""
+    """Add biases to a covariance: the best biases depend on the other numbers."""
     z = likelihood.values.copy()
     sigmas = slice(len(likelihood.model.parameter_names), z.size - len(likelihood.options.states))
     jacobian = np.ones(z.size)

@@ -1,4 +1,4 @@
-"""Data as they might have been with other process noise and other noise of the sensors."""
+"""Resampled data with other process noise and other sensor noise."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ __all__ = ["ProcessNoiseResampler"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# Motions that are tried, and how many times as far as in the record they may go.
+# Number of draws that are tried, and the largest range of their motion as a multiple of the recorded one.
 _TRIED, _FAR = 5, 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class ProcessNoiseResampler(Resampler):
-    """The model driven by inputs as recorded and by process noise as the fit has it, and sensors with their noise.
+    """Simulates the model with the recorded inputs and drawn process noise, and adds drawn sensor noise.
 
     First states are those of the fit, and drawn where they have a prior.
     """
@@ -34,19 +34,19 @@ class ProcessNoiseResampler(Resampler):
 
     @classmethod
     def of(cls, fit: FitResult) -> ProcessNoiseResampler:
-        """With the noise of a fit. Raises OptionError where other noise would carry the vehicle far away."""
+        """Return the resampler of a fit; raise OptionError where other noise would carry the vehicle far away."""
         found = cls(**cls.parts(fit), fit=fit)
         far = float(np.median([found._reach(stream(0, i)) for i in range(_TRIED)]))
         if not far < _FAR:
             raise OptionError(
                 f"bootstrap: with other process noise the motion goes {far:.2g} times as far as in the record: its "
-                "inputs were answers of a pilot or a controller to the noise that there was, and an unstable vehicle "
-                "needs answers to the noise that is drawn. Use profile"
+                "inputs were responses of a pilot or a controller to the actual noise, and an unstable vehicle "
+                "needs responses to the drawn noise. Use profile"
             )
         return found
 
     def draw(self, random: np.random.Generator) -> list[dict[str, _Array]]:
-        """Outputs of all experiments."""
+        """Return the outputs of all experiments."""
         assert self.fit is not None
         likelihood, _ = of_fit(self.fit)
         options, problem, names = likelihood.options, likelihood.problem, self.fit.model.output_names
@@ -70,7 +70,7 @@ class ProcessNoiseResampler(Resampler):
         ]
 
     def _reach(self, random: np.random.Generator) -> float:
-        """How many times as far as in the record the motion of a draw goes, in the output that goes farthest."""
+        """Return the range of a drawn motion as a multiple of the recorded one, in the output where it is greatest."""
         ratios = [0.0]
         for drawn, model, there in zip(self.draw(random), self.model, self.there, strict=True):
             for name, y in drawn.items():

@@ -1,4 +1,4 @@
-"""Profile likelihood: how far one parameter can go, all others following, before the likelihood falls too low."""
+"""Profile likelihood: intervals of one parameter, all others re-estimated at each value."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Profile:
                the likelihood does not fall low enough however far one goes; "failed", where the solver came no farther;
                "missing", where the run was interrupted or its time limit was reached.
     values     (k,) that were tried, in order, the estimate among them.
-    drops      (k,) by how much the log-likelihood is lower there, with all else estimated anew.
+    drops      (k,) by how much the log-likelihood is lower there, with all else re-estimated.
     threshold  the drop at the ends: half of chi-square's quantile with one degree of freedom.
     inflation  by how much the threshold's root was made larger for coloured residuals; 1 where it was not.
     """
@@ -70,7 +70,7 @@ class Profile:
 
     @property
     def remark(self) -> str:
-        """What is to be said of the ends, in words."""
+        """Remarks on the ends, in words."""
         sides = zip(("lower", "upper"), self.ends, strict=True)
         return "; ".join(f"{side} end {_SAID[end]}" for side, end in sides if end != "found")
 
@@ -91,7 +91,7 @@ class Profiles(Mapping[str, Profile]):
 
     level     of the intervals.
     status    "complete", "interrupted" or "time limit".
-    warnings  what to beware of, in words.
+    warnings  in words.
     runs      estimations that it took.
     time      s.
     """
@@ -118,7 +118,7 @@ class Profiles(Mapping[str, Profile]):
         return len(self.profiles)
 
     def summary(self) -> str:
-        """A table: estimate, interval by profile, and what standard errors alone would say."""
+        """Return a table: estimate, interval by profile, and the interval from standard errors alone."""
         z = NormalDist().inv_cdf(0.5 + 0.5 * self.level)
         rows = []
         for p in self.profiles.values():
@@ -134,7 +134,7 @@ class Profiles(Mapping[str, Profile]):
         return "\n".join([*lines, "", text_table(heads, rows, "lrrrrrll"), *(f"\nWarning: {w}" for w in self.warnings)])
 
     def plot(self, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
-        """Log-likelihood over each parameter, with the parabola of its standard error and the interval.
+        """Plot the log-likelihood over each parameter, with the parabola of its standard error and the interval.
 
         Returns the figure and its axes by name. Raises UnknownName for a name without a profile.
         """
@@ -159,7 +159,7 @@ def profile(
     progress: bool | Callable[[Outcome], None] = False,
     time_limit: float | None = None,
 ) -> Profiles:
-    """What `Fit.profile` does; see there."""
+    """Compute profile-likelihood intervals; see `Fit.profile`."""
     begin = time.perf_counter()
     deadline = limited("profile", time_limit)
     if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
@@ -195,7 +195,7 @@ def profile(
     warnings = list(runs.warnings)
     if better > _BETTER:
         warnings.append(
-            f"with a parameter held elsewhere the log-likelihood is higher by {better:.3g}: the fit is not the best "
+            f"with a parameter fixed elsewhere the log-likelihood is higher by {better:.3g}: the fit is not the best "
             "optimum; see multistart"
         )
     return Profiles(
@@ -209,7 +209,7 @@ def profile(
 
 
 def _chosen(fit: FitResult, names: Any) -> list[str]:
-    """Of which parameters. Raises OptionError for what has no profile."""
+    """Return the parameters to profile; raise OptionError for those without a profile."""
     noise = fit.noise_parameters
     free = [n for n, e in fit.parameters.items() if n not in noise and not e.fixed]
     if names is None:

@@ -1,4 +1,4 @@
-"""The way to the ends of a profile: one parameter held at value after value, all others estimated anew."""
+"""Search for the ends of a profile: one parameter fixed at value after value, all others re-estimated."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Side(Outcome):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sides(Problem):
-    """A side of a profile for each start: its parameter, direction and threshold."""
+    """A problem with one side of a profile for each start: parameter, direction and threshold."""
 
     base: FitResult | None = None
 
@@ -53,29 +53,29 @@ class Sides(Problem):
         return one
 
     def outcome(self, index: int, start: Mapping[str, Any]) -> Outcome:
-        """One side."""
+        """Return the outcome of one side."""
         begin = time.perf_counter()
         assert self.base is not None
-        walk = _ProfileSearch(self, self.base, start["name"])
+        search = _ProfileSearch(self, self.base, start["name"])
         try:
-            end, kind = walk.to_end(start["side"], start["root"])
+            end, kind = search.to_end(start["side"], start["root"])
         except KeyboardInterrupt:
             return Side(index, start, "interrupted")
         return Side(
             index,
             start,
             "converged" if kind != "failed" else "error",
-            iterations=walk.runs,
+            iterations=search.runs,
             time=time.perf_counter() - begin,
             end=end,
             kind=kind,
-            points=tuple(walk.points),
-            better=walk.better,
+            points=tuple(search.points),
+            better=search.better,
         )
 
 
 class _ProfileSearch:
-    """Estimations with one parameter held at value after value, each from the nearest before."""
+    """Estimations with one parameter fixed at value after value, each started from the nearest before."""
 
     def __init__(self, problem: Sides, base: FitResult, name: str) -> None:
         self.problem, self.name = problem, name
@@ -99,7 +99,8 @@ class _ProfileSearch:
         self.runs, self.better = 0, 0.0
 
     def root(self, value: float) -> float:
-        """The root of twice the drop of the log-likelihood at a value; NaN where the solver does not converge."""
+        """Return the root of twice the drop of the log-likelihood at a value; NaN where the solver does not
+        converge."""
         _, near = min(self.fits, key=lambda f: abs(f[0] - value))
         kept = Estimates(e for n, e in near.parameters.items() if n != self.key)
         self.runs += 1
@@ -127,15 +128,15 @@ class _ProfileSearch:
         return math.sqrt(2.0 * max(drop, 0.0))
 
     def _prior(self, value: float) -> float:
-        """What the parameter's own prior adds to the log-likelihood."""
+        """Return the contribution of the parameter's own prior to the log-likelihood."""
         prior = self.model.declared_parameters[self.key].prior
         return -0.5 * ((value - prior[0]) / prior[1]) ** 2 if prior else 0.0
 
     def to_end(self, side: int, target: float) -> tuple[float, End]:
-        """Where the root reaches the target on a side, -1 or 1, and how the interval ends there."""
+        """Return where the root reaches the target on a side, -1 or 1, and how the interval ends there."""
         begin, limit = self.value, self.high if side > 0 else self.low
         size = self.error if math.isfinite(self.error) and self.error > 0.0 else _STEP * (abs(self.value) or 1.0)
-        if self.log:  # the way is that of the logarithm
+        if self.log:  # search in the logarithm
             begin, limit, size = math.log(begin), math.log(limit) if limit > 0.0 else -math.inf, size / begin
         room = side * (limit - begin)
         if not room > 1e-9 * size:
@@ -182,14 +183,14 @@ class _ProfileSearch:
         return at(step), "found"
 
     def _value(self, place: float) -> float:
-        """Of the parameter at a place on the way."""
+        """Return the value of the parameter at a position of the search."""
         if not self.log:
             return place
         return math.exp(place) if place < math.inf else place
 
 
 def _merit(fit: FitResult, model: Model, without: str) -> float:
-    """Log-likelihood with what priors add, but for that of one parameter."""
+    """Return the log-likelihood with the contribution of priors, except that of one parameter."""
     total = fit.log_likelihood
     for name, e in fit.parameters.items():
         base = name.partition("[")[0]

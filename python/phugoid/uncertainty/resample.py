@@ -1,4 +1,4 @@
-"""Data as they might have been: the model's outputs with other noise of the same kind."""
+"""Resampled data: the model's outputs with other noise of the same kind."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _TABLE, _FAR = 4001, 1e4
 
 @dataclass(frozen=True, eq=False)
 class Resampler:
-    """What draws noise for all records of a fit: ``draw`` gives outputs by name, NaN where nothing was measured.
+    """Draws noise for all records of a fit: ``draw`` returns outputs by name, NaN where nothing was measured.
 
     times   (N,) of each experiment, s.
     model   experiment by experiment, output -> (N,) of the model.
@@ -43,11 +43,11 @@ class Resampler:
     there: Sequence[Mapping[str, NDArray[np.bool_]]]
 
     def noise(self, random: np.random.Generator, e: int) -> Mapping[str, _Array]:
-        """Output -> (N,)."""
+        """Return output -> (N,) noise of experiment ``e``."""
         raise NotImplementedError
 
     def draw(self, random: np.random.Generator) -> list[dict[str, _Array]]:
-        """Outputs of all experiments."""
+        """Return the outputs of all experiments."""
         found = []
         for e, (model, there) in enumerate(zip(self.model, self.there, strict=True)):
             noise = self.noise(random, e)
@@ -56,7 +56,7 @@ class Resampler:
 
     @staticmethod
     def parts(fit: FitResult) -> dict[str, Any]:
-        """The fields that all have."""
+        """Return the fields of the base class."""
         names = fit.model.output_names
         model = [{n: np.asarray(r.outputs[n]) for n in names} for r in fit.records]
         there = [
@@ -68,7 +68,7 @@ class Resampler:
 
 @dataclass(frozen=True, eq=False)
 class Parametric(Resampler):
-    """White noise as the fit has it: for each experiment a joint covariance, or of each output a scale and the
+    """White noise of the fit's noise model: for each experiment a joint covariance, or for each output a scale and the
     quantiles of its density at equal steps of probability."""
 
     covariances: Sequence[_Array | None] = ()
@@ -76,7 +76,7 @@ class Parametric(Resampler):
 
     @classmethod
     def of(cls, fit: FitResult) -> Parametric:
-        """With the noise of a fit."""
+        """Return the resampler with the noise of a fit."""
         noise = fit.noise.noise if isinstance(fit.noise, PerExperiment) else fit.noise
         names, covariances, tables = fit.model.output_names, [], []
         for record in fit.records:
@@ -115,7 +115,7 @@ class Parametric(Resampler):
         return found
 
     def quantiles(self, e: int, output: str, p: float) -> tuple[float, float]:
-        """How far below and above 0 the noise of an output goes, but for a part p on each side."""
+        """Return how far below and above 0 the noise of an output lies, with probability ``p`` beyond on each side."""
         covariance = self.covariances[e]
         if covariance is None:
             probability, quantile = self.tables[e][output]
@@ -130,7 +130,7 @@ class Parametric(Resampler):
 
 
 def _table(kind: Noise, output: str, sigma: float, value: Mapping[str, float]) -> tuple[_Array, _Array]:
-    """Probabilities and quantiles of a density; of a Gaussian only its standard deviation."""
+    """Return probabilities and quantiles of a density; for a Gaussian only its standard deviation."""
     if isinstance(kind, Gaussian):
         return np.empty(0), np.array([sigma])
     e = np.sinh(np.linspace(-1.0, 1.0, _TABLE) * math.asinh(_FAR))
@@ -160,7 +160,7 @@ def _table(kind: Noise, output: str, sigma: float, value: Mapping[str, float]) -
 
 @dataclass(frozen=True, eq=False)
 class ColouredNoise(Resampler):
-    """Noise as coloured as the residuals are, and as much in common to outputs: by its spectrum.
+    """Noise with the autocorrelation and cross-correlation of the residuals, drawn by its spectrum.
 
     places  for each experiment, output -> (N,) points of an even grid.
     roots   for each experiment, groups of outputs on one grid, the size of the transform, and (F, n, n) roots of the
@@ -173,7 +173,8 @@ class ColouredNoise(Resampler):
 
     @classmethod
     def of(cls, fit: FitResult) -> ColouredNoise:
-        """With the colour of a fit's residuals. Raises OptionError for noise that is not independent and Gaussian."""
+        """Return the resampler with the autocorrelation of a fit's residuals. Raises OptionError for noise that is not
+        independent and Gaussian."""
         c = Colouring(Tangents.of(fit, "bootstrap"))
         scores = c.tangents.scores
         if not scores.gaussian or scores._joint:
@@ -238,7 +239,7 @@ class Blocks(Resampler):
 
     @classmethod
     def of(cls, fit: FitResult, block: int) -> Blocks:
-        """With blocks of so many samples, or fewer where gaps leave no room for them."""
+        """Return the resampler with blocks of ``block`` samples, or fewer where gaps leave no room for them."""
         names = list(fit.model.output_names)
         parts = cls.parts(fit)
         raw = [np.column_stack([r.residuals[n] for n in names]) for r in fit.records]
@@ -246,7 +247,7 @@ class Blocks(Resampler):
         n = int(np.isfinite(stacked).sum())
         free = sum(1 for e in fit.parameters.values() if not e.fixed and not e.bounds_active)
         free += len(fit.model.state_names) * len(fit.records) - len(fit.noise_parameters)
-        # Residuals are less than the noise by what the fit took.
+        # Residuals are smaller than the noise, since parameters were fitted to them.
         larger = math.sqrt(n / max(n - free, 1))
         mean = np.nanmean(stacked, axis=0)
         residuals, lengths, starts = [], [], []
@@ -266,8 +267,8 @@ class Blocks(Resampler):
 
 
 def _filled(t: _Array, residuals: _Array) -> tuple[_Array, NDArray[np.bool_]]:
-    """Residuals with the nearest in place of missing ones, and whether all channels were measured nearby: no farther
-    away than their usual spacing."""
+    """Return residuals with the nearest in place of missing ones, and whether all channels were measured within their
+    usual spacing."""
     out, near = residuals.copy(), np.ones(t.size, dtype=np.bool_)
     for column in out.T:
         there = np.flatnonzero(np.isfinite(column))
@@ -284,7 +285,8 @@ def _filled(t: _Array, residuals: _Array) -> tuple[_Array, NDArray[np.bool_]]:
 
 
 def _beginnings(t: _Array, near: NDArray[np.bool_], block: int) -> tuple[int, NDArray[np.intp]]:
-    """The length of blocks and where they may begin: they do not reach over gaps, in time or in the measurements."""
+    """Return the length of blocks and where they may begin: they do not reach over gaps, in time or in the
+    measurements."""
     usual = float(np.median(np.diff(t)))
     whole = near.copy()
     broken = np.r_[False, np.diff(t) > 1.5 * usual]
@@ -298,8 +300,8 @@ def _beginnings(t: _Array, near: NDArray[np.bool_], block: int) -> tuple[int, ND
 
 
 def block_length(fit: FitResult) -> int:
-    """Samples of a block, from how long the noise remembers (Carlstein 1986): as for a process of order one with the
-    same memory, the longest of all outputs; no more than a sixth of a record."""
+    """Return the samples of a block, from the correlation time of the noise (Carlstein 1986): as for a process of order
+    one with the longest correlation time of all outputs; at most a sixth of a record."""
     colour = coloured(fit)
     n = min(r.n for r in fit.records)
     length = 1.0

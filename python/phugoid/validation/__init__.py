@@ -1,1 +1,1 @@
-"""A fit tried on data that it was not made on."""
+"""Validation of a fit on data that it was not made on."""

@@ -1,4 +1,4 @@
-"""Which parameters of a model are biases of sensors: found from its equations."""
+"""Detection of sensor biases among the parameters of a model, from its equations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["biases", "freed_by_default"]
 
 
 def biases(model: Model) -> tuple[str, ...]:
-    """Parameters that enter outputs only, each as a term with a coefficient that is constant over a record.
+    """Return the parameters that enter outputs only, each as a term with a coefficient that is constant over a record.
 
     ``q + b_q`` has the bias b_q, and so has ``K*(alpha + b)`` with another parameter K. A parameter that enters a state
     equation or a condition at an end of the record (CL0, say) is none, nor is a delay, nor one of two that multiply
@@ -19,7 +19,8 @@ def biases(model: Model) -> tuple[str, ...]:
 
 
 def freed_by_default(model: Model) -> tuple[str, ...]:
-    """What a validation estimates anew: biases, and initial values that each experiment has its own of."""
+    """Return the parameters that a validation re-estimates: biases, and initial values that each experiment has its own
+    of."""
     declared = model.declared_parameters
     either = {*biases(model)}
     apart = _entering_outputs_only(model, _symbols_of_motion(model, with_initial=False))
@@ -28,7 +29,7 @@ def freed_by_default(model: Model) -> tuple[str, ...]:
 
 
 def _symbols_of_motion(model: Model, with_initial: bool) -> set[str]:
-    """Symbols in state equations and conditions, quantities put in."""
+    """Return the symbols in state equations and conditions, with quantities substituted."""
     found = [*model.state_expressions().values()]
     found += [e for end, _, e in model.end_conditions if with_initial or end != "initial"]
     return {symbol for e in found for symbol in e.simplify().symbols}

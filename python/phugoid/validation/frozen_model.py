@@ -1,4 +1,4 @@
-"""A fit held as it is, to be tried on other experiments: its model, its noise, and its mesh."""
+"""A fitted model frozen for other experiments: its parameters, its noise, and its mesh."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _Array = NDArray[np.float64]
 
 
 def freeze_model(model: Model, values: Mapping[str, float], free: Collection[str]) -> Model:
-    """The model with all parameters fixed at ``values`` but those in ``free``, which stay as declared."""
+    """Return the model with all parameters fixed at ``values`` except those in ``free``, which stay as declared."""
     # Without bounds: a value at one may lie outside by rounding.
     return model.with_parameters(
         {
@@ -39,7 +39,7 @@ def freeze_model(model: Model, values: Mapping[str, float], free: Collection[str
 
 
 def freeze_noise(fit: FitResult) -> tuple[Noise, tuple[str, ...]]:
-    """The fit's noise with every number known, and what to say of that.
+    """Return the fit's noise with every number known, and remarks on it.
 
     Where each experiment of the fit has noise of its own, another experiment gets its mean: of variances and
     covariances, weighted by samples. Raises OptionError for other numbers of which there are several.
@@ -71,7 +71,7 @@ def freeze_noise(fit: FitResult) -> tuple[Noise, tuple[str, ...]]:
 
 
 def _known(noise: Noise, outputs: Sequence[str], values: Mapping[str, float]) -> Noise:
-    """A noise model with ``values`` (``sigma_<output>``, ...) in place of what it estimates."""
+    """Return a noise model with ``values`` (``sigma_<output>``, ...) in place of what it estimates."""
     sigma = {name: values.get(f"sigma_{name}", noise.known_sigmas(outputs).get(name, math.nan)) for name in outputs}
     if isinstance(noise, Gaussian):
         if noise.covariance is not None:
@@ -99,9 +99,9 @@ def _known(noise: Noise, outputs: Sequence[str], values: Mapping[str, float]) ->
 
 
 def mesh_for(fit: FitResult, experiments: Sequence[Experiment]) -> Transcription | FilterError:
-    """The fit's transcription for other experiments: where it counts or names segments, others as long.
+    """Return the fit's transcription for other experiments, with segments of the same length where it has its own.
 
-    A mesh that was refined for the fit is refined anew; process noise has the intensities of the fit.
+    A mesh that was refined for the fit is refined again; process noise has the intensities of the fit.
     """
     t = fit.transcription
     if isinstance(t, FilterError):
@@ -139,14 +139,15 @@ def mesh_for(fit: FitResult, experiments: Sequence[Experiment]) -> Transcription
 
 
 def _at_samples(t: _Array, length: float) -> _Array:
-    """Ends of segments of about a length. Inputs bend at samples, which segments had better not straddle."""
+    """Return ends of segments of about a length, at samples, since inputs bend there and segments should not straddle
+    that."""
     count = math.ceil(float(t[-1] - t[0]) / length - 1e-9)
-    wanted = np.linspace(t[0], t[-1], count + 1)
-    after = np.clip(np.searchsorted(t, wanted), 1, t.size - 1)
-    nearest = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
+    ends = np.linspace(t[0], t[-1], count + 1)
+    after = np.clip(np.searchsorted(t, ends), 1, t.size - 1)
+    nearest = np.where(ends - t[after - 1] < t[after] - ends, after - 1, after)
     return np.asarray(t[np.unique(nearest)])
 
 
 def estimates_of(estimates: Estimates, names: Collection[str]) -> Estimates:
-    """Those of the named parameters, also where each experiment has its own."""
+    """Return the estimates of the named parameters, also where each experiment has its own."""
     return Estimates(e for e in estimates.values() if e.name in names or e.name.partition("[")[0] in names)

@@ -1,4 +1,4 @@
-"""A fitted model on experiments that it was not fitted to."""
+"""The result of a validation: a fitted model on experiments that it was not fitted to."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _WIDTH = 120  # of lines of text
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Validation:
-    """What `Fit.validate` gives back: the model as fitted, with only initial states and biases found anew.
+    """The result of `Fit.validate`: the model as fitted, with only initial states and biases re-estimated.
 
     model           as fitted.
     noise           that of the fit, every number known.
@@ -49,7 +49,7 @@ class Validation:
                     the fit's noise.
     by_experiment   experiment -> output -> `Match`.
     status          "converged", or what else happened; ``message`` says what to do then.
-    warnings        what to beware of, in words.
+    warnings        in words.
     tolerances      output -> `Tolerance`, as given.
 
     With process noise (`FilterError`) intensities are held too, initial states are integrated out, and outputs and
@@ -84,7 +84,8 @@ class Validation:
         return any(r.innovations for r in self.records)
 
     def summary(self) -> str:
-        """The validation in plain text: what was held and freed, how each output matches, and what that means."""
+        """Return the validation in plain text: fixed and re-estimated values, goodness of fit of each output, and its
+        meaning."""
         parts = [self._header()]
         if self.freed:
             parts.append(estimates_table(self.freed.values(), title="freed"))
@@ -95,8 +96,8 @@ class Validation:
         return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 
     def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
-        """The proof-of-match figure of an experiment: measured points with their tolerance bands, model, residuals,
-        inputs. Returns the figure and the axes by name, as `Fit.plot` does."""
+        """Plot the proof of match of an experiment: measured points with their tolerance bands, model, residuals,
+        inputs. Return the figure and the axes by name, as `Fit.plot` does."""
         return plot.plot_validation(self, record, channels)
 
     def _header(self) -> str:
@@ -108,7 +109,7 @@ class Validation:
             "fitted to": ", ".join(f"'{name}'" for name in self.fitted_to),
             "status": f"{self.status}: {self.message}" if self.message else self.status,
             "held": ", ".join(self.held) or "nothing",
-            "found anew": ", ".join([f"{first} initial states", *self.freed]),
+            "re-estimated": ", ".join([f"{first} initial states", *self.freed]),
             "log-likelihood": f"{self.log_likelihood:.3f} at the noise of the fit",
         }
         if self._predicted:
@@ -122,7 +123,7 @@ class Validation:
         return "\n".join([f"{self.model.name}: validation", *lines])
 
     def in_words(self) -> list[str]:
-        """What the numbers say, a sentence for each output."""
+        """Return the meaning of the numbers, one sentence for each output."""
         lines = []
         for m in self.matches.values():
             if not m.samples:
@@ -133,7 +134,7 @@ class Validation:
                 continue
             said = []
             if math.isfinite(m.sigma):
-                what = "what the fit makes one expect" if self._predicted else "the fit's noise"
+                what = "the value that the fit predicts" if self._predicted else "the fit's noise"
                 said.append(f"RMS is {m.rms / m.sigma:.2g} times {what}")
             if m.tolerance is not None:
                 said.append(f"{100 * m.inside:.1f} % of the samples lie within {m.tolerance.text(m.unit)}")
@@ -142,7 +143,7 @@ class Validation:
             if m.whiteness < _WHITE:
                 said.append(f"its residuals are coloured (lag-1 correlation {m.lag_one:.2f})")
             elif math.isfinite(m.whiteness):
-                said.append("its residuals pass for white")
+                said.append("its residuals are not significantly coloured")
             lines.append(f"{m.output}: {'; '.join(said)}.")
         return lines
 

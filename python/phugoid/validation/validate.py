@@ -1,4 +1,4 @@
-"""Tries a fit on other experiments: `Fit.validate`."""
+"""Validation of a fit on other experiments: `Fit.validate`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def validate(
     tolerances: Mapping[str, float | Tolerance] | None = None,
     time_limit: float | None = None,
 ) -> Validation:
-    """What `Fit.validate` does; see there."""
+    """Validate a fit; see `Fit.validate`."""
     model, experiments = fit.model, as_experiments(other, "validate")
     limits = tolerances_by_output("validate", model.output_names, tolerances)
     with limited("validate", time_limit).in_force():
@@ -58,8 +58,8 @@ def validate(
 
     total, measured = (math.nan, 0) if filtered else chi_square(noise, model.output_names, records)
     degrees = _degrees(model, free, found)
-    # The noise is that of the fit, not one that was given: the validation itself tells how they compare.
-    told = chi_square_warning(noise, model.output_names, found.records, measured - degrees)
+    # The noise is that of the fit, not one that was given: the validation itself reports how they compare.
+    known_warning = chi_square_warning(noise, model.output_names, found.records, measured - degrees)
 
     def matches(records: Sequence[Record]) -> dict[str, Match]:
         sizes = {n: _predicted_std(records, n) if filtered else known.get(n, math.nan) for n in model.output_names}
@@ -80,7 +80,7 @@ def validate(
         by_experiment={r.name: matches([r]) for r in records},
         status=found.status,
         message="" if found.converged else found.message,
-        warnings=(*warnings, *(w for w in found.warnings if w != told)),
+        warnings=(*warnings, *(w for w in found.warnings if w != known_warning)),
         tolerances=limits,
     )
 
@@ -88,8 +88,8 @@ def validate(
 def re_estimated(
     fit: FitResult, experiments: Sequence[Experiment], biases: Any, values: Any
 ) -> tuple[FitResult, tuple[str, ...], dict[str, float], tuple[str, ...]]:
-    """The fit of initial states and biases alone to other experiments; which parameters are biases, the values of the
-    others, and what to beware of. Raises as `Fit.validate` does."""
+    """Return the fit of initial states and biases alone to other experiments; the names of the biases, the values of
+    the other parameters, and warnings. Raises as `Fit.validate` does."""
     free = _free(fit, biases, values)
     held = _held(fit, free, values)
     mesh = mesh_for(fit, experiments)
@@ -100,7 +100,7 @@ def re_estimated(
         warnings += _check(fit, e, free)
 
     slim = freeze_model(fit.model, held, free)
-    # A regression on measured states is for parameters, and these are held.
+    # A regression on measured states is for parameters, and these are fixed.
     solver = None if isinstance(mesh, FilterError) else Newton(regression=False)
     begin = _start(fit, slim, held, free)
     found = estimate(slim, experiments, transcription=mesh, noise=noise, start=begin, solver=solver)
@@ -108,20 +108,20 @@ def re_estimated(
 
 
 def _predicted(record: Record) -> Record:
-    """A record of the filter-error method with what is predicted from the samples before: its most probable path
-    follows any measurements."""
+    """Return a record of the filter-error method with outputs predicted from the preceding samples: its most probable
+    path follows any measurements."""
     outputs = {name: record.measured[name] - r for name, r in record.innovations.items()}
     return replace(record, outputs=outputs, residuals=record.innovations)
 
 
 def _predicted_std(records: Sequence[Record], output: str) -> float:
-    """What the root mean square of the innovations of an output should be."""
+    """Return the expected root mean square of the innovations of an output."""
     expected = np.concatenate([r.innovation_std[output][np.isfinite(r.innovations[output])] for r in records])
     return float(np.sqrt(np.mean(expected**2))) if expected.size else math.nan
 
 
 def _free(fit: FitResult, named: Any, values: Any) -> tuple[str, ...]:
-    """The parameters to estimate anew."""
+    """Return the parameters to re-estimate."""
     model = fit.model
     if not isinstance(values, Mapping):
         raise OptionError(f"validate: values are given by parameter, such as {{'wind': 3.0}}, not as {values!r}")
@@ -150,7 +150,7 @@ def _known_parameter(fit: FitResult, name: str, where: str) -> None:
 
 
 def _held(fit: FitResult, free: Sequence[str], values: Mapping[str, Any]) -> dict[str, float]:
-    """Values of the parameters that are not free."""
+    """Return the values of the parameters that are not free."""
     held: dict[str, float] = {}
     own = []
     for name, declared in fit.model.declared_parameters.items():
@@ -168,13 +168,13 @@ def _held(fit: FitResult, free: Sequence[str], values: Mapping[str, Any]) -> dic
         listed, one = ", ".join(f"'{name}'" for name in own), own[0]
         raise ModelError(
             f"validate: each experiment of the fit has its own {listed}, and which value another one has is not known: "
-            f"give it in values={{'{one}': ...}}, or name it in biases=['{one}'] to estimate it anew"
+            f"give it in values={{'{one}': ...}}, or name it in biases=['{one}'] to estimate it again"
         )
     return held
 
 
 def _check(fit: FitResult, e: Experiment, free: Sequence[str]) -> tuple[str, ...]:
-    """Warnings on an experiment. Raises DataError for one that cannot serve."""
+    """Return warnings on an experiment; raise DataError for one that cannot serve."""
     model = fit.model
     check_units(model, [e], "validate")
     there = {*e.channels}
@@ -206,7 +206,7 @@ def _check(fit: FitResult, e: Experiment, free: Sequence[str]) -> tuple[str, ...
 
 
 def shared(model: Model, record: Record, e: Experiment) -> int:
-    """The number of samples that are the same in both, at the same times; 0 where any that both have differs."""
+    """Return the number of samples that are the same in both, at the same times; 0 where any common one differs."""
     _, i, j = np.intersect1d(record.t, e.t, return_indices=True)
     if i.size < _SHARED:
         return 0
@@ -216,7 +216,8 @@ def shared(model: Model, record: Record, e: Experiment) -> int:
 
 
 def _start(fit: FitResult, slim: Model, held: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
-    """Freed parameters start at the fit's mean; states that no output measures at their mean along the fit."""
+    """Return start values: freed parameters at the fit's mean; states that no output measures at their mean over the
+    fit."""
     start = {}
     for name in free:
         found = [e.value for e in estimates_of(fit.parameters, [name]).values()]
@@ -230,7 +231,7 @@ def _start(fit: FitResult, slim: Model, held: Mapping[str, float], free: Sequenc
 
 
 def _degrees(model: Model, free: Sequence[str], found: FitResult) -> int:
-    """Measured values minus what was estimated."""
+    """Return the number of measured values minus that of estimated values."""
     values = sum(int(np.isfinite(r.residuals[name]).sum()) for r in found.records for name in model.output_names)
     conditions = len({(end, state) for end, state, _ in model.end_conditions})
     states = max(len(model.state_names) - conditions, 0) * len(found.records)

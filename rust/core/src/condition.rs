@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::expr::Expr;
 
-/// Where a condition holds.
+/// The end of a record at which a condition holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum End {
@@ -22,13 +22,13 @@ pub enum End {
 /// A condition: the state equals the right-hand side at an end, or differs by it between the ends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
-    /// Where it holds.
+    /// The end at which it holds.
     pub end: End,
     /// The state.
     pub state: String,
     /// The right-hand side: an expression in parameters, in inputs, time and other states at that end; for a
     /// periodic condition in parameters alone.
     pub expr: Expr,
-    /// Where the user wrote it: `file:line`.
+    /// The user's line: `file:line`.
     pub source: Option<String>,
 }

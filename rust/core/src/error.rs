@@ -1,4 +1,4 @@
-//! What can be wrong with a model, with data or at an evaluation, in the user's own names.
+//! Errors in a model, in data or at an evaluation, in the user's own names.
 
 use thiserror::Error;
 

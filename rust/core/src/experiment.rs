@@ -36,7 +36,7 @@ pub struct Experiment {
     pub inputs: Vec<Vec<f64>>,
     /// Measured outputs, n_y channels of N samples; NaN where a sample is missing.
     pub outputs: Vec<Vec<f64>>,
-    /// How inputs behave between samples, unless [`Signal::interpolation`] says otherwise of one.
+    /// The behaviour of inputs between samples, unless [`Signal::interpolation`] differs for one.
     pub interpolation: Interpolation,
     /// Inputs that were sampled at times of their own, that behave otherwise between samples, or of which something
     /// else is wanted: by input, or empty for none.
@@ -52,14 +52,14 @@ pub struct Signal {
     pub values: Vec<f64>,
     /// Time by which it is delayed, s.
     pub delay: f64,
-    /// Which derivative with respect to time is taken: 0 for none, to 2.
+    /// The order of the derivative with respect to time that is taken: 0 for none, to 2.
     pub derivative: usize,
-    /// How it behaves between its samples; `None` for what the record says of all inputs.
+    /// The behaviour between its samples; `None` for that of all inputs of the record.
     pub interpolation: Option<Interpolation>,
 }
 
 impl Signal {
-    /// What is taken of it at these times; `kind` is how all inputs of the record behave between samples.
+    /// Returns the values at these times; `kind` is the behaviour of all inputs of the record between samples.
     pub fn at(&self, kind: Interpolation, times: &[f64]) -> Vec<f64> {
         let kind = self.interpolation.unwrap_or(kind);
         let earlier: Vec<f64> = times.iter().map(|t| t - self.delay).collect();
@@ -69,7 +69,7 @@ impl Signal {
         }
     }
 
-    /// What is taken of it where it is held: a signal that is held too, with the times from which its values hold.
+    /// Returns the samples of a held signal, with the times from which its values hold.
     fn held(&self) -> (Vec<f64>, Vec<f64>) {
         let mut t: Vec<f64> = self.t.iter().map(|t| t + self.delay).collect();
         if self.derivative == 0 {
@@ -141,7 +141,7 @@ impl Experiment {
         Ok(Experiment { outputs: vec![missing; model.outputs.len()], ..run })
     }
 
-    /// The same record with one input, by name, that behaves in its own way between its samples.
+    /// Returns the record with one input, by name, that behaves in its own way between its samples.
     ///
     /// # Errors
     /// For a name that is no input of the model.
@@ -174,7 +174,7 @@ impl Experiment {
         })
     }
 
-    /// How an input behaves between its samples.
+    /// Returns the behaviour of an input between its samples.
     pub fn kind(&self, channel: usize) -> Interpolation {
         let own = self.signals.get(channel).and_then(|s| s.as_ref()?.interpolation);
         own.unwrap_or(self.interpolation)
@@ -270,7 +270,7 @@ impl Experiment {
         }
     }
 
-    /// The same for a record of which no output need be measured.
+    /// Checks a record of which no output need be measured.
     pub(crate) fn check_shapes(&self, inputs: &[&str], outputs: &[&str]) -> Result<(), Error> {
         let fail = |text: String| Err(Error::Data(format!("experiment '{}': {text}", self.name)));
         let n = self.t.len();

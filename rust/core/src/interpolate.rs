@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// How an input is interpolated between its samples.
+/// The interpolation of an input between its samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Interpolation {
@@ -23,7 +23,7 @@ pub enum Interpolation {
 /// A time this part of a sampling interval before a sample counts as that of the sample where the sample is held:
 /// delays and divisions of time carry rounding.
 const SAME: f64 = 1e-9;
-/// So many samples after the last one used are looked at one by one.
+/// Number of samples after the last one used that are searched one by one.
 const NEAR: usize = 4;
 
 /// Values at the times `at` of a signal sampled as `values` at the times `t`.
@@ -69,7 +69,7 @@ pub struct Interpolant<'a> {
 }
 
 impl<'a> Interpolant<'a> {
-    /// Of the samples `values` at the times `t`.
+    /// Makes the interpolation of the samples `values` at the times `t`.
     ///
     /// # Panics
     /// As [`interpolate`].
@@ -86,7 +86,7 @@ impl<'a> Interpolant<'a> {
         self.t
     }
 
-    /// Its value at a time; before the first sample and after the last one it is theirs.
+    /// Returns the value at a time; before the first sample and after the last one it is theirs.
     pub fn at(&self, s: f64) -> f64 {
         self.between(s, self.t.partition_point(|&sample| sample <= s))
     }
@@ -103,7 +103,7 @@ impl<'a> Interpolant<'a> {
         }
     }
 
-    /// Its value at a time that follows so many samples.
+    /// Returns the value at a time that follows so many samples.
     fn between(&self, s: f64, n: usize) -> f64 {
         let (t, values) = (self.t, self.values);
         if s.is_nan() {
@@ -128,7 +128,7 @@ impl<'a> Interpolant<'a> {
         values[i] + u * (slopes[i] + u * (c2 + u * c3))
     }
 
-    /// What a held signal is from `begin` to `end`: its value where it does not jump inside, else its mean there.
+    /// Returns a held signal from `begin` to `end`: its value where it does not jump inside, else its mean there.
     pub fn over(&self, begin: f64, end: f64) -> f64 {
         let (t, values) = (self.t, self.values);
         let slack = SAME * (end - begin);

@@ -1,4 +1,4 @@
-//! When work must end early: a time limit, and a flag that another thread sets.
+//! Early ends of work: a time limit, and a flag that another thread sets.
 //!
 //! Long work asks [`current`] once, and the [`Interrupt`] that it gets between its parts: blocks of an evaluation,
 //! groups of a factorisation, steps of an integration. Work that was stopped ends with an error of its own kind; its
@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Why work was stopped.
+/// The reason why work was stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// Somebody called [`Interrupt::stop`].
@@ -88,7 +88,7 @@ impl Interrupt {
         }
     }
 
-    /// Why the work must end, if it must.
+    /// Returns the reason why the work must end, if it must.
     pub fn cause(&self) -> Option<Cause> {
         let limit = self.0.as_ref()?;
         if limit.stopped.load(Ordering::Relaxed) {
@@ -105,7 +105,8 @@ impl Interrupt {
         self.0.is_some() && self.cause().is_some()
     }
 
-    /// For a loop whose turns take about so many operations each: the interrupt is asked about once a millisecond.
+    /// Returns the check of a loop whose turns take about so many operations each: the interrupt is asked about once
+    /// a millisecond.
     pub fn turns(&self, operations: usize) -> Turns {
         let every = (OPERATIONS / operations.max(1)).max(1);
         Turns { interrupt: self.clone(), every, left: every }

@@ -6,7 +6,7 @@ use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::lgl::Lgl;
 
-/// How an experiment is divided into segments (Eq. multiple_shooting_grid).
+/// The division of an experiment into segments (Eq. multiple_shooting_grid).
 #[derive(Clone, Debug, PartialEq)]
 pub enum Grid {
     /// Every interval between samples is divided into this many segments.
@@ -202,7 +202,7 @@ impl Mesh {
 
 /// Most points of the mesh, segments or steps of a record: their states alone take gigabytes.
 pub(crate) const MOST: usize = 10_000_000;
-/// The same segments, divided where one of these times (in order) lies within.
+/// Returns the segments divided where one of these times (in order) lies within.
 pub(crate) fn divided(edges: Vec<f64>, at: &[f64]) -> Vec<f64> {
     let mut out = Vec::with_capacity(edges.len() + at.len());
     for w in edges.windows(2) {

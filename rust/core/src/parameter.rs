@@ -24,7 +24,7 @@ pub struct Parameter {
     /// Whether each experiment has its own value: biases, wind.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub local: bool,
-    /// How a solver sees it.
+    /// The transform between the parameter and the solver's variable.
     #[serde(default, skip_serializing_if = "is_none")]
     pub transform: Transform,
 }
@@ -50,7 +50,7 @@ impl Parameter {
         }
     }
 
-    /// What is wrong with its numbers.
+    /// Returns an error in its numbers, if there is one.
     pub(crate) fn wrong(&self) -> Option<String> {
         let Parameter { start, lower, upper, prior, .. } = self;
         let (low, high) = (lower.unwrap_or(f64::NEG_INFINITY), upper.unwrap_or(f64::INFINITY));

@@ -6,7 +6,7 @@
 /// Instruction sets that kernels are compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Level {
-    /// What the target has anyway.
+    /// The instructions that the target has in any case.
     Base,
     /// AVX2 and FMA.
     #[cfg(target_arch = "x86_64")]

@@ -12,7 +12,7 @@ use std::hash::{Hash, Hasher};
 
 use serde::{Deserialize, Serialize};
 
-/// Why a table cannot be built.
+/// The reason why a table cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TableError {
     /// An axis has fewer than 2 points.
@@ -62,7 +62,7 @@ pub enum TableError {
     NonFinite {
         /// Name of the table.
         table: String,
-        /// Where: `x`, `y` or `values`.
+        /// The place of the error: `x`, `y` or `values`.
         what: &'static str,
         /// Index, from 0.
         index: usize,
@@ -115,7 +115,7 @@ pub struct Table {
     cells: Vec<[f64; 4]>,
 }
 
-/// What a table is saved as.
+/// The saved form of a table.
 #[derive(Serialize, Deserialize)]
 struct Content {
     name: String,
@@ -273,7 +273,7 @@ fn polynomial(order: u8, c: [f64; 4], u: f64) -> f64 {
     }
 }
 
-/// How to find the cell of a point along one axis.
+/// The search for the cell of a point along one axis.
 ///
 /// An axis of `n` points has `n + 1` cells: cell 0 below the first point, cell
 /// `i` from point `i - 1` to just below point `i`, cell `n` from the last point on.

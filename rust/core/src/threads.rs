@@ -13,7 +13,7 @@ use crate::error::Error;
 /// Most threads of a pool.
 const MOST: usize = 1024;
 
-/// Those of rayon's global pool, one a core unless the caller or `RAYON_NUM_THREADS` says otherwise.
+/// The threads of rayon's global pool, one a core unless the caller or `RAYON_NUM_THREADS` says otherwise.
 pub(crate) static COMMON: Threads =
     Threads { own: None, process: OnceLock::new(), inherited: Mutex::new(None) };
 
@@ -83,7 +83,7 @@ impl Threads {
 }
 
 impl Drop for Threads {
-    /// To end threads that are not there could wait for them.
+    /// Does not join threads that no longer exist after a fork, which could wait forever.
     fn drop(&mut self) {
         let here = std::process::id();
         if self.inherits().is_some() {

@@ -1,4 +1,4 @@
-//! How a solver sees a parameter: as another variable, of which the parameter is a function.
+//! The transform of a parameter: the solver's variable, of which the parameter is a function.
 
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +57,7 @@ impl Transform {
         if self == Transform::Log { 0.5 * std::f64::consts::LN_10 } else { f64::INFINITY }
     }
 
-    /// What the variable of a parameter is called.
+    /// Returns the name of the variable of a parameter.
     pub fn name(self, parameter: &str) -> String {
         match self {
             Transform::None => parameter.to_owned(),

@@ -1,4 +1,4 @@
-"""Readers, a kind of file each: all give a `Source`, columns by name."""
+"""Readers, one for each kind of file; each returns a `Source`, columns by name."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["open_source"]
 def open_source(
     data: Any, time: str | None, wanted: set[str], columns: Sequence[str] | None, delimiter: str | None
 ) -> Source:
-    """The columns of a table in memory, or of a file, whose ending tells its kind.
+    """Return the columns of a table in memory, or of a file, whose ending gives its kind.
 
-    time    name in the file of the column that gives the times; None: not told.
-    wanted  names that are asked for: what is dear to read is left unless it is among them.
+    time    name in the file of the column that gives the times; None: not given.
+    wanted  names that are asked for: columns that take long to read are skipped unless they are among them.
     """
     from .frames import is_frame, read_frame
 

@@ -1,4 +1,4 @@
-"""Flight logs: PX4's (ULog by pyulog, or the CSV tables of ulog2csv) and ArduPilot's (DataFlash, by pymavlink)."""
+"""Flight logs: PX4 (ULog by pyulog, or the CSV tables of ulog2csv) and ArduPilot (DataFlash, by pymavlink)."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ __all__ = ["find_tables", "read_ardupilot", "read_px4_tables", "read_ulog"]
 
 
 def topic_name(topic: str, instance: int) -> str:
-    """``sensor_accel`` of the first instance, ``sensor_accel[1]`` of the second."""
+    """Return ``sensor_accel`` for the first instance of a topic, ``sensor_accel[1]`` for the second."""
     return topic if instance == 0 else f"{topic}[{instance}]"
 
 
 def topic_columns(
     topic: str, fields: Mapping[str, tuple[Callable[[str], Any], str]], stamp: str, time: str | None
 ) -> list[Column]:
-    """Columns ``topic.field`` of the fields (values, unit), timed by the stamp, or by ``time`` where it is one."""
+    """Return columns ``topic.field`` of the fields (values, unit), timed by the stamp, or by ``time`` if it is
+    a field."""
     clock = time if time in fields else stamp
     return [
         Column(f"{topic}.{name}", values, unit, times=f"{topic}.{clock}") for name, (values, unit) in fields.items()
@@ -39,7 +40,7 @@ def topic_columns(
 
 
 def topics_in(wanted: set[str]) -> set[str]:
-    """The topics, without instance, of names such as ``sensor_accel[1].x``."""
+    """Return the topics, without instance, of names such as ``sensor_accel[1].x``."""
     return {name.partition(".")[0].partition("[")[0] for name in wanted}
 
 
@@ -47,7 +48,7 @@ _ULOG = "a PX4 log (ULog)"
 
 
 def read_ulog(path: Path, time: str | None, wanted: set[str]) -> Source:
-    """Columns ``topic.field``, timed by ``timestamp`` or, say, by ``time="timestamp_sample"``; microseconds become s.
+    """Read columns ``topic.field``, timed by ``timestamp`` or, say, ``time="timestamp_sample"``; microseconds become s.
 
     Times are since the start of the autopilot. A log with bytes that make no sense is read as far as it goes, with a
     warning: messages may be lost, as they are where a log ends with the battery.
@@ -86,7 +87,7 @@ _FIRST_WORDS = ("vehicle", "sensor", "actuator", "estimator", "airspeed", "batte
 
 
 def find_tables(path: Path) -> dict[str, Path]:
-    """The tables of the log at a path, topic -> file; none where it is neither a folder of them nor their beginning.
+    """Return the tables of the log at a path, topic -> file; {} where the path is not such a log.
 
     The path is a folder, or what the names of the tables begin with: ``logs/flight3`` for
     ``logs/flight3_vehicle_attitude_0.csv``.
@@ -105,7 +106,7 @@ def find_tables(path: Path) -> dict[str, Path]:
 
 
 def read_px4_tables(path: Path, tables: dict[str, Path], time: str | None) -> Source:
-    """Columns ``topic.field``, timed by ``timestamp`` or, say, by ``time="timestamp_sample"``; microseconds become s.
+    """Read columns ``topic.field``, timed by ``timestamp`` or, say, ``time="timestamp_sample"``; microseconds become s.
 
     A table is read when a column of it is asked for. Times are since the start of the autopilot.
     """
@@ -121,7 +122,7 @@ def read_px4_tables(path: Path, tables: dict[str, Path], time: str | None) -> So
 
 
 def _log_name(files: list[str]) -> str:
-    """What the names of all files begin with, up to an underscore, less the first words of topics."""
+    """Return the common beginning of all file names, up to an underscore, without the first words of topics."""
     alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*files, strict=False))
     common = "".join(letters[0] for letters in alike) if len(files) > 1 else ""
     words = common.split("_")[:-1]
@@ -147,9 +148,9 @@ _DATAFLASH = "a log of ArduPilot (.bin)"
 
 
 def read_ardupilot(path: Path, time: str | None, wanted: set[str]) -> Source:
-    """Columns ``MESSAGE.field`` such as ``IMU.GyrX``, of a second instance ``IMU[1].GyrX``, timed by ``TimeUS``.
+    """Read columns ``MESSAGE.field`` such as ``IMU.GyrX``, of a second instance ``IMU[1].GyrX``, timed by ``TimeUS``.
 
-    Microseconds since the start of the autopilot become s; units are those that the log tells. Only messages that are
+    Microseconds since the start of the autopilot become s; units are those given in the log. Only messages that are
     asked for are unpacked.
     """
     existing(path)
@@ -178,7 +179,7 @@ def read_ardupilot(path: Path, time: str | None, wanted: set[str]) -> Source:
 
 
 def _messages(log: Any, names: set[str]) -> dict[str, dict[int, list[list[Any]]]]:
-    """Rows of the messages by name and instance."""
+    """Return the rows of the messages by name and instance."""
     found: dict[str, dict[int, list[list[Any]]]] = {}
     while names and (message := log.recv_match(type=list(names))) is not None:
         kind = message.fmt
@@ -189,7 +190,7 @@ def _messages(log: Any, names: set[str]) -> dict[str, dict[int, list[list[Any]]]
 
 
 def _unit(kind: Any, column: str) -> str:
-    """As the log tells it, less what is no unit but a name for one."""
+    """Return a unit as given in the log; "" for text that is no unit."""
     unit = str(kind.get_unit(column)).strip()
     named = {"deglatitude": "deg", "deglongitude": "deg", "degheading": "deg", "UNKNOWN": "", "instance": ""}
     return named.get(unit, unit)
@@ -201,7 +202,8 @@ def _values(rows: list[list[Any]], i: int, name: str) -> Any:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """pymavlink prints what it finds wrong, a line a damaged byte; its part in C does so past Python's streams."""
+    """Suppress output, since pymavlink prints a line for every damaged byte; its C part does so past Python's
+    streams."""
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.redirect_stdout(io.StringIO()))
         stack.enter_context(contextlib.redirect_stderr(io.StringIO()))

@@ -1,4 +1,4 @@
-"""Data frames of pandas and polars, datasets of xarray (none is imported here); Parquet files, read by pyarrow."""
+"""Tables of pandas and polars, datasets of xarray (none is imported here); Parquet files, read by pyarrow."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ __all__ = ["is_frame", "read_frame", "read_parquet"]
 
 
 def is_frame(data: Any) -> bool:
-    """Whether it is a table of pandas, polars or xarray, known by the names of its class."""
+    """Return whether an object is a table of pandas, polars or xarray, recognised by the name of its class."""
     return _kind(data) in _READERS
 
 
 def read_frame(data: Any, time: str | None) -> Source:
-    """The columns of a table in memory; a name such as ``alpha [deg]`` tells a unit, in xarray the attribute ``units``.
+    """Read the columns of a table in memory; the unit is part of a name such as ``alpha [deg]``, or in xarray the
+    attribute ``units``.
 
     pandas: an index with a name, or one of times, is a column too, and the time unless there is one called so.
     xarray: each dimension is a clock of its own, whose times are its coordinate, or ``time`` along it.
@@ -84,7 +85,7 @@ def _xarray(data: Any, time: str | None) -> Source:
 
 
 def _dimension(data: Any, variable: Any, time: str | None) -> tuple[Any, str | None]:
-    """The dimension that samples of a variable run along, and the coordinate that has its times."""
+    """Return the dimension that samples of a variable run along, and the coordinate that has its times."""
     for name in (time,) if time is not None else ("t", "time"):
         if name in data.variables and len(data[name].dims) == 1 and data[name].dims[0] in variable.dims:
             return data[name].dims[0], name
@@ -130,7 +131,7 @@ _KIND = "a Parquet file"
 
 
 def read_parquet(path: Path, time: str | None) -> Source:
-    """The columns of a Parquet file; a unit is told by the name, or by ``unit`` or ``units`` in the field's metadata.
+    """Read the columns of a Parquet file; a unit is part of the name, or ``unit`` or ``units`` in the field's metadata.
 
     The index of a pandas frame without a name is the time where no column is called so.
     """
@@ -143,8 +144,8 @@ def read_parquet(path: Path, time: str | None) -> Source:
     columns = []
     for field in fields:
         name, unit = split_unit(field.name)
-        told = field.metadata or {}
-        unit = next((told[key].decode("utf-8", "replace") for key in (b"units", b"unit") if key in told), unit)
+        metadata = field.metadata or {}
+        unit = next((metadata[key].decode("utf-8", "replace") for key in (b"units", b"unit") if key in metadata), unit)
         if name == "__index_level_0__" and (time or "t") not in names:
             name = time or "t"
         columns.append(Column(name, _later(parquet, path, field.name), unit, field.name))
@@ -152,7 +153,7 @@ def read_parquet(path: Path, time: str | None) -> Source:
 
 
 def _later(parquet: Any, path: Path, column: str) -> Callable[[str], Any]:
-    """Reads a column when it is asked for: the format lies by columns."""
+    """Return a function that reads one column when it is called: the format stores columns one by one."""
 
     def values(name: str) -> Any:
         with reading(f"{path}, column '{name}'", _KIND):

@@ -1,4 +1,4 @@
-"""Files of named arrays, flat or in groups: MATLAB and HDF5. Which arrays are channels, and where their times are."""
+"""Files of named arrays, flat or in groups (MATLAB and HDF5): which arrays are channels, and where their times are."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Leaf:
 def from_leaves(
     where: str, name: str, leaves: Sequence[Leaf], time: str | None, columns: Sequence[str] | None
 ) -> Source:
-    """Columns of the arrays, called ``group.name`` or, of a matrix, ``group.name[0]``, ``group.name[1]``...
+    """Return the columns of arrays, called ``group.name`` or, of a matrix, ``group.name[0]``, ``group.name[1]``...
 
     A group that holds everything is not named. The times of an array are called ``time`` (None: ``t``, else ``time``)
     and stand in its own group or in one above it. A matrix has a column for a channel, or a row where only the rows are
@@ -74,7 +74,7 @@ def from_leaves(
 
 
 def _clock(full: str, known: dict[str, Leaf], time: str | None) -> str | None:
-    """The times nearest to an array, going up from its own group."""
+    """Return the name of the times nearest to an array, going up from its own group."""
     group = full.split(".")[:-1]
     for depth in range(len(group), -1, -1):
         for candidate in (time,) if time is not None else ("t", "time"):
@@ -85,7 +85,7 @@ def _clock(full: str, known: dict[str, Leaf], time: str | None) -> str | None:
 
 
 def _places(shape: tuple[int, ...], axis: int) -> list[tuple[str, Any]]:
-    """Name's ending and index of each channel in an array whose samples run along an axis."""
+    """Return the suffix of the name and the index of each channel in an array whose samples run along an axis."""
     if len(shape) == 1:
         return [("", slice(None))]
     across = shape[:axis] + shape[axis + 1 :]
@@ -130,15 +130,15 @@ _CHARACTERS, _FIRST_NUMERIC, _LAST_NUMERIC = 4, 6, 15  # classes of arrays
 
 
 def is_whole(raw: bytes) -> bool:
-    """False where a tag in the file names no known type, or more bytes than there are."""
+    """Return False where a tag in the file names no known type, or more bytes than there are."""
     if len(raw) < 128 or raw[126:128] not in (b"IM", b"MI") or b"\0" in raw[:4]:
-        return True  # of another version: scipy tells
+        return True  # of another version: scipy reports it
     order = "<" if raw[126:128] == b"IM" else ">"
     return _elements(raw, 128, len(raw), order) is not None
 
 
 def _elements(raw: bytes, start: int, end: int, order: str) -> list[tuple[int, int, int]] | None:
-    """Type, first byte and size of each element; None where one cannot be."""
+    """Return type, first byte and size of each element; None where the bytes are no valid element."""
     found = []
     while start < end:
         if start + 8 > end:
@@ -170,7 +170,7 @@ def _matrix(raw: bytes, start: int, end: int, order: str) -> bool:
 
 
 def read_hdf5(path: Path, time: str | None, columns: Sequence[str] | None, matlab: bool = False) -> Source:
-    """The datasets of an HDF5 file, called ``group.name``; of a compound one, the fields.
+    """Read the datasets of an HDF5 file, called ``group.name``; of a compound dataset its fields.
 
     A dataset's unit is its attribute ``units`` or ``unit``. ``matlab``: axes are reversed, and text is stored as
     numbers, as MATLAB does it.
@@ -202,7 +202,7 @@ def read_hdf5(path: Path, time: str | None, columns: Sequence[str] | None, matla
 
 
 def _later(h5py: Any, path: Path, kind: str, key: str, field: str | None, matlab: bool) -> Any:
-    """Reads a dataset when it is asked for: a file may hold far more than is used."""
+    """Return a function that reads a dataset when it is called: a file may hold far more than is used."""
 
     def read() -> Any:
         with reading(f"{path}, dataset '{key}'", kind), h5py.File(path, "r") as file:
@@ -218,7 +218,7 @@ def _text(value: Any) -> str:
 
 
 def read_matlab(path: Path, time: str | None, columns: Sequence[str] | None) -> Source:
-    """The arrays of a ``.mat`` file; a field of a structure is called ``structure.field``.
+    """Read the arrays of a ``.mat`` file; a field of a structure is called ``structure.field``.
 
     Tables, timetables and timeseries are objects that MATLAB alone can read: there, save their columns.
     """

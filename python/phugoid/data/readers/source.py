@@ -1,4 +1,4 @@
-"""What every reader gives: columns by name, and where each has its time from."""
+"""The common result of all readers: columns by name, and the column that holds the times of each."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Column:
     """One column of a file.
 
     name    as the file has it, without the unit.
-    values  gives the values, (N,), when asked by the name that the user gave the column, which messages tell.
-    unit    "" where the file tells none.
+    values  returns the values, (N,), when called with the user's name of the column, which messages contain.
+    unit    "" where the file has none.
     header  name and unit as written, where these were one text.
     times   name of the column that holds its times; None: the one that the user calls the time.
     """
@@ -39,11 +39,11 @@ class Column:
 
 @dataclass(frozen=True)
 class Source:
-    """The columns of a file or of a table given in its place.
+    """The columns of a file, or of a table in memory.
 
     where     what messages call it.
     name      what the experiment is called unless the user says otherwise.
-    left_out  name -> why it is no column, for what somebody may ask for.
+    left_out  name -> why it is no column, for messages on names that may be asked for.
     """
 
     where: str
@@ -53,13 +53,13 @@ class Source:
 
 
 def stem(path: Path) -> str:
-    """The file's name without its ending: ``run1`` of ``run1.csv.gz``."""
+    """Return the file's name without its ending: ``run1`` of ``run1.csv.gz``."""
     name = path.name.removesuffix(".gz")
     return name.rsplit(".", 1)[0] if "." in name[1:] else name
 
 
 def existing(path: Path) -> None:
-    """Raises DataError unless the path leads to a file; it names the folder, and a file there that may be meant."""
+    """Raise DataError unless the path is a file; the message names the folder, and a similar file there."""
     if path.is_dir():
         raise DataError(f"{path}: is a folder, not a file")
     if not path.is_file():
@@ -76,7 +76,7 @@ def _digits(name: str) -> str:
 
 
 def contents(path: Path) -> bytes:
-    """The bytes of a file; DataError where it is absent or cannot be read."""
+    """Return the bytes of a file; raise DataError where it is absent or cannot be read."""
     existing(path)
     try:
         return path.read_bytes()
@@ -85,7 +85,7 @@ def contents(path: Path) -> bytes:
 
 
 def load(module: str, kind: str, extra: str) -> Any:
-    """An optional package, imported; MissingDependency tells the command that installs it."""
+    """Import and return an optional package; MissingDependency gives the command that installs it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -95,7 +95,7 @@ def load(module: str, kind: str, extra: str) -> Any:
 
 @contextmanager
 def reading(where: str | Path, kind: str) -> Iterator[None]:
-    """Turns what a foreign reader raises into a DataError that names the file.
+    """Turn the exceptions of a foreign reader into a DataError that names the file.
 
     Damaged bytes lead the packages that parse them to exceptions of any type, so none is left out.
     """
@@ -109,7 +109,7 @@ def reading(where: str | Path, kind: str) -> Iterator[None]:
 
 
 def split_unit(header: str) -> tuple[str, str]:
-    """Name and unit of ``alpha [deg]`` or ``alpha (deg)``; unit "" where there is none or it is ``-``."""
+    """Return name and unit of ``alpha [deg]`` or ``alpha (deg)``; the unit is "" where there is none or it is ``-``."""
     match = re.fullmatch(r"(.+?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]", header)
     # A whole number in brackets is an index, as in PX4's "xyz[0]", and part of the name.
     if match and not match[2].isdigit():

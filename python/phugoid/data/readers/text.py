@@ -1,4 +1,4 @@
-"""Text tables: CSV, TSV and their kin, as flight-test tools write them, also gzipped."""
+"""Text tables as flight-test tools write them: CSV, TSV and the like, also gzipped."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["read_text"]
 
 
 def read_text(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> Source:
-    """The columns of a text table, whose cells become numbers when they are asked for.
+    """Read the columns of a text table, whose cells become numbers when they are asked for.
 
     columns    names of all columns in order, in place of a header.
     delimiter  None: found out from the file.
@@ -123,7 +123,7 @@ def _text(path: Path) -> str:
 
 
 def _splitter(file: str, delimiter: str | None, sample: str) -> Any:
-    """A function that cuts a line into stripped fields."""
+    """Return a function that splits a line into stripped fields."""
     if delimiter is None:
         # A tab may be mere alignment among blanks: it delimits only where no field has a blank inside.
         tabs = "\t" in sample and not any(" " in cell.strip() for cell in sample.split("\t"))
@@ -147,7 +147,7 @@ def _splitter(file: str, delimiter: str | None, sample: str) -> Any:
 
 
 def _glued(header: str) -> str:
-    """Keeps a unit with its name where blanks delimit: ``alpha [deg]`` becomes ``alpha[deg]``."""
+    """Remove the blanks before a unit where blanks delimit: ``alpha [deg]`` becomes ``alpha[deg]``."""
     return re.sub(r"\s+(?=[\[(])", "", header)
 
 

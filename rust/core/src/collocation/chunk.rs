@@ -32,7 +32,7 @@ pub(super) struct Chunk {
     pub(super) row: usize,
     /// Samples between mesh points, their segment counted within the chunk.
     pub(super) between: Vec<Tie>,
-    /// Those in the segment before the first: they weigh f at this chunk's first point.
+    /// Ties in the segment before the first: they weigh f at this chunk's first point.
     pub(super) between_before: Vec<Tie>,
     /// Data columns of the dynamics at each lane, column by column.
     pub(super) data: Vec<f64>,

@@ -145,7 +145,7 @@ fn nodes_of(entry: Option<usize>, k: usize, m: usize) -> std::ops::Range<usize> 
 }
 
 impl Tie {
-    /// The same for the constraint of a sample: all, or for a bare diagonal the node on its left.
+    /// Returns the nodes of an entry of a sample's constraint: all, or for a bare diagonal the node on its left.
     fn nodes_of(&self, entry: Option<usize>, m: usize) -> std::ops::Range<usize> {
         if entry.is_some() { 0..m } else { self.node..self.node + 1 }
     }
@@ -157,7 +157,7 @@ impl Job<'_> {
         self.run_into(tape, workspace, &[], &mut [])
     }
 
-    /// The same with weights, and sums of entries between parameters to be added to.
+    /// Runs with weights, and with sums of entries between parameters to be added to.
     fn run_into<'w>(
         &self,
         tape: &Tape,

@@ -1,4 +1,4 @@
-//! What is not finite, where, and from what: for people, so at leisure.
+//! Messages on values that are not finite: where and from what. They need not be fast.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -90,7 +90,7 @@ impl Collocation {
         None
     }
 
-    /// Where values are finite but a derivative is not (a square root at 0, say).
+    /// Explains a derivative that is not finite where values are finite (a square root at 0, say).
     fn explain_derivatives(&self, xi: &[f64]) -> Option<String> {
         let names: Vec<String> = self.posed.state_names.iter().cloned().chain(self.posed.seen()).collect();
         for is_output in [false, true] {

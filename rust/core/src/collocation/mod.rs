@@ -29,7 +29,7 @@ use chunk::Chunk;
 pub use chunk::segments_in_chunk;
 use defects::Dynamics;
 
-/// How a problem is transcribed.
+/// The options of a transcription by collocation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Points of a segment, m: 2 is the trapezoid.
@@ -84,7 +84,7 @@ impl Default for Settings {
 pub struct Collocation {
     /// Parameters, functions, records.
     pub posed: Posed,
-    /// Where variables and constraints stand.
+    /// The places of variables and constraints.
     pub layout: Layout,
     /// One mesh an experiment.
     pub meshes: Vec<Mesh>,
@@ -97,8 +97,8 @@ pub struct Collocation {
     /// Laid out when it is first asked for: in long records it takes longer than all else here.
     jacobian_structure: OnceLock<Structure>,
     hessian_structure: Structure,
-    /// Where the Hessian entries between parameters stand for each pair of f: one list an experiment; a single
-    /// one where they do not differ. They are the last entries, from the first.
+    /// Places of the Hessian entries between parameters for each pair of f: one list an experiment; a single one
+    /// where they do not differ. They are the last entries, from the first.
     pairs: (usize, Vec<Vec<usize>>),
     chains: Chains,
     pub(super) boundary: Option<Boundary>,

@@ -8,7 +8,7 @@ use crate::linalg::{Effort, Entries, KktError, kkt_for};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::Units;
 
-/// What the Newton system at a point tells about some of the variables.
+/// The information of the Newton system at a point about some of the variables.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Information {
     /// Covariance of the k variables asked for, row-major k × k. Rows and columns of variables that
@@ -23,14 +23,14 @@ pub struct Information {
     pub saddle: bool,
 }
 
-/// Why there is none.
+/// The reason why there is no information.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoInformation {
     /// A derivative is not finite there.
     NotFinite,
     /// The Newton system cannot be factorised: constraints that depend on each other, above all.
     Singular(KktError),
-    /// It was told not to go on.
+    /// The interrupt stopped it.
     Stopped,
 }
 
@@ -236,9 +236,9 @@ fn column(nlp: &dyn Nlp, hessian: &[f64], jacobian: &[f64], variable: usize) -> 
     (p, q)
 }
 
-/// Which variables go along with one that is set aside: `d` is how far all move when it moves by one, and it may well
-/// move by `far`. Their standard errors `sigmas`, of the variables `wanted`, are those with it held: they say nothing
-/// of where the variables are.
+/// Returns which variables are confounded with one that is set aside: `d` is how far all move when it moves by one,
+/// and it may move by `far`. Their standard errors `sigmas`, of the variables `wanted`, are those with it fixed,
+/// which say nothing of where the variables are.
 fn companions(d: &[f64], wanted: &[usize], sigmas: &[f64], far: f64) -> Vec<usize> {
     let moves = wanted.iter().zip(sigmas).filter(|(_, s)| **s > 0.0).map(|(&i, s)| (i, d[i].abs() / s));
     let moves: Vec<(usize, f64)> = moves.collect();

@@ -24,7 +24,7 @@ pub(super) const AT_ONCE: usize = 16;
 /// A number for each of them.
 pub(super) type Lanes = [f64; AT_ONCE];
 
-/// Of samples between mesh points: their points, and derivatives by the states at all points of the segment.
+/// The points of samples between mesh points, and derivatives by the states at all points of the segment.
 type Between = Vec<(usize, DMatrix<f64>)>;
 
 /// One segment: the constraints of its points, and of the samples between them.
@@ -39,8 +39,8 @@ struct Step {
     between: Vec<(usize, DMatrix<f64>)>,
     /// Its first point within the experiment.
     point: usize,
-    /// From states at the first point and slopes at all points to states at the others, row by row; at the last point
-    /// alone where no sample asks for those between.
+    /// The map from states at the first point and slopes at all points to states at the others, row by row; at the
+    /// last point alone where no sample asks for those between.
     map: Vec<f64>,
 }
 
@@ -160,7 +160,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
         Ok((forward.growth(&units) < GROWTH).then_some(forward))
     }
 
-    /// By how much first states of the size of the states' units can grow, in these units.
+    /// Returns the growth of first states of the size of the states' units, in these units.
     fn growth(&self, units: &[f64]) -> f64 {
         let n = self.problem.layout.n_x;
         let unit = |r: usize| units.get(r).copied().unwrap_or(1.0);
@@ -199,8 +199,9 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
         COMMON.install(|| slopes.par_chunks(AT_ONCE).flat_map_iter(some).collect())
     }
 
-    /// The same for a few, side by side, [sample · n_x + state]. `slopes` gives those of the points from one on: its
-    /// place among all mesh points, and among all points. They are not those where the interrupt stopped it.
+    /// Computes the states of a few columns, side by side, [sample · n_x + state]. `slopes` gives those of the points
+    /// from one on: its place among all mesh points, and among all points. They are invalid where the interrupt
+    /// stopped it.
     pub(super) fn states(
         &self,
         interrupt: &Interrupt,
@@ -251,8 +252,8 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
         out
     }
 
-    /// The same for variables that move by 1: parameters, or states at a first point (all others give nothing). They mean
-    /// nothing where the interrupt in force stopped it.
+    /// Returns the responses to variables that move by 1: parameters, or states at a first point (all others give
+    /// nothing). They are invalid where the interrupt in force stopped it.
     pub fn tangents(&self, variables: &[usize]) -> Vec<Vec<f64>> {
         let layout = &self.problem.layout;
         let (n, theta) = (layout.n_x, layout.n_theta);

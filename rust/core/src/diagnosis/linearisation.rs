@@ -12,7 +12,7 @@ use crate::interrupt::current;
 use crate::nlp::NotFinite;
 use crate::threads::COMMON;
 
-/// How the outputs follow states and parameters: derivatives at all samples, those of all experiments after each other.
+/// Derivatives of the outputs by states and parameters at all samples, those of all experiments after each other.
 pub struct Outputs<'a> {
     /// (samples, n_y, n_x)
     pub by_state: &'a [f64],
@@ -24,16 +24,16 @@ pub struct Outputs<'a> {
     pub n_y: usize,
 }
 
-/// Where signals act: what one of size 1 adds.
+/// The places where signals act, and the effect of a signal of size 1.
 pub struct Place<'a> {
-    /// To f, (mesh points, n_x).
+    /// The effect on f, (mesh points, n_x).
     pub slopes: &'a [f64],
-    /// To the outputs, (samples, n_y).
+    /// The effect on the outputs, (samples, n_y).
     pub outputs: &'a [f64],
 }
 
-/// What is factorised: the equations segment by segment, forward in time, or the KKT system where the motion is too
-/// unstable for that.
+/// The factorised system: the equations segment by segment, forward in time, or the KKT system where the motion is
+/// too unstable for that.
 enum Factors<P> {
     Forward(Forward<P>),
     Response(Response<P>),

@@ -1,4 +1,4 @@
-//! What a solution tells about itself.
+//! Information, covariances and sensitivities at a solution.
 
 mod covariance;
 mod forward;

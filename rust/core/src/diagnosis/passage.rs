@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::simd::kernel;
 
-/// Over gaps longer than this, variances are those of the process, less what is left of knowledge; else they are summed
+/// Over gaps longer than this, variances are the stationary ones less the remaining knowledge; else they are summed
 /// up step by step, which loses no digits.
 const LONG: usize = 64;
 /// Samples that are predicted together: they stay in the first cache.
@@ -52,8 +52,8 @@ impl Predictors {
     }
 }
 
-/// To a sample whose last p places are not all there, by Kalman's filter (1960): what the sample's error says of the
-/// last p values, and its standard deviation.
+/// The step to a sample whose last p places are not all measured, by Kalman's filter (1960): the effect of the
+/// sample's error on the last p values, and its standard deviation.
 struct Step {
     gain: DVector<f64>,
     sigma: f64,
@@ -62,7 +62,7 @@ struct Step {
 /// Samples without a gap.
 struct Run {
     samples: Range<usize>,
-    /// From what was known of p values to its first sample, over the gap before it.
+    /// The transition of knowledge of p values to the first sample, over the gap before it.
     transition: Option<DMatrix<f64>>,
     steps: Vec<Step>,
 }

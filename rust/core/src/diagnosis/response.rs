@@ -1,4 +1,4 @@
-//! How the fitted path answers to a force on its equations: the sensitivities behind every candidate term.
+//! The response of the fitted path to a force on its equations: the sensitivities behind every candidate term.
 
 use std::ops::Deref;
 

@@ -112,7 +112,7 @@ impl Graph {
         self.hessian_within(root, symbols, usize::MAX).expect("no more entries than memory holds")
     }
 
-    /// The same, or `None` where it has more entries than `most`.
+    /// Returns the Hessian, or `None` where it has more entries than `most`.
     pub fn hessian_within(&mut self, root: Id, symbols: &[Id], most: usize) -> Option<Sparse> {
         let mut sparse = Sparse::default();
         let gradient = self.gradient(root, symbols);

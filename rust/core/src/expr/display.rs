@@ -169,7 +169,7 @@ fn words(root: &Expr) -> HashSet<String> {
     found
 }
 
-/// What is left to print.
+/// The remaining tasks of printing.
 enum Task<'a> {
     Text(&'static str),
     Expr(&'a Expr),
@@ -266,7 +266,7 @@ impl Printer<'_> {
         stack.push(Task::Text(rest));
     }
 
-    /// How strongly the printed form of an expression holds together.
+    /// Returns the precedence of the printed form of an expression.
     fn precedence(&self, expr: &Expr) -> u8 {
         match expr.node() {
             _ if self.name(expr).is_some() => ATOM,

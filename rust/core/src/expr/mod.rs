@@ -50,7 +50,7 @@ impl Lookup {
     }
 }
 
-/// What a node of an expression holds.
+/// The content of a node of an expression.
 #[derive(Debug)]
 pub enum Node {
     /// A number.
@@ -155,7 +155,7 @@ impl Expr {
         Self::new(Node::Lookup(lookup, args))
     }
 
-    /// What the top node holds.
+    /// Returns the content of the top node.
     pub fn node(&self) -> &Node {
         &self.0.node
     }
@@ -284,7 +284,7 @@ impl Expr {
 }
 
 impl PartialEq for Expr {
-    /// Same structure, not same value: `a + b` and `b + a` differ.
+    /// Compares the structure, not the value: `a + b` and `b + a` differ.
     fn eq(&self, other: &Self) -> bool {
         let mut seen = HashSet::new();
         let mut stack = vec![(self, other)];

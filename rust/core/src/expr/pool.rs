@@ -18,7 +18,7 @@ enum Saved {
     Lookup { table: usize, order: [u8; 2], args: Vec<usize> },
 }
 
-/// What makes two nodes equal, their arguments by place.
+/// The key by which nodes are equal, with their arguments by place.
 #[derive(PartialEq, Eq, Hash)]
 enum Key<'a> {
     Constant(u64),

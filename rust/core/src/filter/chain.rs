@@ -51,13 +51,13 @@ pub(super) struct Factor {
 /// Covariances of what is random.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Spread {
-    /// Of the states, N of (n, n).
+    /// The block of the states, N of (n, n).
     pub(super) x: Vec<f64>,
-    /// Of states and noises z_k together, N−1 of (n + m, n + m).
+    /// The block of states and noises z_k together, N−1 of (n + m, n + m).
     pub(super) z: Vec<f64>,
 }
 
-/// Why something of a chain was not computed.
+/// The reason why a quantity of a chain was not computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Fault {
     /// The Hessian has no positive pivot in the noise of an interval.
@@ -91,7 +91,8 @@ impl Chain {
         &all[k * rows * columns..(k + 1) * rows * columns]
     }
 
-    /// For a loop over the intervals with so many products of square matrices of the size of z.
+    /// Returns the interrupt check of a loop over the intervals with so many products of square matrices of the size
+    /// of z.
     fn turns(&self, products: usize) -> impl FnMut() -> Result<(), Fault> {
         let mut turns: Turns = current().turns(products * self.width().pow(3));
         move || if turns.stop() { Err(Fault::Stopped) } else { Ok(()) }

@@ -20,7 +20,7 @@ pub(super) struct Flow {
     p: usize,
 }
 
-/// What linearisation gives, for all intervals of a record.
+/// The linearisation of all intervals of a record.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Linear {
     /// Φ, of n.
@@ -33,7 +33,7 @@ pub(super) struct Linear {
     pub(super) curvature: Vec<f64>,
 }
 
-/// What is wanted beside Φ and Φ_z.
+/// The quantities that are computed beside Φ and Φ_z.
 pub(super) enum Beside<'a> {
     /// The second derivatives with these weights λ.
     Curvature(&'a [f64]),

@@ -40,7 +40,7 @@ pub(super) struct Weights<'a> {
     pub(super) s: &'a [f64],
 }
 
-/// Where gradients are added: those by x_k, rows of n, by ε_k, rows of m, and by the parameters.
+/// The places to which gradients are added: those by x_k, rows of n, by ε_k, rows of m, and by the parameters.
 pub(super) struct Gradients<'a> {
     pub(super) x: &'a mut [f64],
     pub(super) e: &'a mut [f64],

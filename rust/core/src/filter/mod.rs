@@ -261,7 +261,7 @@ impl Filter {
         }
     }
 
-    /// Why there is no marginal likelihood, in the user's names.
+    /// Explains why there is no marginal likelihood, in the user's names.
     pub fn explain(&self, lost: Lost) -> String {
         match lost {
             Lost::NotFinite => "an equation is not finite on the way to the most probable path".into(),

@@ -42,7 +42,7 @@ pub(super) struct At<'a> {
     /// Mean and standard deviation of the first states that have a prior.
     pub(super) initial: &'a [Option<(f64, f64)>],
     pub(super) run: &'a Run,
-    /// What integrations take; it is not given back between them.
+    /// Memory of the integrations; it is not given back between them.
     pub(super) memory: RefCell<Memory>,
 }
 
@@ -56,7 +56,7 @@ pub(super) struct Found {
     pub(super) iterations: usize,
 }
 
-/// Why no path was found.
+/// The reason why no path was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Lost {
     /// A function is not finite on the way.
@@ -80,7 +80,7 @@ const TRUSTED: f64 = 1e-4;
 const ITERATIONS: usize = 60;
 
 impl Lost {
-    /// Why something was not computed: the interrupt stopped it, or it is not finite.
+    /// Returns the reason of a failure: the interrupt stopped it, or it is not finite.
     pub(super) fn without(interrupt: &Interrupt) -> Lost {
         if interrupt.stops() { Lost::Stopped } else { Lost::NotFinite }
     }

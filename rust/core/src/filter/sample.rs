@@ -1,4 +1,4 @@
-//! What the measurements of a sample cost, −ℓ_e(z_k − g(x_k, u_k, θ)) (Eq. elle_defn), with derivatives up to the
+//! The cost of the measurements of a sample, −ℓ_e(z_k − g(x_k, u_k, θ)) (Eq. elle_defn), with derivatives up to the
 //! third that the gradient of ln det needs.
 
 use super::block::{Loaded, blocks, compile, data_columns};

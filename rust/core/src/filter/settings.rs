@@ -1,8 +1,8 @@
-//! What is assumed of the process noise.
+//! Assumptions on the process noise.
 
 use crate::error::{Error, did_you_mean};
 
-/// What is assumed of the process noise.
+/// Assumptions on the process noise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Names of the states that have it.
@@ -11,7 +11,7 @@ pub struct Settings {
     pub substeps: usize,
     /// Terms of the noise of each state within an interval, from 1.
     pub terms: usize,
-    /// For each state of the model, mean and standard deviation of its first value, infinite for a flat prior of
+    /// For each state of the model the mean and standard deviation of its first value, infinite for a flat prior of
     /// density 1; or `None` to maximise over it.
     pub initial: Vec<Option<(f64, f64)>>,
 }

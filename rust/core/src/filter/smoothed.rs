@@ -16,11 +16,11 @@ pub struct Smoothed {
     pub outputs: Vec<Vec<f64>>,
     /// Their standard deviations, without that of a measurement's noise, for parameters known.
     pub output_deviations: Vec<Vec<f64>>,
-    /// What a filter predicts of each sample from those before it.
+    /// One-step predictions of each sample from those before it.
     pub innovations: Innovations,
     /// Covariance of the first state, (n, n), for parameters known, and how it follows the model's parameters, (n, p).
     pub first_covariance: Vec<f64>,
-    /// How the first state follows the model's parameters, (n, p).
+    /// Derivatives of the first state by the model's parameters, (n, p).
     pub first_follows: Vec<f64>,
 }
 

@@ -16,12 +16,12 @@ use crate::tape::{Arguments, Inputs, LANE_MULTIPLE, Tape};
 #[derive(Clone, Debug)]
 pub(crate) struct Adjoint {
     tape: Tape,
-    /// What each output is the derivative by: the states, constants, then parameters.
+    /// The variables of the derivatives: the states, constants, then parameters.
     places: Vec<usize>,
 }
 
 impl Adjoint {
-    /// By the first `n` of states and constants, and all parameters.
+    /// Prepares derivatives by the first `n` of states and constants, and all parameters.
     pub(crate) fn new(
         mut graph: Graph,
         arguments: &Arguments,
@@ -40,7 +40,7 @@ impl Adjoint {
         Ok(Adjoint { tape: Tape::compile(&graph, &inputs, &nodes)?, places })
     }
 
-    /// Its uniform values at given parameters.
+    /// Returns the uniform values at given parameters.
     pub(crate) fn uniforms(&self, parameters: &[f64]) -> Vec<f64> {
         let mut out = Vec::new();
         self.tape.uniforms(parameters, &mut out);

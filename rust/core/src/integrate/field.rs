@@ -13,7 +13,7 @@ pub(crate) struct Input<'a> {
     pub signal: Interpolant<'a>,
     pub delay: f64,
     held: bool,
-    /// What an input that is held between its samples is inside the interval; at its ends it may jump.
+    /// The value of a held input inside the interval; at its ends it may jump.
     inside: Option<f64>,
 }
 

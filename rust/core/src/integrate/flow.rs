@@ -23,7 +23,7 @@ pub(crate) struct Flow<'a> {
     pub(crate) n_p: usize,
 }
 
-/// Where f is evaluated.
+/// The points at which f is evaluated.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Points {
     /// x at the points.
@@ -32,7 +32,7 @@ pub(crate) struct Points {
     pub(crate) constants: Vec<f64>,
 }
 
-/// What a thread keeps of an integration; it grows to the largest group.
+/// The memory of an integration on a thread; it grows to the largest group.
 #[derive(Default)]
 pub(crate) struct Memory {
     pub(super) workspace: Workspace,
@@ -108,7 +108,7 @@ impl Flow<'_> {
         self.tableau.b.len()
     }
 
-    /// Where x at the end of a number of steps stands, times W.
+    /// Returns the place of x at the end of a number of steps, times W.
     pub(crate) fn at_step(&self, step: usize) -> usize {
         step * self.stages() * self.n_x()
     }

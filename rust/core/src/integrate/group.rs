@@ -35,7 +35,7 @@ pub(crate) struct Lane(pub(crate) usize);
 /// A sample of a group.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sampled {
-    /// Which, counted over all experiments.
+    /// Its index, counted over all experiments.
     pub(crate) index: usize,
     pub(crate) lane: Lane,
     pub(crate) step: usize,
@@ -43,7 +43,7 @@ pub(crate) struct Sampled {
     pub(crate) weights: Option<[f64; 4]>,
 }
 
-/// Where the segments of an experiment stand among those of all.
+/// The place of the segments of an experiment among those of all.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Origin {
     /// Number of the experiment.

@@ -17,7 +17,7 @@ const SAFETY: f64 = 0.9;
 const SHORTER: f64 = 0.2;
 const LONGER: f64 = 10.0;
 
-/// Why an interval was not finished.
+/// The reason why an interval was not finished.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Lost {
     /// No step is short enough.
@@ -30,19 +30,19 @@ pub(crate) enum Lost {
     TimeLimit,
 }
 
-/// Which steps are taken.
+/// The integration method.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
     /// Explicit ones, and implicit ones from where the system is stiff.
     #[default]
     Automatic,
-    /// Of Dormand and Prince's method of order 8.
+    /// Dormand and Prince's method of order 8.
     Explicit,
-    /// Of Radau IIA of order 5.
+    /// Radau IIA of order 5.
     Implicit,
 }
 
-/// Where an integration is.
+/// The state of an integration.
 pub(crate) struct Adaptive {
     /// The state.
     pub x: Vec<f64>,

@@ -14,7 +14,7 @@ const A: [[f64; 3]; 3] = [
     [(296.0 + 169.0 * S6) / 1800.0, (88.0 + 7.0 * S6) / 360.0, (-2.0 - 3.0 * S6) / 225.0],
     [(16.0 - S6) / 36.0, (16.0 + S6) / 36.0, 1.0 / 9.0],
 ];
-/// Of the error: weights of the stages, and the real eigenvalue of A⁻¹, 3 + ∛9 − ∛3.
+/// Error estimate: weights of the stages, and the real eigenvalue of A⁻¹, 3 + ∛9 − ∛3.
 const E: [f64; 3] = [(-13.0 - 7.0 * S6) / 3.0, (-13.0 + 7.0 * S6) / 3.0, -1.0 / 3.0];
 const REAL: f64 = 3.637_834_252_744_496;
 /// Most iterations of Newton's method for the stages, and the part of the allowed error that they may leave.

@@ -4,13 +4,13 @@ use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::mesh::{Grid, MOST, divided, edges};
 
-/// How segments are divided into steps (Eq. multiple_shooting_mesh). In a record with inputs that are held between
+/// The division of segments into steps (Eq. multiple_shooting_mesh). In a record with inputs that are held between
 /// their samples, steps also end where these jump and at the samples.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Steps {
-    /// From sample to sample, each interval in so many; they also end where a segment does.
+    /// Steps from sample to sample, each interval in so many; they also end where a segment does.
     Samples(usize),
-    /// So many of equal length in each segment, whatever the sample times.
+    /// A number of steps of equal length in each segment, independent of the sample times.
     Number(usize),
     /// Equal ones of at most this length, s, in each segment.
     Length(f64),
@@ -25,7 +25,7 @@ pub(crate) struct Track {
     pub(crate) samples: Vec<Place>,
 }
 
-/// Where a sample lies.
+/// The place of a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Place {
     pub(crate) segment: usize,

@@ -12,7 +12,7 @@ pub enum Integrator {
     /// The classical one of order 4.
     #[default]
     Rk4,
-    /// That of Dormand and Prince (1980) of order 5. Its step stays fixed, or the likelihood would jump.
+    /// The tableau of Dormand and Prince (1980) of order 5. Its step stays fixed, or the likelihood would jump.
     DormandPrince,
 }
 
@@ -29,7 +29,7 @@ impl Integrator {
     pub const ALL: [Integrator; 5] =
         [Integrator::Euler, Integrator::Heun, Integrator::Kutta, Integrator::Rk4, Integrator::DormandPrince];
 
-    /// What it is called.
+    /// Returns the name of the method.
     pub fn name(self) -> &'static str {
         match self {
             Integrator::Euler => "euler",
@@ -45,7 +45,7 @@ impl Integrator {
         Self::ALL.into_iter().find(|i| i.name() == name)
     }
 
-    /// Its order: the error of a solution falls with this power of the step, as far as f is smooth.
+    /// Returns the order: the error of a solution falls with this power of the step, as far as f is smooth.
     pub fn order(self) -> usize {
         Self::ALL.iter().position(|i| *i == self).map_or(0, |at| at + 1)
     }

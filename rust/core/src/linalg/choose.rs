@@ -48,7 +48,7 @@ fn scales(nlp: &dyn Nlp, units: &[f64]) -> (Vec<f64>, Vec<f64>) {
     (columns, rows)
 }
 
-/// Of a run that was stopped before a factorisation was planned: to plan an elimination takes long in large programs.
+/// The solver of a run that was stopped before a factorisation was planned: to plan one takes long in large programs.
 struct Unmade;
 
 impl KktSolver for Unmade {
@@ -73,7 +73,7 @@ struct Either {
     sparse: Option<SparseKkt>,
     /// Whether the last factorisation is that of the arrow.
     by_arrow: bool,
-    /// What the sparse one is made from.
+    /// The structure that the sparse solver is made from.
     hessian: Structure,
     jacobian: Structure,
     scales: (Vec<f64>, Vec<f64>),

@@ -9,7 +9,7 @@ use std::fmt;
 pub(crate) use arrow::dense::{backward, cholesky, forward};
 pub use choose::kkt_for;
 
-/// Why a Newton system was not factorised.
+/// The reason why a Newton system was not factorised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum KktError {
@@ -65,13 +65,13 @@ impl Curvature {
 /// The entries of H and A, at the places of the Nlp's structures.
 #[derive(Clone, Copy, Debug)]
 pub struct Entries<'a> {
-    /// Of the lower triangle of H.
+    /// The entries of the lower triangle of H.
     pub hessian: &'a [f64],
-    /// Of A.
+    /// The entries of A.
     pub jacobian: &'a [f64],
 }
 
-/// How much work a factorisation may take, and how good its solutions are to be.
+/// The work that a factorisation may take, and the accuracy of its solutions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Effort {
     /// Whether solutions are refined against the entries until only rounding is left. Without it they are as good as
@@ -83,11 +83,11 @@ pub struct Effort {
 }
 
 impl Effort {
-    /// As much as it takes.
+    /// No limit on the work, and refined solutions.
     pub const FULL: Effort = Effort { refine: true, hurry: false };
 }
 
-/// How a Newton system is factorised:
+/// A method to factorise a Newton system:
 ///
 /// ```text
 ///   [ H + shift  Aᵀ ] [ d ]   [ p ]
@@ -127,8 +127,8 @@ pub trait Factor {
         0
     }
 
-    /// For the right-hand side that was reduced the first variables of the solution, `d`, with those held that the last
-    /// `finish` held, each at its entry of `to`; and what holds these: z = p − H d − Aᵀλ.
+    /// Returns, for the right-hand side that was reduced, the first variables of the solution, `d`, with those held
+    /// that the last `finish` held, each at its entry of `to`; and the forces that hold these: z = p − H d − Aᵀλ.
     fn solve_reduced(&mut self, _to: &[f64], _d: &mut [f64], _z: &mut [f64]) {}
 
     /// Directions of no curvature, or negative, found by the last `finish`: for each, variables and

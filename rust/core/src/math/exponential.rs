@@ -31,7 +31,7 @@ const LOG: [f64; 7] = [
     0.14798419593241052,
 ];
 
-/// The same without its first term, which is 2/3.
+/// The series without its first term, which is 2/3.
 const POW_LOG: [f64; 8] = [
     0.3999999999999998,
     0.2857142857144387,
@@ -60,7 +60,7 @@ pub(super) fn reduce_by_ln2(x: f64) -> (f64, u64) {
     (r, shifted.to_bits().wrapping_sub(ROUND.to_bits()))
 }
 
-/// The same of `x` + `low`, r as a sum of two.
+/// Reduces `x` + `low`, with r as a sum of two.
 #[inline(always)]
 fn reduce_pair_by_ln2(x: f64, low: f64) -> ((f64, f64), u64) {
     let shifted = x.mul_add(std::f64::consts::LOG2_E, ROUND);

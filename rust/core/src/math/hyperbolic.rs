@@ -24,8 +24,8 @@ fn power_of_2(k: u64) -> f64 {
     f64::from_bits(k.wrapping_add(1023) << 52)
 }
 
-/// For x = r + k·ln 2: sinh(r), cosh(r) − 1, and a quarter of 2ᵏ − 2⁻ᵏ and
-/// 2ᵏ + 2⁻ᵏ. With them there is no need for the quotient 1/exp(x).
+/// Returns for x = r + k·ln 2: sinh(r), cosh(r) − 1, and a quarter of 2ᵏ − 2⁻ᵏ and 2ᵏ + 2⁻ᵏ. With them there is no
+/// need for the quotient 1/exp(x).
 #[inline(always)]
 fn parts(r: f64, k: u64) -> (f64, f64, f64, f64) {
     let z = r * r;

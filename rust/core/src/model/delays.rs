@@ -34,7 +34,7 @@ pub struct LateOutput {
     pub by: String,
 }
 
-/// What is late in a model.
+/// The delays of a model.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Delays {
     /// Late inputs.

@@ -1,4 +1,4 @@
-//! Where the state equations have kinks and jumps, and the model with these made smooth.
+//! Kinks and jumps of the state equations, and the model with these smoothed.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -17,7 +17,8 @@ pub struct Kink {
     pub name: &'static str,
     /// The operation with its arguments, as text.
     pub text: String,
-    /// What is zero at the kink, quantities put in: x of abs(x) and sign(x), else the difference of both arguments.
+    /// The argument that is zero at the kink, quantities put in: x of abs(x) and sign(x), else the difference of both
+    /// arguments.
     pub argument: Expr,
 }
 
@@ -132,7 +133,7 @@ fn operation(expr: &Expr) -> Option<Op> {
     }
 }
 
-/// What is zero at a kink.
+/// Returns the argument that is zero at a kink.
 fn argument(expr: &Expr) -> Expr {
     match expr.args() {
         // That x is the symbol itself tells its unit.

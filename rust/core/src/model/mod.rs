@@ -34,7 +34,7 @@ pub struct Variable {
     pub name: String,
     /// Unit, as text; empty where unknown.
     pub unit: String,
-    /// Where the path of a state starts that is not measured; `None` for no declaration.
+    /// The start of the path of a state that is not measured; `None` for no declaration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<f64>,
     /// Lower bound of a state; `None` for none.
@@ -56,7 +56,7 @@ impl Variable {
         (self.lower.unwrap_or(f64::NEG_INFINITY), self.upper.unwrap_or(f64::INFINITY))
     }
 
-    /// What is wrong with its numbers.
+    /// Returns an error in its numbers, if there is one.
     fn wrong(&self) -> Option<String> {
         let (low, high) = self.bounds();
         if low.is_nan() || high.is_nan() || low >= high || low == f64::INFINITY || high == f64::NEG_INFINITY {
@@ -80,7 +80,7 @@ pub struct Equation {
     pub unit: String,
     /// Right-hand side.
     pub expr: Expr,
-    /// Where the user wrote it: `file:line`.
+    /// The user's line: `file:line`.
     pub source: Option<String>,
 }
 
@@ -90,7 +90,7 @@ impl Equation {
     }
 }
 
-/// Where something was written, as it stands in messages.
+/// Returns the line of a declaration, as messages show it.
 fn place(source: Option<&str>) -> String {
     source.map(|s| format!(" ({s})")).unwrap_or_default()
 }
@@ -145,7 +145,7 @@ pub struct Model {
     pub conditions: Vec<Condition>,
     /// Inputs and outputs that are late.
     pub delays: Delays,
-    /// What is known of the noise, unless an estimation says otherwise.
+    /// The noise model, unless an estimation is given another.
     pub noise: NoiseModel,
 }
 

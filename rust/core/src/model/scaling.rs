@@ -19,7 +19,7 @@ pub struct Scaling {
     pub exponents: Vec<(String, f64)>,
     /// The parameter that is best held, so that this scaling is no longer free.
     pub held: String,
-    /// Where to hold it: at its start, unless that is 0.
+    /// The value at which it is held: its start, unless that is 0.
     pub at: f64,
 }
 
@@ -136,12 +136,12 @@ impl Model {
     }
 }
 
-/// What a node is multiplied by.
+/// The factor of a node.
 #[derive(Clone, Debug)]
 enum Exponent {
     /// The node is zero, which may be multiplied by anything.
     Any,
-    /// s to the power of a combination of the unknown exponents.
+    /// A power of s, a combination of the unknown exponents.
     Of(Vec<f64>),
 }
 

@@ -18,7 +18,7 @@ pub struct Chains {
 }
 
 impl Chains {
-    /// For each boundary condition, which follow all other constraints, the state in whose unit it is.
+    /// Returns for each boundary condition, which follow all other constraints, the state in whose unit it is.
     pub fn boundary_states(&self) -> impl Iterator<Item = usize> + '_ {
         self.chains.iter().flat_map(|c| c.boundary.states.iter().copied())
     }
@@ -47,7 +47,7 @@ pub struct Chain {
 pub struct Boundary {
     /// First of the constraints.
     pub row: usize,
-    /// For each the state in whose unit it is.
+    /// For each condition the state in whose unit it is.
     pub states: Vec<usize>,
 }
 

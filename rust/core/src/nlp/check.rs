@@ -5,7 +5,7 @@ use super::{Nlp, NotFinite};
 /// An entry that differs from its difference quotient.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mismatch {
-    /// Which entry: `d(defect of q, ...)/d(Mw)`.
+    /// The name of the entry: `d(defect of q, ...)/d(Mw)`.
     pub entry: String,
     /// The value computed.
     pub computed: f64,

@@ -99,14 +99,14 @@ impl Part<'_> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotFinite;
 
-/// How far profiled variables may go from where they are: in terms of the standard deviations that they stand for.
+/// Limits on profiled variables: in terms of the standard deviations that they represent.
 #[derive(Clone, Copy, Debug)]
 pub enum Reach<'a> {
-    /// By these factors.
+    /// Limits by these factors.
     Step {
-        /// Most by which one grows.
+        /// The greatest factor by which one grows.
         up: f64,
-        /// Most by which one shrinks.
+        /// The greatest factor by which one shrinks.
         down: f64,
     },
     /// Anywhere, but that those that would shrink by more than a factor of `most` from where they started
@@ -119,13 +119,13 @@ pub enum Reach<'a> {
     },
 }
 
-/// What messages about a program say, in the user's words.
+/// The names of a program in messages, in the user's words.
 pub trait Named {
     /// The user's name for a variable.
     fn variable_name(&self, i: usize) -> String;
     /// The user's name for a constraint.
     fn constraint_name(&self, i: usize) -> String;
-    /// What is not finite at ξ, where and from what; `None` when everything is finite.
+    /// Explains what is not finite at ξ, where and from what; `None` when everything is finite.
     fn explain(&self, xi: &[f64]) -> Option<String>;
 }
 

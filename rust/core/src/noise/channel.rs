@@ -11,7 +11,7 @@ use crate::tape::{Loss, Terms};
 /// Scale of the noise of one output: the standard deviation, where it is Gaussian.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Sigma {
-    /// To be estimated.
+    /// A scale to be estimated.
     Unknown {
         /// Starting value.
         start: f64,
@@ -111,7 +111,7 @@ pub(super) fn report(channels: &[Channel], outputs: &[&str], values: &[f64]) -> 
     found
 }
 
-/// As [`Noise::profile`](super::Noise::profile), of scales with the number of their measurements.
+/// Profiles, as [`Noise::profile`](super::Noise::profile), scales with the number of their measurements.
 pub(super) fn profile<'a>(
     sigmas: impl Iterator<Item = (&'a Sigma, &'a usize)>,
     at: &[f64],

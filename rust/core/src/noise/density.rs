@@ -14,7 +14,7 @@ use crate::parameter::Parameter;
 pub enum Dof {
     /// Given.
     Known(f64),
-    /// To be estimated, with start and bounds, positive.
+    /// A parameter to be estimated, with start and bounds, positive.
     Unknown {
         /// Starting value.
         start: f64,
@@ -43,10 +43,10 @@ pub enum Density {
 /// A log-density written by the user.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Custom {
-    /// Of the symbols [`RESIDUAL`], [`SCALE`] and the parameters' names. That it is normalised is up to the
-    /// user: where scale or parameters are unknown it has to be, but for a constant.
+    /// The log-density in the symbols [`RESIDUAL`], [`SCALE`] and the parameters' names. Its normalisation is up to
+    /// the user: where scale or parameters are unknown it must be normalised, but for a constant.
     pub log_density: Expr,
-    /// Its own parameters, with start and bounds: an output has its own of each.
+    /// The parameters of the density, with start and bounds: each output has its own.
     pub parameters: Vec<Parameter>,
 }
 
@@ -113,7 +113,7 @@ impl Density {
         self.parameters(output).into_iter().map(name).collect()
     }
 
-    /// Its parameters as a user knows them; they start at number `first` of those of the noise.
+    /// Returns the parameters in the user's terms; they start at number `first` of those of the noise.
     pub(super) fn report(&self, output: &str, first: usize, values: &[f64]) -> Vec<Reported> {
         match self {
             Density::StudentT(Dof::Unknown { lower, upper, .. }) => {
@@ -237,8 +237,8 @@ impl Custom {
         Ok(())
     }
 
-    /// As [`Density::loss`]. Where ρ is no function of r² that grows ever slower, ρ'(r)/r may be negative
-    /// or less than the curvature ρ''; the weight is the greater of the two and 0.
+    /// Returns the loss as [`Density::loss`]. Where ρ is no function of r² that grows ever slower, ρ'(r)/r may be
+    /// negative or less than the curvature ρ''; the weight is the greater of the two and 0.
     fn loss(&self, g: &mut Graph, r: Id, w: Id, own: &[Id]) -> (Id, Id) {
         let sigma = g.recip(w);
         let mut symbols: HashMap<Arc<str>, Id> = HashMap::from([(RESIDUAL.into(), r), (SCALE.into(), sigma)]);

@@ -1,6 +1,6 @@
-//! Which measurements are missing.
+//! Missing measurements: their pattern and their number.
 
-/// Which measurements are missing, over all experiments.
+/// The pattern of missing measurements, over all experiments.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Missing {
     /// Whether any sample of each output is missing.
@@ -9,7 +9,7 @@ pub struct Missing {
     pub patterns: Vec<Vec<bool>>,
 }
 
-/// How many measurements there are, over all experiments.
+/// Numbers of measurements, over all experiments.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Counts {
     /// Measurements of each output.
@@ -18,14 +18,14 @@ pub struct Counts {
     pub samples: usize,
 }
 
-/// What is present in each sample of an experiment, whose outputs are given.
+/// Returns the outputs that are present in each sample of an experiment, whose outputs are given.
 fn present(outputs: &[Vec<f64>]) -> impl Iterator<Item = Vec<bool>> + '_ {
     let n = outputs.first().map_or(0, Vec::len);
     (0..n).map(|k| outputs.iter().map(|z| !z[k].is_nan()).collect())
 }
 
 impl Missing {
-    /// Of the outputs of several experiments.
+    /// Collects the pattern of the outputs of several experiments.
     pub fn new<'a>(experiments: impl Iterator<Item = &'a Vec<Vec<f64>>>) -> Missing {
         let mut found = Missing::default();
         for outputs in experiments {
@@ -58,7 +58,7 @@ impl Missing {
 }
 
 impl Counts {
-    /// Of the outputs of several experiments.
+    /// Counts the measurements of the outputs of several experiments.
     pub fn new<'a>(experiments: impl Iterator<Item = &'a Vec<Vec<f64>>>) -> Counts {
         let mut counts = Counts::default();
         for outputs in experiments {

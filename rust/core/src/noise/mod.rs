@@ -77,8 +77,8 @@ impl Noise {
         outputs.iter().zip(&channels).try_for_each(|(name, channel)| channel.check(name))
     }
 
-    /// The same with the data in view: correlated noise puts the outputs with the fewest measurements
-    /// first, so that most patterns of missing samples cost nothing.
+    /// Returns the noise adapted to the data: correlated noise puts the outputs with the fewest measurements first,
+    /// so that most patterns of missing samples cost nothing.
     ///
     /// # Errors
     /// When outputs are missing in too many different combinations.
@@ -124,7 +124,7 @@ impl Noise {
         }
     }
 
-    /// What the parameters are called where the unknowns themselves are meant: `1/sigma_q`.
+    /// Returns the names of the parameters as unknowns of the solver: `1/sigma_q`.
     pub fn variable_names(&self, outputs: &[&str]) -> Vec<String> {
         match self {
             Noise::Correlated(covariance) => covariance.variable_names(outputs),
@@ -141,8 +141,8 @@ impl Noise {
         }
     }
 
-    /// Which parameters are precision roots: positive, and 1/σ of an output (given other outputs, where
-    /// noise is correlated).
+    /// Returns which parameters are precision roots: positive, and 1/σ of an output (given other outputs, where noise
+    /// is correlated).
     pub fn precision_roots(&self) -> Vec<usize> {
         match self {
             Noise::Correlated(covariance) => covariance.precision_roots(),
@@ -165,8 +165,8 @@ impl Noise {
         self.channels().iter().map(&mut sigma).collect()
     }
 
-    /// What a user knows the noise by, with gradients for the delta method: σ, correlations and
-    /// parameters of densities, as many as there are parameters and in an order of their own.
+    /// Returns the noise in the user's terms, with gradients for the delta method: σ, correlations and parameters of
+    /// densities, as many as there are parameters and in an order of their own.
     pub fn report(&self, outputs: &[&str], values: &[f64]) -> Vec<Reported> {
         match self {
             Noise::Correlated(covariance) => covariance.report(outputs, values),

@@ -1,4 +1,4 @@
-//! What is known of the noise before there are data.
+//! The declared noise, before there are data.
 
 use super::{Density, Sigma};
 use crate::error::Error;
@@ -9,8 +9,8 @@ use crate::expr::Expr;
 pub enum Scale {
     /// Given.
     Known(f64),
-    /// To be estimated. What is not said follows from the spread of the measurements: the start is no larger,
-    /// bounds are 1e-9 and 1e6 times that.
+    /// A scale to be estimated. Start and bounds that are not given follow from the spread of the measurements: the
+    /// start is no larger, bounds are 1e-9 and 1e6 times that.
     Unknown {
         /// Starting value.
         start: Option<f64>,
@@ -36,7 +36,7 @@ impl From<Sigma> for Scale {
 /// Whether the noise of different outputs is correlated.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Joint {
-    /// It is independent.
+    /// Independent noise.
     #[default]
     Independent,
     /// Jointly Gaussian with an unknown covariance matrix.
@@ -99,7 +99,7 @@ impl NoiseModel {
         self
     }
 
-    /// The same kind of noise, but each experiment has its own.
+    /// Returns the same kind of noise with parameters of its own for each experiment.
     pub fn per_experiment(mut self) -> Self {
         self.per_experiment = true;
         self
@@ -141,7 +141,7 @@ impl NoiseModel {
         self.densities.iter().try_for_each(|(output, density)| density.check(output))
     }
 
-    /// What is said of the scale of an output.
+    /// Returns the declared scale of an output.
     pub fn scale_of(&self, output: &str) -> Option<&Scale> {
         self.scales.iter().rev().find(|s| s.0 == output).map(|s| &s.1)
     }

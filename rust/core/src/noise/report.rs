@@ -1,4 +1,4 @@
-//! What a user knows the noise by.
+//! Noise parameters in the user's terms.
 
 /// A named value of the noise, a function of its parameters.
 #[derive(Clone, Debug, PartialEq)]

@@ -27,7 +27,7 @@ pub(crate) struct Boundary {
     hessian: usize,
 }
 
-/// Where points stand, and which variable is which parameter.
+/// The places of points, and the assignment of variables to parameters.
 pub(crate) type Places<'a> = (&'a Layout, &'a Estimands);
 
 impl Boundary {
@@ -110,17 +110,17 @@ impl Boundary {
         self.first_row + experiment * self.count()
     }
 
-    /// For each of all conditions the state in whose unit it is.
+    /// Returns for each of all conditions the state in whose unit it is.
     pub fn all_states(&self) -> Vec<usize> {
         self.states.repeat(self.data.len())
     }
 
-    /// What the linear algebra must know of those of an experiment.
+    /// Returns what the linear algebra must know of the conditions of an experiment.
     pub fn of_chain(&self, experiment: usize) -> nlp::Boundary {
         nlp::Boundary { row: self.row(experiment), states: self.states.clone() }
     }
 
-    /// What a constraint is called.
+    /// Returns the name of a constraint.
     pub fn name(&self, row: usize, experiments: &[Experiment]) -> String {
         let (e, i) = ((row - self.first_row) / self.count(), (row - self.first_row) % self.count());
         let end = match self.conditions[i].end {

@@ -8,13 +8,13 @@ use crate::transform::Transform;
 /// each, or one an experiment.
 #[derive(Clone, Debug)]
 pub struct Estimands {
-    /// For each variable the parameter that it is, counted as functions see them.
+    /// For each variable its parameter, counted as functions see them.
     pub parameter: Vec<usize>,
     /// The experiment that it belongs to; `None` for all.
     pub experiment: Vec<Option<usize>>,
     /// `maps[experiment][parameter]`: the variable.
     pub maps: Vec<Vec<usize>>,
-    /// How parameters follow from variables.
+    /// The transforms from variables to parameters.
     pub transforms: Vec<Transform>,
     any_local: bool,
 }

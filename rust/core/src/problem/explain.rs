@@ -1,4 +1,4 @@
-//! What is not finite in a problem, where, and from what: for people, so at leisure.
+//! Messages on what is not finite in a problem, where, and from what. They need not be fast.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use super::posed::Posed;
 use crate::expr::graph::Id;
 use crate::tape::{Function, trace};
 
-/// Where all else is finite, a density far out in its tails may underflow.
+/// The explanation where all else is finite: a density far out in its tails may underflow.
 pub(crate) const UNDERFLOW: &str = "the log-density of the noise is not finite: a residual is too large for its scale \
     sigma, which may start larger, or the density is not defined there";
 

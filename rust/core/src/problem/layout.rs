@@ -1,9 +1,9 @@
-//! Which variable and which constraint stands where, and what it is called.
+//! The places and names of variables and constraints.
 
 use crate::mesh::{Between, Mesh};
 use crate::nlp::{Boundary, Chain, Chains, Tie};
 
-/// What a variable or constraint of the problem is.
+/// The meaning of a variable or constraint of the problem.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Place {
     /// The i-th parameter, noise parameters after the model's.
@@ -49,7 +49,7 @@ impl Layout {
         Self::of_counts(n_theta, n_x, meshes.iter().map(Mesh::len))
     }
 
-    /// With these numbers of points in the experiments.
+    /// Makes the layout for these numbers of points in the experiments.
     pub(crate) fn of_counts(n_theta: usize, n_x: usize, points: impl Iterator<Item = usize>) -> Self {
         let mut first_point = vec![0];
         for n in points {
@@ -84,7 +84,7 @@ impl Layout {
         self.first_point[experiment] - experiment
     }
 
-    /// The same layout as the linear algebra sees it.
+    /// Returns the layout as the linear algebra sees it.
     pub(crate) fn chains(&self, meshes: &[Mesh]) -> Chains {
         let chain = |(e, mesh): (usize, &Mesh)| {
             let (first, row) = (self.first_point[e], self.first_row(e));
@@ -106,7 +106,7 @@ impl Layout {
         Chains { border: self.n_theta, n_x: self.n_x, chains }
     }
 
-    /// What a variable is.
+    /// Returns the meaning of a variable.
     pub fn place(&self, i: usize) -> Place {
         if i < self.n_theta {
             return Place::Parameter(i);

@@ -1,4 +1,4 @@
-//! What all transcriptions share: parameters and functions of a problem, its variables, and the likelihood.
+//! The common part of all transcriptions: parameters and functions of a problem, its variables, and the likelihood.
 
 pub(crate) mod boundary;
 pub(crate) mod disjoint;

@@ -15,7 +15,7 @@ pub(crate) struct Objective {
     pub(crate) samples: Vec<Samples>,
     /// First of the Hessian entries between parameters; they are the last.
     first: usize,
-    /// Where those of ℓ stand: one list an experiment, a single one where they do not differ.
+    /// Places of the entries of ℓ: one list an experiment, a single one where they do not differ.
     pairs: Vec<Vec<usize>>,
     /// Variable and place of each prior.
     priors: Vec<(usize, usize)>,

@@ -19,18 +19,18 @@ use crate::tape::{Arguments, Function, Pairs, Tape, Workspace};
 use crate::threads::{COMMON, Threads};
 use crate::transform::Transform;
 
-/// What every transcription needs: variables that are no states, f, g and ℓ as functions of a point, records.
+/// The common data of all transcriptions: variables that are no states, f, g and ℓ as functions of a point, records.
 #[derive(Debug)]
 pub struct Posed {
     /// The parameters that are variables: the model's (local ones once an experiment), then the noise's.
     pub parameters: Vec<Parameter>,
     /// Number of variables that are parameters of the model.
     pub n_model_parameters: usize,
-    /// Which variable is which parameter of which experiment.
+    /// The parameter and the experiment of each variable.
     pub estimands: Estimands,
     /// The noise model.
     pub noise: Noise,
-    /// What its parameters are called as unknowns.
+    /// The names of its parameters as unknowns.
     pub(crate) noise_names: Vec<String>,
     pub(crate) model_names: Vec<String>,
     output_names: Vec<String>,
@@ -45,7 +45,7 @@ pub struct Posed {
     missing: Missing,
     /// Number of patterns of missing samples that the likelihood tells apart.
     patterns: usize,
-    /// How many measurements there are, of all experiments or of each where each has noise of its own.
+    /// Numbers of measurements, of all experiments or of each where each has noise of its own.
     counts: Vec<Counts>,
     pub(crate) pool: Option<Threads>,
 }
@@ -69,7 +69,7 @@ thread_local! {
     static BUFFERS: Cell<Buffers> = Cell::default();
 }
 
-/// What a call needs beside.
+/// Other buffers of a call.
 #[derive(Default)]
 struct Buffers {
     /// Parameters of an experiment.
@@ -81,14 +81,14 @@ struct Buffers {
     parts: Vec<f64>,
 }
 
-/// What a thread needs to evaluate a block.
+/// The memory of a thread that evaluates a block.
 #[derive(Default)]
 pub(crate) struct Scratch {
     pub(crate) workspace: Workspace,
     pub(crate) weights: Vec<f64>,
 }
 
-/// What belongs to an experiment.
+/// An object that belongs to an experiment.
 pub(crate) trait OfExperiment {
     fn experiment(&self) -> usize;
 }
@@ -298,12 +298,12 @@ impl Posed {
         self.threads().number()
     }
 
-    /// Those that it runs on.
+    /// Returns the threads that it runs on.
     pub(crate) fn threads(&self) -> &Threads {
         self.pool.as_ref().unwrap_or(&COMMON)
     }
 
-    /// For each prior its variable, and the value's distance from the mean in standard deviations with its
+    /// Returns for each prior its variable, and the value's distance from the mean in standard deviations with its
     /// first two derivatives.
     pub(crate) fn priors<'a>(&'a self, xi: &'a [f64]) -> impl Iterator<Item = (usize, [f64; 3])> + 'a {
         self.parameters.iter().enumerate().filter_map(move |(i, p)| {
@@ -313,7 +313,7 @@ impl Posed {
         })
     }
 
-    /// What priors add to φ.
+    /// Returns the contribution of priors to φ.
     pub fn prior_terms(&self, xi: &[f64]) -> f64 {
         self.priors(xi).map(|(_, [e, ..])| 0.5 * e * e).sum()
     }
@@ -342,7 +342,7 @@ impl Posed {
         self.n_model_parameters..self.n_model_parameters + self.noise.n_scales() * self.counts.len()
     }
 
-    /// Those that minimise φ, within their bounds and reach; the largest relative change that this is.
+    /// Finds the noise parameters that minimise φ within their bounds and reach; returns the largest relative change.
     pub(crate) fn profile_noise(
         &self,
         xi: &[f64],
@@ -364,7 +364,7 @@ impl Posed {
         change
     }
 
-    /// What the noise is at ξ, in the user's terms.
+    /// Returns the noise at ξ in the user's terms.
     pub fn noise_report(&self, xi: &[f64]) -> Vec<Reported> {
         let outputs: Vec<&str> = self.output_names.iter().map(String::as_str).collect();
         let k = self.parameters.len() - self.n_model_parameters;
@@ -414,7 +414,7 @@ impl Posed {
         format!("{} at t = {t} s of '{}'", self.state_names[state], self.experiments[experiment].name)
     }
 
-    /// What a variable that is a parameter is called.
+    /// Returns the name of a variable that is a parameter.
     pub(crate) fn parameter_name(&self, i: usize) -> String {
         if i < self.n_model_parameters {
             return self.estimands.transforms[i].name(&self.parameters[i].name);

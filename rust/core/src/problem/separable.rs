@@ -1,4 +1,4 @@
-//! Which parameters the model is linear in, the others given: separable least squares.
+//! Separable least squares: the parameters that the model is linear in, the others given.
 
 use super::posed::Posed;
 use crate::transform::Transform;

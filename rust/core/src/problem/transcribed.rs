@@ -8,9 +8,10 @@ use crate::nlp::Separable;
 pub trait Transcribed: Separable {
     /// Parameters, noise, records.
     fn posed(&self) -> &Posed;
-    /// Which variable is which.
+    /// Returns the layout of the variables.
     fn layout(&self) -> &Layout;
-    /// For each condition on the ends of records, which follow all other constraints, the state in whose unit it is.
+    /// Returns for each condition on the ends of records, which follow all other constraints, the state in whose unit
+    /// it is.
     fn boundary_states(&self) -> Vec<usize>;
     /// Times of the points of an experiment whose states are variables, s.
     fn point_times(&self, experiment: usize) -> &[f64];

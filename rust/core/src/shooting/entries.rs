@@ -1,4 +1,4 @@
-//! Where the entries of the derivatives stand.
+//! The places of the entries of the derivatives.
 
 use super::Shooting;
 use super::pieces::triangle;

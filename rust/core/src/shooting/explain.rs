@@ -1,4 +1,4 @@
-//! What is not finite in an integration, and when: for people, so at leisure.
+//! Messages on what is not finite in an integration, and when. They need not be fast.
 
 use super::Shooting;
 use crate::nlp::{Named, Nlp};
@@ -6,7 +6,7 @@ use crate::problem::explain::UNDERFLOW;
 use crate::problem::transcribed::Transcribed;
 
 impl Shooting {
-    /// Where the solution of the equations ceases to exist at ξ, and why; `None` when everything is finite.
+    /// Explains where and why the solution of the equations ceases to exist at ξ; `None` when everything is finite.
     pub(super) fn why_not_finite(&self, xi: &[f64]) -> Option<String> {
         if let Some(i) = xi.iter().position(|v| !v.is_finite()) {
             return Some(format!("{} is {}", self.variable_name(i), xi[i]));

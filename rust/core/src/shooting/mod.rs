@@ -63,7 +63,7 @@ use pieces::Uniforms;
 pub struct Shooting {
     /// Parameters, functions, records.
     pub posed: Posed,
-    /// Where variables and constraints stand; its points are the nodes.
+    /// The places of variables and constraints; its points are the nodes.
     pub layout: Layout,
     tableau: Tableau,
     tracks: Vec<Track>,

@@ -1,5 +1,5 @@
-//! What a group of segments adds to each function of a shooting problem: it is integrated, and its states, slopes and
-//! curvatures go to their places.
+//! The contribution of a group of segments to each function of a shooting problem: the group is integrated, and its
+//! states, slopes and curvatures go to their places.
 
 use super::Shooting;
 use crate::integrate::adjoint::{Sizes, congruence};
@@ -150,7 +150,7 @@ pub(super) fn gradient_of<const W: usize>(
     nodes.iter().chain(theta.iter()).all(|v| v.is_finite())
 }
 
-/// What the second derivative of groups is made of.
+/// The data of the second derivatives of groups.
 pub(super) struct Second<'a> {
     pub(super) problem: &'a Shooting,
     pub(super) xi: &'a [f64],

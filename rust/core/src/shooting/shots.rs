@@ -1,10 +1,10 @@
-//! What is chosen of shooting.
+//! The options of shooting.
 
 use crate::integrate::steps::Steps;
 use crate::integrate::tableau::Integrator;
 use crate::mesh::Grid;
 
-/// How a problem is transcribed by shooting.
+/// The options of a transcription by shooting.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shots {
     /// Division into segments, one an experiment, or one for all. A single segment is single shooting.

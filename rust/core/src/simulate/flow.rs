@@ -23,9 +23,9 @@ pub(super) struct Flow<'a> {
     model: &'a Model,
     run: &'a Experiment,
     field: Field<'a>,
-    /// By how much each output is late, s.
+    /// The delay of each output, s.
     late: Vec<f64>,
-    /// Where inputs bend or jump or an output is taken.
+    /// The times at which inputs bend or jump or an output is taken.
     knots: Vec<f64>,
     same: f64,
 }
@@ -152,8 +152,9 @@ impl<'a> Flow<'a> {
         Ok((states, steps))
     }
 
-    /// How large each state is, in its own unit: as it begins, or as far as its equation takes it in this time with the
-    /// inputs that there are, the other states each away by its own size. 1 for a state that nothing moves.
+    /// Returns the size of each state, in its own unit: its initial value, or its change over this time by its
+    /// equation with the given inputs and the other states each moved by its own size. 1 for a state that does not
+    /// move.
     fn sizes(&mut self, first: &[f64], duration: f64) -> Vec<f64> {
         let n = first.len();
         let stride = self.knots.len().div_ceil(LOOKED_AT);
@@ -178,7 +179,7 @@ impl<'a> Flow<'a> {
         sizes.into_iter().map(|size| if size > 0.0 && size.is_finite() { size } else { 1.0 }).collect()
     }
 
-    /// Why there is no solution from a time on, of states that were so large before.
+    /// Returns the error for a solution that ceases to exist, of states that were so large before.
     fn failure(&mut self, begin: f64, at: &Adaptive, lost: Lost, largest: &[f64]) -> Error {
         let x = &at.x;
         let text = format!(

@@ -1,4 +1,4 @@
-//! What a model says for given parameters, by integration.
+//! Simulation of a model for given parameters, by integration.
 
 mod flow;
 mod path;
@@ -57,7 +57,7 @@ pub struct Simulation<'a> {
 }
 
 impl<'a> Simulation<'a> {
-    /// Of a model over the inputs of a record.
+    /// Prepares the simulation of a model over the inputs of a record.
     pub fn new(model: &'a Model, experiment: &'a Experiment) -> Self {
         let (parameters, initial) = (Vec::new(), Vec::new());
         Simulation {
@@ -96,13 +96,13 @@ impl<'a> Simulation<'a> {
         self
     }
 
-    /// Which steps are taken, [`Method::Automatic`] unless said.
+    /// Sets the integration method, [`Method::Automatic`] unless set.
     pub fn method(mut self, method: Method) -> Self {
         self.method = method;
         self
     }
 
-    /// Most time that the integration may take.
+    /// Sets the greatest time that the integration may take.
     pub fn time_limit(mut self, limit: Duration) -> Self {
         self.time_limit = Some(limit);
         self

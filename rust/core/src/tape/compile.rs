@@ -1,4 +1,4 @@
-//! From a graph to a tape: what is uniform, in which order, in which registers.
+//! The compilation of a graph to a tape: uniform values, order, and registers.
 
 use rustc_hash::FxHashMap;
 
@@ -25,7 +25,7 @@ impl Tape {
         Tape::compile_into(graph, inputs, outputs, &vec![Sink::Keep; outputs.len()])
     }
 
-    /// As [`Tape::compile`], with a sink for each output. What need not be kept does not occupy a
+    /// Compiles as [`Tape::compile`], with a sink for each output. Values that need not be kept do not occupy a
     /// register until the end: a tape with many outputs then stays in the first-level cache.
     ///
     /// # Errors
@@ -216,7 +216,7 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// For a sum or difference with a product that nothing else needs: product, other side, and
+    /// Returns, for a sum or difference with a product that nothing else needs, the product, the other side, and
     /// whether the sum is a·b + c (Fma), a·b − c (Fms) or c − a·b (Fnma).
     fn fusable(&self, id: Id) -> Option<(Id, Id, Code)> {
         let Item::Apply(op @ (Op::Add | Op::Sub), args) = self.graph.item(id) else { return None };

@@ -59,7 +59,7 @@ impl Tape {
         self.run_into(registers, uniforms, n, &mut Sinks::default());
     }
 
-    /// As [`Tape::run`], for a tape with sinks. Outputs that are uniform go to their sinks as well.
+    /// Runs as [`Tape::run`], for a tape with sinks. Outputs that are uniform go to their sinks as well.
     pub fn run_into(&self, registers: &mut [f64], uniforms: &[f64], n: usize, sinks: &mut Sinks<'_>) {
         assert!(registers.len() >= self.n_registers * n && n.is_multiple_of(LANE_MULTIPLE));
         assert_eq!(uniforms.len(), self.uniforms.len());
@@ -93,12 +93,12 @@ impl Tape {
     }
 }
 
-/// Where a tape's outputs go.
+/// The destinations of a tape's outputs.
 #[derive(Debug, Default)]
 pub struct Sinks<'a> {
     /// Lanes that count, the first ones.
     pub count: usize,
-    /// What stored values are multiplied by.
+    /// The factor of stored values.
     pub factor: f64,
     /// Places of sums, to which they are added.
     pub sums: &'a mut [f64],
@@ -109,7 +109,7 @@ pub struct Sinks<'a> {
 /// Values of an output over the lanes of a block.
 #[derive(Clone, Copy, Debug)]
 pub enum Values<'a> {
-    /// The same on all lanes.
+    /// The same value on all lanes.
     Uniform(f64),
     /// One a lane.
     Lanes(&'a [f64]),

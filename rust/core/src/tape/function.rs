@@ -63,7 +63,7 @@ pub struct Function {
     pub gauss_newton: Option<Tape>,
 }
 
-/// What the symbols of a function are.
+/// The meaning of the symbols of a function.
 #[derive(Clone, Debug)]
 pub struct Arguments {
     /// Data: inputs, time, measurements.
@@ -78,7 +78,7 @@ pub struct Arguments {
 /// gigabytes.
 const MOST_ENTRIES: usize = 1 << 21;
 
-/// What becomes of the entries of a Hessian between parameters.
+/// The treatment of the entries of a Hessian between parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pairs {
     /// They are kept, lane by lane.
@@ -308,7 +308,7 @@ impl Arguments {
         self.states.iter().chain(&self.parameters).copied().collect()
     }
 
-    /// What a tape is given: data and states by lane, parameters uniform.
+    /// Returns the inputs of a tape: data and states by lane, parameters uniform.
     fn inputs(&self) -> Inputs {
         let lanes = self.data.iter().chain(&self.states).copied().collect();
         Inputs { lanes, uniforms: self.parameters.clone() }

@@ -27,7 +27,7 @@ pub const BLOCK: usize = 120;
 /// Block lengths are multiples of this, so that loops over lanes have no remainder.
 pub const LANE_MULTIPLE: usize = 8;
 
-/// Where a value is found after a run: one number for all lanes, or a register.
+/// The place of a value after a run: one number for all lanes, or a register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operand {
     /// A uniform slot.
@@ -38,7 +38,7 @@ pub enum Operand {
     Sunk,
 }
 
-/// What becomes of an output.
+/// The destination of an output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sink {
     /// It stays in its register, to be read after the run.
@@ -49,8 +49,8 @@ pub enum Sink {
     Store(u32),
 }
 
-/// What an instruction on lanes does. `L` stands for a register, `U` for a uniform; the letters
-/// follow the operands a, b, c.
+/// The operation of an instruction on lanes. `L` stands for a register, `U` for a uniform; the letters follow the
+/// operands a, b, c.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Code {
     AddLL,
@@ -122,7 +122,7 @@ pub struct Tape {
     pub(crate) lookups: Vec<Lookup>,
     /// Sinks of uniform outputs, which no instruction on lanes serves.
     pub(crate) uniform_sinks: Vec<(Sink, u32)>,
-    /// Where each output is found.
+    /// The place of each output.
     pub outputs: Vec<Operand>,
 }
 

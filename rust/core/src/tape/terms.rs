@@ -8,7 +8,7 @@ use crate::expr::graph::{Graph, Id};
 pub struct Terms {
     /// Residuals over their standard deviation.
     pub squares: Vec<Id>,
-    /// What is no square.
+    /// The terms that are not squares.
     pub losses: Vec<Loss>,
     /// The part that depends on parameters alone.
     pub rest: Id,

@@ -1,4 +1,4 @@
-//! Which sub-expression became not finite, and from what.
+//! The search for the sub-expression that became not finite, and its arguments.
 
 use std::collections::HashMap;
 use std::sync::Arc;

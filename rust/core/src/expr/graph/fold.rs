@@ -113,7 +113,7 @@ impl Graph {
         self.intern_apply(Op::Sub, &[a, b])
     }
 
-    /// For two terms that the same condition switches: the condition and both branches of each.
+    /// Returns, for two terms that the same condition switches, the condition and both branches of each.
     /// Their sum is then switched as one.
     fn same_switch(&self, a: Id, b: Id) -> Option<(Id, [Id; 2], [Id; 2])> {
         match (self.item(a), self.item(b)) {

@@ -24,7 +24,7 @@ impl Id {
     }
 }
 
-/// What a node of a [`Graph`] holds.
+/// The content of a node of a [`Graph`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Item {
     /// The bits of a constant (bits, so that nodes can be compared and hashed).
@@ -47,9 +47,9 @@ pub struct Graph {
     lookups: Vec<Lookup>,
     /// Whether each node is a sum of terms that are each switched: where(c, x, 0).
     switched: Vec<bool>,
-    /// How many `where`, and sums of switched terms, each node consists of from its top down.
+    /// Number of `where`, and of sums of switched terms, from the top of each node down.
     depth: Vec<u32>,
-    /// For switched nodes of which it was asked, the condition under which they are on.
+    /// For switched nodes that were asked for, the condition under which they are on.
     conditions: FxHashMap<Id, Id>,
 }
 
@@ -69,7 +69,7 @@ impl Graph {
         self.items.is_empty()
     }
 
-    /// What a node holds.
+    /// Returns the content of a node.
     pub fn item(&self, id: Id) -> Item {
         self.items[id.index()]
     }
@@ -164,7 +164,7 @@ impl Graph {
         self.intern(Item::Symbol(index))
     }
 
-    /// So many symbols, the name and a number each. No name of a model holds a space.
+    /// Declares `n` symbols, named by the name and a number each. No name of a model contains a space.
     pub fn symbols(&mut self, name: &str, n: usize) -> Vec<Id> {
         (0..n).map(|i| self.symbol(&format!("{name} {i}"))).collect()
     }

@@ -32,7 +32,7 @@ pub(super) struct Border {
     /// Factor of the matrix, or of what is left of it where constraints are met.
     l: Vec<f64>,
     scale: Vec<f64>,
-    /// How constraints are met, those of the last factorisation.
+    /// The elimination of the constraints in the last factorisation.
     deferred: Deferred,
 }
 
@@ -117,7 +117,7 @@ impl Border {
     }
 }
 
-/// What scales a diagonal entry to 1; 1 where there is none.
+/// Returns the factor that scales a diagonal entry to 1; 1 where there is none.
 pub(super) fn scale_of(diagonal: f64) -> f64 {
     let size = diagonal.abs();
     if size > 1e-290 && size.is_finite() { 1.0 / size.sqrt() } else { 1.0 }

@@ -1,4 +1,4 @@
-//! Where the rows, points and entries of a chain stand.
+//! The places of the rows, points and entries of a chain.
 
 use std::ops::Range;
 
@@ -7,7 +7,7 @@ use super::part::PartPlan;
 use super::run::Run;
 use crate::nlp::{Chain, Tie};
 
-/// Where a chain's own rows and points stand, and which entries they take.
+/// The places of a chain's own rows and points, and the entries that they take.
 ///
 /// The *own rows* of a chain are numbered segment by segment, first those of the points in the chain
 /// (its *core*), then those of its ties; own variables alike. Point 0 is the first of the chain, the
@@ -19,15 +19,14 @@ pub(super) struct ChainPlan {
     pub d: usize,
     /// Number of ties before each segment, and the total.
     pub ties: Vec<u32>,
-    /// For each part its Jacobian entries by segment.
+    /// Jacobian entries of each part by segment.
     pub parts: Vec<PartPlan>,
-    /// Those of the boundary conditions, at their places in rows of (first states, last states, dynamic
-    /// border).
+    /// Entries of the boundary conditions, at their places in rows of (first states, last states, dynamic border).
     pub boundary: Items,
     /// Hessian entries of the first point, and of the own points of each segment.
     pub hessian: Items,
-    /// What they add up to, point by point, states before the border; the factors of these sums from the
-    /// program into units; and where both stand for each panel.
+    /// Sums of the entries, point by point, states before the border; the factors of these sums from the program into
+    /// units; and the places of both for each panel.
     runs: Vec<Run>,
     factors: Vec<f64>,
     spans: Vec<(Range<u32>, Range<u32>)>,
@@ -87,7 +86,7 @@ impl ChainPlan {
         &self.runs[span.start as usize..span.end as usize]
     }
 
-    /// For each value of a panel its factor into units.
+    /// Returns for each value of a panel its factor into units.
     #[inline(always)]
     pub fn factors(&self, panel: usize) -> &[f64] {
         let span = &self.spans[panel].1;
@@ -147,7 +146,7 @@ impl ChainPlan {
         }
     }
 
-    /// What an entry of a boundary condition is multiplied by; `units` are reciprocals.
+    /// Returns the factor of an entry of a boundary condition; `units` are reciprocals.
     pub fn boundary_factor(&self, units: &[f64], row: usize, column: usize) -> f64 {
         let n = units.len();
         let of_column = if column < 2 * n { 1.0 / units[column % n] } else { 1.0 };

@@ -12,7 +12,7 @@ pub(super) struct Deferred {
     b: usize,
     /// The constraints that are met: those that determine something.
     met: Vec<usize>,
-    /// What makes each row as long as 1.
+    /// The factors that make each row as long as 1.
     length: Vec<f64>,
     /// R, b × met, and [Y₁ Y₂]ᵀ, b × b.
     r: Vec<f64>,

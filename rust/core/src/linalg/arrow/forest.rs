@@ -20,7 +20,7 @@ pub(super) struct Forest {
 }
 
 impl Forest {
-    /// With no group ended early.
+    /// Makes the forest with no group ended early.
     pub fn new(plan: &Plan) -> Forest {
         let mut forest = Forest { trees: whole(plan), least: 0, wait: (0, 0) };
         forest.least = forest.groups();

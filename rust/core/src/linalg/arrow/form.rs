@@ -1,4 +1,4 @@
-//! What is left of a group, and of groups merged.
+//! The remaining quadratic form of a group, and of groups merged.
 
 use super::piece::Piece;
 use super::products::Products;
@@ -18,7 +18,7 @@ pub(super) struct Form {
 pub(super) struct Side {
     /// c (n).
     pub c: Vec<f64>,
-    /// What stands right of Q v + Cᵀ multiplier (2n + B).
+    /// The right-hand side of Q v + Cᵀ multiplier (2n + B).
     pub p: Vec<f64>,
     /// Multiplier of the constraint (n), after the solution is known.
     pub multiplier: Vec<f64>,
@@ -30,7 +30,7 @@ impl Form {
         Form { c: vec![0.0; shape.n * (shape.n + shape.used())], q: vec![0.0; f * f] }
     }
 
-    /// That of a group: from the sensitivities at its end, and what its points have added up.
+    /// Makes the form of a group from the sensitivities at its end, and the sums of its points.
     pub fn put_together(&mut self, shape: &Shape, pieces: &[Piece], products: &Products) {
         let (n, f) = (shape.n, shape.form());
         let columns = n + shape.used();

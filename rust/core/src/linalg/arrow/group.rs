@@ -47,13 +47,13 @@ pub(super) struct Group {
     pub y: Vec<f64>,
     /// Multipliers of own rows; on the way to them, what stands right of Mᵀ λ.
     pub lambda: Vec<f64>,
-    /// Of the coupled border.
+    /// The block of the coupled border.
     cross: Vec<f64>,
     /// Segments before which the growth passed the limit, at the last factorisation.
     pub splits: Vec<usize>,
 }
 
-/// What a group needs from outside.
+/// The data that a group needs from outside.
 #[derive(Clone, Copy)]
 pub(super) struct Context<'a> {
     pub shape: &'a Shape,

@@ -14,7 +14,7 @@ pub(super) type Slot = Option<Option<usize>>;
 /// the one before it takes, each entry one further: it is kept once for all of them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Items {
-    /// For each panel: where its items start, their number, and what to add to their entries.
+    /// For each panel the start of its items, their number, and the offset of their entries.
     pub panels: Vec<(u32, u32, u32)>,
     pub items: Vec<(u32, u32)>,
 }

@@ -84,7 +84,7 @@ pub struct ArrowKkt {
     units: Vec<f64>,
     inverse: Vec<f64>,
     forest: Forest,
-    /// Where groups sum: one for each thread.
+    /// Sums of the groups: one for each thread.
     products: Vec<Mutex<Products>>,
     sizes: (usize, usize),
     /// Entries of the last factorisation, for refinement.
@@ -102,11 +102,11 @@ pub struct ArrowKkt {
     border: Border,
     held: Vec<bool>,
     shift: f64,
-    /// Of the border: right-hand side, what is left of it (solved in place), solution.
+    /// The border: right-hand side, its remainder (solved in place), solution.
     right: Vec<f64>,
     theta: Vec<f64>,
     solution: Vec<f64>,
-    /// What is left of a right-hand side in the border, and of that of its constraints, with nothing held.
+    /// The remainder of a right-hand side in the border, and of that of its constraints, with nothing held.
     reduced: (Vec<f64>, Vec<f64>),
     weak: Vec<Vec<(usize, f64)>>,
     effort: Effort,
@@ -328,8 +328,7 @@ impl ArrowKkt {
         }
     }
 
-    /// What the solution leaves of the right-hand side; the largest rest of a constraint relative to its
-    /// terms.
+    /// Computes the residual of the solution; returns the largest residual of a constraint relative to its terms.
     fn residual(&mut self) -> f64 {
         let shape = &self.plan.shape;
         let border = shape.border;

@@ -12,13 +12,13 @@ use crate::nlp::Structure;
 /// Only the Hessian couples parts, through outputs that depend on several.
 #[derive(Clone, Debug)]
 pub(super) struct Part {
-    /// In ascending order.
+    /// The states, in ascending order.
     pub states: Vec<usize>,
     /// Places in [`Shape::dynamic`] of what enters their equations.
     pub dynamic: Vec<usize>,
     /// Length of a row of sensitivities to (first states of a group, dynamic border) of the part, padded.
     pub width: usize,
-    /// Where these columns start in a row of all parts.
+    /// The first of these columns in a row of all parts.
     pub first: usize,
     /// Columns of [H Z, K], from the part's own on, that are not zero in its rows: whole vectors.
     pub meets: Vec<Range<usize>>,
@@ -35,7 +35,7 @@ impl Part {
         points * self.states.len()
     }
 
-    /// Where, in the panel of a segment with d own core rows, stands what M is solved for.
+    /// Returns the place of the right-hand side for M in the panel of a segment with d own core rows.
     pub fn right(d: usize) -> usize {
         d.next_multiple_of(8)
     }
@@ -45,7 +45,7 @@ impl Part {
         Part::right(self.rows(points)) + self.width
     }
 
-    /// Among the rows of a segment, all states together, that of a row of the part.
+    /// Returns the place of a row of the part among the rows of a segment, all states together.
     #[inline(always)]
     pub fn row(&self, own: usize, n: usize) -> usize {
         own / self.states.len() * n + self.states[own % self.states.len()]
@@ -56,8 +56,8 @@ impl Part {
 #[derive(Clone, Debug)]
 pub(super) struct PartPlan {
     pub jacobian: Items,
-    /// What the rows of a panel are multiplied by, 1/unit of each state, and its columns: the unit of own
-    /// states, then −unit of states before, −1 for θ.
+    /// The factors of the rows of a panel, 1/unit of each state, and of its columns: the unit of own states, then
+    /// −unit of states before, −1 for θ.
     pub rows: Vec<f64>,
     pub columns: Vec<f64>,
     /// For each row of a segment its state in the part, and its place among the segment's own rows.

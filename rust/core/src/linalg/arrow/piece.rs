@@ -16,21 +16,21 @@ pub(super) struct Piece {
     /// LU of M: a row of d for each own row, reciprocals of the pivots on the diagonal.
     lu: Vec<f64>,
     pivots: Vec<u16>,
-    /// Where a segment is eliminated.
+    /// The panel in which a segment is eliminated.
     panel: Vec<f64>,
     /// Sensitivities of the last state, and of the own points of the last segment.
     pub z: Vec<f64>,
     pub next: Vec<f64>,
     /// 0 for the columns of states, 1 for those of θ.
     mask: Vec<f64>,
-    /// What a solution starts from: states and θ, padded.
+    /// The start of a solution: states and θ, padded.
     start: Vec<f64>,
-    /// What later points leave on the states before them, and on θ.
+    /// The effect of later points on the states before them, and on θ.
     pub bent: Vec<f64>,
     v: Vec<f64>,
 }
 
-/// What all pieces of a group share: its segments, and the own row of its first.
+/// The common data of all pieces of a group: its segments, and the own row of its first.
 #[derive(Clone, Copy)]
 pub(super) struct Along<'a> {
     pub shape: &'a Shape,
@@ -53,7 +53,7 @@ impl Along<'_> {
         self.point(s) * n..self.point(s + 1) * n
     }
 
-    /// Those of a part, numbered through.
+    /// Returns the rows of a part, numbered through.
     #[inline(always)]
     fn part_rows(&self, part: &Part, s: usize) -> Range<usize> {
         let own = part.states.len();

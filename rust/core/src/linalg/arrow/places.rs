@@ -1,4 +1,4 @@
-//! Where the variables and constraints of a program stand in its chains.
+//! The places of the variables and constraints of a program in its chains.
 
 use super::chain::ChainPlan;
 
@@ -25,12 +25,12 @@ impl Place {
         self.chain == u32::MAX
     }
 
-    /// Of a row: whether it is a boundary condition.
+    /// Returns whether a row is a boundary condition.
     pub fn is_boundary(&self) -> bool {
         self.after == BOUNDARY
     }
 
-    /// Of a row: whether it is one of a segment's own.
+    /// Returns whether a row is one of a segment's own.
     pub fn is_own(&self) -> bool {
         !self.is_boundary() && !self.is_nowhere()
     }
@@ -43,7 +43,7 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// Of a program of n variables and m constraints, with so many states in a point.
+    /// Makes the places of a program of n variables and m constraints, with so many states in a point.
     pub fn new(plans: &[ChainPlan], states: usize, (n, m): (usize, usize)) -> Places {
         let (mut variables, mut rows) = (vec![Place::NOWHERE; n], vec![Place::NOWHERE; m]);
         for (c, plan) in plans.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Which entry of the Newton system goes where: from triplets to the panels of segments and points.
+//! The assignment of the entries of the Newton system: from triplets to the panels of segments and points.
 
 use super::chain::ChainPlan;
 use super::items::{Items, Slot};

@@ -23,7 +23,7 @@ pub(super) struct Products {
     /// Points that are collected, and how many are.
     capacity: usize,
     points: usize,
-    /// For each part of a point's sensitivities, and rows of [H Z, K].
+    /// Sums for each part of a point's sensitivities, and rows of [H Z, K].
     collected: Vec<(Vec<f64>, Vec<f64>)>,
     /// Length of such a row: columns of all parts, then the coupled border, padded.
     length: usize,

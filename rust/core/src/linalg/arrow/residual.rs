@@ -1,4 +1,4 @@
-//! What a solution leaves of the right-hand side of a chain, from the entries of the system.
+//! The residual of a solution in the rows of a chain, from the entries of the system.
 
 use super::chain::ChainPlan;
 use super::group::{Context, Group};
@@ -9,9 +9,9 @@ use super::shape::Shape;
 use super::tree::Tree;
 
 impl Tree {
-    /// What the solution leaves of the chain's right-hand side; takes what it makes off `theta`, the rest of the
-    /// border, whose solution is `border`. The largest rest of a constraint relative to its terms. `units` are
-    /// reciprocals.
+    /// Computes the residual of the chain's rows, and subtracts the chain's terms from `theta`, the residual of the
+    /// border, whose solution is `border`. Returns the largest residual of a constraint relative to its terms.
+    /// `units` are reciprocals.
     pub fn residual(
         &mut self,
         context: &Context<'_>,
@@ -40,7 +40,7 @@ struct Residual<'a> {
     /// Solution of the border, and its rest.
     border: &'a [f64],
     theta: &'a mut [f64],
-    /// Of the terms of rows.
+    /// The sizes of the terms of rows.
     sizes: &'a mut [f64],
 }
 
@@ -93,7 +93,7 @@ impl Residual<'_> {
         worst
     }
 
-    /// The same for the boundary conditions.
+    /// Subtracts the terms of the boundary conditions.
     fn less_boundary(&mut self, units: &[f64]) -> f64 {
         let Residual { shape, plan, jacobian, solution, rest, border, theta, sizes } = self;
         let n = shape.n;

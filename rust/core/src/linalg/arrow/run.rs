@@ -6,7 +6,7 @@ use std::ops::Range;
 /// variables of those coupled.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Run {
-    /// Among the points of a panel.
+    /// The number of the point among those of a panel.
     pub point: u32,
     pub state: u16,
     /// The first of the others, and their number.

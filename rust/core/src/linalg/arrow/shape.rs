@@ -86,7 +86,7 @@ impl Shape {
         }
     }
 
-    /// For each column of a row of all parts its variable in a form's order without the end of the group:
+    /// Returns for each column of a row of all parts its variable in a form's order without the end of the group:
     /// first states, then the dynamic border. Padding has none.
     pub fn columns(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         self.parts.iter().flat_map(|part| {
@@ -96,7 +96,7 @@ impl Shape {
     }
 }
 
-/// For each border variable of a set its number in it, counted from `first`.
+/// Returns for each border variable of a set its number in it, counted from `first`.
 pub(super) fn positions(set: &[usize], border: usize, first: usize) -> Vec<usize> {
     let mut position = vec![usize::MAX; border];
     set.iter().enumerate().for_each(|(i, &b)| position[b] = first + i);

@@ -21,7 +21,7 @@ use crate::linalg::{Curvature, KktError};
 /// Hessian would have the square of that among its entries.
 const GROWTH: f64 = 1e6;
 
-/// What rounding leaves, as a part of the terms.
+/// Rounding errors, as a part of the terms.
 const ROUNDING: f64 = 1e-14;
 
 /// The top of one chain.
@@ -32,7 +32,7 @@ pub(super) struct Top {
     /// The constraints in the order in which they are eliminated, those last that are deferred, and the number of these.
     order: Vec<usize>,
     deferred: usize,
-    /// Where w stands in the border.
+    /// The place of w in the border.
     pub place: usize,
     /// N, deferred × B, their right-hand side, and their multipliers once the border is solved.
     along: Vec<f64>,
@@ -219,7 +219,7 @@ impl Top {
         to[self.place..].iter_mut().zip(ends).for_each(|(t, x)| *t += factor * x);
     }
 
-    /// The same, of a vector on the border.
+    /// Returns the product with a vector on the border.
     fn dot(&self, shape: &Shape, row: &[f64], with: &[f64]) -> f64 {
         let (theta, ends) = row.split_at(shape.border);
         theta.iter().zip(with).chain(ends.iter().zip(&with[self.place..])).map(|(x, y)| x * y).sum()
@@ -353,8 +353,8 @@ impl Top {
         }
     }
 
-    /// How the first states of the chain follow the border (n × `columns`), and their inverse curvature with that
-    /// held (n × n).
+    /// Returns the derivatives of the first states of the chain by the border (n × `columns`), and their inverse
+    /// curvature with that held (n × n).
     pub fn first_states(&self, shape: &Shape, columns: usize) -> (DMatrix<f64>, DMatrix<f64>) {
         let (n, b, free) = (shape.n, shape.border + self.deferred, shape.n - self.k);
         let width = free + b;

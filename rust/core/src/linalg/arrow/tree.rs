@@ -38,7 +38,7 @@ pub(super) struct Tree {
     pub right: Own,
     pub rest: Own,
     pub solution: Own,
-    /// Of the terms of a segment's rows.
+    /// The sizes of the terms of a segment's rows.
     pub sizes: Vec<f64>,
     /// States at the ends of groups; the first is that of the chain.
     ends: Vec<f64>,
@@ -150,7 +150,7 @@ impl Tree {
         top.factorize(shape, of(groups, levels, *root).0)
     }
 
-    /// From what is left of the right-hand side up to what stands right in the border, which is added to.
+    /// Reduces the chain's residual to the border's right-hand side, to which it is added.
     pub fn reduce(&mut self, context: &Context<'_>, border: &mut [f64], parallel: bool) {
         let shape = context.shape;
         let Tree { groups, levels, root, top, rest, .. } = self;
@@ -166,7 +166,7 @@ impl Tree {
         top.reduce(shape, form, side, border);
     }
 
-    /// From the border's solution down to every point; adds to the solution.
+    /// Expands the border's solution to every point; adds to the solution.
     pub fn expand(&mut self, context: &Context<'_>, border: &[f64], parallel: bool) {
         let (shape, n) = (context.shape, context.shape.n);
         let Tree { groups, levels, root, top, rest, solution, ends, .. } = self;
@@ -240,7 +240,7 @@ fn span_of(levels: &[Level], node: Node) -> usize {
     }
 }
 
-/// What is left of a node.
+/// Returns the remaining form of a node.
 fn of<'a>(groups: &'a [Group], levels: &'a [Level], node: Node) -> (&'a Form, &'a Side) {
     match node {
         Node::Group(g) => (&groups[g].form, &groups[g].side),
@@ -248,7 +248,7 @@ fn of<'a>(groups: &'a [Group], levels: &'a [Level], node: Node) -> (&'a Form, &'
     }
 }
 
-/// The same, to write the multiplier.
+/// Returns the remaining form of a node, to write the multiplier.
 fn of_mut<'a>(groups: &'a mut [Group], levels: &'a mut [Level], node: Node) -> (&'a Form, &'a mut Side) {
     match node {
         Node::Group(g) => (&groups[g].form, &mut groups[g].side),

@@ -7,7 +7,7 @@ use super::run::Run;
 use super::tree::Tree;
 
 impl Plan {
-    /// Of a factorisation with such trees.
+    /// Returns the floating-point operations of a factorisation with such trees.
     pub fn flops(&self, trees: &[Tree]) -> u64 {
         let shape = &self.shape;
         let (n, w, f) = (shape.n as u64, shape.used() as u64, shape.form() as u64);

@@ -1,4 +1,4 @@
-//! Which variables the constraints determine, and from which others they follow.
+//! The basis: the variables that the constraints determine, and the free ones.
 //!
 //! A has full rank, so some m of its columns, the *basis* B, are independent; the n − m variables of the
 //! other columns F are *free*. A sparse LU decomposition of Aᵀ with row exchanges finds a basis:
@@ -29,10 +29,10 @@ const HEAVY: usize = 8;
 /// Pivots below this part of their constraint's largest coefficient are none; nor is a basis one whose
 /// inverse is as large as this suggests.
 const DEPENDENT: f64 = 1e-13;
-/// The same where heavy variables stand by to be taken instead.
+/// The threshold of pivots where heavy variables are available as replacements.
 const POOR: f64 = 1e-8;
 
-/// What defects of order one may become in the solution, in units, with heavy variables outside.
+/// The greatest growth of defects of order one in the solution, in units, with heavy variables outside.
 const GROWTH: f64 = 1e6;
 
 /// Heavy variables that take part are determined only where this part of their coefficient is more than
@@ -85,7 +85,7 @@ pub(super) struct Basis {
     /// Constraints in the order of elimination.
     order: Vec<u32>,
     heavy: Vec<u32>,
-    /// What coefficients are multiplied by before they are compared, by variable.
+    /// The weights of coefficients in comparisons, by variable.
     weight: Vec<f64>,
     /// Columns of [L; M] below the pivots, by variable, and of U above the diagonal, by position.
     lower: Columns,
@@ -95,7 +95,7 @@ pub(super) struct Basis {
     size: Vec<f64>,
     /// The variable that each constraint determines, by position in the order.
     pivot: Vec<u32>,
-    /// For each variable its position, or m + its number among the free ones.
+    /// The position of each variable, or m + its number among the free ones.
     place: Vec<u32>,
     /// Free variables: first heavy ones that the decomposition does not know, `n_outside` of them.
     free: Vec<u32>,
@@ -107,7 +107,7 @@ pub(super) struct Basis {
     operations: u64,
 }
 
-/// What the elimination of one constraint needs.
+/// The memory of the elimination of one constraint.
 #[derive(Clone, Debug, Default)]
 struct Work {
     /// Its coefficients, by variable.

@@ -16,7 +16,7 @@ const UNMOVED: f64 = 1e-12;
 pub(super) struct Holding {
     /// Number of coordinates.
     k: usize,
-    /// Those that are held, in the order of the first coordinates, and those that cannot be.
+    /// The held variables, in the order of the first coordinates, and those that cannot be held.
     kept: Vec<u32>,
     immovable: Vec<u32>,
     /// Unit vectors, one row each.

@@ -1,4 +1,4 @@
-//! In which order to eliminate constraints.
+//! The order of elimination of the constraints.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::SymbolicSparseColMatRef;

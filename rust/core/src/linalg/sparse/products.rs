@@ -47,7 +47,7 @@ impl Products {
         self.hessian[at] + if shift > 0.0 { shift * self.shift[at] } else { 0.0 }
     }
 
-    /// What the diagonal of Zᵀ(H + shift D)Z would be if nothing cancelled.
+    /// Returns the diagonal of Zᵀ(H + shift D)Z if nothing cancelled.
     pub fn size(&self, j: usize, shift: f64) -> f64 {
         self.size[j] + if shift > 0.0 { shift * self.shift[j * self.stride + j] } else { 0.0 }
     }

@@ -240,7 +240,7 @@ impl Reduced {
         self.back(basis, d);
     }
 
-    /// From coordinates in `side` to free variables.
+    /// Maps coordinates in `side` to free variables.
     fn back(&mut self, basis: &Basis, d: &mut [f64]) {
         self.holding.turn_back(&mut self.side);
         basis.free().iter().for_each(|&v| d[v as usize] = 0.0);

@@ -61,7 +61,7 @@ impl Covariance {
         Covariance { sigmas, correlation: DMatrix::identity(n, n), known: false, order: (0..n).collect() }
     }
 
-    /// The same with correlations that start elsewhere, row by row.
+    /// Returns the covariance with correlations that start elsewhere, row by row.
     ///
     /// # Panics
     /// When it has not as many entries as outputs squared.

@@ -10,7 +10,8 @@ use crate::noise::Counts;
 const SETTLED: f64 = 0.1;
 
 impl Covariance {
-    /// As [`Noise::profile`](crate::noise::Noise::profile): R is the mean square of the residuals of the samples.
+    /// Profiles as [`Noise::profile`](crate::noise::Noise::profile): R is the mean square of the residuals of the
+    /// samples.
     ///
     /// The gradient, W S − n diag(1/w_ii) above the diagonal, gives S = Σ rrᵀ. Where a part of a sample is
     /// missing it gives, by Fisher's identity, what S is expected to be. What is within reach is measured in
@@ -66,8 +67,8 @@ impl Covariance {
         change.amax()
     }
 
-    /// The same with correlations 0, of each output by its own measurements: what is expected of those missing,
-    /// σ² each, is in the gradient and taken out.
+    /// Profiles with correlations 0, each output by its own measurements: the expectation of missing ones, σ² each,
+    /// is in the gradient and taken out.
     fn diagonal_profile(
         &self,
         counts: &Counts,

@@ -188,7 +188,7 @@ def test_start_of_a_known_sigma() -> None:
 def test_start_of_a_sigma_outside_its_bounds() -> None:
     noise = Gaussian({"x": Sigma(bounds=(0.001, 0.01))})
     call = lambda: ph.estimate(lag(), run(), noise=noise, start={"sigma_x": 1.0})  # noqa: E731
-    refuses(ModelError, r"the start 1\.0 of sigma_x lies outside its bounds \(0\.001, 0\.01\)", call)
+    refuses(ModelError, r"start: 'sigma_x' = 1\.0 lies outside its bounds \(0\.001, 0\.01\)", call)
 
 
 def test_sigma_without_start_begins_within_its_bounds() -> None:

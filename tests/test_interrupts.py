@@ -19,7 +19,6 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as POSI
 HEAD = """
 import json, math, os, signal, sys, time
 import phugoid as ph
-from phugoid import _core
 from phugoid.cli.model_file import load_model
 
 model, data = load_model("model.py"), ph.read("run1.csv")
@@ -33,14 +32,13 @@ def at(number):
             press()
     return watch
 
-exact = _core.assess
+class Pressing(ph.Newton):
+    # After the last iteration, before standard errors are computed, Ctrl-C is pressed.
 
-def pressed(times):
-    def assess(*rest):
-        for _ in range(times):
-            press()
-        return exact(*rest)
-    _core.assess = assess
+    def solve(self, *rest, **named):
+        found = super().solve(*rest, **named)
+        press()
+        return found
 
 def tell(fit):
     values = {n: e.value for n, e in fit.parameters.items()}
@@ -62,7 +60,7 @@ def told(script: str) -> Any:
 
 def test_a_second_ctrl_c_leaves_out_the_standard_errors(here: Path) -> None:
     once = told("tell(ph.estimate(model, data, progress=at(2)))")
-    twice = told("pressed(1); tell(ph.estimate(model, data, progress=at(2)))")
+    twice = told("tell(ph.estimate(model, data, progress=at(2), solver=Pressing()))")
     assert once["status"] == twice["status"] == "interrupted"
     assert all(once["known"]) and not any(twice["known"])
     assert twice["values"] == once["values"]
@@ -78,17 +76,18 @@ def test_signals_of_another_process_do_the_same(here: Path) -> None:
             until = time.time() + 60
             while not stop and time.time() < until:
                 time.sleep(0.01)
-    def assess(*rest):
-        print("errors", flush=True)
-        until = time.time() + 60
-        while not rest[-1]() and time.time() < until:
-            time.sleep(0.01)
-        return exact(*rest)
-    _core.assess = assess
+    class Waiting(ph.Newton):
+        def solve(self, *rest, **named):
+            found = super().solve(*rest, **named)
+            print("errors", flush=True)
+            until = time.time() + 60
+            while signal.getsignal(signal.SIGINT) is not signal.default_int_handler and time.time() < until:
+                time.sleep(0.01)
+            return found
     stop = []
     import threading
     threading.Thread(target=lambda: stop.append(sys.stdin.readline()), daemon=True).start()
-    tell(ph.estimate(model, data, progress=watch))
+    tell(ph.estimate(model, data, progress=watch, solver=Waiting()))
     """
     command = [sys.executable, "-c", HEAD + textwrap.dedent(script)]
     child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -109,7 +108,7 @@ def test_signals_of_another_process_do_the_same(here: Path) -> None:
 
 def test_ctrl_c_while_standard_errors_are_computed_keeps_the_optimum(here: Path) -> None:
     whole = told("tell(ph.estimate(model, data))")
-    found = told("pressed(1); tell(ph.estimate(model, data))")
+    found = told("tell(ph.estimate(model, data, solver=Pressing()))")
     assert whole["status"] == "converged" and all(whole["known"])
     # Interrupted: whoever runs many must not go on.
     assert found["status"] == "interrupted" and not any(found["known"]) and found["values"] == whole["values"]
@@ -127,8 +126,7 @@ def test_a_third_is_as_ever_and_so_is_one_afterwards(here: Path) -> None:
     done = run(third)
     assert done.returncode != 0 and "KeyboardInterrupt" in done.stderr
     after = """
-    pressed(1)
-    ph.estimate(model, data, progress=at(2))
+    ph.estimate(model, data, progress=at(2), solver=Pressing())
     try:
         press()
         time.sleep(5)

@@ -470,16 +470,16 @@ def test_noise_that_does_not_fit_the_outputs(noise: Any, words: str) -> None:
 @pytest.mark.parametrize(
     ("noise", "start", "words"),
     [
-        (Gaussian(correlated=True), {"corr_y1_y2": 1.5}, "between -1 and 1"),
+        (Gaussian(correlated=True), {"corr_y1_y2": 1.5}, r"'corr_y1_y2' = 1\.5 lies outside its bounds"),
         (
             Gaussian(correlated=True),
             {"corr_y1_y2": 0.9, "corr_y2_y3": 0.9, "corr_y1_y3": -0.9},
             "contradict each other",
         ),
-        (Gaussian(covariance=R3), {"sigma_y1": 1.0}, "sigma_y1 is known"),
+        (Gaussian(covariance=R3), {"sigma_y1": 1.0}, "the covariance is known, and sigma_y1 with it"),
         (Gaussian(), {"corr_y1_y2": 0.5}, "'corr_y1_y2' is no parameter"),
-        (StudentT(dof=None), {"dof_y1": 1000.0}, "dof_y1 lies outside its bounds"),
-        (Density(some_bad, parameters=BAD), {"share_y1": 0.9}, "share_y1 lies outside its bounds"),
+        (StudentT(dof=None), {"dof_y1": 1000.0}, "'dof_y1' = 1000.0 lies outside its bounds"),
+        (Density(some_bad, parameters=BAD), {"share_y1": 0.9}, "'share_y1' = 0.9 lies outside its bounds"),
     ],
 )
 def test_starts_of_noise(noise: Any, start: dict[str, float], words: str) -> None:

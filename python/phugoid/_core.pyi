@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 from typing_extensions import disjoint_base
 
 __all__ = [
-    "Assessment",
     "Collocation",
     "Evaluator",
     "Expr",
     "Filter",
+    "Fit",
     "Model",
     "NewtonSolution",
     "Noise",
@@ -21,9 +21,8 @@ __all__ = [
     "__version__",
     "answers",
     "apply",
-    "assess",
     "check_start",
-    "further_starts",
+    "estimate",
     "gap_warnings",
     "gaps",
     "information",
@@ -34,9 +33,9 @@ __all__ = [
     "operations",
     "parameter_start",
     "simulate",
-    "start_point",
     "state_start",
     "tangents",
+    "unlike_noise",
 ]
 
 __version__: str
@@ -51,7 +50,6 @@ _Signal: TypeAlias = tuple[_Array, _Array, float, int]  # times, samples, delay,
 # name, t, inputs, outputs, interpolation of each input, signals
 _Record: TypeAlias = tuple[str, _Array, list[_Array], list[_Array], list[str], list[_Signal | None]]
 _Sigma: TypeAlias = tuple[bool, float, float, float]  # known?, value or start, lower, upper
-_Shape: TypeAlias = tuple[str, Sequence[float], Expr | None, Sequence[tuple[str, float, float, float]]]
 _Reported: TypeAlias = tuple[str, int | None, float, list[float], int | None, float, float]
 _Grid: TypeAlias = tuple[str, int, list[float] | None]  # kind, number, edges
 
@@ -197,16 +195,11 @@ class Model:
 
 @final
 class Noise:
-    @staticmethod
-    def independent(
-        sigmas: Sequence[_Sigma], densities: Sequence[_Shape], expressions: Sequence[Expr | None] = ...
+    def __new__(
+        cls, text: str, outputs: Sequence[str], spreads: Sequence[float], start: Sequence[tuple[str, float]]
     ) -> Noise: ...
-    @staticmethod
-    def correlated(sigmas: Sequence[_Sigma], correlation: Sequence[float]) -> Noise: ...
-    @staticmethod
-    def covariance(n: int, matrix: Sequence[float]) -> Noise: ...
-    def per_experiment(self) -> Noise: ...
-    def check(self, outputs: Sequence[str]) -> None: ...
+    @property
+    def sigmas(self) -> list[_Sigma]: ...
 
 @disjoint_base
 class Problem:
@@ -328,6 +321,8 @@ class NewtonSolution:
     @property
     def multipliers(self) -> _Array: ...
     @property
+    def bound_multipliers(self) -> list[_Array]: ...
+    @property
     def units(self) -> list[float]: ...
     @property
     def status(self) -> str: ...
@@ -370,10 +365,11 @@ class Whitening:
     def log_scales(self) -> _Array: ...
     def products(self, columns: _Array, vectors: _Array, sizes: Sequence[int]) -> tuple[_Array, _Array]: ...
 
-_Estimated: TypeAlias = tuple[str, float, float, str, str | None]  # name, value, standard error, unit, bound
+# name, value, standard error, unit, bounds, what keeps it
+_Estimated: TypeAlias = tuple[str, float, float, str, tuple[float, float], str | None]
 
 @final
-class Assessment:
+class Fit:
     @property
     def parameters(self) -> list[_Estimated]: ...
     @property
@@ -392,21 +388,21 @@ class Assessment:
     def warnings(self) -> list[str]: ...
     @property
     def unknowns(self) -> int: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def solution(self) -> NewtonSolution: ...
     def record(self, index: int) -> tuple[list[_Array], list[_Array], list[_Array], _Array, list[_Array]]: ...
 
-def assess(
-    problem: Problem,
+def estimate(
     model: Model,
+    delays: _Delays,
     records: Sequence[_Record],
-    xi: _Array,
-    multipliers: _Array,
-    status: str,
-    message: str,
-    interior: bool,
-    scalings: Sequence[tuple[Sequence[tuple[str, float]], str, float]],
-    time_limit: float | None,
-    stop: Callable[[], bool] | None,
-) -> Assessment: ...
+    options: Mapping[str, object],
+    solver: Callable[..., object] | None,
+    watch: Callable[..., object] | None,
+    stop: Callable[[], int] | None,
+) -> Fit: ...
 
 _Start: TypeAlias = float | Sequence[_Array]
 
@@ -415,16 +411,7 @@ def parameter_start(model: Model, given: Sequence[tuple[str, float]], experiment
 def state_start(
     model: Model, record: _Record, times: _Array, parameters: Sequence[float], given: Sequence[tuple[str, _Start]]
 ) -> list[_Array]: ...
-def start_point(
-    problem: Problem,
-    model: Model,
-    records: Sequence[_Record],
-    given: Sequence[tuple[str, _Start]],
-    paths: Sequence[Sequence[tuple[_Array, _Array] | None]],
-) -> _Array: ...
-def further_starts(
-    problem: Problem, model: Model, xi: _Array, parameters: Sequence[float], known: Sequence[str]
-) -> list[_Array]: ...
+def unlike_noise(total: float, degrees: int) -> str: ...
 def information(
     problem: Problem,
     xi: _Array,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -12,20 +13,19 @@ from . import _core
 from .data.experiment import Experiment
 from .errors import DataError, ModelError
 from .modelling.model import Model
+from .noise.noise import Noise, positive
 from .transcription.collocation import records_of
 
 __all__ = [
     "check_names",
-    "further_starts",
     "measured_states",
     "parameter_start",
     "spread",
-    "start_point",
+    "start_values",
     "state_start",
 ]
 
 _Array = NDArray[np.float64]
-_Paths = Sequence[Sequence[tuple[_Array, _Array] | None]]
 
 
 def check_names(
@@ -68,27 +68,25 @@ def state_start(
     return np.array(_core.state_start(model._core, record, times, list(parameters.values()), given))
 
 
-def start_point(
-    problem: _core.Problem, model: Model, experiments: Sequence[Experiment], start: Mapping[str, Any], paths: _Paths
-) -> _Array:
-    """The decision variables to start from: parameters, those of the noise, states at all points.
+def start_values(
+    model: Model, start: Mapping[str, Any], experiments: Sequence[Experiment], noise: Noise
+) -> list[tuple[str, float | list[_Array]]]:
+    """Return what is given by name as the core takes it: numbers, and for states one value a sample.
 
-    ``paths`` are those of an earlier fit (times, values), one a state in each experiment, which go before others.
+    Raises ModelError for names that are none of the model, its noise and the experiments, and for what is no number.
     """
+    names = noise.names(model.output_names)
+    check_names(model, start, experiments, names)
     given = [*_parameters(model, start, [e.name for e in experiments]), *_states(model, start, experiments)]
-    return _core.start_point(problem, model._core, records_of(model, experiments), given, paths)
-
-
-def further_starts(
-    model: Model, problem: _core.Problem, xi: _Array, parameters: Mapping[str, float], given: Collection[str]
-) -> list[_Array]:
-    """The points to start from instead of ``xi``, where that makes no sense.
-
-    States that are neither given nor measured nor declared start at 0, where a square root has no derivative, and which
-    may be outside their bounds. Here they start at each of a few values at which all is finite. Empty where ``xi``
-    does, or where nothing helps.
-    """
-    return _core.further_starts(problem, model._core, xi, list(parameters.values()), list(given))
+    taken = {name for name, _ in given}
+    for name in (name for name in start if name not in taken):
+        value = start[name]
+        if name.startswith("sigma_") and not positive(value):
+            raise ModelError(f"the start of {name} is a positive number, not {value!r}")
+        if not isinstance(value, Real) or isinstance(value, bool) or not np.isfinite(float(value)):
+            raise ModelError(f"the start of {name} is a number, not {value!r}")
+        given.append((name, float(value)))
+    return given
 
 
 def _parameters(model: Model, start: Mapping[str, Any], experiments: Sequence[str]) -> list[tuple[str, float]]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from . import _core
 from .errors import UnknownName, listing
 from .noise.noise import Gaussian, Noise
 from .records import Record
@@ -232,11 +233,6 @@ def _lagged(grids: Sequence[_Array], lag: int) -> tuple[float, int]:
     return sum(float(np.nansum(p)) for p in products), sum(int(np.isfinite(p).sum()) for p in products)
 
 
-# Residuals are reported to differ from the noise that was given where chance explains the difference with less than
-# this probability, and their variances differ by more than this factor: in long records trifles are significant.
-_LEVEL, _FACTOR = 1e-3, 1.2
-
-
 def chi_square(noise: Noise, outputs: Sequence[str], records: Sequence[Record]) -> tuple[float, int]:
     """Return the sum of r' R^-1 r over the samples, each with the rows and columns of R that are measured, and the
     number of measured values in it.
@@ -268,21 +264,4 @@ def chi_square_warning(noise: Noise, outputs: Sequence[str], records: Sequence[R
     ``unknowns``: the number of parameters and initial states that were estimated.
     """
     total, count = chi_square(noise, outputs, records)
-    degrees = count - unknowns
-    if not math.isfinite(total) or degrees < 1:
-        return ""
-    ratio = total / degrees
-    if 1 / _FACTOR <= ratio <= _FACTOR:
-        return ""
-    from scipy.special import gammainc, gammaincc  # where it is needed alone: it takes longer than many a fit
-
-    numbers = f"chi-square is {total:.4g} on {degrees} degrees of freedom"
-    size = f"{math.sqrt(ratio):.3g} times the noise that is given as known"
-    if ratio > _FACTOR and gammaincc(0.5 * degrees, 0.5 * total) < _LEVEL:
-        return (
-            f"the residuals are {size} ({numbers}): the model does not explain the data to that accuracy, or the noise "
-            "is larger; standard errors and likelihood are those of the noise as given"
-        )
-    if ratio < 1 / _FACTOR and gammainc(0.5 * degrees, 0.5 * total) < _LEVEL:
-        return f"the residuals are only {size} ({numbers}): that noise is too large, and so are the standard errors"
-    return ""
+    return _core.unlike_noise(total, max(count - unknowns, 0))

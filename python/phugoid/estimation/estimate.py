@@ -7,29 +7,26 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .. import _core
 from ..data.checked import moves
 from ..data.experiment import Experiment, as_experiments, completed
 from ..data.units import check_units
-from ..errors import EvaluationError, ModelError, OptionError
+from ..errors import ModelError, OptionError
 from ..fit_result import FitResult
-from ..guess import check_names, further_starts, measured_states, parameter_start, spread, start_point
+from ..guess import parameter_start, spread, start_values
 from ..integration import coarse_mesh_warning
 from ..interrupts import interrupts
 from ..modelling.model import Model
-from ..modelling.scaling import scalings
 from ..noise.noise import Gaussian, Noise, not_noise
 from ..process_noise.fit import better, doubtful, filter_error
 from ..process_noise.variables import split
-from ..progress import Progress
 from ..regression.equation_error import EquationError
-from ..solvers import HINTS, Ipopt, Iteration, Newton, Solution
+from ..solvers import HINTS, Ipopt, Iteration, Newton
 from ..solvers.limits import Deadline
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
+from .core import Earlier, estimated
 from .fitted import make_fit
 from .late import estimate_late
 from .motion import Paths, on_moving_meshes, starts_known
@@ -37,8 +34,6 @@ from .refine import refined
 from .smooth import kinks_matter, smoothed_fit
 
 __all__ = ["estimate"]
-
-_Array = NDArray[np.float64]
 
 # How a run ends at an optimum.
 _ENDS = ("converged", "acceptable", "unidentifiable")
@@ -173,12 +168,14 @@ def _estimate(
         with Deadline(transcription.time_limit).in_force():
             return _filtered(model, experiments, transcription, noise, start, progress)
 
-    warm = start if isinstance(start, (FitResult, EquationError)) else None
-    given: Mapping[str, Any] = _given(start, noise)
-    check_names(model, given, experiments, noise.names(model.output_names))
-    parameters = parameter_start(model, given)
+    earlier = Earlier({}, paths) if paths is not None else None
+    given: Mapping[str, Any] = start if isinstance(start, Mapping) else {}
+    if isinstance(start, (FitResult, EquationError)):
+        earlier = Earlier.of(start, noise)
+    values = start_values(model, given, experiments, noise)
     follows = paths is None and not isinstance(start, EquationError)
     if follows and _follows_motion(model, experiments, transcription, given):
+        given = start.as_start(noise) if isinstance(start, FitResult) else given
 
         def on_mesh(mesh: Collocation, paths: Paths, at: Mapping[str, float], most: int | None) -> FitResult:
             most = solver.max_iterations if most is None else min(most, solver.max_iterations)
@@ -186,61 +183,15 @@ def _estimate(
             return _estimate(model, data, mesh, noise, {**given, **at}, by, progress, paths)
 
         assert isinstance(transcription, Collocation)
-        found = on_moving_meshes(on_mesh, model, experiments, transcription, parameters, deadline.left)
-        if found is not None:
-            return found
-    # A scale that no output can tell would let the solver drift without end.
-    free = () if deadline.passed() else scalings(model._core, parameters)
-    held = {scaling.held: scaling.at for scaling in free}
-    posed, given = model._holding(held), {n: v for n, v in given.items() if n.partition("[")[0] not in held}
-    parameters |= held
-    spreads = {name: spread(experiments, name) for name in model.output_names}
-    problem = transcription.problem(posed, experiments, noise.resolve(model.output_names, spreads, given))
-    xi = start_point(problem, posed, experiments, given, paths or _paths(warm, posed, experiments))
-    starts = [] if warm else further_starts(model, problem, xi, parameters, given)
-    if starts and not collocated:
-        # A path that follows the measurements is found by collocation; an integration from poor values is none.
-        begun_by = Newton(time_limit=deadline.left())
-        first = _estimate(model, experiments, noise=noise, start=given, solver=begun_by, progress=progress)
-        if first.status in _ENDS:
-            by = replace(solver, time_limit=deadline.left())
-            fit = _estimate(
-                model,
-                experiments,
-                transcription=transcription,
-                noise=noise,
-                start=first,
-                solver=by,
-                progress=progress,
-            )
-            return replace(fit, iterations=first.iterations + fit.iterations, time=first.time + fit.time)
-    known = collocated and {*measured_states(model, parameters), *given}.issuperset(model.state_names)
-    sparse = collocated and not known and _few_samples(experiments, posed)
+        parameters = parameter_start(model, given)
+        moved = on_moving_meshes(on_mesh, model, experiments, transcription, parameters, deadline.left)
+        if moved is not None:
+            return moved
+    by = replace(solver, time_limit=deadline.left())
     with interrupts() as pressed:
-        with Progress.of(progress, model.name) as watch:
-            before = _warm(warm, transcription, problem, xi)
-            near = isinstance(start, FitResult)
-
-            def solve(xi: _Array, known: bool = known) -> Solution:
-                return replace(solver, time_limit=deadline.left()).solve(
-                    problem,
-                    xi,
-                    before,
-                    _until(pressed, watch) if watch is not None else None,
-                    states_known=known,
-                    near=near,
-                    sparse=sparse,
-                    stop=lambda: pressed() > 0,
-                )
-
-            solution = solve(xi) if not starts else _best(problem, starts, solve)
-        stopped = solution.status == "interrupted"
-        # One more than ended the run.
-        enough = max(pressed(), 1) + 1 if stopped else 1
-        fit = make_fit(
-            model, experiments, noise, transcription, problem, solution, free, lambda: pressed() >= enough, deadline
-        )
-        if pressed() and not stopped:  # whoever called is to know
+        found = estimated(model, experiments, transcription, noise, values, earlier, by, progress, pressed)
+        fit = make_fit(model, experiments, noise, transcription, found)
+        if pressed() and fit.status != "interrupted":  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
     if absent := [f"'{e.name}' without {', '.join(sorted(e._unmeasured))}" for e in experiments if e._unmeasured]:
         listed = "; ".join(absent[:5]) + ("; ..." if len(absent) > 5 else "")
@@ -353,74 +304,6 @@ def _worse_than_start(fit: FitResult, start: FitResult) -> str:
         f"the log-likelihood is {lost:.4g} below that of the fit it started from, on the same data: this is another, "
         "poorer optimum; start from elsewhere, or with fewer parameters free at once"
     )
-
-
-def _best(problem: _core.Problem, starts: Sequence[_Array], solve: Callable[..., Solution]) -> Solution:
-    """The best of the solutions from several points: at an end if possible, and of the greatest likelihood.
-
-    Where none of them is at an end, a regression on the states as they start goes before each.
-    """
-    found: list[Solution] = []
-    for known in (False, True):
-        for xi in starts:
-            try:
-                found.append(solve(xi, known))
-            except EvaluationError:
-                if not found and known and xi is starts[-1]:
-                    raise
-                continue
-            if found[-1].status == "interrupted":
-                break
-        if any(s.status in _ENDS or s.status == "interrupted" for s in found):
-            break
-    best = min(found, key=lambda s: (s.status not in _ENDS, problem.objective(s.xi)))
-    if found[-1].status == "interrupted":
-        best = replace(best, status="interrupted", message=found[-1].message)
-    return replace(best, iterations=sum(s.iterations for s in found), time=sum(s.time for s in found))
-
-
-def _until(pressed: Callable[[], int], watch: Callable[[Iteration], None] | None) -> Callable[[Iteration], None]:
-    """What ends a run at the iteration at which Ctrl-C was pressed."""
-
-    def each(line: Iteration) -> None:
-        if watch is not None:
-            watch(line)
-        if pressed():
-            raise KeyboardInterrupt
-
-    return each
-
-
-def _given(start: Any, noise: Noise) -> Mapping[str, Any]:
-    """Start values by name."""
-    if isinstance(start, FitResult):
-        return start.as_start(noise)
-    return start.as_start() if isinstance(start, EquationError) else dict(start or {})
-
-
-def _paths(
-    warm: FitResult | EquationError | None, model: Model, experiments: Sequence[Experiment]
-) -> list[list[tuple[_Array, _Array] | None]]:
-    """The paths of the states that a fit or a regression has of each experiment."""
-    records = [] if warm is None else warm.records[: len(experiments)]
-    return [
-        [
-            (np.ascontiguousarray(r.mesh_t), np.ascontiguousarray(r.mesh_states[n])) if n in r.mesh_states else None
-            for n in model.state_names
-        ]
-        for r in records
-    ]
-
-
-def _warm(
-    fit: FitResult | EquationError | None, transcription: Transcription, problem: _core.Problem, xi: _Array
-) -> Solution | None:
-    """The solution of an earlier fit, where the problem has the same size: its multipliers serve again."""
-    if fit is None or fit.solution is None or fit.solution.xi.size != xi.size:
-        return None
-    if type(fit.transcription) is not type(transcription):
-        return None
-    return fit.solution if fit.solution.multipliers.size == problem.m else None
 
 
 def _moving(experiment: Experiment, outputs: Sequence[str]) -> set[str]:

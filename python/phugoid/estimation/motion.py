@@ -19,7 +19,7 @@ from ..transcription.collocation import Collocation, Record, Signal, records_of
 __all__ = ["Motion", "on_moving_meshes", "simulated", "starts_known"]
 
 _Array: TypeAlias = NDArray[np.float64]
-Paths: TypeAlias = Sequence[Sequence[tuple[_Array, _Array] | None]]
+Paths: TypeAlias = Sequence[tuple[_Array, dict[str, _Array]]]
 
 # Tolerance of the integration whose steps become segments, most of these in a record, and most time for it, s.
 _TOLERANCE, _MOST, _LONGEST = 1e-7, 2_000, 5.0
@@ -103,14 +103,14 @@ def on_moving_meshes(
                     break
                 parts *= 2
             ends = [_divided(r.steps, parts) for r in runs]
-            paths = [[(r.times, x) for x in r.states] for r in runs]
+            paths = [(r.times, dict(zip(model.state_names, r.states, strict=True))) for r in runs]
         elif fit is None:
             return None
         else:
             # No mesh to move to. A path across a pole of the solution is one of a mesh that is too coarse.
             assert isinstance(fit.transcription, Collocation)
             ends = [_divided(r.mesh_t[:: fit.transcription.order - 1], 2) for r in fit.records]
-            paths = [[(r.mesh_t, r.mesh_states[n]) for n in model.state_names] for r in fit.records]
+            paths = [(r.mesh_t, dict(r.mesh_states)) for r in fit.records]
             last = True
         mesh = replace(transcription, segments=tuple(tuple(e.tolist()) for e in ends), refine=False)
         fit = solve(mesh, paths, at, None if last else _ITERATIONS)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from .. import _core
 from .._core import Expr
 from ..errors import ModelError, did_you_mean
 from ..parameters import Parameter
@@ -63,23 +62,12 @@ class StudentT(Noise):
         dof = "degrees of freedom by output" if isinstance(self.dof, Mapping) else dof
         return f"Student's t, {dof}; sigma is its scale"
 
-    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """Return the degrees of freedom, or their start and bounds."""
-        dof = self._dof(output)
-        if dof is not None:
-            return (self.kind, [dof], None, [])
-        low, high = self.bounds
-        value = start.get(f"dof_{output}", min(max(10.0, low), high))
-        if not positive(value) or not low <= value <= high:
-            raise ModelError(f"the start {value!r} of dof_{output} lies outside its bounds {self.bounds}")
-        return (self.kind, [float(value), low, high], None, [])
-
-    def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
-        """Return the noise as the core takes it, with all starts and bounds."""
+    def saved(self, outputs: Sequence[str]) -> str:
+        """Return the noise as the core reads it. Raises ModelError for names that are no outputs."""
         for name in self.dof if isinstance(self.dof, Mapping) else ():
             if name not in outputs:
                 raise ModelError(f"StudentT: dof of '{name}', which is not an output.{did_you_mean(name, outputs)}")
-        return super().resolve(outputs, spread, start)
+        return super().saved(outputs)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the noise as JSON takes it."""
@@ -107,10 +95,6 @@ class Huber(Noise):
     def description(self) -> str:
         """The density, and the meaning of sigma."""
         return f"Huber's, k = {self.k:g}; sigma is its scale"
-
-    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """Return the constant k."""
-        return (self.kind, [float(self.k)], None, [])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the noise as JSON takes it."""
@@ -140,10 +124,6 @@ class Laplace(Noise):
     def description(self) -> str:
         """The density, and the meaning of sigma."""
         return f"Laplace's, smoothing {self.smoothing:g}; sigma is its scale"
-
-    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """Return the smoothing."""
-        return (self.kind, [float(self.smoothing)], None, [])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the noise as JSON takes it."""
@@ -221,21 +201,6 @@ class Density(Noise):
     def description(self) -> str:
         """The density, and the meaning of sigma."""
         return f"log-density {self.log_density}; sigma is its scale"
-
-    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """Return the expression, and its parameters with starts and bounds."""
-        fixed = {name: p.start for name, p in self.parameters.items() if isinstance(p, Parameter) and p.fixed}
-        parameters = []
-        for name, p in self._free().items():
-            value = start.get(f"{name}_{output}", p.start)
-            try:
-                value = float(value)
-            except (TypeError, ValueError):
-                value = float("nan")
-            if not p.bounds[0] <= value <= p.bounds[1]:
-                raise ModelError(f"the start {value!r} of {name}_{output} lies outside its bounds {p.bounds}")
-            parameters.append((name, value, *p.bounds))
-        return (self.kind, [], self.log_density.substitute(fixed), parameters)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the noise as JSON takes it."""

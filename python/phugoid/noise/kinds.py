@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from .. import _core
 from .._core import Expr
-from ..errors import ModelError, did_you_mean
+from ..errors import ModelError
 from ..parameters import Parameter
 from .densities import Density, Huber, Laplace, StudentT
 from .noise import KINDS, Gaussian, Noise, Sigma, saved_sigma
@@ -41,29 +41,19 @@ class PerOutput(Noise):
         object.__setattr__(self, "outputs", dict(outputs))
         super().__post_init__()
 
-    def _of(self, output: str) -> Noise:
+    def of(self, output: str) -> Noise:
+        """Return the noise of one output."""
         return self.outputs.get(output, Gaussian())
 
     def names(self, outputs: Sequence[str]) -> tuple[str, ...]:
         """Return ``sigma_<output>``, then the parameters of the densities."""
-        own = (n for name in outputs for n in self._of(name).names([name]) if n != f"sigma_{name}")
+        own = (n for name in outputs for n in self.of(name).names([name]) if n != f"sigma_{name}")
         return super().names(outputs) + tuple(own)
 
     @property
     def description(self) -> str:
         """The noise of each output."""
         return "; ".join(f"{name}: {noise.description or 'Gaussian'}" for name, noise in self.outputs.items())
-
-    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """Return the density of the output's own noise."""
-        return self._of(output).shape(output, start)
-
-    def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
-        """Return the noise as the core takes it, with all starts and bounds."""
-        for name in self.outputs:
-            if name not in outputs:
-                raise ModelError(f"noise: '{name}' is not an output.{did_you_mean(name, outputs)}")
-        return super().resolve(outputs, spread, start)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the noise as JSON takes it."""
@@ -101,14 +91,6 @@ class PerExperiment(Noise):
     def description(self) -> str:
         """The noise of each experiment."""
         return f"{self.noise.description or 'Gaussian'}, of each experiment its own"
-
-    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """Return the density of the inner noise."""
-        return self.noise.shape(output, start)
-
-    def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
-        """Return the noise as the core takes it, with all starts and bounds."""
-        return self.noise.resolve(outputs, spread, start).per_experiment()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the noise as JSON takes it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from .. import _core
 from .._core import Expr
 from ..errors import ModelError, did_you_mean
 
-__all__ = ["KINDS", "Gaussian", "Noise", "Sigma", "SigmaSpec", "not_noise", "saved_sigma"]
+__all__ = ["KINDS", "Gaussian", "Noise", "Sigma", "not_noise", "saved_sigma"]
 
 KINDS = "a Gaussian, StudentT, Huber, Laplace, Density or PerOutput"
 """What a noise model is, for messages."""
@@ -32,10 +33,6 @@ def not_noise(given: object) -> str:
     if isinstance(given, (int, float)) and not isinstance(given, bool):
         return f"{text}; a known standard deviation is given by output, as in ph.Gaussian({{'q': {given!r}}})"
     return text
-
-
-SigmaSpec = tuple[bool, float, float, float]
-"""Known?, value or start, lower bound, upper bound."""
 
 
 @dataclass(frozen=True)
@@ -116,22 +113,21 @@ class Noise:
         """Text for summaries; empty for the usual, independent Gaussian noise."""
         return ""
 
-    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """Return the density of an output as the core takes it."""
-        raise NotImplementedError
+    def of(self, output: str) -> Noise:
+        """Return the noise of an output: this, unless each has its own."""
+        return self
+
+    def saved(self, outputs: Sequence[str]) -> str:
+        """Return the noise as the core reads it. Raises ModelError for names that are no outputs."""
+        return json.dumps(self.to_dict())
 
     def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
-        """Return the noise as the core takes it, with all starts and bounds.
+        """Return the noise of a problem, with all starts and bounds.
 
         ``spread`` is the standard deviation of the measurements, ``start`` holds starts by name (`names`).
         """
-        sigmas = self._sigmas(outputs, spread, start)
-        expressions = self.expressions
-        noise = _core.Noise.independent(
-            sigmas, [self.shape(name, start) for name in outputs], [expressions.get(name) for name in outputs]
-        )
-        noise.check(outputs)
-        return noise
+        named = [(name, float(value)) for name, value in start.items() if np.ndim(value) == 0]
+        return _core.Noise(self.saved(outputs), list(outputs), [spread.get(name, 1.0) for name in outputs], named)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the noise as JSON takes it; `kinds.noise_from_dict` reads it."""
@@ -146,44 +142,6 @@ class Noise:
             return {"start": s.start, "bounds": list(s.bounds) if s.bounds else None}
 
         return {name: plain(s) for name, s in self.sigma.items()}
-
-    def _sigmas(
-        self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]
-    ) -> list[SigmaSpec]:
-        """Return for each output: known?, value or start, lower bound, upper bound; 1 where an expression takes its
-        place."""
-        for name in self.sigma:
-            if name not in outputs:
-                raise ModelError(f"noise: '{name}' is not an output.{did_you_mean(name, outputs)}")
-        resolved = []
-        for name in outputs:
-            spec = self.sigma.get(name, Sigma())
-            given = start.get(f"sigma_{name}")
-            if not isinstance(spec, Sigma):
-                if given is not None:
-                    what = "given by an expression" if isinstance(spec, Expr) else "known"
-                    raise ModelError(f"sigma_{name} is {what} ({spec}) and cannot be given a start as well")
-                if isinstance(spec, Expr):
-                    resolved.append((True, 1.0, 1.0, 1.0))  # the expression takes its place
-                    continue
-                resolved.append((True, float(spec), float(spec), float(spec)))
-                continue
-            scale = spread[name]
-            low, high = spec.bounds or (1e-9 * scale, 1e6 * scale)
-            value = given if given is not None else spec.start
-            if value is None:
-                value = min(max(scale, low), high)
-            if not positive(value):
-                raise ModelError(f"the start of sigma_{name} is a positive number, not {value!r}")
-            if not low <= value <= high and spec.bounds is None:
-                low, high = min(low, value), max(high, value)
-            if not low <= value <= high:
-                raise ModelError(f"the start {value} of sigma_{name} lies outside its bounds {spec.bounds}")
-            # No useful fit is worse than a constant. Beside the other outputs, one with a start far above its
-            # spread would have no influence on the first steps, and these can lead far away.
-            value = max(min(value, scale), low)
-            resolved.append((False, float(value), float(low), float(high)))
-        return resolved
 
 
 @dataclass(frozen=True)
@@ -246,10 +204,6 @@ class Gaussian(Noise):
             return "jointly Gaussian, covariance known"
         return "jointly Gaussian, covariance estimated" if self.correlated else ""
 
-    def shape(self, output: str, start: Mapping[str, float]) -> tuple[Any, ...]:
-        """Return the Gaussian density, which has no parameter beside the scale."""
-        return ("gaussian", [], None, [])
-
     def matrix(
         self, outputs: Sequence[str], values: Mapping[str, float] | None = None
     ) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -280,27 +234,6 @@ class Gaussian(Noise):
                         )
                 matrix[outputs.index(a), outputs.index(b)] = value
         return matrix
-
-    def resolve(self, outputs: Sequence[str], spread: Mapping[str, float], start: Mapping[str, float]) -> _core.Noise:
-        """Return the noise as the core takes it, with all starts and bounds."""
-        if self.covariance is not None:
-            for name in outputs:
-                if f"sigma_{name}" in start:
-                    raise ModelError(f"sigma_{name} is known (covariance) and cannot be given a start as well")
-            noise = _core.Noise.covariance(len(outputs), self.matrix(outputs).ravel().tolist())
-        elif self.correlated:
-            correlation = np.eye(len(outputs))
-            for i, a in enumerate(outputs):
-                for j, b in enumerate(outputs[i + 1 :], i + 1):
-                    value = start.get(f"corr_{a}_{b}", 0.0)
-                    if not (isinstance(value, (int, float)) and -1 < value < 1):
-                        raise ModelError(f"the start of corr_{a}_{b} is a number between -1 and 1, not {value!r}")
-                    correlation[i, j] = correlation[j, i] = value
-            noise = _core.Noise.correlated(self._sigmas(outputs, spread, start), correlation.ravel().tolist())
-        else:
-            return super().resolve(outputs, spread, start)
-        noise.check(outputs)
-        return noise
 
     def to_dict(self) -> dict[str, Any]:
         """Return the noise as JSON takes it: output -> known value, or start and bounds; with its kind unless

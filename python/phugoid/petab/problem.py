@@ -85,7 +85,7 @@ class PetabProblem:
         return total
 
     def _log_density(self, output: str, e: _Array) -> _Array:
-        if self.model.noise_model.shape(output, {})[0] == "laplace":
+        if self.model.noise_model.of(output).kind == "laplace":
             return np.asarray(0.5 * math.log(2.0 * math.pi) - math.log(2.0) - np.abs(e))
         return np.asarray(-0.5 * e**2)
 

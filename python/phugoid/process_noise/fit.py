@@ -77,7 +77,7 @@ def filter_error(
     check_names(model, rest, experiments)
     parameters = parameter_start(model, rest)
     spreads = {name: spread(experiments, name) for name in model.output_names}
-    sigmas = noise._sigmas(model.output_names, spreads, rest)
+    sigmas = noise.resolve(model.output_names, spreads, rest).sigmas
     sigmas = [_floored(s, n in noise.sigma, spreads[n]) for n, s in zip(model.output_names, sigmas, strict=True)]
     problem = options.problem(model, experiments, sigmas)
 

@@ -248,7 +248,7 @@ class Scores:
         """Of independent noise, output by output."""
         linear = self.linear
         for i, name in enumerate(linear.model.output_names):
-            kind = noise._of(name) if isinstance(noise, PerOutput) else noise
+            kind = noise.of(name) if isinstance(noise, PerOutput) else noise
             known = noise.known_sigmas(linear.model.output_names)
             for e, rows in enumerate(linear.rows[i]):
                 if name in noise.expressions:

@@ -13,7 +13,7 @@ from ..errors import OptionError
 from .limits import check_limits
 from .solution import Iteration, Solution
 
-__all__ = ["Newton"]
+__all__ = ["COUNTED", "Newton"]
 
 _Array = NDArray[np.float64]
 
@@ -105,12 +105,12 @@ class Newton:
             iterations=found.iterations,
             time=found.time,
             history=history,
-            evaluations=dict(zip(_COUNTED, found.evaluations, strict=True)),
+            evaluations=dict(zip(COUNTED, found.evaluations, strict=True)),
             flops=found.flops,
         )
 
 
-_COUNTED = (
+COUNTED = (
     "objective",
     "gradient",
     "constraints",

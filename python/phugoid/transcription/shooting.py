@@ -15,7 +15,7 @@ from ..errors import OptionError
 from ..modelling.model import Model
 from .collocation import Collocation, GridSpec, checked_segments, division, limit, records_of, whole
 
-__all__ = ["MultipleShooting", "SingleShooting", "Transcription", "from_dict", "to_dict"]
+__all__ = ["MultipleShooting", "SingleShooting", "Transcription", "from_dict", "step_spec", "to_dict"]
 
 _INTEGRATORS = ("euler", "heun", "kutta", "rk4", "dopri5")
 
@@ -126,14 +126,16 @@ def _problem(
     experiments: Sequence[Experiment],
     noise: _core.Noise,
 ) -> _core.Shooting:
-    steps: tuple[str, float] = ("samples", options.substeps)
-    if options.steps is not None:
-        steps = ("number", options.steps)
-    elif options.step is not None:
-        steps = ("length", options.step)
     records = records_of(model, experiments)
     grids = options.grids(experiments)
-    return _core.Shooting(model._core, records, noise, grids, options.integrator, steps, options.threads)
+    return _core.Shooting(model._core, records, noise, grids, options.integrator, step_spec(options), options.threads)
+
+
+def step_spec(options: _Shooting) -> tuple[str, float]:
+    """Return the steps as the core takes them."""
+    if options.steps is not None:
+        return "number", options.steps
+    return ("samples", options.substeps) if options.step is None else ("length", options.step)
 
 
 def _steps_in_words(options: _Shooting) -> str:

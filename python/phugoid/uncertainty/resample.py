@@ -89,7 +89,7 @@ class Parametric(Resampler):
                 if joint
                 else {
                     n: _table(
-                        noise._of(n) if isinstance(noise, PerOutput) else noise,
+                        noise.of(n) if isinstance(noise, PerOutput) else noise,
                         n,
                         known[n] if n in known else value[f"sigma_{n}"],
                         value,

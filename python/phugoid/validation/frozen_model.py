@@ -84,7 +84,7 @@ def _known(noise: Noise, outputs: Sequence[str], values: Mapping[str, float]) ->
     if isinstance(noise, (Huber, Laplace)):
         return replace(noise, sigma=sigma)
     if isinstance(noise, PerOutput):
-        own = {name: _known(noise._of(name), [name], {**values, f"sigma_{name}": sigma[name]}) for name in outputs}
+        own = {name: _known(noise.of(name), [name], {**values, f"sigma_{name}": sigma[name]}) for name in outputs}
         return PerOutput(own)
     assert isinstance(noise, Density)  # there is no other
     each: dict[str, Noise] = {}

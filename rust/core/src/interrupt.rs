@@ -99,6 +99,16 @@ impl Interrupt {
         outer.or_else(|| late().then_some(Cause::TimeLimit))
     }
 
+    /// The time that is left; `None` where there is no limit.
+    pub fn left(&self) -> Option<Duration> {
+        let limit = self.0.as_ref()?;
+        let own = limit.deadline.map(|end| end.saturating_duration_since(Instant::now()));
+        match (own, limit.outer.left()) {
+            (Some(own), Some(outer)) => Some(own.min(outer)),
+            (own, outer) => own.or(outer),
+        }
+    }
+
     /// Whether the work must end.
     #[inline]
     pub fn stops(&self) -> bool {

@@ -39,21 +39,40 @@ pub fn watched<'a, R: Send>(
     stop: Option<&Py<PyAny>>,
     work: impl FnOnce(&Caller<'a, R>) -> R + Send,
 ) -> (R, Option<PyErr>) {
+    watched_twice(py, stop, &Interrupt::default(), work)
+}
+
+/// The same, where `stop` tells how often an end was asked for: the second time stops `second`, too. Errors count alike.
+pub fn watched_twice<'a, R: Send>(
+    py: Python<'_>,
+    stop: Option<&Py<PyAny>>,
+    second: &Interrupt,
+    work: impl FnOnce(&Caller<'a, R>) -> R + Send,
+) -> (R, Option<PyErr>) {
     let interrupt = Interrupt::within(None);
-    let mut error: Option<PyErr> = None;
-    let ask = |py: Python<'_>| {
+    let (mut error, mut raised): (Option<PyErr>, u32) = (None, 0);
+    let ask = |py: Python<'_>| -> PyResult<u32> {
         py.check_signals()?;
-        match stop.map_or(Ok(false), |s| s.call0(py)?.extract::<bool>(py)) {
-            Ok(true) => Err(PyKeyboardInterrupt::new_err("stopped")),
-            Ok(false) => Ok(()),
-            Err(e) => Err(e),
+        stop.map_or(Ok(0), |s| s.call0(py)?.extract(py))
+    };
+    // Whether to go on.
+    let mut note = |said: PyResult<u32>| -> bool {
+        let asked = said.unwrap_or_else(|e| {
+            raised += 1;
+            error.get_or_insert(e);
+            raised
+        });
+        if asked > 0 {
+            interrupt.stop();
+            error.get_or_insert_with(|| PyKeyboardInterrupt::new_err("stopped"));
         }
+        if asked > 1 {
+            second.stop();
+        }
+        error.is_none()
     };
     // What was pressed before counts, however quick the work is.
-    if let Err(e) = ask(py) {
-        interrupt.stop();
-        error = Some(e);
-    }
+    note(ask(py));
     let done = py.detach(|| {
         let (sender, receiver) = channel::<Message<'a, R>>();
         let inner = interrupt.clone();
@@ -63,21 +82,16 @@ pub fn watched<'a, R: Send>(
             let result = std::panic::catch_unwind(run);
             let _ = caller.0.send(Message::Done(result));
         };
-        let mut fail = |e: PyErr| {
-            interrupt.stop();
-            error.get_or_insert(e);
-        };
         let wait = || loop {
             match receiver.recv_timeout(POLL) {
                 Ok(Message::Done(result)) => break result,
                 Ok(Message::Do(job, reply)) => {
-                    let said = Python::attach(|py| ask(py).and_then(|()| job(py)).and_then(|()| ask(py)));
-                    let fine = said.is_ok();
-                    said.unwrap_or_else(&mut fail);
-                    let _ = reply.send(fine);
+                    let said =
+                        Python::attach(|py| note(ask(py)) && note(job(py).map(|()| 0)) && note(ask(py)));
+                    let _ = reply.send(said);
                 }
                 Err(RecvTimeoutError::Timeout) => {
-                    Python::attach(ask).unwrap_or_else(&mut fail);
+                    note(Python::attach(ask));
                 }
                 Err(RecvTimeoutError::Disconnected) => unreachable!("the work sends its end"),
             }

@@ -1,11 +1,12 @@
 //! Python bindings of `phugoid`: handles and views, no numerics.
 
-mod assessment;
 mod collocation;
 mod errors;
+mod estimation;
 mod evaluator;
 mod expr;
 mod filter;
+mod fit;
 mod interrupt;
 mod model;
 mod newton;
@@ -32,16 +33,15 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<shooting::PyShooting>()?;
     m.add_class::<evaluator::PyEvaluator>()?;
     m.add_class::<filter::PyFilter>()?;
-    m.add_class::<assessment::PyAssessment>()?;
+    m.add_class::<fit::PyFit>()?;
     m.add_class::<newton::PySolution>()?;
     m.add_class::<whitening::PyWhitening>()?;
-    m.add_function(wrap_pyfunction!(assessment::assess, m)?)?;
+    m.add_function(wrap_pyfunction!(estimation::estimate, m)?)?;
+    m.add_function(wrap_pyfunction!(estimation::unlike_noise, m)?)?;
     m.add_function(wrap_pyfunction!(newton::newton, m)?)?;
     m.add_function(wrap_pyfunction!(start::check_start, m)?)?;
     m.add_function(wrap_pyfunction!(start::parameter_start, m)?)?;
     m.add_function(wrap_pyfunction!(start::state_start, m)?)?;
-    m.add_function(wrap_pyfunction!(start::start_point, m)?)?;
-    m.add_function(wrap_pyfunction!(start::further_starts, m)?)?;
     m.add_function(wrap_pyfunction!(newton::information, m)?)?;
     m.add_function(wrap_pyfunction!(simulate::simulate, m)?)?;
     m.add_function(wrap_pyfunction!(response::answers, m)?)?;

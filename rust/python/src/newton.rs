@@ -16,12 +16,12 @@ use crate::problem::PyProblem;
 
 /// Where the solver ended.
 #[pyclass(name = "NewtonSolution", module = "phugoid._core", frozen)]
-pub struct PySolution(Solution);
+pub struct PySolution(pub Solution);
 
 /// A line of the iteration table: number, log-likelihood, defect, promise, step, trials, shift, exact.
-type Line = (usize, f64, f64, f64, f64, usize, f64, bool);
+pub type Line = (usize, f64, f64, f64, f64, usize, f64, bool);
 
-fn line(i: &Iteration) -> Line {
+pub fn line(i: &Iteration) -> Line {
     (i.number, -i.objective, i.defect, i.promise, i.step, i.trials, i.shift, i.exact)
 }
 
@@ -35,6 +35,14 @@ impl PySolution {
     #[getter]
     fn multipliers<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         PyArray1::from_slice(py, &self.0.multipliers)
+    }
+
+    /// Those of lower and upper bounds; zeros of a solver that has none.
+    #[getter]
+    fn bound_multipliers<'py>(&self, py: Python<'py>) -> [Bound<'py, PyArray1<f64>>; 2] {
+        let zeros = || vec![0.0; self.0.xi.len()];
+        let (low, high) = self.0.bound_multipliers.clone().unwrap_or_else(|| (zeros(), zeros()));
+        [PyArray1::from_vec(py, low), PyArray1::from_vec(py, high)]
     }
 
     /// Units of the states, in which defects are measured.

@@ -46,7 +46,7 @@ pub type Kept = Mutex<Option<Linearisation<Arc<Collocation>>>>;
 /// The transcriptions that there are.
 pub enum Transcription {
     Collocation(Arc<Collocation>, Kept),
-    Shooting(Box<Shooting>),
+    Shooting(Arc<Shooting>),
 }
 
 type Array<'py> = Bound<'py, PyArray1<f64>>;

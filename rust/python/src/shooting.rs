@@ -1,5 +1,7 @@
 //! The shooting problem.
 
+use std::sync::Arc;
+
 use phugoid::integrate::{Integrator, Steps};
 use phugoid::shooting::{Shooting, Shots};
 use pyo3::exceptions::PyValueError;
@@ -11,7 +13,17 @@ use crate::noise::PyNoise;
 use crate::problem::{GridSpec, PyProblem, Record, Transcription, experiment, grids};
 
 /// Steps: ("samples", n), ("number", n) or ("length", h).
-type StepSpec = (String, f64);
+pub type StepSpec = (String, f64);
+
+/// Steps of the core.
+pub fn steps((kind, n): &StepSpec) -> PyResult<Steps> {
+    match kind.as_str() {
+        "samples" => Ok(Steps::Samples(*n as usize)),
+        "number" => Ok(Steps::Number(*n as usize)),
+        "length" => Ok(Steps::Length(*n)),
+        _ => Err(PyValueError::new_err("unknown kind of steps")),
+    }
+}
 
 /// Single or multiple shooting; everything but its making is `Problem`'s.
 #[pyclass(name = "Shooting", module = "phugoid._core", frozen, extends = PyProblem)]
@@ -28,28 +40,22 @@ impl PyShooting {
         noise: &PyNoise,
         divisions: Vec<GridSpec>,
         integrator: &str,
-        steps: StepSpec,
+        step: StepSpec,
         threads: usize,
     ) -> PyResult<PyClassInitializer<Self>> {
         let records: Vec<_> = experiments.into_iter().map(experiment).collect::<PyResult<_>>()?;
-        let unknown = |what: &str| PyValueError::new_err(format!("unknown {what}"));
-        let integrator = Integrator::from_name(integrator).ok_or_else(|| unknown("integrator"))?;
-        let steps = match steps.0.as_str() {
-            "samples" => Steps::Samples(steps.1 as usize),
-            "number" => Steps::Number(steps.1 as usize),
-            "length" => Steps::Length(steps.1),
-            _ => return Err(unknown("kind of steps")),
-        };
+        let unknown = || PyValueError::new_err("unknown integrator");
+        let integrator = Integrator::from_name(integrator).ok_or_else(unknown)?;
         let settings = Shots {
             grid: grids(divisions)?,
             integrator,
-            steps,
+            steps: steps(&step)?,
             threads,
             noise_per_experiment: noise.per_experiment,
         };
         let (model, noise) = (&model.0, noise.noise.clone());
         let problem = py.detach(|| Shooting::new(model, &records, noise, &settings)).map_err(raise)?;
-        Ok(PyClassInitializer::from(PyProblem(Transcription::Shooting(Box::new(problem))))
+        Ok(PyClassInitializer::from(PyProblem(Transcription::Shooting(Arc::new(problem))))
             .add_subclass(PyShooting))
     }
 }

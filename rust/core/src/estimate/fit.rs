@@ -3,6 +3,7 @@
 use std::fmt;
 use std::ops::Index;
 
+use super::Transcription;
 use crate::error::did_you_mean;
 use crate::model::Model;
 use crate::solver::{Solution, Status};
@@ -39,6 +40,8 @@ pub struct Estimate {
     pub value: f64,
     /// Standard error (Cramér-Rao); NaN where a bound keeps it or the data do not determine it.
     pub std_error: f64,
+    /// Lower and upper bound.
+    pub bounds: (f64, f64),
     /// What keeps it where it is, if anything.
     pub bound: Option<Bound>,
 }
@@ -94,6 +97,8 @@ pub struct Record {
 pub struct Fit {
     /// The model.
     pub model: Model,
+    /// How it was transcribed.
+    pub transcription: Transcription,
     /// The model's parameters, then the unknown standard deviations `sigma_<output>`; by name: `fit["CLa"]`.
     pub parameters: Vec<Estimate>,
     /// Covariance of the parameters in their order, row-major; NaN where there is no standard error.
@@ -112,6 +117,8 @@ pub struct Fit {
     pub records: Vec<Record>,
     /// What to beware of, in words.
     pub warnings: Vec<String>,
+    /// Number of parameters of the model and initial states that were estimated.
+    pub unknowns: usize,
     /// What the solver gave back: all unknowns, multipliers, counts, the iteration table.
     pub solution: Solution,
 }

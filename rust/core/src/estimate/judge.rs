@@ -1,9 +1,10 @@
 //! What a solution is worth: how the run ended in the light of the information matrix, and whether the
 //! state path is one.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 use super::fit::Record;
+use super::print::number;
 use crate::diagnosis::Information;
 use crate::experiment::Experiment;
 use crate::model::Model;
@@ -131,23 +132,49 @@ pub(super) fn feasible(model: &Model, problem: &dyn Transcribed, xi: &[f64], tot
     })
 }
 
-/// Returns a sentence where residuals are not those of Gaussian noise whose standard deviations are known: the chi-square test,
-/// with the approximation of Wilson and Hilferty (1931).
-pub(super) fn unlike_noise(noise: &Noise, records: &[Record], unknowns: usize) -> Option<String> {
-    let Noise::Gaussian(sigmas) = noise else { return None };
+/// Returns a sentence where residuals are not those of the Gaussian noise that is known.
+pub(super) fn residuals_unlike_noise(noise: &Noise, records: &[Record], unknowns: usize) -> Option<String> {
     let (mut total, mut count) = (0.0, 0usize);
-    for (c, sigma) in sigmas.iter().enumerate() {
-        let Sigma::Known(sigma) = sigma else { continue };
-        for r in records.iter().flat_map(|r| &r.residuals[c]).filter(|r| !r.is_nan()) {
-            total += (r / sigma).powi(2);
-            count += 1;
+    match noise {
+        Noise::Gaussian(sigmas) => {
+            for (c, sigma) in sigmas.iter().enumerate() {
+                let Sigma::Known(sigma) = sigma else { continue };
+                for r in records.iter().flat_map(|r| &r.residuals[c]).filter(|r| !r.is_nan()) {
+                    total += (r / sigma).powi(2);
+                    count += 1;
+                }
+            }
         }
+        Noise::Correlated(covariance) => {
+            let matrix = covariance.matrix()?;
+            for record in records {
+                for k in 0..record.t.len() {
+                    // Of the samples that are there.
+                    let there: Vec<usize> =
+                        (0..record.residuals.len()).filter(|&c| !record.residuals[c][k].is_nan()).collect();
+                    let r = DVector::from_fn(there.len(), |i, _| record.residuals[there[i]][k]);
+                    let of = DMatrix::from_fn(r.len(), r.len(), |i, j| matrix[(there[i], there[j])]);
+                    total += r.dot(&of.cholesky()?.solve(&r));
+                    count += r.len();
+                }
+            }
+        }
+        Noise::Independent(_) => return None,
     }
-    let degrees = count.checked_sub(unknowns).filter(|d| *d > 0)? as f64;
+    unlike_noise(total, count.checked_sub(unknowns)?)
+}
+
+/// Returns a sentence where a sum of squared residuals over the variance of noise that is known is not that of chance, with
+/// so many degrees of freedom: the chi-square test, with the approximation of Wilson and Hilferty (1931).
+pub fn unlike_noise(total: f64, degrees: usize) -> Option<String> {
+    if degrees == 0 || !total.is_finite() {
+        return None;
+    }
+    let degrees = degrees as f64;
     let (ratio, spread) = (total / degrees, 2.0 / (9.0 * degrees));
     let deviations = (ratio.cbrt() - 1.0 + spread) / spread.sqrt();
-    let numbers = format!("chi-square is {total:.4} on {degrees} degrees of freedom");
-    let size = format!("{:.3} times the noise that is given as known", ratio.sqrt());
+    let numbers = format!("chi-square is {} on {degrees} degrees of freedom", number(total, 4));
+    let size = format!("{} times the noise that is given as known", number(ratio.sqrt(), 3));
     if ratio > FACTOR && deviations > DEVIATIONS {
         return Some(format!(
             "the residuals are {size} ({numbers}): the model does not explain the data to that accuracy, or the noise is \

@@ -3,6 +3,7 @@
 //! A model at fixed delays is solved, the base of its delays moved to the estimate, and so on until nothing is left.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::Estimation;
@@ -119,18 +120,8 @@ impl Estimation<'_> {
         if grids.len() == 1 || grids.len() == moved.len() {
             transcription.grid = grid.collect();
         }
-        Estimation {
-            model: slim,
-            experiments: moved,
-            transcription,
-            shots: self.shots.clone(),
-            solver: self.solver.clone(),
-            regression: self.regression,
-            noise: self.noise.clone(),
-            start,
-            warm: before.or(self.warm),
-            moved: true,
-        }
+        let earlier = before.map(|fit| Arc::new(fit.into())).or_else(|| self.earlier.clone());
+        Estimation { model: slim, experiments: moved, transcription, start, earlier, ..self.clone() }
     }
 
     /// Paths of states, one value a sample, at the samples of the moved records.

@@ -1,8 +1,10 @@
 //! The fit at a solution.
 
+use super::Transcription;
 use super::fit::{Bound, Estimate, Fit, Record};
 use super::judge::{
-    NOT_FEASIBLE, confounded, feasible, few_samples, judge, large_defects, total_defects, unlike_noise,
+    NOT_FEASIBLE, confounded, feasible, few_samples, judge, large_defects, residuals_unlike_noise,
+    total_defects,
 };
 use crate::diagnosis::{NoInformation, information};
 use crate::experiment::Experiment;
@@ -19,56 +21,20 @@ use crate::solver::{Solution, Status};
 const AT_BOUND: f64 = 1e-9;
 const NEAR_BOUND: f64 = 1e-6;
 
-/// Where a solver ended.
-#[derive(Clone, Debug)]
-pub struct End<'a> {
-    /// Variables.
-    pub xi: &'a [f64],
-    /// Multipliers of the constraints.
-    pub multipliers: &'a [f64],
-    /// How it ended.
-    pub status: Status,
-    /// What that means.
-    pub message: String,
-    /// Whether it kept away from bounds, as an interior-point method does.
-    pub interior: bool,
-    /// Scalings that no output can tell, of each of which a parameter was held.
-    pub scalings: &'a [Scaling],
-}
-
-/// What the end of a run is worth: estimates with standard errors, time histories, and what to beware of.
-#[derive(Clone, Debug)]
-pub struct Assessment {
-    /// As [`Fit::parameters`].
-    pub parameters: Vec<Estimate>,
-    /// As [`Fit::covariance`].
-    pub covariance: Vec<f64>,
-    /// Of the measurements; NaN where the states do not satisfy the equations.
-    pub log_likelihood: f64,
-    /// Whether the states satisfy the equations.
-    pub feasible: bool,
-    /// How the run ended, in the light of the information matrix.
-    pub status: Status,
-    /// What that means, and what to do.
-    pub message: String,
-    /// One an experiment.
-    pub records: Vec<Record>,
-    /// What to beware of.
-    pub warnings: Vec<String>,
-    /// Number of parameters of the model and initial states that were estimated.
-    pub unknowns: usize,
-}
-
-impl Assessment {
-    /// Assesses the end of a run, with standard errors where the limit leaves time for them.
-    pub fn new(
+impl Fit {
+    /// The fit at a solution, with standard errors where the limit leaves time for them. Of each of the scalings, which no
+    /// output can tell, a parameter was held.
+    pub(super) fn new(
         model: &Model,
         experiments: &[Experiment],
         problem: &dyn Transcribed,
-        end: &End<'_>,
-        limit: &Interrupt,
+        solution: Solution,
+        scalings: &[Scaling],
+        (transcription, limit): (Transcription, &Interrupt),
     ) -> Self {
-        Interrupt::shielded(|| assessed(model, experiments, problem, end, limit))
+        Interrupt::shielded(|| {
+            assessed(model, experiments, problem, solution, scalings, (transcription, limit))
+        })
     }
 }
 
@@ -76,11 +42,15 @@ fn assessed(
     model: &Model,
     experiments: &[Experiment],
     problem: &dyn Transcribed,
-    end: &End<'_>,
-    limit: &Interrupt,
-) -> Assessment {
-    let (xi, n_theta, n_x) = (end.xi, problem.layout().n_theta, problem.layout().n_x);
-    let bounds = active_bounds(problem, xi, end.interior);
+    solution: Solution,
+    scalings: &[Scaling],
+    (transcription, limit): (Transcription, &Interrupt),
+) -> Fit {
+    let interior =
+        solution.bound_multipliers.as_ref().is_some_and(|(l, u)| l.iter().chain(u).any(|z| *z != 0.0));
+    let xi = &solution.xi[..];
+    let (n_theta, n_x) = (problem.layout().n_theta, problem.layout().n_x);
+    let bounds = active_bounds(problem, xi, interior);
     let held: Vec<usize> = (0..n_theta).filter(|&i| bounds[i].is_some()).collect();
     let initial: Vec<usize> = problem.layout().first_point[..experiments.len()]
         .iter()
@@ -90,7 +60,7 @@ fn assessed(
     let free = wanted.len();
     wanted.extend(initial.iter().flat_map(|first| *first..first + n_x));
 
-    let (mut status, mut message) = (end.status, end.message.clone());
+    let (mut status, mut message) = (solution.status, solution.message.clone());
     let mut warnings = Vec::new();
     let n_model = problem.posed().n_model_parameters;
     let reported = problem.posed().noise_report(xi);
@@ -103,7 +73,7 @@ fn assessed(
         if limit.stops() {
             return Err(NoInformation::Stopped);
         }
-        limit.run(|| information(problem, xi, end.multipliers, &wanted, &held, &mut || true))
+        limit.run(|| information(problem, xi, &solution.multipliers, &wanted, &held, &mut || true))
     });
     match found {
         None => warnings.push(NOT_FEASIBLE.into()),
@@ -133,7 +103,7 @@ fn assessed(
         }
     }
     let names: Vec<&str> = problem.posed().parameters[..n_model].iter().map(|p| p.name.as_str()).collect();
-    for scaling in end.scalings {
+    for scaling in scalings {
         let scaled =
             |name: &str| scaling.exponents.iter().any(|e| e.0 == name.split('[').next().unwrap_or(name));
         for i in (0..n_model).filter(|&i| scaled(names[i])) {
@@ -146,9 +116,9 @@ fn assessed(
         }
         warnings.push(scaling.advice(model));
     }
-    if !end.scalings.is_empty() && status.is_end() {
+    if !scalings.is_empty() && status.is_end() {
         let said = if status == Status::Unidentifiable { &message } else { Status::Unidentifiable.hint() };
-        let each = end.scalings.iter().map(|s| {
+        let each = scalings.iter().map(|s| {
             let names: Vec<&str> = s.exponents.iter().map(|e| e.0.as_str()).collect();
             format!("{}: one scale is free", names.join(", "))
         });
@@ -161,6 +131,7 @@ fn assessed(
         unit: p.unit.clone(),
         value: problem.posed().estimands.value(i, xi),
         std_error: errors[i],
+        bounds: (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY)),
         bound: bounds[i],
     });
     let of_noise = reported.iter().enumerate().map(|(i, r)| {
@@ -172,6 +143,7 @@ fn assessed(
             unit: r.output.map_or_else(String::new, |c| model.outputs[c].unit.clone()),
             value: r.value,
             std_error: errors[n_model + i],
+            bounds: r.bounds,
             bound: r.bounded_by.and_then(of),
         }
     });
@@ -197,8 +169,14 @@ fn assessed(
         Ok(objective) if feasible => problem.posed().prior_terms(xi) - objective,
         _ => f64::NAN,
     };
-    Assessment {
-        records: (0..experiments.len()).map(record).collect(),
+    let records: Vec<Record> = (0..experiments.len()).map(record).collect();
+    if feasible && let Some(warning) = residuals_unlike_noise(&problem.posed().noise, &records, unknowns) {
+        warnings.insert(0, warning);
+    }
+    Fit {
+        model: model.clone(),
+        transcription,
+        records,
         covariance,
         log_likelihood,
         feasible,
@@ -207,6 +185,8 @@ fn assessed(
         warnings,
         unknowns,
         parameters,
+        iterations: solution.iterations,
+        solution,
     }
 }
 
@@ -230,47 +210,6 @@ fn no_errors(problem: &dyn Transcribed, xi: &[f64], why: NoInformation, limit: &
         (_, other) => other.to_string(),
     };
     format!("the standard errors could not be computed: {why}")
-}
-
-impl Fit {
-    /// The fit at a solution, with standard errors where the limit leaves time for them.
-    pub(super) fn new(
-        model: &Model,
-        experiments: &[Experiment],
-        problem: &dyn Transcribed,
-        solution: Solution,
-        scalings: &[Scaling],
-        limit: &Interrupt,
-    ) -> Self {
-        let end = End {
-            xi: &solution.xi,
-            multipliers: &solution.multipliers,
-            status: solution.status,
-            message: solution.message.clone(),
-            interior: false,
-            scalings,
-        };
-        let mut found = Assessment::new(model, experiments, problem, &end, limit);
-        let noise = &problem.posed().noise;
-        if found.feasible
-            && let Some(warning) = unlike_noise(noise, &found.records, found.unknowns)
-        {
-            found.warnings.insert(0, warning);
-        }
-        Fit {
-            model: model.clone(),
-            parameters: found.parameters,
-            covariance: found.covariance,
-            log_likelihood: found.log_likelihood,
-            status: found.status,
-            feasible: found.feasible,
-            message: found.message,
-            iterations: solution.iterations,
-            records: found.records,
-            warnings: found.warnings,
-            solution,
-        }
-    }
 }
 
 /// The covariance of the parameters as a user knows them, in place: that of the noise by the delta method.
@@ -332,7 +271,7 @@ fn record(
     let initial = |(i, s): (usize, &Variable)| {
         let at = layout.state(first) + i;
         let (name, unit) = (s.name.clone(), s.unit.clone());
-        Estimate { name, unit, value: xi[at], std_error: errors[at], bound: None }
+        Estimate { name, unit, value: xi[at], std_error: errors[at], bounds: s.bounds(), bound: None }
     };
     let (mesh_t, mesh_states) = problem.path(xi, e);
     Record {

@@ -1,31 +1,39 @@
 //! From a model and records to a fit: the problem put together, solved, and told in the user's names.
 
+mod earlier;
 mod fit;
 mod judge;
 mod late;
 mod make;
 mod measured;
+mod noise;
+mod outside;
 mod print;
+mod run;
 mod start;
+mod transcription;
 
+pub use earlier::{Earlier, Multipliers, Path};
 pub use fit::{Bound, Estimate, Fit, Record};
-pub use make::{Assessment, End};
+pub use judge::unlike_noise;
 pub use measured::Measured;
+pub use noise::resolved;
+pub use outside::{Beginning, Solver};
 pub use start::{Given, Start, point};
+pub use transcription::{Problem, Transcription};
 
-use std::time::Duration;
+use std::sync::Arc;
 
 use crate::collocation::{self, Collocation};
-use crate::error::{Error, did_you_mean};
+use crate::error::Error;
 use crate::experiment::Experiment;
-use crate::initial::{Initial, solve};
-use crate::interrupt::{Interrupt, current};
+use crate::interrupt::Interrupt;
 use crate::mesh::Grid;
-use crate::model::{Model, Scaling};
+use crate::model::Model;
 use crate::noise::{Density, Noise, NoiseModel, Scale};
 use crate::problem::Transcribed;
 use crate::shooting::{Shooting, Shots};
-use crate::solver::{Control, Iteration, Settings, Solution, Status};
+use crate::solver::Settings;
 
 /// The maximum-likelihood estimate of a model's parameters from records (Eq. ml_loglike), as it is put
 /// together: what is not said has a default.
@@ -66,12 +74,16 @@ pub struct Estimation<'a> {
     transcription: collocation::Settings,
     shots: Option<Shots>,
     solver: Settings,
+    own_solver: Option<&'a dyn Solver>,
     regression: Option<bool>,
+    paths: Option<bool>,
     noise: NoiseModel,
     start: Vec<(String, Start)>,
-    warm: Option<&'a Fit>,
-    /// Whether samples stand elsewhere than in the fit to start from, as a delay has moved.
-    moved: bool,
+    earlier: Option<Arc<Earlier>>,
+    /// What stops all work but that of standard errors of a run that was interrupted.
+    outside: Interrupt,
+    /// What stops that.
+    afterwards: Interrupt,
 }
 
 impl<'a> Estimation<'a> {
@@ -83,11 +95,14 @@ impl<'a> Estimation<'a> {
             transcription: collocation::Settings::default(),
             shots: None,
             solver: Settings::default(),
+            own_solver: None,
             regression: None,
+            paths: None,
             noise: model.noise.clone(),
             start: Vec::new(),
-            warm: None,
-            moved: false,
+            earlier: None,
+            outside: Interrupt::default(),
+            afterwards: Interrupt::default(),
         }
     }
 
@@ -173,8 +188,8 @@ impl<'a> Estimation<'a> {
 
     /// Starts where a fit ended, as far as it has the same names; [`Estimation::start`] goes before. A fit
     /// of the same problem gives its multipliers as well, so that a run is gone on with.
-    pub fn start_from(mut self, fit: &'a Fit) -> Self {
-        self.warm = Some(fit);
+    pub fn start_from(mut self, fit: impl Into<Earlier>) -> Self {
+        self.earlier = Some(Arc::new(fit.into()));
         self
     }
 
@@ -184,153 +199,31 @@ impl<'a> Estimation<'a> {
         self
     }
 
+    /// A solver of one's own. Of [`Estimation::solver`] it takes the number of iterations and the time.
+    pub fn own_solver(mut self, solver: &'a dyn Solver) -> Self {
+        self.own_solver = Some(solver);
+        self
+    }
+
+    /// Whether steps along paths that satisfy the equations go first: where states are neither measured nor given and
+    /// samples are few, unless said.
+    pub fn consistent_paths(mut self, paths: bool) -> Self {
+        self.paths = Some(paths);
+        self
+    }
+
+    /// What stops the standard errors of a run that was interrupted: an interrupt ends a run with the best point so far,
+    /// whose standard errors are computed all the same.
+    pub fn stop_errors(mut self, interrupt: Interrupt) -> Self {
+        self.afterwards = interrupt;
+        self
+    }
+
     /// Whether a regression on the states as they start goes before the first step: where all of them are
     /// measured or given, unless said.
     pub fn regression(mut self, regression: bool) -> Self {
         self.regression = Some(regression);
         self
-    }
-
-    /// Solves the problem. Not to converge is a status of the fit, no error.
-    ///
-    /// # Errors
-    /// For what cannot be right in the model, the data or an option, and for a model that is not finite
-    /// at the start.
-    pub fn solve(&self) -> Result<Fit, Error> {
-        self.solve_with(|_| Control::Continue)
-    }
-
-    /// As [`Estimation::solve`]; `watch` sees each iteration and may end the run.
-    ///
-    /// # Errors
-    /// As [`Estimation::solve`].
-    pub fn solve_with(&self, mut watch: impl FnMut(&Iteration) -> Control) -> Result<Fit, Error> {
-        self.solver.check()?;
-        // All passes share the time, and standard errors are computed if some is left.
-        Interrupt::within(self.solver.time_limit).run(|| {
-            if self.model.delays.is_empty() {
-                self.solve_now(&mut watch)
-            } else {
-                self.solve_late(&mut watch)
-            }
-        })
-    }
-
-    /// The estimate of a model in which nothing is late.
-    fn solve_now(&self, watch: &mut dyn FnMut(&Iteration) -> Control) -> Result<Fit, Error> {
-        self.model.check()?;
-        let scalings = self.model.scalings(&self.parameters()?)?;
-        if scalings.is_empty() {
-            return self.solve_scaled(&[], watch);
-        }
-        // A scale that no output can tell would let the solver drift without end.
-        let mut model = self.model.clone();
-        for p in &mut model.parameters {
-            if let Some(scaling) = scalings.iter().find(|s| s.held == p.name) {
-                (p.start, p.fixed) = (scaling.at, true);
-            }
-        }
-        let is_held = |name: &str| scalings.iter().any(|s| s.held == name.split('[').next().unwrap_or(name));
-        let start = self.start.iter().filter(|s| !is_held(&s.0)).cloned().collect();
-        let fit = Estimation { model: &model, start, ..self.clone() }.solve_scaled(&scalings, watch)?;
-        Ok(Fit { model: self.model.clone(), ..fit })
-    }
-
-    /// The same with these scalings held.
-    fn solve_scaled(
-        &self,
-        scalings: &[Scaling],
-        watch: &mut dyn FnMut(&Iteration) -> Control,
-    ) -> Result<Fit, Error> {
-        let (problem, xi): (Box<dyn Transcribed>, Vec<f64>) = match &self.shots {
-            None => self.transcribe().map(|(p, xi)| (Box::new(p) as _, xi))?,
-            Some(shots) => self.transcribe_shooting(shots).map(|(p, xi)| (Box::new(p) as _, xi))?,
-        };
-        let problem = &*problem;
-        let further = match self.warm {
-            Some(_) => Vec::new(),
-            None => self.given().elsewhere(problem, &xi, &self.parameters()?),
-        };
-        if !further.is_empty() && self.shots.is_some() {
-            // A path that follows the measurements is found by collocation; an integration from poor values is none.
-            let first = Estimation { shots: None, regression: None, ..self.clone() };
-            let first = first.solve_scaled(scalings, watch)?;
-            if first.status.is_end() {
-                let mut fit = Estimation { warm: Some(&first), start: Vec::new(), ..self.clone() }
-                    .solve_scaled(scalings, watch)?;
-                fit.iterations += first.iterations;
-                fit.solution.time += first.solution.time;
-                return Ok(fit);
-            }
-        }
-        let known = self
-            .regression
-            .unwrap_or_else(|| self.warm.is_none() && self.shots.is_none() && self.states_known());
-        let solution = if further.is_empty() {
-            self.solve_from(problem, &xi, known, watch)?
-        } else {
-            self.best_of(problem, &further, watch)?
-        };
-        Ok(Fit::new(self.model, self.experiments, problem, solution, scalings, &current()))
-    }
-
-    fn solve_from(
-        &self,
-        problem: &dyn Transcribed,
-        xi: &[f64],
-        regression: bool,
-        watch: &mut dyn FnMut(&Iteration) -> Control,
-    ) -> Result<Solution, Error> {
-        let multipliers = self.same(problem).map(|fit| &fit.solution.multipliers[..]);
-        let initial = if regression { Initial::Places } else { Initial::Start };
-        solve(problem, xi, multipliers, initial, &self.solver, watch).map_err(|_| {
-            let what = problem.explain(xi).map_or_else(
-                || "near the starting point, a derivative of the model is not finite".into(),
-                |what| format!("at the starting point, {what}"),
-            );
-            Error::Evaluation(format!(
-                "{what}; give other start values, or bounds that keep functions finite"
-            ))
-        })
-    }
-
-    /// The best of the solutions from several points: at an end if possible, and of the greatest likelihood. Where none of
-    /// them is at an end, a regression on the states as they start goes before each.
-    fn best_of(
-        &self,
-        problem: &dyn Transcribed,
-        starts: &[Vec<f64>],
-        watch: &mut dyn FnMut(&Iteration) -> Control,
-    ) -> Result<Solution, Error> {
-        let (mut best, mut iterations, mut time): (Option<Solution>, _, _) = (None, 0, Duration::ZERO);
-        let mut error = None;
-        for regression in [false, true] {
-            for xi in starts {
-                let found = match self.solve_from(problem, xi, regression, watch) {
-                    Ok(found) => found,
-                    Err(e) => {
-                        error = Some(e);
-                        continue;
-                    }
-                };
-                iterations += found.iterations;
-                time += found.time;
-                let (status, message) = (found.status, found.message.clone());
-                let rank = |s: &Solution| (!s.status.is_end(), s.objective);
-                if best.as_ref().is_none_or(|b| rank(&found) < rank(b)) {
-                    best = Some(found);
-                }
-                if let Some(best) = best.as_mut().filter(|_| status == Status::Interrupted) {
-                    (best.status, best.message) = (status, message);
-                    break;
-                }
-            }
-            if best.as_ref().is_some_and(|b| b.status.is_end() || b.status == Status::Interrupted) {
-                break;
-            }
-        }
-        let Some(best) = best else { return Err(error.expect("without a solution there was an error")) };
-        Ok(Solution { iterations, time, ..best })
     }
 
     /// The nonlinear program of collocation and the point to start from: for a solver of one's own.
@@ -342,7 +235,7 @@ impl<'a> Estimation<'a> {
         let noise_per_experiment = self.noise.per_experiment;
         let settings = collocation::Settings { noise_per_experiment, ..self.transcription.clone() };
         let problem = Collocation::new(self.model, self.experiments, noise, &settings)?;
-        let xi = self.first_point(&problem)?;
+        let xi = self.starting_point(&problem)?;
         Ok((problem, xi))
     }
 
@@ -355,7 +248,7 @@ impl<'a> Estimation<'a> {
         let noise_per_experiment = settings.noise_per_experiment || self.noise.per_experiment;
         let settings = Shots { noise_per_experiment, ..settings.clone() };
         let problem = Shooting::new(self.model, self.experiments, noise, &settings)?;
-        let xi = self.first_point(&problem)?;
+        let xi = self.starting_point(&problem)?;
         Ok((problem, xi))
     }
 
@@ -364,36 +257,13 @@ impl<'a> Estimation<'a> {
         let inputs = self.model.input_names();
         let outputs: Vec<&str> = self.model.outputs.iter().map(|o| o.name.as_str()).collect();
         Experiment::check_all(self.experiments, &inputs, &outputs)?;
-        self.check_names(&outputs)?;
-        self.noise.check()?;
         self.resolve_noise(&outputs)
     }
 
-    fn first_point(&self, problem: &dyn Transcribed) -> Result<Vec<f64>, Error> {
-        match self.same(problem) {
-            Some(fit) if !self.moved => Ok(fit.solution.xi.clone()),
-            _ => self.starting_point(problem),
-        }
-    }
-
-    fn check_names(&self, outputs: &[&str]) -> Result<(), Error> {
-        for name in self.noise.scales.iter().map(|n| &n.0).chain(self.noise.densities.iter().map(|d| &d.0)) {
-            if !outputs.contains(&name.as_str()) {
-                let hint = did_you_mean(name, outputs.iter().copied());
-                return Err(Error::Option(format!("noise: '{name}' is not an output.{hint}")));
-            }
-        }
-        self.given().check(self.experiments.iter().map(|e| e.name.as_str()), &self.names_of_noise(outputs))
-    }
-
-    /// The fit to go on from, where it is of this problem and nothing else is asked for.
-    fn same(&self, problem: &dyn Transcribed) -> Option<&'a Fit> {
-        let fit = self.warm.filter(|_| self.start.is_empty())?;
-        let sizes = (fit.solution.xi.len(), fit.solution.multipliers.len()) == (problem.n(), problem.m());
-        let of_model =
-            problem.posed().parameters[..problem.posed().n_model_parameters].iter().map(|p| p.name.clone());
-        let of_noise = || problem.posed().noise_report(&fit.solution.xi).into_iter().map(|r| r.name);
-        let names = sizes && of_model.chain(of_noise()).eq(fit.parameters.iter().map(|p| p.name.clone()));
-        (names && fit.model.states == self.model.states).then_some(fit)
+    /// The multipliers to go on from, where they are of a problem of this size and nothing else is asked for.
+    fn multipliers(&self, problem: &dyn Transcribed) -> Option<&Multipliers> {
+        let found = self.earlier.as_ref().filter(|_| self.start.is_empty())?.multipliers.as_ref()?;
+        let same = (found.n, found.constraints.len()) == (problem.n(), problem.m());
+        (same && found.shooting == self.shots.is_some()).then_some(found)
     }
 }

@@ -48,7 +48,7 @@ fn estimate_row(e: &Estimate) -> [String; 5] {
 }
 
 /// A number with so many significant digits.
-fn number(value: f64, digits: i32) -> String {
+pub(super) fn number(value: f64, digits: i32) -> String {
     let exponent = if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 };
     if value.is_finite() && (-4..6).contains(&exponent) {
         format!("{value:.*}", (digits - 1 - exponent).max(0) as usize)

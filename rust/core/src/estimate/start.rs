@@ -2,12 +2,12 @@
 //! measurements, states as measured.
 
 use super::Estimation;
-use super::fit::Fit;
+use super::earlier::Earlier;
 use crate::error::{Error, did_you_mean};
 use crate::experiment::Experiment;
 use crate::interpolate::{Interpolation, interpolate};
 use crate::model::{Model, Parameter, Variable};
-use crate::noise::{Channel, Covariance, Density, Dof, Joint, Noise, SIGMA, Scale, Sigma};
+use crate::noise::SIGMA;
 use crate::problem::Transcribed;
 
 /// A starting value. It is made from a number, from the path of a state in the only experiment, or from
@@ -38,8 +38,6 @@ impl From<Vec<Vec<f64>>> for Start {
     }
 }
 
-/// Standard deviations without bounds of their own lie within these factors of the spread.
-const RANGE: (f64, f64) = (1e-9, 1e6);
 /// A start may lie outside its bounds by this part of its size.
 const AT_BOUND: f64 = 1e-9;
 
@@ -54,7 +52,7 @@ pub struct Given<'a> {
     /// Of two of one name the later one holds.
     pub values: &'a [(String, Start)],
     /// The fit to go on from.
-    pub fit: Option<&'a Fit>,
+    pub earlier: Option<&'a Earlier>,
 }
 
 impl<'a> Given<'a> {
@@ -90,7 +88,7 @@ impl<'a> Given<'a> {
     }
 
     /// The start of a parameter that is declared to start at a value, with bounds.
-    fn value(&self, name: &str, declared: f64, bounds: (f64, f64)) -> Result<f64, Error> {
+    pub(super) fn value(&self, name: &str, declared: f64, bounds: (f64, f64)) -> Result<f64, Error> {
         let fail = |text: String| Err(Error::Model(format!("start: '{name}' {text}")));
         match self.of(name) {
             Some(Start::Paths(_)) => fail("is a parameter: give one number".into()),
@@ -103,7 +101,7 @@ impl<'a> Given<'a> {
             }
             Some(Start::Value(v)) => Ok(v.max(bounds.0).min(bounds.1)),
             None => {
-                let fitted = self.fit.and_then(|fit| fit.parameter(name)).map(|e| e.value);
+                let fitted = self.earlier.and_then(|fit| fit.value(name));
                 Ok(fitted.map_or(declared, |v| v.max(bounds.0).min(bounds.1)))
             }
         }
@@ -156,7 +154,7 @@ impl<'a> Given<'a> {
         let (t, name) = (&experiment.t, &experiment.name);
         let at_times = |t: &[f64], x: &[f64]| interpolate(Interpolation::Linear, t, x, times);
         let path = |(i, state): (usize, &Variable)| {
-            let fitted = self.fit.and_then(|fit| fit.path(index, &state.name));
+            let fitted = self.earlier.and_then(|fit| fit.path(index, &state.name));
             let path = match (self.of(&state.name), fitted, &measured[i]) {
                 (Some(Start::Value(v)), ..) if v.is_finite() => vec![*v; times.len()],
                 (Some(Start::Paths(paths)), ..)
@@ -232,146 +230,11 @@ fn is_finite(problem: &dyn Transcribed, xi: &[f64]) -> bool {
 
 impl Estimation<'_> {
     pub(super) fn given(&self) -> Given<'_> {
-        Given { model: self.model, values: &self.start, fit: self.warm }
-    }
-
-    fn value(&self, name: &str, declared: f64, bounds: (f64, f64)) -> Result<f64, Error> {
-        self.given().value(name, declared, bounds)
+        Given { model: self.model, values: &self.start, earlier: self.earlier.as_deref() }
     }
 
     pub(super) fn parameters(&self) -> Result<Vec<f64>, Error> {
         self.given().parameters(None)
-    }
-
-    /// What may be started of the noise beside its scales.
-    pub(super) fn names_of_noise(&self, outputs: &[&str]) -> Vec<String> {
-        if self.noise.joint == Joint::Unknown {
-            let pairs = (0..outputs.len()).flat_map(|a| (a + 1..outputs.len()).map(move |b| (a, b)));
-            return pairs.map(|(a, b)| format!("corr_{}_{}", outputs[a], outputs[b])).collect();
-        }
-        let own = |name: &&str| match self.noise.density_of(name) {
-            Density::StudentT(Dof::Unknown { .. }) => vec![format!("dof_{name}")],
-            Density::Custom(custom) => {
-                custom.parameters.iter().map(|p| format!("{}_{name}", p.name)).collect()
-            }
-            _ => Vec::new(),
-        };
-        outputs.iter().flat_map(own).collect()
-    }
-
-    /// The noise with starts and bounds.
-    pub(super) fn resolve_noise(&self, outputs: &[&str]) -> Result<Noise, Error> {
-        self.check_joint(outputs)?;
-        if let Joint::Known(matrix) = &self.noise.joint {
-            return Covariance::known(outputs.len(), matrix).map(Noise::Correlated);
-        }
-        let sigmas = self.resolve_sigmas(outputs)?;
-        if self.noise.joint == Joint::Unknown {
-            let n = outputs.len();
-            let mut correlation = vec![0.0; n * n];
-            for a in 0..n {
-                correlation[a * n + a] = 1.0;
-                for b in a + 1..n {
-                    let name = format!("corr_{}_{}", outputs[a], outputs[b]);
-                    let value = self.value(&name, 0.0, (-1.0, 1.0))?;
-                    (correlation[a * n + b], correlation[b * n + a]) = (value, value);
-                }
-            }
-            return Ok(Noise::Correlated(Covariance::unknown(sigmas).starting_at(&correlation)));
-        }
-        if self.noise.densities.is_empty() {
-            return Ok(Noise::Gaussian(sigmas));
-        }
-        let channel = |(name, sigma): (&&str, Sigma)| {
-            let mut density = self.noise.density_of(name);
-            match &mut density {
-                Density::StudentT(Dof::Unknown { start, lower, upper }) => {
-                    *start = self.value(&format!("dof_{name}"), *start, (*lower, *upper))?;
-                }
-                Density::Custom(custom) => {
-                    for p in &mut custom.parameters {
-                        let bounds = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
-                        p.start = self.value(&format!("{}_{name}", p.name), p.start, bounds)?;
-                    }
-                }
-                _ => {}
-            }
-            Ok(Channel { sigma, density })
-        };
-        outputs.iter().zip(sigmas).map(channel).collect::<Result<_, Error>>().map(Noise::Independent)
-    }
-
-    /// What is said of single outputs has no place where a covariance says all.
-    fn check_joint(&self, outputs: &[&str]) -> Result<(), Error> {
-        let fail = |text: String| Err(Error::Option(format!("noise: {text}")));
-        let said = |name: &&&str| self.noise.density_of(name) != Density::Gaussian;
-        match (&self.noise.joint, outputs.iter().find(said)) {
-            (Joint::Independent, _) => Ok(()),
-            (_, Some(output)) => {
-                fail(format!("correlated noise is Gaussian: leave out the density of '{output}'"))
-            }
-            (Joint::Known(_), None) => {
-                let scale = self.noise.scales.first().map(|s| format!("{SIGMA}{}", s.0));
-                let given = self.start.iter().find(|s| outputs.iter().any(|o| s.0 == format!("{SIGMA}{o}")));
-                match scale.or_else(|| given.map(|s| s.0.clone())) {
-                    Some(name) => {
-                        fail(format!("the covariance is known, and {name} with it: leave that out"))
-                    }
-                    None => Ok(()),
-                }
-            }
-            (Joint::Unknown, None) => Ok(()),
-        }
-    }
-
-    /// Scales with starts and bounds.
-    fn resolve_sigmas(&self, outputs: &[&str]) -> Result<Vec<Sigma>, Error> {
-        let one = |(c, name): (usize, &&str)| {
-            let said = self.noise.scale_of(name);
-            let sigma = format!("{SIGMA}{name}");
-            if let Some(Scale::Known(value)) = said {
-                return match self.given().of(&sigma) {
-                    Some(_) => Err(Error::Option(format!(
-                        "{sigma} is known ({value}) and cannot be given a start as well"
-                    ))),
-                    None => Ok(Sigma::Known(*value)),
-                };
-            }
-            if let Some(Scale::Expression(expr)) = said {
-                return match self.given().of(&sigma) {
-                    Some(_) => Err(Error::Option(format!(
-                        "{sigma} is given by an expression ({expr}) and cannot be given a start as well"
-                    ))),
-                    None => Ok(Sigma::Expression(expr.clone())),
-                };
-            }
-            let samples: Vec<&[f64]> = self.experiments.iter().map(|e| &e.outputs[c][..]).collect();
-            if !samples.is_empty() && !samples.iter().any(|z| moves(z)) {
-                return Err(Error::Data(format!(
-                    "output '{name}' is the same in all samples, so its standard deviation cannot be estimated; \
-                     take it out of the model, or give its standard deviation as known"
-                )));
-            }
-            let spread = spread(&samples);
-            let (mut start, mut lower, mut upper) = (spread, RANGE.0 * spread, RANGE.1 * spread);
-            let (s, bounds) = match said {
-                Some(Scale::Unknown { start, bounds }) => (*start, *bounds),
-                _ => (None, None),
-            };
-            match (bounds, self.given().of(&sigma)) {
-                (Some(said), _) => (lower, upper) = said,
-                (None, Some(Start::Value(v))) => (lower, upper) = (lower.min(*v), upper.max(*v)),
-                (None, _) => {
-                    (lower, upper) = (s.map_or(lower, |v| lower.min(v)), s.map_or(upper, |v| upper.max(v)))
-                }
-            }
-            start = s.unwrap_or_else(|| start.min(upper).max(lower));
-            start = self.value(&sigma, start, (lower, upper))?;
-            // No useful fit is worse than a constant. Beside others of its kind, an output with a start far
-            // above its spread would have no say in the first steps, and these can lead far away.
-            Ok(Sigma::Unknown { start: start.min(spread.max(lower)), lower, upper })
-        };
-        outputs.iter().enumerate().map(one).collect()
     }
 
     /// Whether all states are measured or given, so that a regression on them makes sense.
@@ -418,20 +281,4 @@ pub fn point(
         }
     }
     Ok(xi)
-}
-
-/// Whether the samples that are there differ by more than rounding.
-fn moves(z: &[f64]) -> bool {
-    let present = || z.iter().copied().filter(|v| !v.is_nan());
-    let (low, high) = present().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (v.min(l), v.max(h)));
-    high - low > 4.0 * f64::EPSILON * low.abs().max(high.abs())
-}
-
-/// Standard deviation of the measurements of an output over all experiments: the scale of its noise.
-fn spread(samples: &[&[f64]]) -> f64 {
-    let present = || samples.iter().copied().flatten().filter(|v| !v.is_nan());
-    let n = present().count() as f64;
-    let mean = present().sum::<f64>() / n;
-    let spread = (present().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
-    if spread > 0.0 { spread } else { 1.0 }
 }

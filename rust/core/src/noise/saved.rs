@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use serde::{Deserialize, Serialize};
 
 use super::{Custom, Density, Dof, Joint, NoiseModel, Scale};
+use crate::error::Error;
 use crate::expr::Expr;
 use crate::expr::pool::Pool;
 use crate::pairs::Pairs;
@@ -83,6 +84,18 @@ const LAPLACE: &str = "laplace";
 const CUSTOM: &str = "custom";
 const PER_OUTPUT: &str = "per output";
 const PER_EXPERIMENT: &str = "per experiment";
+
+impl NoiseModel {
+    /// Reads noise as it is saved with a model that has these outputs.
+    ///
+    /// # Errors
+    /// For what is no noise of theirs.
+    pub fn from_json(text: &str, outputs: &[&str]) -> Result<NoiseModel, Error> {
+        let saved: SavedNoise =
+            serde_json::from_str(text).map_err(|e| Error::Model(format!("noise: it cannot be read: {e}")))?;
+        saved.declared(outputs).map_err(Error::Model)
+    }
+}
 
 impl SavedNoise {
     /// The saved form; `None` for noise of which nothing is said.

@@ -190,6 +190,7 @@ impl<'a> Newton<'a> {
             message: ending.message(&self.program, &point),
             xi: point.xi,
             multipliers,
+            bound_multipliers: None,
             status,
             objective: point.objective,
             defect: point.worst,

@@ -18,6 +18,8 @@ pub struct Solution {
     pub xi: Vec<f64>,
     /// Multipliers of the constraints.
     pub multipliers: Vec<f64>,
+    /// Multipliers of lower and upper bounds, of a solver that keeps away from bounds, as an interior-point method does.
+    pub bound_multipliers: Option<(Vec<f64>, Vec<f64>)>,
     /// How it ended.
     pub status: Status,
     /// The status's hint, with names.
@@ -80,6 +82,7 @@ impl Solution {
         Solution {
             xi,
             multipliers: multipliers.map_or_else(|| vec![0.0; nlp.m()], <[f64]>::to_vec),
+            bound_multipliers: None,
             status,
             message: status.hint().to_owned(),
             objective: f64::NAN,

@@ -54,6 +54,16 @@ impl Covariance {
         Ok(Covariance { sigmas, correlation, known: true, order: (0..n).collect() })
     }
 
+    /// The matrix, in the order of the outputs, where it is known.
+    pub fn matrix(&self) -> Option<DMatrix<f64>> {
+        let sigma = |c: usize| match self.sigmas[c] {
+            Sigma::Known(value) => value,
+            _ => f64::NAN,
+        };
+        let n = self.sigmas.len();
+        self.known.then(|| DMatrix::from_fn(n, n, |a, b| sigma(a) * self.correlation[(a, b)] * sigma(b)))
+    }
+
     /// An unknown one: standard deviations with starts and bounds, correlations at 0 to start with. Bounds are
     /// those of a standard deviation given other outputs: what is left when their noise has said what it can.
     pub fn unknown(sigmas: Vec<Sigma>) -> Covariance {

@@ -128,7 +128,7 @@ def draw_residual(
         axis.axhspan(-2.0 * sigma, 2.0 * sigma, color=BAND, linewidth=0.0, label="±2σ")
     axis.axhline(0.0, color=INPUT, linewidth=0.5)
     many = record.n > 5000
-    t, shown = _seen(record.t, residual)
+    t, shown = _line_through(record.t, residual)
     axis.plot(t, shown, color=RESIDUAL, linewidth=0.6, label="residual", rasterized=many)
     # Symmetric about zero, so that a bias is seen at a glance.
     largest = float(np.nanmax(np.abs(residual))) if not np.isnan(residual).all() else 0.0
@@ -158,7 +158,7 @@ def _draw_limits(axis: Axes, record: Record, name: str, tolerance: Tolerance, li
     return max(limit, 1.08 * min(float(np.nanmax(widths)), _FAR * limit))
 
 
-def _seen(t: _Array, r: _Array) -> tuple[_Array, _Array]:
+def _line_through(t: _Array, r: _Array) -> tuple[_Array, _Array]:
     """Return times and residuals for a line: unchanged, unless many samples stand alone between missing ones."""
     there = np.isfinite(r)
     alone = there & ~np.append(there[1:], False) & ~np.insert(there[:-1], 0, False)

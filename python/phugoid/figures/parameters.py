@@ -225,14 +225,14 @@ def _chosen(fits: Sequence[Any], names: Sequence[str] | None) -> tuple[list[str]
     every = dict.fromkeys(name for fit in fits for name in fit.parameters)
     if names is None:
         noise = {name for fit in fits for name in getattr(fit, "noise_parameters", ())}
-        wanted = [name for name in every if name not in noise]
+        chosen = [name for name in every if name not in noise]
     else:
-        wanted = list(dict.fromkeys(names))
-        for name in wanted:
+        chosen = list(dict.fromkeys(names))
+        for name in chosen:
             if name not in every:
                 raise UnknownName(f"plot_parameters: there is no parameter '{name}'.{listing(name, every)}")
     known = {n for fit in fits for n, e in fit.parameters.items() if e.std_error > 0.0}
-    shown = [name for name in wanted if name in known]
+    shown = [name for name in chosen if name in known]
     if not shown:
         raise DataError("plot_parameters: no parameter has a standard error, so there is no interval to show")
-    return shown, [name for name in wanted if name not in known]
+    return shown, [name for name in chosen if name not in known]

@@ -188,7 +188,7 @@ class _Form:
                 b += m.parameters(**{f"b_{label}b_{u}": Parameter(b_start[i].imag)})[0] * u
         m.dynamics(**{f"x_{label}a": a, f"x_{label}b": b})
         for j, shown in enumerate(self.parts):
-            c = self._seen(j, label)
+            c = self._factor_name(j, label)
             ca, cb = m.parameters(**{f"{c}a": float(c_start[j].real), f"{c}b": float(-c_start[j].imag)})
             shown += [ca * xa, cb * xb]
 
@@ -200,7 +200,7 @@ class _Form:
             right += m.parameters(**{named: Parameter(self.start.b[k, i].real, fixed=self._held(k, i))})[0] * u
         m.dynamics(**{f"x_{label}": right})
         for j, shown in enumerate(self.parts):
-            shown.append(m.parameters(**{self._seen(j, label): float(self.start.c[k, j].real)})[0] * x)
+            shown.append(m.parameters(**{self._factor_name(j, label): float(self.start.c[k, j].real)})[0] * x)
 
     def _sigma(self, k: int, label: str) -> Expr:
         value = self.start.pole[k].real
@@ -211,6 +211,6 @@ class _Form:
     def _held(self, k: int, i: int) -> bool:
         return self.scale == "fixed" and i == self.start.held[k]
 
-    def _seen(self, j: int, label: str) -> str:
+    def _factor_name(self, j: int, label: str) -> str:
         """Return the name of the factor of the mode in output j."""
         return f"c_{self.outputs[j]}_{label}" if len(self.outputs) > 1 else f"c_{label}"

@@ -182,11 +182,11 @@ def reconstruct(
         begin.setdefault("V", float(np.nanmedian(np.concatenate([run.output("V") for run in ready]))))
     with deadline.in_force():
         fit = estimate(made, ready, start=begin, noise=noise)
-        placed = None if isinstance(model, Model) else _placed(fit, ready, begin, noise, options)
+        placed = None if isinstance(model, Model) else _with_vane_positions(fit, ready, begin, noise, options)
     return Reconstruction(fit, tuple(ready), placed)
 
 
-def _placed(
+def _with_vane_positions(
     fit: Fit, runs: Sequence[Experiment], start: Mapping[str, Any], noise: Any, options: Mapping[str, Any]
 ) -> VanePlaces | None:
     """Return the positions of the vanes that were not given, estimated in place of delays."""
@@ -221,7 +221,7 @@ def _unwrapped(run: Experiment, model: Model) -> Experiment:
         if there.any() and np.abs(np.diff(values[there])).max(initial=0.0) > _JUMP:
             whole = values.copy()
             whole[there] = np.unwrap(values[there])
-            run = _with(run, {n: whole}, f"{n} unwrapped")
+            run = _with_channels(run, {n: whole}, f"{n} unwrapped")
     return run
 
 
@@ -231,10 +231,10 @@ def _turning(run: Experiment, model: Model) -> Experiment:
     if not lacking:
         return run
     slopes = {n: SmoothingSpline().smooth(run.t, run.input(_TURNING[n]))[1] for n in lacking}
-    return _with(run, slopes, f"{', '.join(lacking)} from smoothing splines")
+    return _with_channels(run, slopes, f"{', '.join(lacking)} from smoothing splines")
 
 
-def _with(run: Experiment, channels: Mapping[str, Any], step: str) -> Experiment:
+def _with_channels(run: Experiment, channels: Mapping[str, Any], step: str) -> Experiment:
     """Return the record with channels added or replaced."""
     outputs = {n: v for n, v in run.outputs.items() if n not in channels}
     other = Experiment(

@@ -135,7 +135,7 @@ class Colouring:
                 spread += a.columns @ a.times(process).T
         # For the noise's own unknowns, on which these estimates hardly depend, the curvature suffices.
         middle = np.linalg.inv(t.inverse)
-        self.spread = _proper(0.5 * (spread + spread.T))
+        self.spread = _positive_semidefinite(0.5 * (spread + spread.T))
         middle[:k, :k] = self.spread + t.priors[:k, :k]
         middle[:k, k:] = middle[k:, :k] = 0.0
         self.covariance = t.inverse @ middle @ t.inverse
@@ -181,7 +181,7 @@ class Colouring:
         return total / count if count else 1.0
 
 
-def _proper(matrix: _Array) -> _Array:
+def _positive_semidefinite(matrix: _Array) -> _Array:
     """Return a symmetric matrix with its negative eigenvalues, which only an estimate has, set to 0."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
@@ -209,7 +209,10 @@ def _corrected(fit: FitResult) -> Coloured:
     with np.errstate(invalid="ignore"):
         errors = np.where(np.isfinite(plain), np.sqrt(np.diag(covariance)), np.nan)
     grid = [max(line, key=lambda g: g.size) for line in c.segments]
-    correlations = {n: _memory(p, g.size) for n, p, g in zip(fit.model.output_names, c.processes, grid, strict=True)}
+    correlations = {
+        n: _significant_autocorrelation(p, g.size)
+        for n, p, g in zip(fit.model.output_names, c.processes, grid, strict=True)
+    }
     steps = dict(zip(fit.model.output_names, (g.step for g in grid), strict=True))
     return Coloured(
         parameters=Estimates(
@@ -223,7 +226,7 @@ def _corrected(fit: FitResult) -> Coloured:
     )
 
 
-def _memory(process: Autoregression, most: int) -> _Array:
+def _significant_autocorrelation(process: Autoregression, most: int) -> _Array:
     """Return the autocorrelation up to the last lag where it is 0.01 or more."""
     c = process.autocorrelation(max(most, 1))
     return np.asarray(c[: int(np.flatnonzero(np.abs(c) >= 0.01)[-1]) + 2])

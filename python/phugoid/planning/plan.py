@@ -72,7 +72,7 @@ class Plan:
                  mean of their squares; "worst": the greatest relative error of a parameter. Small is good, infinite is
                  not determined.
     choice       what `optimal_plan` chose.
-    warnings     what to beware of, in words: a measured condition that the manoeuvre changes; that the search was
+    warnings     in words: a measured condition that the manoeuvre changes; that the search was
                  ended early.
     """
 

@@ -61,11 +61,11 @@ class Match:
     Where states do not satisfy the equations (`Record.feasible`), outputs are not those of the model: all numbers but
     ``samples`` are NaN then.
 
-    Over several records squares and products about a mean are taken about the mean of each record and then summed:
-    what differs from record to record makes no match look good, and offsets of opposite sign do not cancel.
+    Over several records, squares and products about a mean are taken about the mean of each record and then summed, so
+    that differences between records do not improve the match, and offsets of opposite sign do not cancel.
 
-    With process noise (`FilterError`) y is what is predicted from the samples before, and r the innovations: the most
-    probable path follows the measurements whatever the model is, and its residuals are not white for a right one.
+    With process noise (`FilterError`) y is the prediction from the preceding samples, and r the innovations: the most
+    probable path follows the measurements for any model, and its residuals are not white for a right one.
 
     output, unit  name and unit.
     samples       measured values.

@@ -87,10 +87,10 @@ class Fit(FitResult):
         """Return standard errors corrected for autocorrelated residuals: of parameters and initial states, by name; the
         covariance; and the ratios to the plain standard errors.
 
-        The Cramér-Rao bounds in ``parameters`` take residuals for white; where they are autocorrelated, as those of
+        The Cramér-Rao bounds in ``parameters`` assume white residuals; where residuals are autocorrelated, as those of
         flight records are, these bounds are optimistic (Maine & Iliff 1981; Morelli & Klein 1997). The noise of each
-        output is taken for an autoregressive process, also common to outputs, as `uncertainty.colour` says. A fit by
-        shooting, or one that was loaded from a file, is estimated again by collocation first.
+        output is modelled as an autoregressive process, with cross-correlations between outputs. A fit by shooting, or
+        one without its solution (from a file of version 1), is estimated again by collocation first.
 
         Raises OptionError for a fit by the filter-error method.
         """

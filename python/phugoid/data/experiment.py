@@ -198,9 +198,9 @@ class Experiment(Preprocessing):
     ) -> None:
         """Raise DataError unless a model with these inputs and outputs can be estimated from this record.
 
-        Every name must be there, inputs without gaps, outputs with at least one sample. An output that never
-        changes is refused, since its σ cannot be estimated, unless it is in ``known_sigma``. ``conditions``: those of
-        the inputs that errors call so.
+        Every name must be there, inputs without gaps, outputs with at least one sample. An output that never changes is
+        refused, since its σ cannot be estimated, unless it is in ``known_sigma``. ``conditions``: the inputs that
+        errors call conditions.
         """
         for name in model_inputs:
             role = "condition" if name in conditions else "input"
@@ -257,8 +257,8 @@ class Experiment(Preprocessing):
         parts are estimated together, each with first states of its own.
 
         gaps  True: an interval is a gap where it is longer than ten times those beside it (the twenty nearest, of which
-              two may be as long). What is irregular by nature, such as samples ever farther apart,
-              bursts, or outputs of several rates, has none. A number: an interval that is longer than so many s.
+              two may be as long). Sampling that is irregular by nature, such as increasing intervals, bursts, or
+              outputs of several rates, has no gaps. A number: an interval that is longer than so many s.
 
         Inputs with samples of their own count too, unless they are held between these: samples of the record within a
         gap of such an input belong to no part. Missing outputs (NaN) are no gaps. Without gaps the record itself is

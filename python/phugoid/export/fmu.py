@@ -46,8 +46,6 @@ def export_fmu(
     """Write a functional mock-up unit (FMI 2.0) for model exchange and co-simulation, with its C source; return the
     path.
 
-    Returns the path.
-
     Variables are inputs, parameters (tunable) and outputs by their names, states as ``state.<name>`` and their
     derivatives as ``der(state.<name>)``, with units; an output that is called like an input or a parameter is
     ``output.<name>``. Start values are those of the fit: its estimates, the first states and inputs of the experiment.

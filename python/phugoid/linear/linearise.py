@@ -312,11 +312,11 @@ def modes(
                     point is taken as it is: it does not move with the parameters.
     ``experiment``  whose parameters to take, where experiments have their own.
 
-    Of a fit with its own parameters there are standard errors, to first order (the delta method), from the covariance
-    of the parameters and d lambda = w' dA v / (w' v), with v and w the right and left eigenvectors. They are right too
-    where parameters trade off, if the modes do not depend on how: a scale between b and c, or a state space without
-    canonical form. Where the data leave a mode open, and where eigenvalues meet (they have no derivative there), they
-    are NaN. An eigenvalue that is real is taken to stay real.
+    A fit with its own parameters has standard errors, to first order (the delta method), from the covariance of the
+    parameters and d lambda = w' dA v / (w' v), with v and w the right and left eigenvectors. They also hold where
+    parameters are confounded, if the modes do not depend on the confounded direction: a scale between b and c, or a
+    state space without canonical form. They are NaN where the data do not determine a mode, and where eigenvalues
+    coincide (they have no derivative there). A real eigenvalue is assumed to stay real.
 
     Raises ModelError for names that are not there, values that are missing, and a model that is not linear without
     ``at``.

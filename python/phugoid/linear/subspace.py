@@ -62,23 +62,23 @@ def subspace(
     ``order``       number of states. None: where the singular values fall to the noise level (see ``suggested_order``);
                     look at ``singular_values``, which hold the canonical correlations.
     ``inputs``, ``outputs``  channels to use; all inputs and outputs of the first experiment unless given.
-    ``block_rows``  samples of past, and of future, that are compared. More tell near and lightly damped modes better
-                    apart, at the price of noise and of time, which grows with their square. None: two, three and four
-                    times the order (and at least 20) as far as the records are long enough; what simulates the
-                    outputs best is kept.
-    ``feedthrough`` whether inputs act on outputs at once: on all, or on those named.
+    ``block_rows``  samples of past, and of future, that are compared. More of them separate close and lightly damped
+                    modes better, at the price of noise and of time, which grows with their square. None: two, three and
+                    four times the order (and at least 20) as far as the records are long enough; the system that
+                    simulates the outputs best is kept.
+    ``feedthrough`` whether inputs act on outputs directly: on all, or on those named.
     ``offset``      a constant in each output of each experiment, such as a sensor's bias or the trim.
-    ``weighting``   ``"cva"`` (canonical variates), which asks how well a direction is predicted, so that units and
-                    sizes of outputs do not matter; or ``"moesp"``, which asks how much of the outputs it makes.
+    ``weighting``   ``"cva"`` (canonical variates) weights a direction by how well it is predicted, so that units and
+                    sizes of outputs do not matter; ``"moesp"`` weights it by its part of the outputs.
     ``stable``      reflects growing modes into decaying ones, exp(lambda T) -> 1 / conj exp(lambda T), before B is
                     found.
-    ``background``  of what is damped by more than 0.15 of critical, or lies near the Nyquist frequency, a record tells
-                    little but the sum. With True as many heavily damped pairs take its place, spread over the band of
-                    the other modes, one after the other where it simulates the output best: the start of a model of
-                    oscillators only. For one output.
-    ``prune``       leaves out, one after another, modes without which the sum of squares grows by less than what BIC
-                    allows for their parameters: noise that was taken for a mode. The order is then lower. For the start
-                    of an estimation, in which such modes, having no effect, would wander.
+    ``background``  a record determines little but the sum of the modes that are damped by more than 0.15 of critical,
+                    or lie near the Nyquist frequency. True replaces them by as many heavily damped pairs, spread over
+                    the band of the other modes, one after the other where it simulates the output best: the start of a
+                    model of oscillators only. For one output.
+    ``prune``       removes, one after another, modes without which the sum of squares grows by less than BIC allows for
+                    their parameters, since they fit noise. The order is then lower. For the start of an estimation, in
+                    which such modes would drift without any effect.
 
     In closed loop the estimate is biased, as noise then reaches the inputs.
 

@@ -88,12 +88,12 @@ def trim(
     derivatives, globalised by a trust region (`scipy.optimize.least_squares`).
 
     ``fit``, ``parameters``, ``experiment``  as in `linearise`.
-    ``at``       what is held: states, inputs (and time) by name, in their units. As many as there are inputs must be
+    ``at``       states, inputs (and time) that are held, by name, in their units. As many as there are inputs must be
                  held, or given as ``outputs``, so that there are as many unknowns as equations.
-    ``rates``    derivatives by state, per s, that are to have another value than 0, as in a steady climb or turn; None
-                 where any will do, as of a position.
-    ``outputs``  outputs that are to have a value: ``{"az": -9.81}``.
-    ``start``    where to begin; else the first sample of the fit's record, 0 without a fit.
+    ``rates``    derivatives by state, per s, that are not to be 0, as in a steady climb or turn; None where any value
+                 is allowed, as for a position.
+    ``outputs``  outputs with a given value: ``{"az": -9.81}``.
+    ``start``    start values; else the first sample of the fit's record, 0 without a fit.
     ``bounds``   (lower, upper) of unknowns.
 
     Raises ModelError for names that are not there and values that are missing; OptionError where unknowns and equations

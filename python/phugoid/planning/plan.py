@@ -66,14 +66,13 @@ class Plan:
     information  `Information` on the parameters that are estimated: matrix, covariance, correlation.
     excursions   manoeuvre -> channel (inputs, states, outputs) -> `Excursion`.
     records      the predictions of the model, one for each record.
-    sizes        (n,) in which criteria measure errors: the sizes of the values, unless given. NaN where neither is
-                 there.
+    sizes        (n,) in which criteria measure errors: the sizes of the values, unless given. NaN where there is
+                 neither.
     criteria     "D": geometric mean of relative errors along the axes of the confidence ellipsoid; "A": root of the
                  mean of their squares; "worst": the greatest relative error of a parameter. Small is good, infinite is
                  not determined.
     choice       what `optimal_plan` chose.
-    warnings     in words: a measured condition that the manoeuvre changes; that the search was
-                 ended early.
+    warnings     in words: a measured condition that the manoeuvre changes; an early end of the search.
     """
 
     name: str

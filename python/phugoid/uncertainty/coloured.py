@@ -101,8 +101,9 @@ class Colouring:
         P = M^-1 [sum_k sum_l S_k' R^-1 C(k - l) R^-1 S_l] M^-1,
 
     M the information, S sensitivities, C the autocovariance of the noise v (Morelli & Klein 1997, Eq. 21; *Aircraft
-    System Identification*, 2nd ed., Eq. 5.134). M is the exact one of the fit. In C stand the covariances of the
-    processes in `colour`, not sums of lagged products of residuals: those weighted by S add up to 0 at the optimum.
+    System Identification*, 2nd ed., Eq. 5.134). M is the exact one of the fit. C is made of the covariances of
+    autoregressive processes, not of sums of lagged products of residuals: those weighted by S add up to 0 at the
+    optimum.
 
     tangents   the space in which estimates scatter.
     processes  one an output: of scores, in units of the fit's noise.

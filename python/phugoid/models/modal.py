@@ -49,23 +49,23 @@ def modal(
 
     ``inputs``, ``outputs``  names of the channels, in one text or several; ``"u"`` and ``"y"``, or those of ``start``.
     ``start``        a numeric system with distinct eigenvalues, a `StateSpace` or (A, B, C[, D]): all parameters start
-                     where their values give its transfer function, and n_modes and n_real are counted.
+                     at the values that give its transfer function, and n_modes and n_real follow from it.
     ``frequencies_hz``  without ``start``: where the modes start, with a damping ratio of 0.02; else at 1, 2, ... Hz.
     ``feedthrough``  adds ``d`` (``d_<output>_<input>``) to all outputs, or to those named: an accelerometer on a
                      structure that a force acts on directly. None: where ``start`` has it.
-    ``scale``        b and c of a mode come as products only: b may double where c halves, and with several inputs the
-                     phase of a mode is free too. ``"fixed"`` holds b of one input at 1 (and 0 in the second equation),
-                     so that c_1a and c_1b are the residue itself, by which the mode shows in the outputs: nothing is
-                     redundant, and standard errors of all parameters exist. The input held is that which excites the
-                     mode most at ``start``, else the first; a mode that this input does not excite has no such form.
-                     ``"free"`` is the paper's: b is a parameter, the fit warns that b and c cannot be told apart and
-                     has no standard errors of theirs, and has the same of all that does not depend on the scale.
+    ``scale``        b and c of a mode enter as products only: b may double where c halves, and with several inputs the
+                     phase of a mode is free too. ``"fixed"`` fixes b of one input at 1 (and 0 in the second equation),
+                     so that c_1a and c_1b are the residue of the mode: nothing is redundant, and standard errors of all
+                     parameters exist. The fixed input is the one that excites the mode most at ``start``, else the
+                     first; a mode that this input does not excite has no such form. ``"free"`` is the form of the
+                     paper: b is a parameter, the fit warns that b and c cannot be told apart and has no standard errors
+                     of them, and agrees in all quantities that do not depend on the scale.
     ``bias``         adds ``bias_<output>``, a constant of each experiment.
-    ``stable``       bounds every sigma at 0, so that no mode grows; one of ``start`` that does is reflected. A mode
-                     that stands in for all that resonates above the band may end there, without damping, and then
-                     neither it nor its standard errors mean anything by themselves.
+    ``stable``       bounds every sigma at 0, so that no mode grows; a growing mode of ``start`` is reflected. A mode
+                     that represents all resonances above the band may end at the bound, without damping; neither it nor
+                     its standard errors have a meaning of their own then.
 
-    Two modes that swap give the same model, so starts must differ: equal ones would stay equal.
+    Two modes that are exchanged give the same model, so their starts must differ: equal ones would stay equal.
 
     Raises ModelError for a ``start`` that does not fit, OptionError for other options.
 

@@ -117,7 +117,7 @@ def match(
     samples.
 
     ``match(fit.records, "q")``; ``sigma`` and ``tolerance`` (in the output's unit, or a `Tolerance`) are passed on.
-    Raises UnknownName for an output that a record has no measurements of, OptionError for a tolerance that is none.
+    Raises UnknownName for an output that a record has no measurements of, OptionError for an invalid tolerance.
     """
     limit = None if tolerance is None else tolerance_of("match: the tolerance", tolerance)
     records = [records] if isinstance(records, Record) else records

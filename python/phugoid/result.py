@@ -213,7 +213,7 @@ class Fit(FitResult):
         With process noise (`FilterError`) they are about the most probable path, which follows the measurements, with
         the variance of the smoother and the uncertainty of the parameters. Innovations are white, ``coloured`` or not.
 
-        Raises OptionError, DataError or UnknownName for what is not there.
+        Raises OptionError, DataError or UnknownName for invalid arguments.
         """
         return prediction_bands(self, experiment, level=level, coloured=coloured, biases=biases, values=values)
 
@@ -443,7 +443,7 @@ class Improvement(ImprovementResult):
     fit      of the last model.
     steps    diagnoses, one after the other, each with what was ``added``, ``rejected`` and why,
              and the ``gain``.
-    added    names of all that was added, in order.
+    added    names of all added causes, in order.
     verdict  conclusion of the last diagnosis.
     """
 

@@ -279,7 +279,7 @@ def read(
     samples.
 
     Raises DataError with the line and the column for a cell that is no number, with the line for a row that
-    has too many or too few cells, with the names there are for a column that is not there, with the units for those
+    has too many or too few cells, with the names there are for an unknown column, with the units for those
     that are unknown or of different kinds, and with the path for a damaged file; MissingDependency, with the command
     that installs it, where a package is needed to read a file.
     """

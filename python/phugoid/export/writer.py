@@ -264,7 +264,7 @@ def export_c(
                      delays, and leave delays of sensors to the caller too.
 
     Raises ModelError for a model with delays otherwise, and where values are missing or each experiment has its own;
-    OptionError for a name that is none in C; DataError where the files cannot be written.
+    OptionError for a name that is invalid in C; DataError where the files cannot be written.
     """
     contents = contents_of("export_c", fit, parameters, experiment, late_inputs)
     code = source(contents, identifier(contents.model.name) if name is None else checked_name(name))

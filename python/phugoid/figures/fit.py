@@ -192,8 +192,8 @@ def plot_fit(
     tolerances  output -> greatest deviation in its unit, or a `Tolerance`: a band about the measurements, as flight
                 simulators are qualified with (14 CFR Part 60), and the part of the samples within.
 
-    Returns the figure and the axes by name. Raises UnknownName for a channel or a record that is not there, OptionError
-    for a tolerance that is none.
+    Returns the figure and the axes by name. Raises UnknownName for an unknown channel or record, OptionError
+    for an invalid tolerance.
     """
     chosen = choose_record(fit.records, record)
     limits = tolerances_by_output("plot", list(chosen.outputs), tolerances)

@@ -277,7 +277,7 @@ def frequency_response(
     frequencies and the names alone.
 
     Raises, of a record, OptionError for options that make no sense together, and DataError for gaps, uneven sampling, a
-    signal that does not repeat, or a record too short; of a model, ModelError for names that are not there, values that
+    signal that does not repeat, or a record too short; of a model, ModelError for unknown names, values that
     are missing, and a frequency that meets an undamped mode, EvaluationError where a derivative is not finite;
     DataError for a source of another kind.
 

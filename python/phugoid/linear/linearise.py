@@ -122,10 +122,10 @@ def linearise(
 
     ``parameters``  values by name of a model; of a fit instead of its own.
     ``at``          states, inputs and time at the point, by name: of a model that is not linear all that its
-                    derivatives depend on. That the point is an equilibrium is up to you: `trim` finds one.
+                    derivatives depend on. The point need not be an equilibrium; `trim` finds one.
     ``experiment``  whose parameters to take, where experiments have their own.
 
-    Raises ModelError for names that are not there, values that are missing, and models with delays, which no state
+    Raises ModelError for unknown names, values that are missing, and models with delays, which no state
     space holds; EvaluationError where a derivative is not finite.
     """
     model, values = numbers_of("linearise", fit, parameters, experiment)
@@ -318,7 +318,7 @@ def modes(
     state space without canonical form. They are NaN where the data do not determine a mode, and where eigenvalues
     coincide (they have no derivative there). A real eigenvalue is assumed to stay real.
 
-    Raises ModelError for names that are not there, values that are missing, and a model that is not linear without
+    Raises ModelError for unknown names, values that are missing, and a model that is not linear without
     ``at``.
 
     >>> m = Model("oscillator")

@@ -82,7 +82,7 @@ def subspace(
 
     In closed loop the estimate is biased, as noise then reaches the inputs.
 
-    Raises DataError for channels that are not there, uneven sampling, missing samples, and records that are too short;
+    Raises DataError for missing channels, uneven sampling, missing samples, and records that are too short;
     OptionError for an order, or other options, out of range.
     """
     records = Sampled.of(data, inputs, outputs)

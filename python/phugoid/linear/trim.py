@@ -96,7 +96,7 @@ def trim(
     ``start``    start values; else the first sample of the fit's record, 0 without a fit.
     ``bounds``   (lower, upper) of unknowns.
 
-    Raises ModelError for names that are not there and values that are missing; OptionError where unknowns and equations
+    Raises ModelError for unknown names and values that are missing; OptionError where unknowns and equations
     do not match in number, and where no trim was found, with what is left; EvaluationError where the model is not
     finite at the start.
 

@@ -402,7 +402,7 @@ class Model:
                     (``"q'"``) or an output (``"y:q"``).
         parameters  new ones that the terms hold, declared as by `Model.parameters`.
 
-        Raises ModelError for what is no equation, for a parameter that is there already, and for what is no expression.
+        Raises ModelError for an unknown equation, an existing parameter, and a term that is no expression.
 
         >>> import phugoid as ph
         >>> m = ph.Model("pendulum")

@@ -53,7 +53,7 @@ class FilterError:
 
     R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 5.
 
-    Raises OptionError for what cannot be right.
+    Raises OptionError for invalid arguments.
     """
 
     states: Sequence[str]

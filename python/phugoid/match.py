@@ -17,7 +17,7 @@ from .tolerance import Tolerance, tolerance_of
 __all__ = ["Match", "chi_square", "chi_square_warning", "match", "no_match", "r_squared"]
 
 _Array = NDArray[np.float64]
-_Piece = tuple[_Array, _Array, _Array]  # of one record where measured: times, measured, model
+_Piece = tuple[_Array, _Array, _Array]  # of one record at its measured samples: times, measured, model
 
 # Most lags of the Ljung-Box test, and the part of the samples that they may be.
 _LAGS, _SHARE = 20, 0.2
@@ -25,7 +25,7 @@ _LAGS, _SHARE = 20, 0.2
 
 # R² below zero by no more than this is a channel that contains noise alone.
 _NO_BETTER = -0.01
-# Where all R² are below this, next to nothing of the motion is explained.
+# Where all R² are below this, hardly any of the motion is explained.
 _POOR = 0.5
 
 

@@ -29,7 +29,7 @@ __all__ = ["export_fmu"]
 _WRAPPER = "fmi2.c"
 _STEP = 0.01  # s; of co-simulation where there is no record with a sampling interval
 _PARTS = 10  # of the shortest sampling interval
-# Nothing in the archive depends on when it was made.
+# The archive does not depend on the time of its creation.
 _LONG_AGO = (1980, 1, 1, 0, 0, 0)
 
 

@@ -139,7 +139,7 @@ def draw_residual(
         axis.set_ylim(-limit, limit)
     axis.locator_params(axis="y", nbins=3)
     axis.set_ylabel("resid.", fontsize=6.5)
-    # A common factor of the ticks belongs into the strip: above it, it would stand in the panel of the output.
+    # The common factor of the ticks is written inside the strip: above, it would be in the panel of the output.
     axis.yaxis.get_offset_text().set(va="top", ha="left", size="small")
 
 

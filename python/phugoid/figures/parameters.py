@@ -56,7 +56,7 @@ def plot_parameters(
     shown, without = _chosen(fits, names)
     rows = [_row(fits, name) for name in shown]
     limit = _limit(rows, len(fits))
-    # Of many parameters rows are lower, as long as their names can be read; then the figure grows beyond a page.
+    # With many parameters rows are lower, as far as their names can be read; then the figure grows beyond a page.
     row = min(_ROW + _MORE * (len(fits) - 1), max(_PAGE / len(shown), _LOWEST + 0.5 * _MORE * (len(fits) - 1)))
     letters = min(7.0, 72.0 * 0.85 * row)
     with rc_context(STYLE):

@@ -25,7 +25,7 @@ Method = Literal["etfe", "h1"]
 
 # A signal repeats with a lag at which its autocorrelation is at least this.
 _REPEATS = 0.95
-# Of times at which it repeats, the first within this of the best is the period; the others are its multiples.
+# The period is the first lag with an autocorrelation within this of the best; the others are its multiples.
 _AS_GOOD = 0.01
 
 

@@ -32,7 +32,7 @@ _GAIN, _ROUGH = 1e-7, 1e-3
 _BETTER, _PLACES = 0.5, 4
 # A search is stopped where a step gains less than this part of its distance from the known optimum.
 _REACH = 0.02
-# So near to a known optimum, in squared standard deviations of the outputs, a search is taken to lead there.
+# Distance from a known optimum, in squared standard deviations of the outputs, below which a search leads there.
 _BACK = 1.0
 # Directions that change the outputs by less than this part of the first one's effect are ignored.
 _NOTHING = 1e-10
@@ -280,8 +280,8 @@ class _Task:
         U, s, Vt = np.linalg.svd(J * point.blocks.sizes)
         if known is None:
             return _Linearised(J, q, U, s, Vt, np.inf)
-        # What is left of the known optimum's outputs and of its residuals, the linearised outputs taken out. Numbers
-        # that do nothing, such as the size of a column of C, point anywhere, and take nothing.
+        # The parts of the known optimum's outputs and residuals outside of the linearised outputs. Numbers
+        # without effect, such as the size of a column of C, have an arbitrary direction and are left out.
         paths, left = whole[:, count], whole[:, -1] - whole[:, count]
         there = U[:, s > _NOTHING * s[0]]
         outside = float(paths @ paths - np.sum((there.T @ paths[:count]) ** 2))

@@ -26,7 +26,7 @@ Weighting = Literal["cva", "moesp"]
 # Block rows that are tried where none are given, in multiples of the order, and at least so many; greatest order that
 # is suggested.
 _TIMES, _BLOCK_ROWS, _MOST = (2, 3, 4), 20, 40
-# A state that is gone after a sample is taken to keep this part of itself.
+# Least part of a state that remains after a sample, for the logarithm.
 _FASTEST = 0.01
 # Damping ratio below which, and part of the Nyquist frequency up to which, a mode is distinguished from a background.
 _LIGHT, _BELOW = 0.15, 0.75
@@ -221,7 +221,7 @@ def _continuous(A: _Array, C: _Array, rate: float, stable: bool) -> tuple[_Compl
     decay = np.log(np.maximum(size[lost], _FASTEST)) * rate
     c = parts.outputs[:, lost]
     for k in range(0, decay.size - 1, 2):
-        # No two alike.
+        # All eigenvalues must differ.
         values = np.append(values, decay[k : k + 2].mean() + 1j * np.pi * rate * (1.0 + 0.05 * k))
         seen = np.column_stack([seen, c[:, k] + 1j * c[:, k + 1]])
     if decay.size % 2:

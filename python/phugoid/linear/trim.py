@@ -193,7 +193,7 @@ class _TrimEquations:
                     x = least_squares(
                         self.residuals, x, self.jacobian, bounds, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac"
                     ).x
-            except (ValueError, np.linalg.LinAlgError):  # not finite on the way: judged where it stands
+            except (ValueError, np.linalg.LinAlgError):  # not finite on the way: the last point is judged
                 break
         x = self._refined(x, bounds)
         left = np.abs(self.residuals(x))

@@ -126,7 +126,7 @@ class _Start:
         self.held = [int(np.argmax(np.abs(b))) for b in self.b]
         for k, b in enumerate(self.b):
             by = b[self.held[k]]
-            if by == 0.0:  # no input moves it, so that it does not show
+            if by == 0.0:  # no input excites it, so that no output shows it
                 self.b[k, self.held[k]] = by = 1.0
                 self.c[k] = 0.0
             factor = 1.0 / by

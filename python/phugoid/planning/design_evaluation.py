@@ -254,7 +254,7 @@ def values_of(
     """Return values for all parameters; those that each experiment has its own of also as name[experiment]."""
     found = {n: p.start for n, p in model.declared_parameters.items()}
     if fit is not None:
-        # Of parameters of single experiments, those of the first record.
+        # Parameters of single experiments have the values of the first record.
         own = {n: f"{n}[{fit.records[0].name}]" for n in found}
         found |= {n: fit.parameters[k].value for n in found for k in (own[n], n) if k in fit.parameters}
     local = {n for n, p in model.declared_parameters.items() if p.per_experiment}

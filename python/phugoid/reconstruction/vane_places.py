@@ -18,7 +18,7 @@ __all__ = ["VanePlaces", "compare_places"]
 
 _Array = NDArray[np.float64]
 
-# Parts of each record whose gains are taken for independent: residuals are coloured.
+# Parts of each record whose gains are treated as independent, since residuals are coloured.
 _BLOCKS = 10
 # Standard deviations from which on a gain is significant.
 _CLEAR = 2.0

@@ -169,7 +169,7 @@ class Ipopt:
             "linear_solver": "mumps",
             # METIS: three times faster on these long and narrow problems than the default ordering.
             "mumps_pivot_order": 5,
-            # The only inequalities are bounds far away: nothing is won by adapting the barrier.
+            # The only inequalities are distant bounds: adapting the barrier gains nothing.
             "mu_strategy": "monotone",
             # Ipopt widens bounds a little; its result is to lie within the user's.
             "honor_original_bounds": "yes",

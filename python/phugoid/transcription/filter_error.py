@@ -18,7 +18,7 @@ __all__ = ["FEWEST", "FilterError"]
 
 # Runge-Kutta steps between samples, and terms of the noise there, to begin with.
 FEWEST = (1, 2)
-# How many pairs of these there are to choose from.
+# Number of pairs of these to choose from.
 _MESHES = 4
 
 

@@ -116,7 +116,7 @@ class Colouring:
         self.tangents = t = tangents
         linear, scores, k = t.linear, t.scores, t.k
         self.segments = output_segments(linear.times, linear.rows)
-        # Where experiments have noise of their own, one process is that of all, each in its own size.
+        # Where experiments have their own noise, all share one process, each with its own size.
         self.sizes = np.ones(linear.n_rows)
         if scores.own:
             for line in linear.rows:

@@ -125,7 +125,7 @@ def _text(path: Path) -> str:
 def _splitter(file: str, delimiter: str | None, sample: str) -> Any:
     """Return a function that splits a line into stripped fields."""
     if delimiter is None:
-        # A tab may be mere alignment among blanks: it delimits only where no field has a blank inside.
+        # A tab may only align columns between blanks: it delimits only where no field contains a blank.
         tabs = "\t" in sample and not any(" " in cell.strip() for cell in sample.split("\t"))
         delimiter = "\t" if tabs else ";" if ";" in sample else "," if "," in sample else None
     elif not delimiter.strip(" "):

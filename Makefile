@@ -51,6 +51,7 @@ docs: $(VENV)/.package
 
 lint: $(VENV)/.package $(VENV)/.lint
 	$(py) tools/check_layers.py
+	$(py) tools/check_words.py
 	$(CARGO) fmt --all --check
 	$(activate) $(CARGO) clippy --workspace --all-targets -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps -p phugoid

@@ -23,7 +23,7 @@ _R = TypeVar("_R")
 _F = TypeVar("_F")
 
 
-def _giving(facade: Callable[[_R], _F], name: str, function: Callable[_P, _R]) -> Callable[_P, _F]:
+def _with_facade(facade: Callable[[_R], _F], name: str, function: Callable[_P, _R]) -> Callable[_P, _F]:
     """Return a function with the signature and the docstring of another, whose results ``facade`` gives methods."""
 
     @wraps(function, assigned=("__name__", "__qualname__", "__doc__"))
@@ -34,9 +34,9 @@ def _giving(facade: Callable[[_R], _F], name: str, function: Callable[_P, _R]) -
     return public
 
 
-estimate = _giving(Fit._of, "Fit", _estimate)
-diagnose = _giving(Diagnosis._of, "Diagnosis", _diagnose)
-improve = _giving(Improvement._of, "Improvement", _improve)
+estimate = _with_facade(Fit._of, "Fit", _estimate)
+diagnose = _with_facade(Diagnosis._of, "Diagnosis", _diagnose)
+improve = _with_facade(Improvement._of, "Improvement", _improve)
 
 
 def load(path: str | os.PathLike[str]) -> Any:

@@ -38,7 +38,7 @@ class FitResult:
     log_likelihood  of the measurements (Eq. ellz_defn), without the constant -N n_y/2 ln 2 pi, whatever the noise.
     records         one an experiment: measured, outputs, residuals, states.
     status          "converged", or what else happened; ``message`` says what to do.
-    warnings        what to beware of in the result, in words.
+    warnings        in words.
     covariance      (n, n) of the parameters in their order; NaN where there is none.
     refinement      what ``Collocation(refine=True)`` did.
     smoothing       how kinks of the state equations were smoothed, where they had to be; None otherwise.

@@ -10,7 +10,7 @@ from typing import Any
 
 __all__ = ["interrupts"]
 
-# So many are counted; one more raises KeyboardInterrupt, for a user who needs no result at all.
+# Number of presses that are counted; one more raises KeyboardInterrupt, for a user who needs no result at all.
 _COUNTED = 2
 
 

@@ -18,7 +18,7 @@ from .tolerance import Tolerance, tolerance_of
 __all__ = ["Match", "chi_square", "chi_square_warning", "match", "no_match", "r_squared"]
 
 _Array = NDArray[np.float64]
-_Piece = tuple[_Array, _Array, _Array]  # of one record where measured: times, measured, model
+_Piece = tuple[_Array, _Array, _Array]  # of one record at its measured samples: times, measured, model
 
 # Most lags of the Ljung-Box test, and the part of the samples that they may be.
 _LAGS, _SHARE = 20, 0.2
@@ -26,7 +26,7 @@ _LAGS, _SHARE = 20, 0.2
 
 # R² below zero by no more than this is a channel that contains noise alone.
 _NO_BETTER = -0.01
-# Where all R² are below this, next to nothing of the motion is explained.
+# Where all R² are below this, hardly any of the motion is explained.
 _POOR = 0.5
 
 
@@ -62,11 +62,11 @@ class Match:
     Where states do not satisfy the equations (`Record.feasible`), outputs are not those of the model: all numbers but
     ``samples`` are NaN then.
 
-    Over several records squares and products about a mean are taken about the mean of each record and then summed:
-    what differs from record to record makes no match look good, and offsets of opposite sign do not cancel.
+    Over several records, squares and products about a mean are taken about the mean of each record and then summed, so
+    that differences between records do not improve the match, and offsets of opposite sign do not cancel.
 
-    With process noise (`FilterError`) y is what is predicted from the samples before, and r the innovations: the most
-    probable path follows the measurements whatever the model is, and its residuals are not white for a right one.
+    With process noise (`FilterError`) y is the prediction from the preceding samples, and r the innovations: the most
+    probable path follows the measurements for any model, and its residuals are not white for a right one.
 
     output, unit  name and unit.
     samples       measured values.
@@ -118,7 +118,7 @@ def match(
     samples.
 
     ``match(fit.records, "q")``; ``sigma`` and ``tolerance`` (in the output's unit, or a `Tolerance`) are passed on.
-    Raises UnknownName for an output that a record has no measurements of, OptionError for a tolerance that is none.
+    Raises UnknownName for an output that a record has no measurements of, OptionError for an invalid tolerance.
     """
     limit = None if tolerance is None else tolerance_of("match: the tolerance", tolerance)
     records = [records] if isinstance(records, Record) else records

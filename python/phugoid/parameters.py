@@ -38,7 +38,7 @@ _INF = math.inf
 class Parameter:
     """An unknown constant of the model, as declared.
 
-    start    where the search begins (in the parameter's unit); the value itself where ``fixed``.
+    start    start value of the iterations (in the parameter's unit); the value itself where ``fixed``.
     bounds   ``(lower, upper)``; ``-inf`` and ``inf`` stand for no bound.
     unit     for labels and tables only; nothing is converted.
     prior    ``(mean, std)`` of a Gaussian prior, or None.
@@ -46,7 +46,7 @@ class Parameter:
     per_experiment  True gives each experiment a value of its own, called ``name[experiment]`` in the fit: biases, wind.
     transform       "log" lets the solver search in the logarithm, for positive parameters that may be wrong by
                     orders of magnitude; value, bounds, prior and standard error stay those of the parameter.
-    scale           a typical size, in whose units the solver searches. `Newton` needs none.
+    scale           a typical size, which the solver uses as unit. `Newton` needs none.
 
     Raises ModelError where a value is not a number, the bounds are reversed or equal, ``start`` lies outside
     them, or the prior's standard deviation is not positive.

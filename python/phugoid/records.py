@@ -34,7 +34,7 @@ class Record:
     name         the experiment's name.
     t            (N,) time of the samples, s.
     inputs       name -> (N,).
-    outputs      name -> (N,): what the model says.
+    outputs      name -> (N,): the outputs of the model.
     states       name -> (N,): the states at the sample times.
     measured     name -> (N,), NaN where missing; empty for a plain simulation.
     residuals    name -> (N,): measured - outputs, NaN where missing.
@@ -43,14 +43,15 @@ class Record:
     units        name -> unit, for every kind of channel.
     interpolation  of the inputs between samples, as `Experiment.interpolation` has it.
     input_samples  name -> times (s) and values of the inputs that have samples of their own, such as finer ones.
-    feasible     whether the states satisfy the equations; where they do not, as a run may end, `match` gives NaN.
+    feasible     whether the states satisfy the equations; where they do not, after a run that ended early, `match`
+                 gives NaN.
 
     With process noise (`FilterError`) ``states`` and ``outputs`` are those of the most probable path, and there are:
 
     state_std       name -> (N,): standard deviation of each state given all data, for parameters known.
-    innovations     name -> (N,): measured minus what is predicted from the samples before; white where the model is
+    innovations     name -> (N,): measured minus the prediction from the preceding samples; white where the model is
                     right, as residuals of a smoothed path are not. NaN where missing.
-    innovation_std  name -> (N,): what their standard deviations should be.
+    innovation_std  name -> (N,): their expected standard deviations.
     predicted_states  name -> (N,): the states predicted from the samples before. The innovations of a right model are
                     independent of these; of ``states``, which all samples determine, they are not.
     """

@@ -19,7 +19,7 @@ _SAME = 0.999
 # noise of their own.
 _OWN = 0.2
 _FEWEST = 10  # samples that both have
-_EXACT = 1e-9  # of an output's spread: a residual below it is rounding
+_EXACT = 1e-9  # part of an output's spread: smaller residuals are rounding errors
 
 
 def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[str]:

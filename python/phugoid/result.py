@@ -87,10 +87,10 @@ class Fit(FitResult):
         """Return standard errors corrected for autocorrelated residuals: of parameters and initial states, by name; the
         covariance; and the ratios to the plain standard errors.
 
-        The Cramér-Rao bounds in ``parameters`` take residuals for white; where they are autocorrelated, as those of
+        The Cramér-Rao bounds in ``parameters`` assume white residuals; where residuals are autocorrelated, as those of
         flight records are, these bounds are optimistic (Maine & Iliff 1981; Morelli & Klein 1997). The noise of each
-        output is taken for an autoregressive process, also common to outputs, as `uncertainty.colour` says. A fit by
-        shooting, or one that was loaded from a file, is estimated again by collocation first.
+        output is modelled as an autoregressive process, with cross-correlations between outputs. A fit by shooting, or
+        one without its solution (from a file of version 1), is estimated again by collocation first.
 
         Raises OptionError for a fit by the filter-error method.
         """
@@ -145,13 +145,13 @@ class Fit(FitResult):
         that is no parabola, where standard errors do not.
 
         ``names``: of parameters of the model (``"b[run1]"`` of one experiment's own); None: all that are free.
-        ``coloured``: the drop is made larger by what `coloured` finds, as for a composite likelihood (Chandler & Bate
+        ``coloured``: the drop is enlarged by the factors of `robust`, as for a composite likelihood (Chandler & Bate
         2007); without it, intervals take residuals for white.
         ``executor``, ``progress``: as of `multistart`; a task is one side of a parameter.
         ``time_limit``: in seconds, of the whole.
 
-        An interval ends at a bound where the likelihood is still high there, and is infinite where it stays high
-        however far one goes: ``.ends`` says so. Ctrl-C, and the time limit, keep the sides that are done.
+        An interval ends at a bound where the likelihood is still high there, and is infinite where it stays high at any
+        distance: ``.ends`` reports it. Ctrl-C, and the time limit, keep the sides that are done.
 
         With process noise (`FilterError`) the likelihood is the marginal one, with the intensities re-estimated too.
 
@@ -185,8 +185,8 @@ class Fit(FitResult):
 
         With process noise (`FilterError`) "parametric" is the only kind: it draws process noise too, so other motions.
 
-        Raises OptionError for options that cannot be right, a fit that has not converged, and a vehicle that other
-        process noise would carry far away with the inputs as recorded, such as an unstable one with its controller.
+        Raises OptionError for invalid options, a fit that has not converged, and a vehicle that other process noise
+        would carry far away with the recorded inputs, such as an unstable one with its controller.
         """
         return bootstrap(
             self, n, kind, block=block, seed=seed, executor=executor, progress=progress, time_limit=time_limit
@@ -210,10 +210,10 @@ class Fit(FitResult):
         ``coloured``: errors for coloured residuals, or else for white ones. Each band holds at each sample by itself.
         ``.plot()`` draws them.
 
-        With process noise (`FilterError`) they are about the most probable path, which follows the measurements: what
-        the smoother leaves open, and the uncertainty of the parameters. Innovations are white, ``coloured`` or not.
+        With process noise (`FilterError`) they are about the most probable path, which follows the measurements, with
+        the variance of the smoother and the uncertainty of the parameters. Innovations are white, ``coloured`` or not.
 
-        Raises OptionError, DataError or UnknownName for what is not there.
+        Raises OptionError, DataError or UnknownName for invalid arguments.
         """
         return prediction_bands(self, experiment, level=level, coloured=coloured, biases=biases, values=values)
 
@@ -281,16 +281,16 @@ class Fit(FitResult):
         enter outputs only, each as a term with a constant coefficient, as a sensor's bias does; those declared fixed
         stay. Names of parameters of any kind: these; () for none. A parameter with ``per_experiment`` has one value an
         experiment here too, any other one for all.
-        ``values``: name -> value of parameters to hold elsewhere than at the fit. A parameter with ``per_experiment``
+        ``values``: name -> value of parameters to fix elsewhere than at the fit. A parameter with ``per_experiment``
         that is no bias needs one, or must be named in ``biases``.
         ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance` where it grows with what is measured,
         in the style of flight-simulator qualification (14 CFR Part 60): the part of the samples within is reported, and
         the bands are drawn.
         ``time_limit``: in seconds; the result is then the best point so far, which ``status`` and a warning say.
 
-        Raises ModelError, DataError or OptionError for what cannot be right: unknown names, an experiment without the
-        model's channels or with fewer samples than unknowns. An experiment that the fit was
-        made on, and a fit that has not converged, are among the ``warnings`` of the result.
+        Raises ModelError, DataError or OptionError for invalid arguments: unknown names, an experiment without the
+        model's channels or with fewer samples than unknowns. An experiment that the fit was made on, and a fit that has
+        not converged, are among the ``warnings`` of the result.
         """
         return validate(self, other, biases=biases, values=values, tolerances=tolerances, time_limit=time_limit)
 
@@ -443,7 +443,7 @@ class Improvement(ImprovementResult):
     fit      of the last model.
     steps    diagnoses, one after the other, each with what was ``added``, ``rejected`` and why,
              and the ``gain``.
-    added    names of all that was added, in order.
+    added    names of all added causes, in order.
     verdict  conclusion of the last diagnosis.
     """
 

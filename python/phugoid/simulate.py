@@ -123,7 +123,7 @@ def _values(model: Model, parameters: Mapping[str, Any] | FitResult, experiment:
         known = name in model.parameter_names or of_one or name in noise
         if not known and not str(name).startswith(_NOISE):
             raise ModelError(f"simulate: '{name}' is no parameter.{did_you_mean(name, model.parameter_names)}")
-    # Of a parameter of single experiments the value of this one, before one for all.
+    # For a parameter of single experiments, the value of this one precedes one for all.
     found = {name: f"{name}[{experiment}]" for name in local if f"{name}[{experiment}]" in given}
     missing = [name for name in model.parameter_names if name not in given and name not in found]
     if missing:

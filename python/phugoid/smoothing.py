@@ -34,8 +34,8 @@ class Smoothing:
 
     widths  "sign(v) in v'" -> (the width in the last pass, its unit, "" where that is not known).
     steps   the passes, the last the one that the fit holds.
-    left    parameter -> (by how much it would change with widths of zero, standard error). The change is extrapolated
-            from the last two passes, in proportion to the width; NaN after a single pass.
+    left    parameter -> (change with widths of zero, standard error). The change is extrapolated from the last two
+            passes, in proportion to the width; NaN after a single pass.
     """
 
     widths: Mapping[str, tuple[float, str]]

@@ -94,7 +94,7 @@ def record_dataset(record: Any, apart: Collection[str] = ()) -> xarray.Dataset:
             own = record.input_samples.get(name) if group == "inputs" else None
             own = (record.t, values) if own is None and group == "inputs" and name in apart else own
             attributes = {"units": record.units.get(name, ""), "channel": name, "group": group}
-            data = _with(data, f"{prefix}_{name}", name, values, own, attributes)
+            data = _with_variable(data, f"{prefix}_{name}", name, values, own, attributes)
     data.attrs = {"experiment": record.name, "interpolation": _kinds(record)}
     return data
 
@@ -102,7 +102,7 @@ def record_dataset(record: Any, apart: Collection[str] = ()) -> xarray.Dataset:
 def experiment_frame(e: Any) -> pandas.DataFrame:
     """Return an `Experiment` as a table. See `Experiment.to_pandas`."""
     pd = _package("pandas", "to_pandas")
-    frame = _joined(pd, e.t, {name: values for name, _, values in _channels(e)}, _own(e))
+    frame = _joined(pd, e.t, {name: values for name, _, values in _channels(e)}, _own_samples(e))
     frame.attrs = {"name": e.name, "units": dict(e.units), "interpolation": _kinds(e), "history": list(e.history)}
     return frame
 
@@ -111,10 +111,10 @@ def experiment_dataset(e: Any) -> xarray.Dataset:
     """Return an `Experiment` as a dataset. See `Experiment.to_xarray`."""
     xr = _package("xarray", "to_xarray")
     data: xarray.Dataset = xr.Dataset(coords={"time": ("time", e.t, {"units": "s"})})
-    samples = _own(e)
+    samples = _own_samples(e)
     for name, role, values in _channels(e):
         attributes = {"units": e.units.get(name, ""), "role": role}
-        data = _with(data, name, name, values, samples.get(name), attributes)
+        data = _with_variable(data, name, name, values, samples.get(name), attributes)
     data.attrs = {"experiment": e.name, "interpolation": _kinds(e), "history": "\n".join(e.history)}
     return data
 
@@ -169,7 +169,7 @@ def _channels(e: Any) -> list[tuple[str, str, _Array]]:
     return [(name, role, values) for name, (role, values) in found.items()]
 
 
-def _own(e: Any) -> dict[str, tuple[_Array, _Array]]:
+def _own_samples(e: Any) -> dict[str, tuple[_Array, _Array]]:
     """Return times and samples of the columns that have their own; no output has."""
     found: dict[str, tuple[_Array, _Array]] = e.own_samples([n for n, role, _ in _channels(e) if role != "output"])
     return found
@@ -177,7 +177,7 @@ def _own(e: Any) -> dict[str, tuple[_Array, _Array]]:
 
 def _joined(pd: Any, t: _Array, columns: Mapping[Any, _Array], samples: Mapping[Any, tuple[_Array, _Array]]) -> Any:
     """Return columns, each at its own times, in one table."""
-    near = {key: (_snapped(own, t), there) for key, (own, there) in samples.items()}
+    near = {key: (_aligned(own, t), there) for key, (own, there) in samples.items()}
     times = np.unique(np.concatenate([t, *(own for own, _ in near.values())]))
     table = {}
     for key, values in columns.items():
@@ -188,7 +188,7 @@ def _joined(pd: Any, t: _Array, columns: Mapping[Any, _Array], samples: Mapping[
     return pd.concat([frame, pd.DataFrame(table, index=frame.index)], axis=1) if table else frame
 
 
-def _snapped(own: _Array, t: _Array) -> _Array:
+def _aligned(own: _Array, t: _Array) -> _Array:
     """Return times, replaced by those of ``t`` where they differ by rounding only: 3 * 0.2 is not 6 * 0.1."""
     after = np.clip(np.searchsorted(t, own), 1, t.size - 1)
     nearest = np.where(own - t[after - 1] < t[after] - own, t[after - 1], t[after])
@@ -196,7 +196,7 @@ def _snapped(own: _Array, t: _Array) -> _Array:
     return np.asarray(np.where(np.abs(own - nearest) <= _SAME * gap, nearest, own))
 
 
-def _with(data: Any, name: str, channel: str, values: _Array, own: Any, attributes: Mapping[str, str]) -> Any:
+def _with_variable(data: Any, name: str, channel: str, values: _Array, own: Any, attributes: Mapping[str, str]) -> Any:
     """Return the dataset with one more variable, over its own axis where it has other times."""
     if own is None:
         data[name] = ("time", np.array(values), dict(attributes))

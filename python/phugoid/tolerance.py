@@ -80,7 +80,7 @@ def tolerance_of(whose: str, value: Any) -> Tolerance:
 def tolerances_by_output(caller: str, outputs: Sequence[str], given: Any) -> dict[str, Tolerance]:
     """Return the tolerances given to ``caller``, in the order of ``outputs``; {} for None.
 
-    Raises OptionError for what is no mapping, an output that there is not, or a tolerance that is none.
+    Raises OptionError for anything but a mapping, an unknown output, or an invalid tolerance.
     """
     if given is None:
         return {}

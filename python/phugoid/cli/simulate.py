@@ -89,7 +89,7 @@ def _parameters(
             raise ModelError(f"--parameters: '{name}' is no parameter.{listing(name, known)}")
     if fit is not None:
         return (fit, fit) if not values else (fit, {**fit.as_start(), **values})
-    # Only what is fixed has a value by its declaration; the start of an estimation is none.
+    # Only fixed parameters have a declared value; the start of an estimation is not one.
     fixed = {name: p.start for name, p in model.declared_parameters.items() if p.fixed}
     found = {**fixed, **values}
     missing = [name for name in model.parameter_names if name not in found]

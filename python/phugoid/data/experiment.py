@@ -37,20 +37,20 @@ class Experiment(Preprocessing):
     t              (N,) time in s, strictly increasing, at least 2 samples; the spacing may vary.
     inputs         name -> (N,), finite.
     outputs        name -> (N,); NaN marks a missing sample.
-    name           how messages and plots call the record.
+    name           name of the record in messages and plots.
     interpolation  how inputs behave between samples: ``"linear"``, ``"cubic"`` (spline) or ``"hold"`` (each sample is
-                   held until the next, as a computer puts out commands); for each input its own as in
-                   ``{"de": "hold", "V": "linear"}``, where inputs that are not named are linear. A wrong assumption
-                   here looks like an error of the model. An input that is held jumps at its samples; at a sample time
-                   the outputs see the value that is held from that sample on.
-    channels       name -> (N,): columns not yet assigned. A model finds here what it does not find in
+                   held until the next, as a computer puts out commands); by input as in ``{"de": "hold", "V":
+                   "linear"}``, where inputs that are not named are linear. A wrong assumption here looks like an error
+                   of the model. A held input jumps at its samples; at a sample time the outputs depend on the value
+                   that is held from that sample on.
+    channels       name -> (N,): columns not yet assigned. A model takes inputs and outputs from here that are not in
                    ``inputs`` and ``outputs``; extra channels do no harm.
     units          name -> unit, for labels; nothing is converted.
 
     Filters, detrending and changes of the sampling rate are methods, each of which gives a new record whose ``history``
     says what was done.
 
-    Lists, numpy arrays and pandas Series are taken (and copied). Bad input raises DataError, which names the
+    Lists, numpy arrays and pandas Series are accepted (and copied). Bad input raises DataError, which names the
     channel, the sample's index and its time.
 
     >>> run = Experiment([0.0, 0.1, 0.2], inputs={"de": [0, 1, 1]}, outputs={"q": [0.0, float("nan"), 0.2]})
@@ -198,9 +198,9 @@ class Experiment(Preprocessing):
     ) -> None:
         """Raise DataError unless a model with these inputs and outputs can be estimated from this record.
 
-        Every name must be there, inputs without gaps, outputs with at least one sample. An output that never
-        changes is refused, since its σ cannot be estimated, unless it is in ``known_sigma``. ``conditions``: those of
-        the inputs that errors call so.
+        Every name must be there, inputs without gaps, outputs with at least one sample. An output that never changes is
+        refused, since its σ cannot be estimated, unless it is in ``known_sigma``. ``conditions``: the inputs that
+        errors call conditions.
         """
         for name in model_inputs:
             role = "condition" if name in conditions else "input"
@@ -257,8 +257,8 @@ class Experiment(Preprocessing):
         parts are estimated together, each with first states of its own.
 
         gaps  True: an interval is a gap where it is longer than ten times those beside it (the twenty nearest, of which
-              two may be as long). What is irregular by nature, such as samples ever farther apart,
-              bursts, or outputs of several rates, has none. A number: an interval that is longer than so many s.
+              two may be as long). Sampling that is irregular by nature, such as increasing intervals, bursts, or
+              outputs of several rates, has no gaps. A number: an interval that is longer than so many s.
 
         Inputs with samples of their own count too, unless they are held between these: samples of the record within a
         gap of such an input belong to no part. Missing outputs (NaN) are no gaps. Without gaps the record itself is

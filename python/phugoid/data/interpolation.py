@@ -26,7 +26,7 @@ _KINDS = "take 'linear', 'cubic' or 'hold', or a mapping such as {'de': 'hold'}"
 def checked_kinds(experiment: str, kinds: object, names: Iterable[str]) -> Interpolations:
     """Return a declaration for channels of these names, as a copy of its own.
 
-    Raises DataError for kinds that are not known and names that are not there.
+    Raises DataError for unknown kinds and unknown names.
     """
     if isinstance(kinds, str):
         _check(f"experiment '{experiment}'", kinds)

@@ -15,7 +15,7 @@ __all__ = ["distinct", "multirate", "together"]
 
 Channel = tuple[FloatArray, FloatArray]
 
-# Times closer than this part of the shortest interval of a channel are the same: a mesh cannot tell them apart.
+# Times closer than this part of the shortest interval of a channel are the same: a mesh does not resolve them.
 _SAME = 1e-8
 
 

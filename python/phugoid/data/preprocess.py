@@ -56,14 +56,14 @@ class Preprocessing(Channelled):
     ) -> _Self:
         """Pass the band from ``low`` to ``high`` (Hz): a Butterworth high-pass, then a low-pass, of that order.
 
-        channels    the channels to filter; None: all, which alone keeps a linear model's dynamics (and only a linear
-                    one's: a nonlinear model is no longer right for filtered records).
-        zero_phase  forward and backward, which delays nothing, doubles the attenuation (6 dB at ``low`` and ``high``
-                    instead of 3), and spreads each event to before it happened.
+        channels    the channels to filter; None: all, which is necessary to keep a linear model's dynamics (a nonlinear
+                    model is no longer right for filtered records).
+        zero_phase  forward and backward, which has no delay, doubles the attenuation (6 dB at ``low`` and ``high``
+                    instead of 3), and spreads each event to earlier times.
 
-        A causal filter starts as if each channel had stood at its first value for ever, which is right for a record
-        that begins at rest. Else the start holds a transient of the filter that no model explains: ``history`` says
-        how long, and ``.window`` cuts it. A mean or trim value does not pass: the model is to be one of small motions.
+        A causal filter starts as if each channel had been constant at its first value, which is right for a record that
+        begins at rest. Otherwise the start contains a transient of the filter that no model explains: ``history`` gives
+        its length, and ``.window`` cuts it. A mean or trim value does not pass: the model must be one of small motions.
 
         Raises OptionError for frequencies that are out of order or not below the Nyquist frequency, DataError for an
         unknown channel, one with missing samples or uneven sampling (with the time of the first gap), and a record
@@ -120,11 +120,11 @@ class Preprocessing(Channelled):
     def decimate(self: _Self, factor: int, inputs: int | None = None, *, filter: bool = False) -> _Self:
         """Keep every ``factor``-th sample.
 
-        inputs  keep every so-many-th sample of the inputs instead (a divisor of ``factor``): what is estimated then
-                sees inputs finer than outputs, with cubic splines between. Straight lines lose 3 dB already at 0.32
-                of the sampling rate (the square of sin(x)/x), and a model pays for that with wrong parameters.
-                Columns that are not yet assigned are kept both ways. Inputs that are held between their
-                samples keep them all in any case: their jumps stay where they are.
+        inputs  keep every so-many-th sample of the inputs instead (a divisor of ``factor``): the estimation then uses
+                inputs finer than outputs, with cubic splines between. Straight lines lose 3 dB already at 0.32 of the
+                sampling rate (the square of sin(x)/x), which makes parameters wrong. Columns that are not yet assigned
+                are kept both ways. Inputs that are held between their samples keep them all in any case: their jumps
+                stay where they are.
         filter  first an anti-alias filter on all channels: Chebyshev of order 8, causal, to 0.8 of the new Nyquist
                 frequency, as `scipy.signal.decimate` has it. It starts like `band_pass`.
 

@@ -56,8 +56,8 @@ class _Columns:
             )
         self.available = [n for n in names if n not in self.clocks]
 
-    def check(self, wanted: Sequence[str] | None, option: str) -> None:
-        for n in wanted or ():
+    def check(self, names: Sequence[str] | None, option: str) -> None:
+        for n in names or ():
             if n in self.available:
                 continue
             if n in self.left_out:
@@ -159,15 +159,15 @@ _TIMES = ("time", "time_s", "t_s")
 def _time_of(source: Source, names: Sequence[str], named: str | None) -> str:
     """Return the name of the time column: as given, or the one whose header is as given; else ``t`` or one of
     `_TIMES`."""
-    wanted = "t" if named is None else named
-    if wanted in names:
-        return wanted
+    name = "t" if named is None else named
+    if name in names:
+        return name
     if named is None:
         found = [n for n in names if n.lower() in _TIMES]
     else:
         header = _bare(named)
         found = [n for n, c in zip(names, source.columns, strict=True) if header and _bare(c.header) == header]
-    return found[0] if len(found) == 1 else wanted
+    return found[0] if len(found) == 1 else name
 
 
 def _bare(header: str) -> str:
@@ -279,7 +279,7 @@ def read(
     samples.
 
     Raises DataError with the line and the column for a cell that is no number, with the line for a row that
-    has too many or too few cells, with the names there are for a column that is not there, with the units for those
+    has too many or too few cells, with the names there are for an unknown column, with the units for those
     that are unknown or of different kinds, and with the path for a damaged file; MissingDependency, with the command
     that installs it, where a package is needed to read a file.
     """
@@ -293,9 +293,9 @@ def read(
     window = _span(window)
     if split_gaps is not False:
         checked_gaps("read: split_gaps", split_gaps)
-    for kind, wanted in (("input", inputs), ("output", outputs), ("unit", units)):
-        if isinstance(wanted, str):
-            raise DataError(f"{kind}s='{wanted}' is text: give a list of names, such as {kind}s=['{wanted}']")
+    for kind, names in (("input", inputs), ("output", outputs), ("unit", units)):
+        if isinstance(names, str):
+            raise DataError(f"{kind}s='{names}' is text: give a list of names, such as {kind}s=['{names}']")
     now = {old: new for old, new in renaming.items() if isinstance(old, str) and old not in renaming.values()}
     time = None if time is None else now.get(time, time)
     inputs, outputs = _called(inputs, now), _called(outputs, now)

@@ -49,7 +49,7 @@ _ALSO = {
 # Temperatures whose zero is not that of K: (offset added first, factor).
 _OFFSET = {"degC": (273.15, 1.0), "°C": (273.15, 1.0), "degF": (459.67, 5.0 / 9.0), "°F": (459.67, 5.0 / 9.0)}
 
-# What the units of SI are made of, so that newtons are no pascals.
+# The base units of each SI unit, so that newtons are not converted to pascals.
 _BASE: dict[str, dict[str, int]] = {
     **{unit: {unit: 1} for unit in ("s", "m", "kg", "rad", "K", "A")},
     "N": {"kg": 1, "m": 1, "s": -2},

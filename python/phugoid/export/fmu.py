@@ -29,7 +29,7 @@ __all__ = ["export_fmu"]
 _WRAPPER = "fmi2.c"
 _STEP = 0.01  # s; of co-simulation where there is no record with a sampling interval
 _PARTS = 10  # of the shortest sampling interval
-# Nothing in the archive depends on when it was made.
+# The archive does not depend on the time of its creation.
 _LONG_AGO = (1980, 1, 1, 0, 0, 0)
 
 
@@ -45,8 +45,6 @@ def export_fmu(
 ) -> Path:
     """Write a functional mock-up unit (FMI 2.0) for model exchange and co-simulation, with its C source; return the
     path.
-
-    Returns the path.
 
     Variables are inputs, parameters (tunable) and outputs by their names, states as ``state.<name>`` and their
     derivatives as ``der(state.<name>)``, with units; an output that is called like an input or a parameter is

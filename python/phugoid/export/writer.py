@@ -255,16 +255,16 @@ def export_c(
     ``<name>_p``, ``<name>_x0``              values of the parameters, and states to begin with
     ``<name>_x_names``, ``<name>_x_units``   and of u, y, p likewise
 
-    All arrays are double; nothing is allocated, nothing kept between calls. Sub-expressions that are used more than
-    once are computed once. Values are those of phugoid but for rounding: math.h is the platform's.
+    All arrays are double; no memory is allocated, and no state is kept between calls. Sub-expressions that are used
+    more than once are computed once. Values are those of phugoid up to rounding: math.h is the platform's.
 
     ``parameters``, ``experiment``  as in `linearise`; ``x0`` is the first state of that experiment, 0 without a fit.
-    ``name``         what files and functions are called; made from the model's unless given.
+    ``name``         prefix of files and functions; made from the model's name unless given.
     ``late_inputs``  of a model with delays: take each late input, u(t - tau), as an input of its own, which the caller
                      delays, and leave delays of sensors to the caller too.
 
     Raises ModelError for a model with delays otherwise, and where values are missing or each experiment has its own;
-    OptionError for a name that is none in C; DataError where the files cannot be written.
+    OptionError for a name that is invalid in C; DataError where the files cannot be written.
     """
     contents = contents_of("export_c", fit, parameters, experiment, late_inputs)
     code = source(contents, identifier(contents.model.name) if name is None else checked_name(name))

@@ -44,7 +44,7 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
     history = list(fit.history)
     if not history:
         raise DataError("plot_convergence: the fit has no history of iterations")
-    number = _counted([line.number for line in history])
+    number = _consecutive([line.number for line in history])
     anew = [number[i] - 0.5 for i in range(1, len(history)) if history[i].number <= history[i - 1].number]
     likelihood = np.array([line.log_likelihood for line in history], dtype=float)
     names = ("log-likelihood", "defect", "optimum", "step")
@@ -86,7 +86,7 @@ def plot_convergence(fit: FitResult) -> tuple[Figure, dict[str, Axes]]:
     return figure, axes
 
 
-def _counted(numbers: Sequence[int]) -> _Array:
+def _consecutive(numbers: Sequence[int]) -> _Array:
     """Return the numbers, counted on where the table starts again."""
     found: list[int] = []
     offset = 0

@@ -115,7 +115,7 @@ def _draw(axis: Axes, matrix: _Array, names: Sequence[str], cell: float) -> Any:
             axis.text(
                 column,
                 row,
-                _written(value),
+                _two_digits(value),
                 ha="center",
                 va="center",
                 fontsize=size,
@@ -125,7 +125,7 @@ def _draw(axis: Axes, matrix: _Array, names: Sequence[str], cell: float) -> Any:
     return image
 
 
-def _written(value: float) -> str:
+def _two_digits(value: float) -> str:
     """Return a correlation with two digits; ±1 stands for a value that rounds to it."""
     text = f"{abs(value):.2f}"
     if text == "0.00":

@@ -128,7 +128,7 @@ def draw_residual(
         axis.axhspan(-2.0 * sigma, 2.0 * sigma, color=BAND, linewidth=0.0, label="±2σ")
     axis.axhline(0.0, color=INPUT, linewidth=0.5)
     many = record.n > 5000
-    t, shown = _seen(record.t, residual)
+    t, shown = _line_through(record.t, residual)
     axis.plot(t, shown, color=RESIDUAL, linewidth=0.6, label="residual", rasterized=many)
     # Symmetric about zero, so that a bias is seen at a glance.
     largest = float(np.nanmax(np.abs(residual))) if not np.isnan(residual).all() else 0.0
@@ -139,7 +139,7 @@ def draw_residual(
         axis.set_ylim(-limit, limit)
     axis.locator_params(axis="y", nbins=3)
     axis.set_ylabel("resid.", fontsize=6.5)
-    # A common factor of the ticks belongs into the strip: above it, it would stand in the panel of the output.
+    # The common factor of the ticks is written inside the strip: above, it would be in the panel of the output.
     axis.yaxis.get_offset_text().set(va="top", ha="left", size="small")
 
 
@@ -158,7 +158,7 @@ def _draw_limits(axis: Axes, record: Record, name: str, tolerance: Tolerance, li
     return max(limit, 1.08 * min(float(np.nanmax(widths)), _FAR * limit))
 
 
-def _seen(t: _Array, r: _Array) -> tuple[_Array, _Array]:
+def _line_through(t: _Array, r: _Array) -> tuple[_Array, _Array]:
     """Return times and residuals for a line: unchanged, unless many samples stand alone between missing ones."""
     there = np.isfinite(r)
     alone = there & ~np.append(there[1:], False) & ~np.insert(there[:-1], 0, False)
@@ -192,8 +192,8 @@ def plot_fit(
     tolerances  output -> greatest deviation in its unit, or a `Tolerance`: a band about the measurements, as flight
                 simulators are qualified with (14 CFR Part 60), and the part of the samples within.
 
-    Returns the figure and the axes by name. Raises UnknownName for a channel or a record that is not there, OptionError
-    for a tolerance that is none.
+    Returns the figure and the axes by name. Raises UnknownName for an unknown channel or record, OptionError
+    for an invalid tolerance.
     """
     chosen = choose_record(fit.records, record)
     limits = tolerances_by_output("plot", list(chosen.outputs), tolerances)

@@ -56,7 +56,7 @@ def plot_parameters(
     shown, without = _chosen(fits, names)
     rows = [_row(fits, name) for name in shown]
     limit = _limit(rows, len(fits))
-    # Of many parameters rows are lower, as long as their names can be read; then the figure grows beyond a page.
+    # With many parameters rows are lower, as far as their names can be read; then the figure grows beyond a page.
     row = min(_ROW + _MORE * (len(fits) - 1), max(_PAGE / len(shown), _LOWEST + 0.5 * _MORE * (len(fits) - 1)))
     letters = min(7.0, 72.0 * 0.85 * row)
     with rc_context(STYLE):
@@ -225,14 +225,14 @@ def _chosen(fits: Sequence[Any], names: Sequence[str] | None) -> tuple[list[str]
     every = dict.fromkeys(name for fit in fits for name in fit.parameters)
     if names is None:
         noise = {name for fit in fits for name in getattr(fit, "noise_parameters", ())}
-        wanted = [name for name in every if name not in noise]
+        chosen = [name for name in every if name not in noise]
     else:
-        wanted = list(dict.fromkeys(names))
-        for name in wanted:
+        chosen = list(dict.fromkeys(names))
+        for name in chosen:
             if name not in every:
                 raise UnknownName(f"plot_parameters: there is no parameter '{name}'.{listing(name, every)}")
     known = {n for fit in fits for n, e in fit.parameters.items() if e.std_error > 0.0}
-    shown = [name for name in wanted if name in known]
+    shown = [name for name in chosen if name in known]
     if not shown:
         raise DataError("plot_parameters: no parameter has a standard error, so there is no interval to show")
-    return shown, [name for name in wanted if name not in known]
+    return shown, [name for name in chosen if name not in known]

@@ -37,7 +37,7 @@ __all__ = [
     "with_gaps",
 ]
 
-# Okabe and Ito's palette, which colour-blind readers tell apart; shapes and dashes differ as well, for grey prints.
+# Okabe and Ito's palette, which colour-blind readers can distinguish; shapes and dashes differ, too, for grey prints.
 MEASURED = "#0072B2"
 MODEL = "#D55E00"
 STATE = "#009E73"
@@ -47,7 +47,7 @@ INPUT = "#000000"
 RESIDUAL = "#4D4D4D"
 GREY = "#999999"
 BAND = "#DDDDDD"
-# Of lines that only mark a place.
+# Colour of lines that only mark a place.
 RULE = "#BBBBBB"
 # Paler than anything drawn on it.
 SPAN = "#F6D5A8"

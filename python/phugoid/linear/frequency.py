@@ -25,7 +25,7 @@ Method = Literal["etfe", "h1"]
 
 # A signal repeats with a lag at which its autocorrelation is at least this.
 _REPEATS = 0.95
-# Of times at which it repeats, the first within this of the best is the period; the others are its multiples.
+# The period is the first lag with an autocorrelation within this of the best; the others are its multiples.
 _AS_GOOD = 0.01
 
 
@@ -242,19 +242,19 @@ def frequency_response(
                ``"h1"``: cross-spectrum over the input's spectrum, averages over segments with Hann windows that
                overlap by half (`scipy.signal.csd`, `welch`); with coherence.
     period     samples in which the input repeats (a multisine), or ``"auto"`` to find it: exact, without leakage. The
-               last whole periods are used, so that a transient at the start is the first thing to go. ETFE: ratio of
-               the means over periods; H1: the cross-spectrum of each, averaged.
+               last whole periods are used, so that a transient at the start is left out first. ETFE: ratio of the means
+               over periods; H1: the cross-spectrum of each, averaged.
     smoothing  Hz, of the ETFE: cross-spectrum and input's spectrum are averaged with a Hann window of this width at
                half its height before they are divided. Resonances narrower than that are flattened.
     segment    samples of a segment of H1; None: an eighth of the record.
     band       ``(low, high)`` in Hz keeps a part.
-    floor_db   frequencies where the input's power lies so far below its maximum are left out: a ratio of next to
-               nothing says nothing.
+    floor_db   frequencies where the input's power lies so far below its maximum are left out, since noise dominates the
+               ratio there.
     label      for legends; None: the method, in words.
 
-    Where spectra were averaged, ``coherence`` and ``std_error`` are there (Bendat and Piersol, table 9.6). These count
-    noise at the output as error; noise at the input biases H1 and the smoothed ETFE to low values, not the ETFE over
-    periods, which averages it away. In closed loop the result is not the response of the system alone.
+    Averaged spectra give ``coherence`` and ``std_error`` (Bendat and Piersol, table 9.6). These count noise at the
+    output as error; noise at the input biases H1 and the smoothed ETFE to low values, not the ETFE over periods, which
+    averages it out. In closed loop the result is not the response of the system alone.
 
     Input and output need complete, evenly spaced samples at the same times. An input that has finer samples of its own
     (``decimate(..., inputs=...)``) is taken at the times of the record, which is right where it holds nothing above
@@ -277,7 +277,7 @@ def frequency_response(
     frequencies and the names alone.
 
     Raises, of a record, OptionError for options that make no sense together, and DataError for gaps, uneven sampling, a
-    signal that does not repeat, or a record too short; of a model, ModelError for names that are not there, values that
+    signal that does not repeat, or a record too short; of a model, ModelError for unknown names, values that
     are missing, and a frequency that meets an undamped mode, EvaluationError where a derivative is not finite;
     DataError for a source of another kind.
 

@@ -32,7 +32,7 @@ _GAIN, _ROUGH = 1e-7, 1e-3
 _BETTER, _PLACES = 0.5, 4
 # A search is stopped where a step gains less than this part of its distance from the known optimum.
 _REACH = 0.02
-# So near to a known optimum, in squared standard deviations of the outputs, a search is taken to lead there.
+# Distance from a known optimum, in squared standard deviations of the outputs, below which a search leads there.
 _BACK = 1.0
 # Directions that change the outputs by less than this part of the first one's effect are ignored.
 _NOTHING = 1e-10
@@ -56,35 +56,38 @@ def fit_linear(
     """Return the linear system of the same order that fits evenly sampled records best: maximum likelihood of the
     outputs.
 
-    Output error as in `estimate`, the noise white and of each output with a variance of its own, but for linear
-    systems, where part of the problem is linear: given A and C, the outputs are linear in B, D, the first states and
-    offsets, which so are found by least squares for each A and C that is tried (variable projection: Golub and Pereyra,
-    SIAM J. Numer. Anal. 10(2), 1973; the approximation of Kaufman, BIT 15, 1975). What is left, two numbers a mode and
-    C, is found by Levenberg-Marquardt steps with orthogonal factorisations, so that modes of which a record tells
-    little (heavily damped, or near each other) do no harm. A mode is the two coefficients of s^2 + a s + b: a pair
-    becomes two real eigenvalues, or the other way round, where that fits better. Responses to inputs are exact.
+    Output error as in `estimate`, with white noise and a variance for each output, but for linear systems, where part
+    of the problem is linear: given A and C, the outputs are linear in B, D, the first states and offsets, which are
+    found by least squares for each A and C that is tried (variable projection: Golub and Pereyra, SIAM J. Numer. Anal.
+    10(2), 1973; the approximation of Kaufman, BIT 15, 1975). The other unknowns, two numbers for each mode and C, are
+    found by Levenberg-Marquardt steps with orthogonal factorisations, so that modes which a record hardly determines
+    (heavily damped ones, or ones near each other) do no harm. A mode is represented by the two coefficients of s^2 + a
+    s + b: a pair becomes two real eigenvalues, or the other way round, where that fits better. Responses to inputs are
+    exact.
 
-    Local optima are left by moving modes: one after another, that which the fit would miss least first, is taken away
-    and put to the places where it would fit best; where a search from there ends higher, all begins anew.
+    Local optima are escaped by moving modes: one after another, the one whose loss costs the fit least first, is
+    removed and put to the places where it fits best; where a search from there has a greater likelihood, the moves
+    begin again.
 
-    ``system``      where to start: what `subspace` found, (A, B, C), or `linearise` of a model. Only its eigenvalues,
-                    which must be distinct, and its C count. Names of inputs and outputs are those of the data.
+    ``system``      the start: a system from `subspace`, (A, B, C), or `linearise` of a model. Only its eigenvalues,
+                    which must be distinct, and its C are used. Names of inputs and outputs are those of the data.
     ``data``        one experiment or several, of one sampling rate. Samples of outputs may be missing.
-    ``feedthrough`` whether inputs act on outputs at once: on all, or on those named. None: where ``system`` has it.
+    ``feedthrough`` whether inputs act on outputs directly: on all, or on those named. None: where ``system`` has
+                    feedthrough.
     ``offset``      a constant in each output of each experiment, such as a sensor's bias or the trim.
-    ``moves``       how many modes are tried before that ends: None for all, 0 for none.
+    ``moves``       greatest number of modes that are tried: None for all, 0 for none.
     ``max_iterations``  in each search.
     ``progress``    True prints the iterations; a function is called with each (its ``defect`` is 0, ``dual`` the gain).
     ``time_limit``  in seconds, of the whole.
 
-    Ctrl-C, and the time limit, end the search and give the best so far, with a warning. Modes may grow with time only
-    if one of ``system`` does.
+    Ctrl-C, and the time limit, end the search; the result is the best system so far, with a warning. Modes may grow
+    with time only if a mode of ``system`` does.
 
     For parameters with standard errors: ``ph.estimate(ph.models.modal(start=ph.linear.fit_linear(...)), data)``, which
     then is a few steps away from its optimum.
 
-    Raises DataError for channels that are not there and uneven sampling, ModelError for a system that is none or has
-    eigenvalues that cannot be told apart, OptionError for options out of range.
+    Raises DataError for missing channels and uneven sampling, ModelError for an invalid system or one with eigenvalues
+    that cannot be distinguished, OptionError for options out of range.
     """
     deadline = limited("fit_linear", time_limit)
     most = np.iinfo(np.int64).max if moves is None else moves
@@ -277,8 +280,8 @@ class _Task:
         U, s, Vt = np.linalg.svd(J * point.blocks.sizes)
         if known is None:
             return _Linearised(J, q, U, s, Vt, np.inf)
-        # What is left of the known optimum's outputs and of its residuals, the linearised outputs taken out. Numbers
-        # that do nothing, such as the size of a column of C, point anywhere, and take nothing.
+        # The parts of the known optimum's outputs and residuals outside of the linearised outputs. Numbers
+        # without effect, such as the size of a column of C, have an arbitrary direction and are left out.
         paths, left = whole[:, count], whole[:, -1] - whole[:, count]
         there = U[:, s > _NOTHING * s[0]]
         outside = float(paths @ paths - np.sum((there.T @ paths[:count]) ** 2))

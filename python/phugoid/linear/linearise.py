@@ -26,7 +26,7 @@ _Array: TypeAlias = NDArray[np.float64]
 
 # Two variances are the same when they differ by less than this part.
 _SAME = 0.01
-# Standard deviations of the priors that settle trades, in sizes of the parameters; a parameter near 0 has at least this
+# Standard deviations of the priors on confounded parameters, in sizes of these; a parameter near 0 has at least this
 # part of the size of all.
 _WIDTHS, _LEAST = (1.0, 10.0), 0.1
 
@@ -34,10 +34,10 @@ _WIDTHS, _LEAST = (1.0, 10.0), 0.1
 class Uncertainty:
     """Covariances of functions of a fit's parameters, by the delta method.
 
-    Where some parameters trade off (a scale that may go into b or c), the fit has no covariance of them, and yet what
-    does not depend on how they trade (the transfer function) has one. Such parameters get wide priors about their
-    estimates: these settle the trade, and add next to nothing to what the data say. Whether a function depends on the
-    trade shows when the priors are made wider: its variance grows too, and is reported as NaN.
+    Where some parameters are confounded (a scale that may go into b or c), the fit has no covariance of them, although
+    functions that do not depend on the scale (the transfer function) have one. Such parameters get wide priors about
+    their estimates, which make the information regular and add next to nothing to it. A function that does depend on
+    the scale is recognised when the priors are made wider: its variance grows too, and is reported as NaN.
     """
 
     def __init__(self, fit: FitResult) -> None:
@@ -47,7 +47,7 @@ class Uncertainty:
         self._places = [k for k, name in enumerate(fit.parameters) if name not in noise]
         # Parameters that are fixed or at a bound have no error.
         self._held = np.array([fit.parameters[n].fixed or bool(fit.parameters[n].bounds_active) for n in self.names])
-        self._settled: list[_Array] | None = None
+        self._regularised: list[_Array] | None = None
 
     def covariance(self, gradients: _Array) -> _Array:
         """Return (k, k) of k functions with these derivatives (k, n) by the parameters ``names``; NaN where not
@@ -57,15 +57,15 @@ class Uncertainty:
         used = np.any(g != 0.0, axis=0)
         if np.isfinite(own[np.ix_(used, used)]).all():
             return np.asarray(g[:, used] @ own[np.ix_(used, used)] @ g[:, used].T)
-        if self._settled is None:
-            self._settled = self._settle()
-        if not self._settled:
+        if self._regularised is None:
+            self._regularised = self._regularised_covariances()
+        if not self._regularised:
             return np.full((len(g), len(g)), np.nan)
-        narrow, wide = (g @ covariance @ g.T for covariance in self._settled)
+        narrow, wide = (g @ covariance @ g.T for covariance in self._regularised)
         same = np.abs(np.diag(wide) - np.diag(narrow)) <= _SAME * np.diag(wide)
         return np.where(np.outer(same, same), wide, np.nan)
 
-    def _settle(self) -> list[_Array]:
+    def _regularised_covariances(self) -> list[_Array]:
         """Return covariances (n, n) with narrower and wider priors on undetermined parameters; [] where that is
         impossible."""
         fit = self.fit
@@ -122,10 +122,10 @@ def linearise(
 
     ``parameters``  values by name of a model; of a fit instead of its own.
     ``at``          states, inputs and time at the point, by name: of a model that is not linear all that its
-                    derivatives depend on. That the point is an equilibrium is up to you: `trim` finds one.
+                    derivatives depend on. The point need not be an equilibrium; `trim` finds one.
     ``experiment``  whose parameters to take, where experiments have their own.
 
-    Raises ModelError for names that are not there, values that are missing, and models with delays, which no state
+    Raises ModelError for unknown names, values that are missing, and models with delays, which no state
     space holds; EvaluationError where a derivative is not finite.
     """
     model, values = numbers_of("linearise", fit, parameters, experiment)
@@ -207,7 +207,9 @@ class _Transfer:
                 tau = delays.inputs[name][1]
                 self.push[:, k] = np.exp(-s * numbers[tau])
                 self.push_slopes.setdefault(tau, np.zeros_like(self.push))[:, k] = -s * self.push[:, k]
-        self.late = np.exp(-s * numbers[delays.outputs[output]]) if output in delays.outputs else np.ones_like(s)
+        self.delay_factor = (
+            np.exp(-s * numbers[delays.outputs[output]]) if output in delays.outputs else np.ones_like(s)
+        )
         self.sensor = delays.outputs.get(output)
         A, B, C, D = (jacobians.matrix(block, numbers) for block in "ABCD")
         n = A.shape[0]
@@ -219,7 +221,7 @@ class _Transfer:
         self.y = response_of(A.T, c.T, np.eye(n), 0.0, frequencies_hz)[:, :, 0]
         self.B = B
         self.now = self.x @ c[0] + self.push @ self.d
-        self.response = self.late * self.now
+        self.response = self.delay_factor * self.now
 
     def slope(self, parameter: str) -> NDArray[np.complex128]:
         """Return d response / d parameter: y dA x + dc x + y dB + dD, and the effect of a delay."""
@@ -238,7 +240,7 @@ class _Transfer:
             found += np.sum(self.y * (moved @ self.B.T), axis=1) + moved @ self.d
         if parameter == self.sensor:
             found -= self.s * self.now
-        return np.asarray(self.late * found)
+        return np.asarray(self.delay_factor * found)
 
 
 def numbers_of(
@@ -283,12 +285,12 @@ def labels_of(caller: str, fit: FitResult, experiment: str | None) -> dict[str, 
     for name in fit.model.parameter_names:
         label = f"{name}[{experiment or there[0]}]"
         found[name] = label if label in fit.parameters else name
-        if experiment is None and len(there) > 1 and label in fit.parameters and _matters(fit, name):
+        if experiment is None and len(there) > 1 and label in fit.parameters and _affects_derivatives(fit, name):
             raise ModelError(f"{caller}: each experiment has its own {name}: say which, experiment='{there[0]}'")
     return found
 
 
-def _matters(fit: FitResult, parameter: str) -> bool:
+def _affects_derivatives(fit: FitResult, parameter: str) -> bool:
     """Return whether derivatives by states or inputs depend on a parameter; they do not depend on a bias."""
     return parameter in {*Jacobians(fit.model, "").parameters, *fit.model.delays.parameters}
 
@@ -310,13 +312,13 @@ def modes(
                     point is taken as it is: it does not move with the parameters.
     ``experiment``  whose parameters to take, where experiments have their own.
 
-    Of a fit with its own parameters there are standard errors, to first order (the delta method), from the covariance
-    of the parameters and d lambda = w' dA v / (w' v), with v and w the right and left eigenvectors. They are right too
-    where parameters trade off, if the modes do not depend on how: a scale between b and c, or a state space without
-    canonical form. Where the data leave a mode open, and where eigenvalues meet (they have no derivative there), they
-    are NaN. An eigenvalue that is real is taken to stay real.
+    A fit with its own parameters has standard errors, to first order (the delta method), from the covariance of the
+    parameters and d lambda = w' dA v / (w' v), with v and w the right and left eigenvectors. They also hold where
+    parameters are confounded, if the modes do not depend on the confounded direction: a scale between b and c, or a
+    state space without canonical form. They are NaN where the data do not determine a mode, and where eigenvalues
+    coincide (they have no derivative there). A real eigenvalue is assumed to stay real.
 
-    Raises ModelError for names that are not there, values that are missing, and a model that is not linear without
+    Raises ModelError for unknown names, values that are missing, and a model that is not linear without
     ``at``.
 
     >>> m = Model("oscillator")

@@ -108,7 +108,7 @@ class _Signal:
 
     def responses(self, values: _Complex) -> _Complex:
         growing = values.real > 0.0
-        # Of a growing mode xi(t) = -integral from t to the end of e^(lambda (t - s)) u(s) ds.
+        # For a growing mode xi(t) = -integral from t to the end of e^(lambda (t - s)) u(s) ds.
         sign = np.where(growing, -1.0 + 0.0j, 1.0)
         push = self._pushed(sign * np.exp(_decay(values) * self._reach(growing)))
         return _recursion(values, push, self.step)

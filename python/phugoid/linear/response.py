@@ -68,45 +68,45 @@ def plot_frequency_response(
                 f"'{model.label}' is the response of {model.output} to {model.input}, and '{empirical.label}' that of "
                 f"{empirical.output} to {empirical.input}: one figure shows one"
             )
-    wanted = ["magnitude", *["phase"] * phase, *["coherence"] * coherence] if axes is None else list(axes)
-    for name in wanted:
+    panel_names = ["magnitude", *["phase"] * phase, *["coherence"] * coherence] if axes is None else list(axes)
+    for name in panel_names:
         if name not in ("magnitude", "phase", "coherence"):
             raise DataError(f"axes: there are magnitude, phase and coherence, but no '{name}'")
-    if not wanted:
+    if not panel_names:
         raise DataError("axes={}: give at least one axis, or None for a new figure")
-    if "coherence" in wanted and empirical.coherence is None:
+    if "coherence" in panel_names and empirical.coherence is None:
         raise DataError(
             f"'{empirical.label}' has no coherence: take method='h1', smoothing or several periods in "
             "frequency_response"
         )
     with rc_context(STYLE):
         rows = -(-(1 + len(models) + (empirical.std_error is not None)) // _COLUMNS)
-        panels = _layout(wanted, rows) if axes is None else dict(axes)
-        figure = figure_of(panels[wanted[0]])
+        panels = _layout(panel_names, rows) if axes is None else dict(axes)
+        figure = figure_of(panels[panel_names[0]])
         shown = empirical if band is None else empirical.band(*band)
-        for name in wanted:
+        for name in panel_names:
             _draw(panels[name], name, shown, models)
         low, high = shown.frequencies_hz[[0, -1]] if band is None else band
-        for name in wanted:
+        for name in panel_names:
             if logarithmic:
                 panels[name].set_xscale("log")
             panels[name].set_xlim(low, high)
-        panels[wanted[-1]].set_xlabel("frequency, Hz")
+        panels[panel_names[-1]].set_xlabel("frequency, Hz")
         if axes is None:
             _finish(figure, panels["magnitude"], f"{empirical.output} from {empirical.input}")
     return figure, panels
 
 
-def _layout(wanted: list[str], rows: int) -> dict[str, Axes]:
+def _layout(panel_names: list[str], rows: int) -> dict[str, Axes]:
     """Create panels below one another, with room for the rows of a legend above."""
     import matplotlib.pyplot as plt
 
-    heights = [_MAGNITUDE] + [_SMALL] * (len(wanted) - 1)
+    heights = [_MAGNITUDE] + [_SMALL] * (len(panel_names) - 1)
     top = _HEAD + _ROW * rows
-    height = sum(heights) + top + _FOOT + 0.12 * (len(wanted) - 1)
+    height = sum(heights) + top + _FOOT + 0.12 * (len(panel_names) - 1)
     figure = plt.figure(figsize=(WIDTH, height))
     grid = figure.add_gridspec(
-        len(wanted),
+        len(panel_names),
         1,
         height_ratios=heights,
         hspace=0.12,
@@ -116,9 +116,9 @@ def _layout(wanted: list[str], rows: int) -> dict[str, Axes]:
         top=1.0 - top / height,
     )
     panels: dict[str, Axes] = {}
-    for row, name in enumerate(wanted):
-        panels[name] = figure.add_subplot(grid[row, 0], sharex=panels[wanted[0]] if row else None)
-        panels[name].tick_params(labelbottom=row == len(wanted) - 1)
+    for row, name in enumerate(panel_names):
+        panels[name] = figure.add_subplot(grid[row, 0], sharex=panels[panel_names[0]] if row else None)
+        panels[name].tick_params(labelbottom=row == len(panel_names) - 1)
     return panels
 
 

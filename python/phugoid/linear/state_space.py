@@ -98,7 +98,7 @@ class StateSpace:
         """Return C (j 2 pi f - A)^-1 B + D at F frequencies in Hz; ``input`` and ``output`` may be left out where there
         is only one.
 
-        Raises ModelError for names that are not there, DataError for frequencies out of order.
+        Raises ModelError for unknown names, DataError for frequencies out of order.
         """
         u = only("frequency_response", "input", input, self.inputs)
         y = only("frequency_response", "output", output, self.outputs)

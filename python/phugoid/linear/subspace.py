@@ -26,7 +26,7 @@ Weighting = Literal["cva", "moesp"]
 # Block rows that are tried where none are given, in multiples of the order, and at least so many; greatest order that
 # is suggested.
 _TIMES, _BLOCK_ROWS, _MOST = (2, 3, 4), 20, 40
-# A state that is gone after a sample is taken to keep this part of itself.
+# Least part of a state that remains after a sample, for the logarithm.
 _FASTEST = 0.01
 # Damping ratio below which, and part of the Nyquist frequency up to which, a mode is distinguished from a background.
 _LIGHT, _BELOW = 0.15, 0.75
@@ -62,27 +62,27 @@ def subspace(
     ``order``       number of states. None: where the singular values fall to the noise level (see ``suggested_order``);
                     look at ``singular_values``, which hold the canonical correlations.
     ``inputs``, ``outputs``  channels to use; all inputs and outputs of the first experiment unless given.
-    ``block_rows``  samples of past, and of future, that are compared. More tell near and lightly damped modes better
-                    apart, at the price of noise and of time, which grows with their square. None: two, three and four
-                    times the order (and at least 20) as far as the records are long enough; what simulates the
-                    outputs best is kept.
-    ``feedthrough`` whether inputs act on outputs at once: on all, or on those named.
+    ``block_rows``  samples of past, and of future, that are compared. More of them separate close and lightly damped
+                    modes better, at the price of noise and of time, which grows with their square. None: two, three and
+                    four times the order (and at least 20) as far as the records are long enough; the system that
+                    simulates the outputs best is kept.
+    ``feedthrough`` whether inputs act on outputs directly: on all, or on those named.
     ``offset``      a constant in each output of each experiment, such as a sensor's bias or the trim.
-    ``weighting``   ``"cva"`` (canonical variates), which asks how well a direction is predicted, so that units and
-                    sizes of outputs do not matter; or ``"moesp"``, which asks how much of the outputs it makes.
+    ``weighting``   ``"cva"`` (canonical variates) weights a direction by how well it is predicted, so that units and
+                    sizes of outputs do not matter; ``"moesp"`` weights it by its part of the outputs.
     ``stable``      reflects growing modes into decaying ones, exp(lambda T) -> 1 / conj exp(lambda T), before B is
                     found.
-    ``background``  of what is damped by more than 0.15 of critical, or lies near the Nyquist frequency, a record tells
-                    little but the sum. With True as many heavily damped pairs take its place, spread over the band of
-                    the other modes, one after the other where it simulates the output best: the start of a model of
-                    oscillators only. For one output.
-    ``prune``       leaves out, one after another, modes without which the sum of squares grows by less than what BIC
-                    allows for their parameters: noise that was taken for a mode. The order is then lower. For the start
-                    of an estimation, in which such modes, having no effect, would wander.
+    ``background``  a record determines little but the sum of the modes that are damped by more than 0.15 of critical,
+                    or lie near the Nyquist frequency. True replaces them by as many heavily damped pairs, spread over
+                    the band of the other modes, one after the other where it simulates the output best: the start of a
+                    model of oscillators only. For one output.
+    ``prune``       removes, one after another, modes without which the sum of squares grows by less than BIC allows for
+                    their parameters, since they fit noise. The order is then lower. For the start of an estimation, in
+                    which such modes would drift without any effect.
 
     In closed loop the estimate is biased, as noise then reaches the inputs.
 
-    Raises DataError for channels that are not there, uneven sampling, missing samples, and records that are too short;
+    Raises DataError for missing channels, uneven sampling, missing samples, and records that are too short;
     OptionError for an order, or other options, out of range.
     """
     records = Sampled.of(data, inputs, outputs)
@@ -221,7 +221,7 @@ def _continuous(A: _Array, C: _Array, rate: float, stable: bool) -> tuple[_Compl
     decay = np.log(np.maximum(size[lost], _FASTEST)) * rate
     c = parts.outputs[:, lost]
     for k in range(0, decay.size - 1, 2):
-        # No two alike.
+        # All eigenvalues must differ.
         values = np.append(values, decay[k : k + 2].mean() + 1j * np.pi * rate * (1.0 + 0.05 * k))
         seen = np.column_stack([seen, c[:, k] + 1j * c[:, k + 1]])
     if decay.size % 2:

@@ -88,15 +88,15 @@ def trim(
     derivatives, globalised by a trust region (`scipy.optimize.least_squares`).
 
     ``fit``, ``parameters``, ``experiment``  as in `linearise`.
-    ``at``       what is held: states, inputs (and time) by name, in their units. As many as there are inputs must be
+    ``at``       states, inputs (and time) that are held, by name, in their units. As many as there are inputs must be
                  held, or given as ``outputs``, so that there are as many unknowns as equations.
-    ``rates``    derivatives by state, per s, that are to have another value than 0, as in a steady climb or turn; None
-                 where any will do, as of a position.
-    ``outputs``  outputs that are to have a value: ``{"az": -9.81}``.
-    ``start``    where to begin; else the first sample of the fit's record, 0 without a fit.
+    ``rates``    derivatives by state, per s, that are not to be 0, as in a steady climb or turn; None where any value
+                 is allowed, as for a position.
+    ``outputs``  outputs with a given value: ``{"az": -9.81}``.
+    ``start``    start values; else the first sample of the fit's record, 0 without a fit.
     ``bounds``   (lower, upper) of unknowns.
 
-    Raises ModelError for names that are not there and values that are missing; OptionError where unknowns and equations
+    Raises ModelError for unknown names and values that are missing; OptionError where unknowns and equations
     do not match in number, and where no trim was found, with what is left; EvaluationError where the model is not
     finite at the start.
 
@@ -140,8 +140,8 @@ class _TrimEquations:
         same = {late: Expr.symbol(of) for late, (of, _) in model.delays.inputs.items()}
         self.f = {name: Expr(e.substitute(same)) for name, e in model.state_expressions().items()}
         self.g = {name: Expr(Expr(e).substitute(same)) for name, e in model.output_expressions().items()}
-        wanted = {name: 0.0 for name in model.state_names} | rates
-        goals = {f"{n}'": (self.f[n], value) for n, value in wanted.items() if value is not None}
+        targets = {name: 0.0 for name in model.state_names} | rates
+        goals = {f"{n}'": (self.f[n], value) for n, value in targets.items() if value is not None}
         goals |= {n: (self.g[n], value) for n, value in outputs.items()}
         self.names = list(goals)
         self.equations = [Expr(e - _number(n, value)) for n, (e, value) in goals.items()]
@@ -193,9 +193,9 @@ class _TrimEquations:
                     x = least_squares(
                         self.residuals, x, self.jacobian, bounds, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac"
                     ).x
-            except (ValueError, np.linalg.LinAlgError):  # not finite on the way: judged where it stands
+            except (ValueError, np.linalg.LinAlgError):  # not finite on the way: the last point is judged
                 break
-        x = self._polished(x, bounds)
+        x = self._refined(x, bounds)
         left = np.abs(self.residuals(x))
         jacobian = self.jacobian(x)
         sizes = np.maximum(np.maximum(np.abs(x), np.abs(begin)), _LEAST)
@@ -207,9 +207,9 @@ class _TrimEquations:
                 f"trim: no trim was found: {self.names[worst]} comes no nearer than {left[worst]:.3g} (at {at}); hold "
                 "other values, begin elsewhere (start=...), or widen bounds"
             )
-        return self._result(np.where(np.abs(x) < _ROUNDING, 0.0, x), self._loose(jacobian, sizes))
+        return self._result(np.where(np.abs(x) < _ROUNDING, 0.0, x), self._undetermined(jacobian, sizes))
 
-    def _polished(self, x: _Array, bounds: tuple[_Array, _Array]) -> _Array:
+    def _refined(self, x: _Array, bounds: tuple[_Array, _Array]) -> _Array:
         """Improve the solution by Newton steps, as long as they reduce the residuals."""
         for _ in range(_STEPS):
             step = np.linalg.lstsq(self.jacobian(x), -self.residuals(x), rcond=_FREE)[0]
@@ -220,7 +220,7 @@ class _TrimEquations:
             x = trial
         return x
 
-    def _loose(self, jacobian: _Array, sizes: _Array) -> list[str]:
+    def _undetermined(self, jacobian: _Array, sizes: _Array) -> list[str]:
         """Return the unknowns that the equations do not determine: those in the null space."""
         scaled = jacobian * sizes
         rows = np.abs(scaled).max(axis=1, keepdims=True)
@@ -229,13 +229,13 @@ class _TrimEquations:
         null = directions[values <= _FREE * values.max()]
         return [n for k, n in enumerate(self.unknown) if null.size and np.abs(null[:, k]).max() > 1e-6]
 
-    def _result(self, x: _Array, loose: Sequence[str]) -> Trim:
+    def _result(self, x: _Array, undetermined: Sequence[str]) -> Trim:
         numbers, model = self.numbers(x), self.model
         late = {name: numbers[of] for name, (of, _) in model.delays.inputs.items()}
         warnings: tuple[str, ...] = ()
-        if loose:
-            what = "is" if len(loose) == 1 else "are"
-            warnings = (f"{', '.join(loose)} {what} not determined by the equations: hold as you need",)
+        if undetermined:
+            what = "is" if len(undetermined) == 1 else "are"
+            warnings = (f"{', '.join(undetermined)} {what} not determined by the equations: hold as you need",)
         return Trim(
             states={n: numbers[n] for n in model.state_names},
             inputs={n: {**numbers, **late}[n] for n in model.declared_inputs},

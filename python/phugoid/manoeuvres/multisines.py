@@ -125,8 +125,8 @@ def _made(
     placed(caller, times, begin, None)
     length = times[-1] - begin if period is None else number(caller, "period", period, positive=True)
     placed(caller, times, begin, begin + length)
-    dealt = _dealt(caller, list(sizes), band, harmonics, float(length))
-    highest = max(map(max, dealt.values())) / length
+    assigned = _assigned_harmonics(caller, list(sizes), band, harmonics, float(length))
+    highest = max(map(max, assigned.values())) / length
     if highest > 0.5 / np.diff(times).max():
         raise OptionError(
             f"{caller}: {highest:g} Hz is above half the sampling rate ({0.5 / np.diff(times).max():g} Hz); "
@@ -136,8 +136,8 @@ def _made(
     whole = np.floor((times[-1] - begin) / length * (1.0 + 1e-12))
     active = (times >= begin) & (times <= begin + whole * length * (1.0 + 1e-12))
     made = {}
-    for name, k in dealt.items():
-        amplitude = np.sqrt(_powers(caller, power, k, float(length), single=len(dealt) == 1))
+    for name, k in assigned.items():
+        amplitude = np.sqrt(_powers(caller, power, k, float(length), single=len(assigned) == 1))
         phase = _at_zero(k, amplitude, _phases(k, amplitude, phases, rng))
         u = _signal(k, amplitude, phase, (times - begin) / length)
         peak = max(np.abs(_signal(k, amplitude, phase, _fine(k))).max(), np.abs(u).max())
@@ -145,7 +145,7 @@ def _made(
     return made
 
 
-def _dealt(
+def _assigned_harmonics(
     caller: str,
     names: Sequence[str],
     band: tuple[float, float] | None,

@@ -187,7 +187,7 @@ def sweep(
     amplitude  unit of the input.
     start      s; the first time unless given. ``duration``: s; to the last time unless given.
     pace       "log": each octave takes as long as the others; "linear": each Hz.
-    fade       s over which it grows at the beginning and dies away at the end.
+    fade       s over which the amplitude grows at the beginning and decays at the end.
 
     Returns (N,). Raises OptionError for a band beyond half the sampling rate, or a sweep that does not end within the
     times. (Klein and Morelli, ch. 9; M. B. Tischler and R. K. Remple, Aircraft and Rotorcraft System Identification,

@@ -88,7 +88,7 @@ class State:
     """A state as declared: ``m.states(x=State("m", start=1.0, bounds=(0.01, 10)))``.
 
     unit    for labels and tables only; nothing is converted.
-    start   where its path starts that no output measures; None leaves the choice to `estimate`: the value that
+    start   start of its path where no output measures it; None leaves the choice to `estimate`: the value that
             `Model.initial` gives, else 0, or 1 where the model has no finite derivative at 0, as sqrt(x).
     bounds  ``(lower, upper)``, kept at the points of the mesh (`Collocation`), where segments start
             (`MultipleShooting`), or at the first sample (`SingleShooting`). A bound where the model has no finite

@@ -14,7 +14,7 @@ _SMOOTH = {
     "lt": "smooth_step(x, width)",
     "le": "smooth_step(x, width)",
 }
-# No more expressions are named, none in more characters.
+# Greatest number of expressions that are named, and of their characters.
 _NAMED, _LONG = 4, 60
 
 

@@ -266,7 +266,7 @@ class Model:
     def declared_parameters(self) -> dict[str, Parameter]:
         """The parameters as declared."""
         rows = self._core.parameters
-        if rows != self._made[0]:  # of a thousand parameters they take long to make
+        if rows != self._made[0]:  # a thousand of them take long to make
             made = {
                 name: Parameter(start, (low, high), unit, prior, fixed, local, "log" if log else None, scale)
                 for name, unit, start, low, high, prior, fixed, local, log, scale in rows
@@ -402,7 +402,7 @@ class Model:
                     (``"q'"``) or an output (``"y:q"``).
         parameters  new ones that the terms hold, declared as by `Model.parameters`.
 
-        Raises ModelError for what is no equation, for a parameter that is there already, and for what is no expression.
+        Raises ModelError for an unknown equation, an existing parameter, and a term that is no expression.
 
         >>> import phugoid as ph
         >>> m = ph.Model("pendulum")

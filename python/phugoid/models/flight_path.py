@@ -163,23 +163,23 @@ def flight_path(
                    one axis look alike (b_ay and b_r; b_ax and an error of theta): manoeuvres separate them, standard
                    errors show how well.
     scales         channels with a scale factor ``K_<channel>``: measured = K true + b. Unless given alpha and beta,
-                   where they are outputs: vanes and probes stand in air that the fuselage deflects.
-    late           outputs that are measured late, by ``tau_<output>`` (s, 0 to 2). `estimate` needs ``start={"V":
-                   ...}`` where V is.
+                   where they are outputs: the fuselage deflects the air at vanes and probes.
+    late           outputs that are measured with a delay, ``tau_<output>`` (s, 0 to 2). `estimate` needs ``start={"V":
+                   ...}`` where V is among them.
     accelerometer  (x, y, z) of the accelerometers from the centre of gravity (m; forward, right, down). Then the
                    angular accelerations are inputs too: pdot, qdot, rdot (rad/s²).
-    alpha_vane, beta_vane  (x, y, z) of the vanes from the centre of gravity (m; forward, right, down): they see the air
-                   that rotation adds. A vane ahead of the centre of gravity by x reads much like one that is late by
-                   x/V: give its place before asking for its delay. A coordinate that is None is estimated: ``(None, 0,
-                   0)`` gives the parameter ``x_alpha_vane`` (m, -100 to 100).
+    alpha_vane, beta_vane  (x, y, z) of the vanes from the centre of gravity (m; forward, right, down): they measure the
+                   local flow, which rotation changes. A vane ahead of the centre of gravity by x reads much like one
+                   that is delayed by x/V: give its position before asking for its delay. A coordinate that is None is
+                   estimated: ``(None, 0, 0)`` gives the parameter ``x_alpha_vane`` (m, -100 to 100).
     flank          the sideslip sensor reads the flank angle atan(v/u), as a vane does; else asin(v/V).
     wind           of "north", "east", "up" the components ``wind_<which>`` (m/s, where the air goes to) that are
                    estimated, each experiment its own. Unless given north and east, where an output is over ground.
-    per_experiment biases that each experiment has its own of, by channel.
+    per_experiment biases with a value for each experiment, by channel.
     gravity        m/s².
 
-    Noise of the inertial sensors is taken as none: it goes into the states, as process noise would, and colours
-    residuals. Raises OptionError for channels that are not there, or options that contradict each other.
+    Noise of the inertial sensors is neglected: it enters the states, as process noise would, and colours the residuals.
+    Raises OptionError for unknown channels, or options that contradict each other.
 
     >>> print(flight_path("V alpha theta", longitudinal=True, scales=()))
     flight path

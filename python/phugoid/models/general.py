@@ -97,14 +97,14 @@ def state_space(
                      but those that cannot be observed in just these chains.
     ``"companion"``  its dual: B holds zeros and ones, one column of A of each input's chain is free, and C. For one
                      input, with the numerator's coefficients in C.
-    ``"full"``       A, B and C are all free: n^2 directions are redundant. The fit says so; modes and responses are
-                     determined, standard errors of the elements are not. For starts that a canonical form cannot hold.
+    ``"full"``       A, B and C are all free: n^2 directions are redundant, which the fit reports; modes and responses
+                     are determined, standard errors of the elements are not. For starts that have no canonical form.
 
-    ``rate`` (rad/s) makes the coefficients of a canonical form be of the same size: about the frequency of the modes.
-    Where it is not given it is the geometric mean of those of ``start``, or 1.
-    High orders suffer all the same, as polynomials do: above 8 or so take `modal`.
-    Without ``start`` the free elements start at 0, but for A of "full", which is -1, -2, ... on the diagonal, and C
-    there, 1. ``start``, ``feedthrough`` and ``bias`` are those of `modal`; eigenvalues of ``start`` may coincide.
+    ``rate`` (rad/s) scales the coefficients of a canonical form to similar sizes: about the frequency of the modes.
+    Where it is not given it is the geometric mean of those of ``start``, or 1. High orders are ill-conditioned all the
+    same, as polynomials are: above 8 or so use `modal`. Without ``start`` the free elements start at 0, but for A of
+    "full", which is -1, -2, ... on the diagonal, and C there, 1. ``start``, ``feedthrough`` and ``bias`` are those of
+    `modal`; eigenvalues of ``start`` may coincide.
 
     >>> print(state_space(2, "force", "y", rate=10))
     state space

@@ -49,23 +49,23 @@ def modal(
 
     ``inputs``, ``outputs``  names of the channels, in one text or several; ``"u"`` and ``"y"``, or those of ``start``.
     ``start``        a numeric system with distinct eigenvalues, a `StateSpace` or (A, B, C[, D]): all parameters start
-                     where their values give its transfer function, and n_modes and n_real are counted.
+                     at the values that give its transfer function, and n_modes and n_real follow from it.
     ``frequencies_hz``  without ``start``: where the modes start, with a damping ratio of 0.02; else at 1, 2, ... Hz.
     ``feedthrough``  adds ``d`` (``d_<output>_<input>``) to all outputs, or to those named: an accelerometer on a
                      structure that a force acts on directly. None: where ``start`` has it.
-    ``scale``        b and c of a mode come as products only: b may double where c halves, and with several inputs the
-                     phase of a mode is free too. ``"fixed"`` holds b of one input at 1 (and 0 in the second equation),
-                     so that c_1a and c_1b are the residue itself, by which the mode shows in the outputs: nothing is
-                     redundant, and standard errors of all parameters exist. The input held is that which excites the
-                     mode most at ``start``, else the first; a mode that this input does not excite has no such form.
-                     ``"free"`` is the paper's: b is a parameter, the fit warns that b and c cannot be told apart and
-                     has no standard errors of theirs, and has the same of all that does not depend on the scale.
+    ``scale``        b and c of a mode enter as products only: b may double where c halves, and with several inputs the
+                     phase of a mode is free too. ``"fixed"`` fixes b of one input at 1 (and 0 in the second equation),
+                     so that c_1a and c_1b are the residue of the mode: nothing is redundant, and standard errors of all
+                     parameters exist. The fixed input is the one that excites the mode most at ``start``, else the
+                     first; a mode that this input does not excite has no such form. ``"free"`` is the form of the
+                     paper: b is a parameter, the fit warns that b and c cannot be told apart and has no standard errors
+                     of them, and agrees in all quantities that do not depend on the scale.
     ``bias``         adds ``bias_<output>``, a constant of each experiment.
-    ``stable``       bounds every sigma at 0, so that no mode grows; one of ``start`` that does is reflected. A mode
-                     that stands in for all that resonates above the band may end there, without damping, and then
-                     neither it nor its standard errors mean anything by themselves.
+    ``stable``       bounds every sigma at 0, so that no mode grows; a growing mode of ``start`` is reflected. A mode
+                     that represents all resonances above the band may end at the bound, without damping; neither it nor
+                     its standard errors have a meaning of their own then.
 
-    Two modes that swap give the same model, so starts must differ: equal ones would stay equal.
+    Two modes that are exchanged give the same model, so their starts must differ: equal ones would stay equal.
 
     Raises ModelError for a ``start`` that does not fit, OptionError for other options.
 
@@ -126,7 +126,7 @@ class _Start:
         self.held = [int(np.argmax(np.abs(b))) for b in self.b]
         for k, b in enumerate(self.b):
             by = b[self.held[k]]
-            if by == 0.0:  # no input moves it, so that it does not show
+            if by == 0.0:  # no input excites it, so that no output shows it
                 self.b[k, self.held[k]] = by = 1.0
                 self.c[k] = 0.0
             factor = 1.0 / by
@@ -188,7 +188,7 @@ class _Form:
                 b += m.parameters(**{f"b_{label}b_{u}": Parameter(b_start[i].imag)})[0] * u
         m.dynamics(**{f"x_{label}a": a, f"x_{label}b": b})
         for j, shown in enumerate(self.parts):
-            c = self._seen(j, label)
+            c = self._factor_name(j, label)
             ca, cb = m.parameters(**{f"{c}a": float(c_start[j].real), f"{c}b": float(-c_start[j].imag)})
             shown += [ca * xa, cb * xb]
 
@@ -200,7 +200,7 @@ class _Form:
             right += m.parameters(**{named: Parameter(self.start.b[k, i].real, fixed=self._held(k, i))})[0] * u
         m.dynamics(**{f"x_{label}": right})
         for j, shown in enumerate(self.parts):
-            shown.append(m.parameters(**{self._seen(j, label): float(self.start.c[k, j].real)})[0] * x)
+            shown.append(m.parameters(**{self._factor_name(j, label): float(self.start.c[k, j].real)})[0] * x)
 
     def _sigma(self, k: int, label: str) -> Expr:
         value = self.start.pole[k].real
@@ -211,6 +211,6 @@ class _Form:
     def _held(self, k: int, i: int) -> bool:
         return self.scale == "fixed" and i == self.start.held[k]
 
-    def _seen(self, j: int, label: str) -> str:
+    def _factor_name(self, j: int, label: str) -> str:
         """Return the name of the factor of the mode in output j."""
         return f"c_{self.outputs[j]}_{label}" if len(self.outputs) > 1 else f"c_{label}"

@@ -20,9 +20,10 @@ class StudentT(Noise):
 
     ``sigma`` as for `Gaussian`; it is the scale of the density: the standard deviation is sigma sqrt(dof/(dof - 2)) for
     dof > 2.
-    ``dof``: degrees of freedom: a number (known, the same for all outputs), None (unknown, estimated for each output
-    as ``dof_<output>``), or either of them by output name. Few are heavy tails, many are Gaussian noise.
-    ``bounds``: of unknown degrees of freedom. At the upper one the noise is Gaussian for all the data say.
+    ``dof``: degrees of freedom: a number (known, the same for all outputs), None (unknown, estimated for each output as
+    ``dof_<output>``), or either of them by output name. Few degrees of freedom mean heavy tails, many mean nearly
+    Gaussian noise.
+    ``bounds``: of unknown degrees of freedom. At the upper bound the noise is not distinguishable from Gaussian noise.
     """
 
     dof: float | Mapping[str, float | None] | None = 4.0
@@ -108,8 +109,9 @@ class Laplace(Noise):
 
     ``sigma`` as for `Gaussian`; it is the scale of the density, which without smoothing is the mean absolute residual
     (the standard deviation is sqrt(2) times that).
-    ``smoothing``: the smaller, the nearer to Laplace, and the more iterations it takes. Standard errors come from the
-    curvature, which only residuals within it have: they are rough where it is small.
+    ``smoothing``: the smaller it is, the nearer the density is to Laplace's, and the more iterations are needed.
+    Standard errors come from the curvature, which only residuals below it contribute to: they are rough where it is
+    small.
     """
 
     smoothing: float = 0.1
@@ -140,9 +142,9 @@ class Density(Noise):
     estimated as ``<name>_<output>``.
     ``sigma`` as for `Gaussian`. A log-density that does not depend on sigma needs known ones: ``sigma={"q": 1.0}``.
 
-    That it is normalised is up to you: its integral over the residual may be any constant, but where it
+    The log-density must be normalised by the user: its integral over the residual may be any constant, but where it
     depends on an unknown sigma or on parameters, the estimates are wrong. ``log_likelihood`` compares with that of
-    other noise when the integral is sqrt(2 pi). It converges best where it falls off on both sides of 0.
+    other noise when the integral is sqrt(2 pi). Convergence is best where the density falls off on both sides of 0.
 
     >>> from phugoid import exp, log
     >>> cauchy = Density(lambda r, sigma: -log(1 + (r/sigma)**2) - log(sigma))

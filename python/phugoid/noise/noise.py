@@ -152,11 +152,11 @@ class Gaussian(Noise):
     not named have an unknown one.
     ``correlated``: the noise of different outputs may be correlated; the whole covariance matrix R is estimated, as
     ``sigma_<output>`` and ``corr_<output>_<output>``. All standard deviations are unknown then. Bounds of a `Sigma`
-    hold for what is left of it given the noise of other outputs.
+    hold for the conditional standard deviation given the noise of other outputs.
     ``covariance``: R, known: an array (n_y, n_y) in the order of the model's outputs, or covariances by names,
     ``{"q": {"q": 1e-4, "az": 2e-4}, "az": {"az": 1e-2}}`` (each pair once or twice; a pair left out is 0).
 
-    A sample of which only some outputs are present counts with the density of those, whatever the covariance.
+    A sample with missing outputs contributes the density of those that are present, with any covariance.
 
     >>> Gaussian({"q": 0.01, "az": Sigma(start=0.1)}).known
     {'q': 0.01}

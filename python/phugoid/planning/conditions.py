@@ -12,7 +12,7 @@ from ..modelling.model import Model
 
 __all__ = ["condition_warnings", "with_conditions"]
 
-# Of its size: a condition that changes by less is constant.
+# A condition that changes by less than this part of its size is constant.
 _CONSTANT = 1e-9
 
 

@@ -45,27 +45,25 @@ def plan(
     """Return the standard errors to expect from a planned manoeuvre.
 
     They are the Cramér-Rao bounds at the assumed values: of the information of the samples, with the first states of
-    each record free. For a manoeuvre that is flown, and a model that is right, `estimate` gives the same.
+    each record free. For a right model, `estimate` gives the same after the flight.
 
     source     a model, with its ``values``; or a fit, whose values and noise are taken where not given.
     manoeuvre  inputs over the times of the samples, ``Experiment(t, inputs={...})``, see `phugoid.design`; a list is
                flown one after the other. Where it has a channel of an output, that output is missing where the channel
-               is NaN: so sensors of lower rates are said. Measured conditions (`Model.conditions`) are held at their
-               mean in the records of the fit where it does not give them; one that it changes has a warning.
+               is NaN, which describes sensors of lower rates. Measured conditions (`Model.conditions`) that it does not
+               give are constant at their mean in the records of the fit; a warning names a condition that it changes.
     values     of parameters, by name; of those not named the model's starts, or the fit's.
     noise      output -> standard deviation, in its unit. Flight records have coloured residuals: take three to five
-               times what the sensor's noise is, or expect errors so much larger than planned.
+               times the sensor's noise, or expect errors larger than planned by that factor.
     initial    states at the beginning; else the fit's for its first record, else 0 (as `simulate`).
-    limits     channel (input, state or output) -> greatest size, or (lower, upper): what the vehicle may do.
-    after      a fit of records that are there already: its information is added. Parameters that each experiment has
-               its own of do not take part.
-    of         the parameters that the criteria are about; all that are estimated unless given. The others are estimated
-               too.
-    sizes      parameter -> typical size, in which its error counts; the size of its value unless given.
+    limits     channel (input, state or output) -> greatest size, or (lower, upper).
+    after      a fit of existing records: its information is added. Parameters of single experiments are excluded.
+    of         the parameters that the criteria refer to; all estimated ones unless given. The others are estimated too.
+    sizes      parameter -> typical size, in whose units the criteria measure its error; the size of its value unless
+               given.
 
-    Parameters that are fixed, and those at a bound, are taken as known; priors of the model count.
-    Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model cannot be
-    flown so.
+    Parameters that are fixed, and those at a bound, are taken as known; priors of the model count. Raises ModelError,
+    DataError or OptionError for invalid arguments, EvaluationError where the model cannot be simulated.
 
     >>> m = Model("roll")
     >>> p, = m.states(p="rad/s")
@@ -91,12 +89,12 @@ def plan(
     if transcription is not None and not isinstance(transcription, Collocation):
         raise OptionError(f"plan: transcription is a Collocation, not {transcription!r}")
     mesh = transcription or Collocation()
-    flown = [predicted(model, run, own_values(model, given, run), first, sigmas, mesh) for run in runs]
-    records, fits = [r for r, _ in flown], [f for _, f in flown]
-    names, matrix = _together(model, fits)
+    predictions = [predicted(model, run, own_values(model, given, run), first, sigmas, mesh) for run in runs]
+    records, fits = [r for r, _ in predictions], [f for _, f in predictions]
+    names, matrix = _pooled_information(model, fits)
     added = ""
     if after is not None:
-        matrix = matrix + _flown(model, names, after)
+        matrix = matrix + _information_of_fit(model, names, after)
         added = "after " + ", ".join(f"'{r.name}'" for r in after.records)
     matrix = matrix + _priors(model, names, () if after is None else after.parameters)
     information = Information(names, matrix)
@@ -137,7 +135,7 @@ def plans(
     return Plans({str(n): plan(source, m, name=str(n), **options) for n, m in manoeuvres.items()})
 
 
-def _together(model: Model, fits: Sequence[FitResult]) -> tuple[list[str], _Array]:
+def _pooled_information(model: Model, fits: Sequence[FitResult]) -> tuple[list[str], _Array]:
     """Return names and information of all records, each of which may have its own parameters."""
     local = {n for n, p in model.declared_parameters.items() if p.per_experiment}
     parts = []
@@ -154,7 +152,7 @@ def _together(model: Model, fits: Sequence[FitResult]) -> tuple[list[str], _Arra
     return names, matrix
 
 
-def _flown(model: Model, names: Sequence[str], after: Any) -> _Array:
+def _information_of_fit(model: Model, names: Sequence[str], after: Any) -> _Array:
     """Return the information of a fit about these parameters; its other estimates are marginalised."""
     if not isinstance(after, FitResult):
         raise OptionError(f"plan: after is a fit of records that are there, not a {type(after).__name__}")
@@ -256,7 +254,7 @@ def values_of(
     """Return values for all parameters; those that each experiment has its own of also as name[experiment]."""
     found = {n: p.start for n, p in model.declared_parameters.items()}
     if fit is not None:
-        # Of parameters of single experiments, those of the first record.
+        # Parameters of single experiments have the values of the first record.
         own = {n: f"{n}[{fit.records[0].name}]" for n in found}
         found |= {n: fit.parameters[k].value for n in found for k in (own[n], n) if k in fit.parameters}
     local = {n for n, p in model.declared_parameters.items() if p.per_experiment}

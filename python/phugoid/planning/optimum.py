@@ -40,10 +40,11 @@ def optimal_plan(
 ) -> Plan:
     """Return the most informative manoeuvre of a family that keeps its limits.
 
-    make         gives the manoeuvre for numbers by name: ``make(width=0.5, amplitude=0.03)``. Measured conditions need
-                 not be in it: they are held, as by `plan`.
+    make         function that returns the manoeuvre for numbers by name: ``make(width=0.5, amplitude=0.03)``. Measured
+                 conditions need not be in it: they are constant, as in `plan`.
     bounds       name -> (lower, upper) of these numbers.
-    criterion    what is to be small: "D", "A" or "worst" (`Plan.criteria`), of the parameters in the option ``of``.
+    criterion    the criterion to minimise: "D", "A" or "worst" (`Plan.criteria`), of the parameters in the option
+                 ``of``.
     generations  of differential evolution (Storn and Price, J. Global Optim. 11, 1997), which works with widths that
                  jump from sample to sample; a simplex search (Nelder and Mead) ends it. About (generations + 1) times 6
                  plans for each number, and 25. ``seed``: of its random numbers.
@@ -51,9 +52,9 @@ def optimal_plan(
                  warning.
     options      those of `plan`: values, noise, limits, after, ...
 
-    Returns the best plan that was seen; ``plan.choice`` holds the numbers. It is near the optimum, not at it to many
-    digits. Raises OptionError where nothing that was tried keeps its limits. What cannot be made or flown (OptionError,
-    EvaluationError) does not count.
+    Returns the best plan that was found; ``plan.choice`` holds the numbers. It is near the optimum, but not at it to
+    many digits. Raises OptionError where no manoeuvre that was tried keeps its limits. Manoeuvres that cannot be made
+    or simulated (OptionError, EvaluationError) are skipped.
     """
     from scipy.optimize import differential_evolution, minimize
 

@@ -65,15 +65,14 @@ class Plan:
                  for a parameter that is not determined, alone or in a combination; NaN for one that is fixed.
     information  `Information` on the parameters that are estimated: matrix, covariance, correlation.
     excursions   manoeuvre -> channel (inputs, states, outputs) -> `Excursion`.
-    records      what the model predicts, one for each record that is flown.
-    sizes        (n,) in which criteria measure errors: the sizes of the values, unless given. NaN where neither is
-                 there.
+    records      the predictions of the model, one for each record.
+    sizes        (n,) in which criteria measure errors: the sizes of the values, unless given. NaN where there is
+                 neither.
     criteria     "D": geometric mean of relative errors along the axes of the confidence ellipsoid; "A": root of the
                  mean of their squares; "worst": the greatest relative error of a parameter. Small is good, infinite is
-                 not told.
+                 not determined.
     choice       what `optimal_plan` chose.
-    warnings     what to beware of, in words: a measured condition that the manoeuvre changes; that the search was
-                 ended early.
+    warnings     in words: a measured condition that the manoeuvre changes; an early end of the search.
     """
 
     name: str

@@ -48,12 +48,12 @@ def predicted(
     """
     noise = Gaussian(sigmas)
     # Steps of fixed length are a hundred times as fast; where they do not do, the careful way does, or says why not.
-    for fly in (simulate,) if model.delays else (_stepped, simulate):
+    for simulator in (simulate,) if model.delays else (_stepped, simulate):
         try:
-            record = fly(model, values, run, initial=initial)
+            record = simulator(model, values, run, initial=initial)
             return record, _fitted(model, record, run, values, noise, mesh)
         except EvaluationError:
-            if fly is simulate:
+            if simulator is simulate:
                 raise
     raise AssertionError
 

@@ -125,7 +125,7 @@ def filter_error(
             fine = objective.on(next_at.problem(model, experiments, sigmas))
             curvature = _positive(hessian, end.metric, _held(objective.bounds, end))[0]
             try:
-                moved, first = _movement(fine, end, curvature)
+                moved, first = _refinement_step(fine, end, curvature)
             except KeyboardInterrupt:
                 end.status = Deadline(None).ended()
                 break
@@ -168,7 +168,7 @@ def better(fit: FitResult, other: Callable[[], FitResult]) -> FitResult:
     return max((fit, second), key=lambda f: (f.converged, f.log_likelihood))
 
 
-def _movement(fine: Objective, end: Minimum, curvature: _Array) -> tuple[float, tuple[float, _Array] | None]:
+def _refinement_step(fine: Objective, end: Minimum, curvature: _Array) -> tuple[float, tuple[float, _Array] | None]:
     """Return the length of the next Newton step with a finer treatment of the noise between samples, in standard errors
     of the parameter that moves most; and value and gradient there."""
     first = fine(end.x)

@@ -71,11 +71,11 @@ class Reconstruction:
 
     fit        of the model of the flight path: biases, scale factors, delays; states are the path.
     runs       the records that it was fitted to.
-    places     the fit with places of vanes estimated in place of their delays, and which of the two the data prefer;
+    places     the fit with positions of vanes estimated in place of their delays, and which of the two the data prefer;
                None where all positions were given or none is estimated (see `reconstruct`).
-    corrected  the same records, corrected: specific forces at the centre of gravity and rates without bias, and V,
-               alpha, beta, phi, theta, ... as reconstructed; all other channels as they were. Each is one step's data
-               for the next: the forces and moments are functions of these.
+    corrected  the records, corrected: specific forces at the centre of gravity and rates without bias, and V, alpha,
+               beta, phi, theta, ... as reconstructed; all other channels unchanged. They are the data of the next step,
+               in which forces and moments are functions of these.
     """
 
     fit: Fit
@@ -150,19 +150,21 @@ def reconstruct(
              those in the option ``per_experiment``.
     model    a model of the flight path; or the names of its outputs, which is then made with ``options``, those of
              `models.flight_path`. None takes the outputs that all records have.
-    start    values of parameters by name, as for `estimate`; None needs none.
+    start    values of parameters by name, as for `estimate`; None for the defaults.
     noise    as for `estimate`.
     time_limit  in seconds, of the whole; the best point so far is the result, as for `estimate`.
 
-    A vane ahead of the centre of gravity reads much like a late one, and it is its place that is known. So where the
-    model is made here, and places of vanes for alpha or beta among the outputs are not given (``alpha_vane``,
+    A vane ahead of the centre of gravity reads much like a delayed one, and its position is what is known. So where the
+    model is made here, and positions of vanes for alpha or beta among the outputs are not given (``alpha_vane``,
+    ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result holds
+    this fit and which of the two the data prefer. The corrected records are those of the fit that was asked for.
     ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result shows
     what it finds and which of the two the data prefer. What is corrected is by the fit that was asked for.
 
     psi is unwrapped where it jumps by a whole turn. With the accelerometers off the centre of gravity, angular
     accelerations that are not in the record are those of smoothing splines through p, q and r.
 
-    Raises DataError, ModelError or OptionError for what cannot be right.
+    Raises DataError, ModelError or OptionError for invalid arguments.
     """
     deadline = limited("reconstruct", time_limit)
     runs = as_experiments(data, "reconstruct")
@@ -182,11 +184,11 @@ def reconstruct(
         begin.setdefault("V", float(np.nanmedian(np.concatenate([run.output("V") for run in ready]))))
     with deadline.in_force():
         fit = estimate(made, ready, start=begin, noise=noise)
-        placed = None if isinstance(model, Model) else _placed(fit, ready, begin, noise, options)
+        placed = None if isinstance(model, Model) else _with_vane_positions(fit, ready, begin, noise, options)
     return Reconstruction(fit, tuple(ready), placed)
 
 
-def _placed(
+def _with_vane_positions(
     fit: Fit, runs: Sequence[Experiment], start: Mapping[str, Any], noise: Any, options: Mapping[str, Any]
 ) -> VanePlaces | None:
     """Return the positions of the vanes that were not given, estimated in place of delays."""
@@ -221,7 +223,7 @@ def _unwrapped(run: Experiment, model: Model) -> Experiment:
         if there.any() and np.abs(np.diff(values[there])).max(initial=0.0) > _JUMP:
             whole = values.copy()
             whole[there] = np.unwrap(values[there])
-            run = _with(run, {n: whole}, f"{n} unwrapped")
+            run = _with_channels(run, {n: whole}, f"{n} unwrapped")
     return run
 
 
@@ -231,10 +233,10 @@ def _turning(run: Experiment, model: Model) -> Experiment:
     if not lacking:
         return run
     slopes = {n: SmoothingSpline().smooth(run.t, run.input(_TURNING[n]))[1] for n in lacking}
-    return _with(run, slopes, f"{', '.join(lacking)} from smoothing splines")
+    return _with_channels(run, slopes, f"{', '.join(lacking)} from smoothing splines")
 
 
-def _with(run: Experiment, channels: Mapping[str, Any], step: str) -> Experiment:
+def _with_channels(run: Experiment, channels: Mapping[str, Any], step: str) -> Experiment:
     """Return the record with channels added or replaced."""
     outputs = {n: v for n, v in run.outputs.items() if n not in channels}
     other = Experiment(

@@ -18,7 +18,7 @@ __all__ = ["VanePlaces", "compare_places"]
 
 _Array = NDArray[np.float64]
 
-# Parts of each record whose gains are taken for independent: residuals are coloured.
+# Parts of each record whose gains are treated as independent, since residuals are coloured.
 _BLOCKS = 10
 # Standard deviations from which on a gain is significant.
 _CLEAR = 2.0
@@ -30,11 +30,11 @@ _OFF = 3.0
 class VanePlaces:
     """A fit with the positions of vanes estimated, in place of the delays of these channels that were asked for.
 
-    channels   of ``alpha`` and ``beta`` those whose vane was given no place.
-    delayed    those of them that are late in the other fit.
+    channels   those of ``alpha`` and ``beta`` whose vane was given no position.
+    delayed    those of them that are delayed in the other fit.
     fit        with ``x_alpha_vane``, ``x_beta_vane`` (m ahead of the centre of gravity).
-    gain       in log-likelihood over the other fit, on the samples that both have: a late sensor has none at first.
-    deviation  its standard deviation, from the scatter between parts of the records, for residuals are coloured.
+    gain       in log-likelihood over the other fit, on the samples that both have: a delayed sensor has none at first.
+    deviation  its standard deviation, from the scatter between parts of the records, since residuals are coloured.
     """
 
     channels: tuple[str, ...]

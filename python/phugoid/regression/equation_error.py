@@ -34,8 +34,8 @@ _Array: TypeAlias = NDArray[np.float64]
 class EquationError:
     """The result of `equation_error`.
 
-    parameters         by name; their standard errors hold for residuals of the colour that they have.
-    white_std_errors   name -> what the standard error would be if the residuals were white (it is too small).
+    parameters         by name; their standard errors are corrected for the autocorrelation of the residuals.
+    white_std_errors   name -> standard error without this correction, as for white residuals (it is too small).
     r_squared          equation -> coefficient of determination; NaN where the left side does not move.
     sigmas             equation -> root mean square of its residuals, in its unit.
     groups             the equations that were solved together, since they share parameters.
@@ -137,17 +137,18 @@ def equation_error(
     Every state must be measured by an output of its own (``q=q + bias``). Measured states are smoothed; the left side
     of a state equation is the slope of the smoothed channel, unless another output measures the slope itself; outputs
     that measure no state are regression equations of their own. Equations that share parameters are solved together,
-    weighted with their residuals; by linear least squares where all are linear in the parameters, else by Gauss-Newton
-    from ``start`` (values by name; those not named as declared). Bounds, priors and fixed parameters are kept. Noise
-    in the states biases the estimate, which is what `estimate` is free of: this is a start for it, and a check.
+    weighted with their residuals: by linear least squares where all are linear in the parameters, else by Gauss-Newton
+    from ``start`` (values by name; those not named as declared). Bounds, priors and fixed parameters are kept. Noise in
+    the states biases the estimate, which `estimate` avoids: the result serves as a start for it, and as a check.
 
     ``differentiation``: `SmoothingSpline` (the default), `FourierSmoothing` or `SavitzkyGolay`.
 
-    Standard errors hold for coloured residuals (V. Klein and E. A. Morelli, Aircraft System Identification, AIAA 2006,
-    ch. 5). Directions that the data do not determine stay at the start, and are named.
+    Standard errors are corrected for residual autocorrelation (V. Klein and E. A. Morelli, Aircraft System
+    Identification, AIAA 2006, ch. 5). Directions that the data do not determine stay at the start, and are named in the
+    warnings.
 
-    Raises ModelError for a state that is not measured, DataError or OptionError for what cannot be right,
-    EvaluationError where an equation is not finite at the start.
+    Raises ModelError for a state that is not measured, DataError or OptionError for invalid arguments, EvaluationError
+    where an equation is not finite at the start.
     """
     runs = as_experiments(data, "equation_error")
     if not isinstance(model, Model):

@@ -116,7 +116,7 @@ def _measured_slopes(
         for state, output in candidates:
             slope, rest = slopes[state], outputs[output] - slopes[state]
             near = _SAME * np.abs(slope).max()
-            # A slope that stands still says nothing of how the two depend on the states.
+            # A constant slope does not show how the two depend on the states.
             candidates[state, output] &= bool(np.abs(rest).max() <= near < np.ptp(slope))
     return {state for (state, _), same in candidates.items() if same}
 

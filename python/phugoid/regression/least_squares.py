@@ -20,7 +20,7 @@ _Rows: TypeAlias = tuple[_Array, _Array]  # residuals, regressors
 
 # Passes until the weights settle, and when they have.
 _PASSES, _SETTLED = 50, 1e-6
-# No residual's deviation counts as less than this part of what it explains: an exact equation would take all weight.
+# Least standard deviation of a residual, relative to the left-hand side: an exact equation would have all weight.
 _EXACT = 1e-6
 # Relative singular value of the scaled regressors below which a direction is undetermined.
 _SINGULAR = 1e-10

@@ -34,7 +34,7 @@ __all__ = ["damage", "fit_from", "fit_payload", "fit_unit", "load", "save"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
-# Of records that the filter-error method leaves.
+# Fields of records from the filter-error method.
 _OF_FILTER = ("state_std", "innovations", "innovation_std", "predicted_states")
 
 

@@ -136,7 +136,7 @@ def format_of(path: str | PathLike[str]) -> str:
         with hdf5_file.Reader(path) as saved:
             found = saved.name()
     else:
-        # The format stands first: the file may be large.
+        # The format comes first, since the file may be large.
         head = re.match(r'\s*\{\s*"format"\s*:\s*"([^"]*)"', text)
         found = head[1] if head else FORMAT
     return found if found in _VERSIONS else FORMAT

@@ -46,12 +46,12 @@ _NO_LIMIT = 1e300
 class Ipopt:
     """The interior-point solver Ipopt with exact derivatives.
 
-    ``options`` reaches every option of Ipopt by its own name and has the last word. ``scaling`` False leaves
-    scaling to Ipopt (``nlp_scaling_method``); ``gauss_newton`` False uses the exact Hessian from the start.
-    ``time_limit`` in seconds, of all that the estimation does. It is looked at between evaluations and iterations:
-    a factorisation by Ipopt's linear solver (MUMPS) that is under way is not interrupted, nor is it by Ctrl-C, so that
-    a run may go on past its limit for as long as one factorisation takes, seconds with a thousand parameters.
-    Needs the package cyipopt.
+    ``options`` sets every option of Ipopt by its own name and has precedence. ``scaling`` False leaves scaling to Ipopt
+    (``nlp_scaling_method``); ``gauss_newton`` False uses the exact Hessian from the start.
+    ``time_limit`` in seconds, for the whole estimation. It is checked between evaluations and iterations: a
+    factorisation by Ipopt's linear solver (MUMPS) in progress is not interrupted, nor is it by Ctrl-C, so that a run
+    may exceed its limit by the time of one factorisation, seconds with a thousand parameters. Needs the package
+    cyipopt.
     """
 
     max_iterations: int = 1000
@@ -169,7 +169,7 @@ class Ipopt:
             "linear_solver": "mumps",
             # METIS: three times faster on these long and narrow problems than the default ordering.
             "mumps_pivot_order": 5,
-            # The only inequalities are bounds far away: nothing is won by adapting the barrier.
+            # The only inequalities are distant bounds: adapting the barrier gains nothing.
             "mu_strategy": "monotone",
             # Ipopt widens bounds a little; its result is to lie within the user's.
             "honor_original_bounds": "yes",

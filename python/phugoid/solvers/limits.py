@@ -87,7 +87,7 @@ def check_time() -> None:
 
 
 def limited(caller: str, time_limit: Any) -> Deadline:
-    """Return the deadline of a call with this option; OptionError, in the caller's name, for what is no time."""
+    """Return the deadline of a call with this option; OptionError, in the caller's name, for an invalid time."""
     number = isinstance(time_limit, Real) and not isinstance(time_limit, bool)
     if time_limit is not None and not (number and float(time_limit) >= 0):
         raise OptionError(f"{caller}: time_limit is a number of seconds from 0, or None, not {time_limit!r}")

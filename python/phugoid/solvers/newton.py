@@ -27,13 +27,13 @@ class Newton:
 
     ``tolerance``: distance from the optimum, in standard errors, at which the last step is taken (what is left
     after it is about the square of that).
-    ``regression``: start with a regression of the parameters on the measured states and outputs; None does so
-    where every state is measured or its start is given. Where the model is not linear in its parameters, the linear
-    ones are projected out (Golub & Pereyra 1973) and other places are looked at, too, unless a fit is the start.
+    ``regression``: start with a regression of the parameters on the measured states and outputs; None does so where
+    every state is measured or its start is given. Where the model is not linear in its parameters, the linear ones are
+    projected out (Golub & Pereyra 1973) and other start values are tried, too, unless a fit is the start.
     ``gauss_newton`` False uses the exact Hessian from the start.
     ``paths``: start with steps between paths that satisfy the equations, integrated again after each step, with the
     parameters in a trust region; None does so where states are neither measured nor given and there are few samples.
-    ``time_limit`` in seconds, of all that the estimation does; the best point so far is the result.
+    ``time_limit`` in seconds, for the whole estimation; the best point so far is the result.
     """
 
     max_iterations: int = 200

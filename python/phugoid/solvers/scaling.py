@@ -33,7 +33,7 @@ def scale_from_data(problem: _core.Problem, xi: _Array) -> Scaling:
     states = xi[problem.n_theta :].reshape(-1, problem.n_states)
     size = np.abs(states).max(axis=0)
     spread = states.std(axis=0)
-    spread = np.where(spread > 1e-12 * size, spread, size)  # that of a constant is rounding errors
+    spread = np.where(spread > 1e-12 * size, spread, size)  # a constant has rounding errors only
     units = 1 / np.where(spread > 0, spread, 1.0)
     outputs = [len(y) for e in range(len(problem.first_point) - 1) for y in problem.outputs(xi, e)]
     return _scaling(problem, xi, units, 1 / max(problem.m, 1), 1.0 / max(sum(outputs), 1))
@@ -79,6 +79,6 @@ def _scaling(problem: _core.Problem, xi: _Array, units: _Array, column_weight: f
         row, column = problem.hessian_structure()
         diagonal = (row == column) & (row < n_theta)
         weight += np.abs(np.bincount(row[diagonal], curvature[diagonal], minlength=n_theta))
-    # A column that is zero at the start says nothing; its parameter is left alone.
+    # A column that is zero at the start has no information; its parameter is not scaled.
     variables[:n_theta] = np.where(weight > 0, np.sqrt(weight), 1.0)
     return Scaling(variables, constraints, objective)

@@ -35,9 +35,10 @@ class Collocation:
     sample times (a list of such for several experiments). Where an input that is held between its samples jumps, a
     segment ends in any case. ``threads`` 0 is one a core.
 
-    ``refine``: estimate the integration error of each segment, split those where it is above ``tolerance`` (in units
-    of the noise of the state's measurement; see `IntegrationError`), or raise the order where most are, and estimate
-    again, until none is. ``Fit.refinement`` says what was done and by how much the estimates moved.
+    ``refine``: estimate the integration error of each segment, split the segments where it is above ``tolerance`` (in
+    units of the noise of the state's measurement; see `IntegrationError`), or raise the order where it is above in
+    most, and estimate again, until it is below everywhere. ``Fit.refinement`` reports the passes and the changes of the
+    estimates.
     """
 
     order: int = 4

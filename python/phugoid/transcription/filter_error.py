@@ -18,7 +18,7 @@ __all__ = ["FEWEST", "FilterError"]
 
 # Runge-Kutta steps between samples, and terms of the noise there, to begin with.
 FEWEST = (1, 2)
-# How many pairs of these there are to choose from.
+# Number of pairs of these to choose from.
 _MESHES = 4
 
 
@@ -31,28 +31,29 @@ class FilterError:
     marginal likelihood of all parameters is maximised, with the states integrated out: as by a Kalman filter where the
     model is linear in its states, by the Laplace approximation elsewhere.
 
-    Noise does not wait for samples: between two of them it is a sum of ``terms`` orthonormal polynomials for each
-    state, of which two already bring into the other states what it does there meanwhile; the equations are integrated
-    with it in ``substeps`` Runge-Kutta steps (order 4). None: from 2 terms and 1 step on, more until yet more would
-    move no estimate by a tenth of its standard error; `Fit.transcription` says how many. Numbers given are kept.
+    Between two samples the noise is a sum of ``terms`` orthonormal polynomials for each state; two of them already
+    describe its effect on the other states over the interval. The equations are integrated with it in ``substeps``
+    Runge-Kutta steps (order 4). None: 2 terms and 1 step at first, then more until a further refinement would move no
+    estimate by a tenth of its standard error; `Fit.transcription` holds the final numbers. Given numbers are kept.
 
-    ``output_error``: True starts from the fit of an ordinary `estimate` (``start=fit`` does so with one that is there
-    already). False does so where the way from the start values ends badly.
+    ``output_error``: True starts from the fit of an ordinary `estimate` (``start=fit`` does so with an existing one).
+    False does so only where the estimation from the start values does not converge.
 
-    ``initial``: what is known of first states. (mean, standard deviation): that. Not named: nothing, a flat prior of
-    density 1. Either is integrated out. None: it is a parameter, as in the output-error method, and the likelihood with
-    q = 0 is that of output error; but where process noise can explain an output by itself, this likelihood grows
-    without bound as its sigma goes to 0. Likelihoods with different ``initial`` cannot be compared.
+    ``initial``: prior knowledge of first states, by state: (mean, standard deviation). A state that is not named has a
+    flat prior of density 1. First states with either prior are integrated out. None: the first state is a parameter, as
+    in the output-error method, and the likelihood with q = 0 is that of output error; but where process noise can
+    explain an output by itself, this likelihood grows without bound as its sigma goes to 0. Likelihoods with different
+    ``initial`` cannot be compared.
 
-    ``time_limit``: in seconds, of all that the estimation does; the best point so far is the result, with status "time
-    limit". What there was no time for is missing, and a warning says so: standard errors, innovations and deviations of
-    states are NaN; where not even the start was evaluated, the log-likelihood is too, and the fit is not ``feasible``.
+    ``time_limit``: in seconds, for the whole estimation; the best point so far is the result, with status "time limit".
+    Results that were not computed are missing, with a warning: standard errors, innovations and deviations of states
+    are NaN; where not even the start was evaluated, the log-likelihood is NaN as well, and the fit is not ``feasible``.
 
-    ``intensities``: known ones by state, q in the unit above; 0 is no noise. Those not named are estimated.
+    ``intensities``: known intensities by state, q in the unit above; 0 is no noise. Those not named are estimated.
 
     R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd edition (AIAA, 2015), chapter 5.
 
-    Raises OptionError for what cannot be right.
+    Raises OptionError for invalid arguments.
     """
 
     states: Sequence[str]

@@ -103,7 +103,7 @@ def prediction_bands(
     for name, error in errors.items():
         y, low, high = record.outputs[name], *noise.quantiles(e, name, 0.5 - 0.5 * level)
         model[name] = (y - z * error, y + z * error)
-        # Of Gaussian noise this is exact.
+        # This is exact for Gaussian noise.
         measurement[name] = (y - np.hypot(z * error, low), y + np.hypot(z * error, high))
     return Bands(record, float(level), errors, model, measurement, coloured, f"{fit.model.name}: {record.name}")
 

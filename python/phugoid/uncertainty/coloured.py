@@ -101,8 +101,9 @@ class Colouring:
         P = M^-1 [sum_k sum_l S_k' R^-1 C(k - l) R^-1 S_l] M^-1,
 
     M the information, S sensitivities, C the autocovariance of the noise v (Morelli & Klein 1997, Eq. 21; *Aircraft
-    System Identification*, 2nd ed., Eq. 5.134). M is the exact one of the fit. In C stand the covariances of the
-    processes in `colour`, not sums of lagged products of residuals: those weighted by S add up to 0 at the optimum.
+    System Identification*, 2nd ed., Eq. 5.134). M is the exact one of the fit. C is made of the covariances of
+    autoregressive processes, not of sums of lagged products of residuals: those weighted by S add up to 0 at the
+    optimum.
 
     tangents   the space in which estimates scatter.
     processes  one an output: of scores, in units of the fit's noise.
@@ -115,7 +116,7 @@ class Colouring:
         self.tangents = t = tangents
         linear, scores, k = t.linear, t.scores, t.k
         self.segments = output_segments(linear.times, linear.rows)
-        # Where experiments have noise of their own, one process is that of all, each in its own size.
+        # Where experiments have their own noise, all share one process, each with its own size.
         self.sizes = np.ones(linear.n_rows)
         if scores.own:
             for line in linear.rows:
@@ -135,7 +136,7 @@ class Colouring:
                 spread += a.columns @ a.times(process).T
         # For the noise's own unknowns, on which these estimates hardly depend, the curvature suffices.
         middle = np.linalg.inv(t.inverse)
-        self.spread = _proper(0.5 * (spread + spread.T))
+        self.spread = _positive_semidefinite(0.5 * (spread + spread.T))
         middle[:k, :k] = self.spread + t.priors[:k, :k]
         middle[:k, k:] = middle[k:, :k] = 0.0
         self.covariance = t.inverse @ middle @ t.inverse
@@ -181,7 +182,7 @@ class Colouring:
         return total / count if count else 1.0
 
 
-def _proper(matrix: _Array) -> _Array:
+def _positive_semidefinite(matrix: _Array) -> _Array:
     """Return a symmetric matrix with its negative eigenvalues, which only an estimate has, set to 0."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
@@ -209,7 +210,10 @@ def _corrected(fit: FitResult) -> Coloured:
     with np.errstate(invalid="ignore"):
         errors = np.where(np.isfinite(plain), np.sqrt(np.diag(covariance)), np.nan)
     grid = [max(line, key=lambda g: g.size) for line in c.segments]
-    correlations = {n: _memory(p, g.size) for n, p, g in zip(fit.model.output_names, c.processes, grid, strict=True)}
+    correlations = {
+        n: _significant_autocorrelation(p, g.size)
+        for n, p, g in zip(fit.model.output_names, c.processes, grid, strict=True)
+    }
     steps = dict(zip(fit.model.output_names, (g.step for g in grid), strict=True))
     return Coloured(
         parameters=Estimates(
@@ -223,7 +227,7 @@ def _corrected(fit: FitResult) -> Coloured:
     )
 
 
-def _memory(process: Autoregression, most: int) -> _Array:
+def _significant_autocorrelation(process: Autoregression, most: int) -> _Array:
     """Return the autocorrelation up to the last lag where it is 0.01 or more."""
     c = process.autocorrelation(max(most, 1))
     return np.asarray(c[: int(np.flatnonzero(np.abs(c) >= 0.01)[-1]) + 2])

@@ -21,7 +21,7 @@ __all__ = ["plot_bands", "plot_profiles"]
 # Columns of panels, and the height of each in inches, of profiles and of bands.
 _COLUMNS, _HEIGHT = 3, 1.95
 _BAND_COLUMNS, _BAND_HEIGHT = 2, 1.8
-# How far an interval without end is shown, in halves of one.
+# Shown length of an infinite interval, in halves of a finite one.
 _BEYOND = 4.0
 
 

@@ -146,7 +146,7 @@ def elsewhere(
     covariance = np.zeros((likelihood.values.size,) * 2)
     covariance[np.ix_(given, given)] = np.nan_to_num(fit.covariance[np.ix_(at, at)])
     if own.size:
-        _follow(likelihood, covariance, own)
+        _add_biases(likelihood, covariance, own)
     return record, dict(zip(model.output_names, likelihood.errors(covariance, 0), strict=True)), found
 
 
@@ -157,7 +157,7 @@ def _ended(fit: FitResult) -> None:
         )
 
 
-def _follow(likelihood: Filtered, covariance: _Array, own: NDArray[np.intp]) -> None:
+def _add_biases(likelihood: Filtered, covariance: _Array, own: NDArray[np.intp]) -> None:
     """Add biases to a covariance: the best biases depend on the other numbers."""
     z = likelihood.values.copy()
     sigmas = slice(len(likelihood.model.parameter_names), z.size - len(likelihood.options.states))

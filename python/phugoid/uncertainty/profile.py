@@ -52,9 +52,9 @@ class Profile:
                the likelihood does not fall low enough however far one goes; "failed", where the solver came no farther;
                "missing", where the run was interrupted or its time limit was reached.
     values     (k,) that were tried, in order, the estimate among them.
-    drops      (k,) by how much the log-likelihood is lower there, with all else re-estimated.
+    drops      (k,) drop of the log-likelihood there, with all else re-estimated.
     threshold  the drop at the ends: half of chi-square's quantile with one degree of freedom.
-    inflation  by how much the threshold's root was made larger for coloured residuals; 1 where it was not.
+    inflation  factor on the root of the threshold for coloured residuals; 1 without.
     """
 
     name: str

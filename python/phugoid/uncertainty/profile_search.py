@@ -22,7 +22,7 @@ __all__ = ["End", "Side", "Sides"]
 
 End: TypeAlias = Literal["found", "bound", "open", "failed", "missing"]
 
-# The likelihood's root at an end is right to this part of the threshold's.
+# Relative tolerance of the likelihood's root at an end.
 _CLOSE = 5e-4
 # Points on one side, how much farther each try reaches, and how far in standard errors, or decades of a parameter with
 # a logarithm, before an end counts as open.

@@ -35,7 +35,7 @@ class Validation:
     noise           that of the fit, every number known.
     fitted_to       names of the experiments that the fit was made on.
     records         one an experiment: measured, outputs, residuals, states.
-    held            parameter -> value that was held.
+    held            parameter -> fixed value.
     freed           estimates of the biases (and what else was named), with standard errors.
     initial_states  experiment -> state -> estimate of the state at the first sample. Standard errors, here and of
                     ``freed``, take held parameters for exact and the noise for that of the fit.

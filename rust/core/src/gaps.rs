@@ -1,4 +1,4 @@
-//! Gaps in the sampling of records, over which nobody knows what inputs did.
+//! Gaps in the sampling of records, in which the inputs are unknown.
 
 use crate::experiment::Experiment;
 

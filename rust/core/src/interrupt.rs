@@ -2,7 +2,7 @@
 //!
 //! Long work asks [`current`] once, and the [`Interrupt`] that it gets between its parts: blocks of an evaluation,
 //! groups of a factorisation, steps of an integration. Work that was stopped ends with an error of its own kind; its
-//! results mean nothing, and whoever began it asks [`Interrupt::cause`] why.
+//! results are invalid, and the caller asks [`Interrupt::cause`] for the reason.
 //!
 //! The interrupt in force belongs to the thread that called [`Interrupt::run`], as a user's program and its linear
 //! algebra are called through interfaces that know nothing of limits. Parallel work takes its own copy along.
@@ -53,7 +53,7 @@ pub fn current() -> Interrupt {
 }
 
 impl Interrupt {
-    /// A limit of so much time from now, within the one in force. No time, or more than a clock can tell, is no limit.
+    /// A limit of so much time from now, within the one in force. No time, or more than a clock can count, is no limit.
     pub fn within(time: Option<Duration>) -> Interrupt {
         let deadline = time.and_then(|time| Instant::now().checked_add(time));
         Interrupt(Some(Arc::new(Limit { deadline, stopped: AtomicBool::new(false), outer: current() })))
@@ -71,7 +71,7 @@ impl Interrupt {
         work()
     }
 
-    /// Does work that must be done, whatever the limits.
+    /// Runs work that must be completed, without the limits in force.
     pub fn shielded<R>(work: impl FnOnce() -> R) -> R {
         Interrupt(None).run(work)
     }

@@ -31,7 +31,7 @@
 //! ```
 //!
 //! This program is large and sparse, and starts from states as they were measured: it converges from useless
-//! parameters, such as zeros, and does not mind unstable systems.
+//! parameters, such as zeros, and for unstable systems.
 //!
 //! # A first example
 //!

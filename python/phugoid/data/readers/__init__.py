@@ -13,12 +13,12 @@ __all__ = ["open_source"]
 
 
 def open_source(
-    data: Any, time: str | None, wanted: set[str], columns: Sequence[str] | None, delimiter: str | None
+    data: Any, time: str | None, requested: set[str], columns: Sequence[str] | None, delimiter: str | None
 ) -> Source:
     """Return the columns of a table in memory, or of a file, whose ending gives its kind.
 
     time    name in the file of the column that gives the times; None: not given.
-    wanted  names that are asked for: columns that take long to read are skipped unless they are among them.
+    requested  names that are asked for: columns that take long to read are skipped unless they are among them.
     """
     from .frames import is_frame, read_frame
 
@@ -49,11 +49,11 @@ def open_source(
     if ending == ".ulg":
         from .flight_logs import read_ulog
 
-        return read_ulog(path, time, wanted)
+        return read_ulog(path, time, requested)
     if ending == ".bin":
         from .flight_logs import read_ardupilot
 
-        return read_ardupilot(path, time, wanted)
+        return read_ardupilot(path, time, requested)
     from .text import read_text
 
     return read_text(path, columns, delimiter)

@@ -39,15 +39,15 @@ def topic_columns(
     ]
 
 
-def topics_in(wanted: set[str]) -> set[str]:
+def topics_in(requested: set[str]) -> set[str]:
     """Return the topics, without instance, of names such as ``sensor_accel[1].x``."""
-    return {name.partition(".")[0].partition("[")[0] for name in wanted}
+    return {name.partition(".")[0].partition("[")[0] for name in requested}
 
 
 _ULOG = "a PX4 log (ULog)"
 
 
-def read_ulog(path: Path, time: str | None, wanted: set[str]) -> Source:
+def read_ulog(path: Path, time: str | None, requested: set[str]) -> Source:
     """Read columns ``topic.field``, timed by ``timestamp`` or, say, ``time="timestamp_sample"``; microseconds become s.
 
     Times are since the start of the autopilot. A log with bytes that make no sense is read as far as it goes, with a
@@ -56,7 +56,7 @@ def read_ulog(path: Path, time: str | None, wanted: set[str]) -> Source:
     existing(path)
     core = load("pyulog.core", _ULOG, "px4")
     # Only the topics asked for are unpacked, unless one of them is not there: then the message names all.
-    topics = sorted(topics_in(wanted))
+    topics = sorted(topics_in(requested))
     columns = _ulog_columns(core, path, time, topics) if topics else []
     if not topics_in({column.name for column in columns}) >= set(topics) or not columns:
         columns = _ulog_columns(core, path, time, None)
@@ -147,7 +147,7 @@ def _table_values(read: Any, field: str, name: str) -> Any:
 _DATAFLASH = "a log of ArduPilot (.bin)"
 
 
-def read_ardupilot(path: Path, time: str | None, wanted: set[str]) -> Source:
+def read_ardupilot(path: Path, time: str | None, requested: set[str]) -> Source:
     """Read columns ``MESSAGE.field`` such as ``IMU.GyrX``, of a second instance ``IMU[1].GyrX``, timed by ``TimeUS``.
 
     Microseconds since the start of the autopilot become s; units are those given in the log. Only messages that are
@@ -161,7 +161,7 @@ def read_ardupilot(path: Path, time: str | None, wanted: set[str]) -> Source:
         log = reader.DFReader_binary(str(path))
     try:
         kinds = {f.name: f for f in log.formats.values() if log.counts[f.type] and "TimeUS" in f.columns}
-        asked = topics_in(wanted) & set(kinds) if len(kinds) > 1 else set(kinds)
+        asked = topics_in(requested) & set(kinds) if len(kinds) > 1 else set(kinds)
         with reading(path, _DATAFLASH), _quiet():
             messages = _messages(log, asked)
     finally:

@@ -40,11 +40,11 @@ def _pandas(frame: Any, time: str | None) -> Source:
     names = [str(name) for name in frame.columns]
     columns = [_column(name, partial(_of_pandas, frame, j)) for j, name in enumerate(names)]
     index = frame.index
-    wanted = "t" if time is None else time
-    if wanted not in [column.name for column in columns] and getattr(index, "nlevels", 1) == 1:
+    time_name = "t" if time is None else time
+    if time_name not in [column.name for column in columns] and getattr(index, "nlevels", 1) == 1:
         own = index.name is None and type(index).__name__ != "RangeIndex"
         if own or index.name is not None:
-            name = wanted if own else str(index.name)
+            name = time_name if own else str(index.name)
             clock = _column(name, lambda _: index.to_numpy())
             times = clock.name if time is None else None
             columns = [clock, *(Column(c.name, c.values, c.unit, c.header, times) for c in columns)]
@@ -148,11 +148,11 @@ def read_parquet(path: Path, time: str | None) -> Source:
         unit = next((metadata[key].decode("utf-8", "replace") for key in (b"units", b"unit") if key in metadata), unit)
         if name == "__index_level_0__" and (time or "t") not in names:
             name = time or "t"
-        columns.append(Column(name, _later(parquet, path, field.name), unit, field.name))
+        columns.append(Column(name, _reader(parquet, path, field.name), unit, field.name))
     return Source(str(path), stem(path), columns)
 
 
-def _later(parquet: Any, path: Path, column: str) -> Callable[[str], Any]:
+def _reader(parquet: Any, path: Path, column: str) -> Callable[[str], Any]:
     """Return a function that reads one column when it is called: the format stores columns one by one."""
 
     def values(name: str) -> Any:

@@ -69,7 +69,7 @@ def from_leaves(
             left_out[full] = f"has {_size(leaf)} values, but its times '{clock}' {samples}"
             continue
         for suffix, place in _places(leaf.shape, axis):
-            found.append(Column(full + suffix, _picked(leaf, place), leaf.unit, times=clock))
+            found.append(Column(full + suffix, _channel_reader(leaf, place), leaf.unit, times=clock))
     return Source(where, name, found, left_out)
 
 
@@ -112,10 +112,10 @@ def _of_matrix(where: str, usable: Sequence[Leaf], columns: Sequence[str]) -> li
     (leaf,) = fitting
     axis = 0 if leaf.shape[1] == len(columns) else 1
     places = _places(leaf.shape, axis)
-    return [Column(n, _picked(leaf, place), leaf.unit) for n, (_, place) in zip(columns, places, strict=True)]
+    return [Column(n, _channel_reader(leaf, place), leaf.unit) for n, (_, place) in zip(columns, places, strict=True)]
 
 
-def _picked(leaf: Leaf, place: Any) -> Callable[[str], Any]:
+def _channel_reader(leaf: Leaf, place: Any) -> Callable[[str], Any]:
     return lambda name: leaf.read()[place]
 
 
@@ -193,7 +193,13 @@ def read_hdf5(path: Path, time: str | None, columns: Sequence[str] | None, matla
             shape = () if 0 in shape or "MATLAB_empty" in item.attrs else shape
             path_in = parts if field is None else (*parts, field)
             leaves.append(
-                Leaf(path_in, shape[::-1] if matlab else shape, _later(h5py, path, kind, key, field, matlab), unit, why)
+                Leaf(
+                    path_in,
+                    shape[::-1] if matlab else shape,
+                    _dataset_reader(h5py, path, kind, key, field, matlab),
+                    unit,
+                    why,
+                )
             )
 
     with reading(path, kind), h5py.File(path, "r") as file:
@@ -201,7 +207,7 @@ def read_hdf5(path: Path, time: str | None, columns: Sequence[str] | None, matla
     return from_leaves(str(path), stem(path), leaves, time, columns)
 
 
-def _later(h5py: Any, path: Path, kind: str, key: str, field: str | None, matlab: bool) -> Any:
+def _dataset_reader(h5py: Any, path: Path, kind: str, key: str, field: str | None, matlab: bool) -> Any:
     """Return a function that reads a dataset when it is called: a file may hold far more than is used."""
 
     def read() -> Any:

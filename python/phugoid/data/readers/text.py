@@ -63,7 +63,7 @@ def _parse(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> 
         raise DataError(f"{file}: is empty")
     # The third line is surely data: a header and a row of units may stand before it.
     split = _splitter(file, delimiter, content[min(2, len(content) - 1)][1])
-    first = split(_glued(content[0][1]))
+    first = split(_join_unit(content[0][1]))
     if columns is not None:
         if isinstance(columns, str):
             raise DataError(f"columns='{columns}' is text: give a list of names")
@@ -71,8 +71,8 @@ def _parse(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> 
         start = 1 if all(_is_text(cell) for cell in first if cell) else 0
     elif _is_text(next((cell for cell in first if cell), "")):
         headers, start = first, 1
-    elif len(split(_glued(comment))) == len(first) and all(map(_is_text, split(_glued(comment)))):
-        headers, start = split(_glued(comment)), 0  # as numpy.savetxt(header=...) writes it
+    elif len(split(_join_unit(comment))) == len(first) and all(map(_is_text, split(_join_unit(comment)))):
+        headers, start = split(_join_unit(comment)), 0  # as numpy.savetxt(header=...) writes it
     else:
         raise DataError(
             f"{file}, line {content[0][0]}: a header is missing (the line holds numbers); "
@@ -125,7 +125,7 @@ def _text(path: Path) -> str:
 def _splitter(file: str, delimiter: str | None, sample: str) -> Any:
     """Return a function that splits a line into stripped fields."""
     if delimiter is None:
-        # A tab may be mere alignment among blanks: it delimits only where no field has a blank inside.
+        # A tab may only align columns between blanks: it delimits only where no field contains a blank.
         tabs = "\t" in sample and not any(" " in cell.strip() for cell in sample.split("\t"))
         delimiter = "\t" if tabs else ";" if ";" in sample else "," if "," in sample else None
     elif not delimiter.strip(" "):
@@ -146,7 +146,7 @@ def _splitter(file: str, delimiter: str | None, sample: str) -> Any:
     return split
 
 
-def _glued(header: str) -> str:
+def _join_unit(header: str) -> str:
     """Remove the blanks before a unit where blanks delimit: ``alpha [deg]`` becomes ``alpha[deg]``."""
     return re.sub(r"\s+(?=[\[(])", "", header)
 

@@ -70,7 +70,7 @@ const KNOWN: f64 = 0.1;
 ///
 /// # Errors
 /// [`NoInformation::NotFinite`] when a derivative is not finite there, [`NoInformation::Singular`] when the constraints
-/// depend on each other, [`NoInformation::Stopped`] when it was told not to go on.
+/// depend on each other, [`NoInformation::Stopped`] when the interrupt stopped it.
 pub fn information(
     nlp: &dyn Nlp,
     xi: &[f64],
@@ -215,7 +215,7 @@ fn informed(
     Ok(Information { covariance, step, undetermined, saddle })
 }
 
-/// The column of a variable in the KKT matrix, its sign changed: what the others answer to when it moves by one.
+/// The column of a variable in the KKT matrix, its sign changed: the right-hand side of the response to a unit change.
 fn column(nlp: &dyn Nlp, hessian: &[f64], jacobian: &[f64], variable: usize) -> (Vec<f64>, Vec<f64>) {
     let (mut p, mut q) = (vec![0.0; nlp.n()], vec![0.0; nlp.m()]);
     let s = nlp.hessian_structure();
@@ -249,9 +249,9 @@ fn companions(d: &[f64], wanted: &[usize], sigmas: &[f64], far: f64) -> Vec<usiz
     moves.into_iter().filter(|m| m.1 > MOVES * most).map(|m| m.0).collect()
 }
 
-/// The first parameter (of `n`) that is one with those before it, as the covariance (k × k of `wanted`) has
-/// it: the one that has the greatest part in that, and all that have a part. Of a parameter and an initial state the
-/// covariance does not tell: those of an unstable motion are one to rounding, and known well.
+/// The first parameter (of `n`) that is a linear combination of those before it, by the covariance (k × k of
+/// `wanted`): returns the one with the greatest part in the combination, and all with a part. A parameter and an
+/// initial state are not compared: those of an unstable motion are collinear up to rounding, and yet well determined.
 fn confounded(covariance: &[f64], wanted: &[usize], xi: &[f64], n: usize) -> Option<(usize, Vec<usize>)> {
     let k = wanted.len();
     let known: Vec<usize> = (0..k).filter(|&i| wanted[i] < n && covariance[i * k + i] > 0.0).collect();

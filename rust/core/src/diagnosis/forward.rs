@@ -182,9 +182,9 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
         most
     }
 
-    /// States at the samples, `out[k][sample · n_x + state]` of all experiments after each other, that answer to
-    /// slopes added to f, (k, points · n_x): first states and parameters stay. They mean nothing where the interrupt in
-    /// force stopped it.
+    /// States at the samples, `out[k][sample · n_x + state]` of all experiments after each other, in response
+    /// to slopes added to f, (k, points · n_x), with first states and parameters fixed. They are invalid where the
+    /// interrupt in force stopped it.
     pub fn solve(&self, slopes: &[&[f64]]) -> Vec<Vec<f64>> {
         let n = self.problem.layout.n_x;
         let interrupt = current();

@@ -1,5 +1,5 @@
-//! A collocation problem linearised about a point: how states and outputs answer to its variables, and to signals at a place
-//! of the model.
+//! A collocation problem linearised about a point: the responses of states and outputs to its variables, and to signals
+//! at a place of the model.
 
 use std::ops::Deref;
 
@@ -18,7 +18,7 @@ pub struct Outputs<'a> {
     pub by_state: &'a [f64],
     /// (samples, n_y, n_θ)
     pub by_parameter: &'a [f64],
-    /// (samples, n_y) which row of an answer it is, of those there are; below 0 where nothing was measured.
+    /// (samples, n_y) the row of a response, among those of measurements; below 0 where nothing was measured.
     pub rows: &'a [isize],
     /// Number of outputs.
     pub n_y: usize,

@@ -61,7 +61,7 @@ pub(crate) struct Field<'a> {
     jacobian: Option<(Kernel, Vec<usize>, Vec<usize>)>,
     workspace: Workspace,
     point: Vec<f64>,
-    /// Times are counted from here: within an interval they are then told apart however short the steps.
+    /// Origin of times: within an interval they then differ for arbitrarily short steps.
     origin: f64,
     /// The end of the interval, and what is taken for it: to the bit, as a hair below zero may have no square root.
     end: (f64, f64),

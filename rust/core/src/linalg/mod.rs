@@ -111,7 +111,7 @@ pub trait KktSolver: Send {
     fn flops(&self) -> u64;
 }
 
-/// A Newton system that was factorised: it answers everything that is asked of its matrix.
+/// A factorised Newton system: it solves for right-hand sides, and gives inertia and covariances.
 pub trait Factor {
     /// Completes the factorisation with some variables held in place (d = 0 there) and `shift` ≥ 0 times
     /// a positive diagonal, in units of the curvature, added to the reduced Hessian. May be called again

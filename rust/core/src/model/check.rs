@@ -14,8 +14,8 @@ impl Model {
     ///
     /// # Errors
     /// For no states or outputs, a state without equation, an undeclared symbol, a parameter that appears in no
-    /// equation; names that are taken, starts outside bounds and other numbers that cannot be, delays of what is no
-    /// input, and noise that is none.
+    /// equation; duplicate names, starts outside bounds and other invalid numbers, delays of an unknown
+    /// input, and invalid noise.
     pub fn check(&self) -> Result<(), Error> {
         let fail = |text: String| Err(Error::Model(format!("model '{}': {text}", self.name)));
         if self.states.is_empty() {

@@ -61,7 +61,7 @@ impl SavedDelays {
         })
     }
 
-    /// Declared anew, but for the symbols of late inputs, which are inputs already.
+    /// Declares the delays; the symbols of delayed inputs are declared as inputs already.
     fn declare(self, model: &mut Model) -> Result<(), Error> {
         for (name, (of, by)) in self.inputs.0 {
             let known = |name: &str| model.inputs.iter().any(|v| v.name == name);

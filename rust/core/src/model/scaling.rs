@@ -1,4 +1,4 @@
-//! Scalings of states and parameters that no output can tell: x → sᵃ x, θ → sᵇ θ.
+//! Scalings of states and parameters that leave all outputs unchanged: x → sᵃ x, θ → sᵇ θ.
 //!
 //! Every symbol has an unknown exponent. A product adds the exponents of its factors, a power multiplies one; the
 //! terms of a sum have one exponent, and the argument of a transcendental function has exponent 0, as have inputs,
@@ -63,7 +63,7 @@ fn significant(value: f64, digits: usize) -> f64 {
 const NOTHING: f64 = 1e-9;
 
 impl Model {
-    /// The scalings with at least one parameter that no output can tell, with one parameter to hold for each.
+    /// The scalings with at least one parameter that leave all outputs unchanged, with one parameter to hold for each.
     /// `starts` holds the parameters' starting values.
     ///
     /// ```

@@ -43,7 +43,7 @@ pub struct Posed {
     pub(crate) likelihood: Function,
     pub(crate) outputs: Function,
     missing: Missing,
-    /// Number of patterns of missing samples that the likelihood tells apart.
+    /// Number of patterns of missing samples that the likelihood distinguishes.
     patterns: usize,
     /// Numbers of measurements, of all experiments or of each where each has noise of its own.
     counts: Vec<Counts>,

@@ -13,7 +13,7 @@ use crate::model::Model;
 const SAME: f64 = 1e-9;
 /// States below this part of their size count as this large when errors are weighed.
 const SMALL: f64 = 1e-3;
-/// At most so many points of a record tell of the sizes of states.
+/// Number of points of a record, at most, from which the sizes of states are taken.
 const LOOKED_AT: usize = 64;
 /// A state so many times as large as it ever was at an end of an interval has grown without limit.
 const GROWN: f64 = 1e6;

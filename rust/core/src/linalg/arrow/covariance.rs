@@ -9,7 +9,8 @@ use crate::interrupt::current;
 const COLUMNS: usize = 32;
 
 impl ArrowKkt {
-    /// Reads it off the reduced Hessian; whether all that is wanted are parameters and first states, which that tells.
+    /// Computes the covariance from the reduced Hessian; returns whether all `wanted` variables are parameters and first
+    /// states, for which this is possible.
     pub(super) fn read_covariance(&mut self, wanted: &[usize], out: &mut [f64]) -> bool {
         let (n, border, k) = (self.plan.shape.n, self.plan.shape.border, wanted.len());
         // With the end states that stay in the border beside the parameters.

@@ -37,8 +37,8 @@ impl Forest {
         self.groups() > self.least
     }
 
-    /// Tries groups whole again after a while: it may have been but a bad iterate at which small changes
-    /// grew. Each time in vain the next is put off longer.
+    /// Tries groups whole again after a while: small changes may have grown at a single bad iterate
+    /// only. After each failure the next attempt is delayed longer.
     pub fn rejoin(&mut self, plan: &Plan) {
         if !self.is_split() {
             self.wait = (0, 0);

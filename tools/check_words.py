@@ -1,0 +1,73 @@
+"""Check the words of the Python package: docstrings of functions begin with a verb, and phrases that CONTRIBUTING.md
+replaces do not come back.
+
+    python tools/check_words.py [root of the repository]
+
+Ruff's D401 finds verbs in the wrong mood, but not docstrings that begin with "What is ..." or "Of a ...".
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+# These follow, and then this list goes, with that of D401 in pyproject.toml.
+LATER = re.compile(
+    r"(discrepancy|estimation|multistart|petab|residual_noise|sensitivities|starts)/|"
+    r"(guess|integration|modelling/delayed)\.py"
+)
+NO_VERBS = {
+    *("A", "All", "An", "As", "Both", "But", "By", "Each", "For", "From", "How", "In", "Its", "Itself", "Nothing"),
+    *("Of", "On", "One", "Same", "That", "The", "These", "This", "Those", "To", "Up", "What", "When", "Where"),
+    *("Whether", "Which", "With", "Without"),
+}
+PHRASES = re.compile(
+    r"pass(es)?\s+for\s+white|(found|estimated)\s+anew|holds?\s+zero\b|told\s+of|not\s+told|tells?\s+nothing|"
+    r"as\s+coloured\s+as\s+(they\s+are|the\s+residuals)|what\s+to\s+beware\s+of",
+    re.IGNORECASE,
+)
+TEXTS = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}
+
+
+def functions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    """Yield the functions of a module that are no properties, whose docstrings may be noun phrases."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not any(
+            "property" in ast.unparse(decorator) for decorator in node.decorator_list
+        ):
+            yield node
+
+
+def faults(path: Path) -> Iterator[str]:
+    """Yield what is wrong in a file, with its line."""
+    for node in functions(ast.parse(path.read_text(encoding="utf-8"))):
+        first = (ast.get_docstring(node) or "Return").split(maxsplit=1)[0]
+        if first in NO_VERBS or not first[0].isupper():
+            yield f"{node.lineno}: the docstring of {node.name} begins with '{first}', not with a verb"
+    with path.open("rb") as file:
+        for token in tokenize.tokenize(file.readline):
+            if token.type in TEXTS and (found := PHRASES.search(token.string)):
+                line = token.start[0] + token.string[: found.start()].count("\n")
+                yield f"{line}: '{' '.join(found[0].split())}': see the words in CONTRIBUTING.md"
+
+
+def main() -> int:
+    """Print all faults; return 1 where there are any."""
+    root = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1]
+    package = root / "python" / "phugoid"
+    found = [
+        f"{path.relative_to(root).as_posix()}:{fault}"
+        for path in sorted(package.rglob("*.py"))
+        if not LATER.match(path.relative_to(package).as_posix())
+        for fault in faults(path)
+    ]
+    print("\n".join(found), end="\n" if found else "")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

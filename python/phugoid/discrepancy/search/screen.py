@@ -80,7 +80,16 @@ class Screen:
             if suggested is not None:
                 names[c.name] = c
                 self._cache.remember(c, suggested, np.empty(0))
+        for c in self._cache.candidates:
+            if c.name in self._cache.proposed and c.name not in at.names:
+                names[c.name] = c
+                self._cache.start_as_proposed(c.name)
         return list(names.values())
+
+    def plainest(self, at: Refit) -> list[Candidate]:
+        """Return those that explain most with residuals taken as white, of those that other data have, too."""
+        scan = self._cache.scan(at)
+        return self.lasting(at, scan.white.filter, self.settings.explains) if scan.effects else []
 
     def simple(self, at: Refit) -> list[Candidate]:
         """Return constants and linear terms, whatever they gain to first order, which says little where it is far."""

@@ -112,8 +112,12 @@ class RefitCache:
         points = self.base.linear.points
         shares = {c.name: max((scan.share(c.name) for scan in self._scans.values()), default=1.0) for c in candidates}
         new = [c for c in candidates if c.several_starts and c.shape_names[0] not in known and shares[c.name] > _LARGE]
-        patient = any(c.name in self.proposed for c in candidates)
-        best = refit(self.base.fit, candidates, starts, near, points, patient)
+        best = refit(self.base.fit, candidates, starts, near, points)
+        elsewhere = self.proposed.get(candidates[-1].name) if candidates else None
+        if elsewhere is not None:
+            other = refit(self.base.fit, candidates, {**starts, **elsewhere}, near, points, patient=best is None)
+            if other is not None and (best is None or other.fit.log_likelihood > best.fit.log_likelihood):
+                best = other
         if best is None:
             # About a start far off the linearisation that gave it says little: two others.
             last = candidates[-1] if candidates else None
@@ -207,8 +211,8 @@ class RefitCache:
         return self._starts.get(name, {})
 
     def start_as_proposed(self, name: str) -> None:
-        """Have a refit start where it was proposed to."""
-        self._starts[name] = self.proposed[name]
+        """Have a refit start where it was proposed to, where nothing else is known of that."""
+        self._starts.setdefault(name, self.proposed[name])
 
     def has_start(self, name: str) -> bool:
         """Tell whether it is known where a refit with a candidate starts."""

@@ -87,9 +87,11 @@ class Screen:
         return list(names.values())
 
     def plainest(self, at: Refit) -> list[Candidate]:
-        """Return those that explain most with residuals taken as white, of those that other data have, too."""
+        """Return those that explain most with residuals taken as white, of those that other data have, too, and that
+        need no more than one start."""
         scan = self._cache.scan(at)
-        return self.lasting(at, scan.white.filter, self.settings.explains) if scan.effects else []
+        among = np.array([c.transferable and not c.several_starts for c, _ in scan.effects])
+        return self._best(scan, scan.through(scan.white.filter), self.settings.explains, among) if scan.effects else []
 
     def simple(self, at: Refit) -> list[Candidate]:
         """Return constants and linear terms, whatever they gain to first order, which says little where it is far."""

@@ -81,7 +81,8 @@ class Screen:
                 names[c.name] = c
                 self._cache.remember(c, suggested, np.empty(0))
         for c in self._cache.candidates:
-            if c.name in self._cache.proposed and c.name not in at.names:
+            # Of those centred in several ways that which the scan takes, or the first.
+            if c.name in self._cache.proposed and c.name not in {*names, *at.names}:
                 names[c.name] = c
                 self._cache.start_as_proposed(c.name)
         return list(names.values())

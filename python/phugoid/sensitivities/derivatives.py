@@ -78,7 +78,7 @@ class Derivatives:
                     ask("place f", place, k, e.diff(symbol))
             for k, e in enumerate(g_of_quantities if place.kind == "quantity" else g):
                 if symbol in e.symbols:
-                    of_sensor = plain[k].diff(symbol) if place.kind == "state" else 0.0
+                    of_sensor = plain[k].diff(symbol).substitute(known) if place.kind == "state" else 0.0
                     ask("place g", place, k, Expr(e.diff(symbol) - of_sensor))
         self.n_quantities = len(quantities)
         self._compiled = CompiledExpressions(asked, self.parameters, inputs, self.states)

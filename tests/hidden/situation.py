@@ -34,6 +34,9 @@ DRIVEN = {
 }
 """States whose equations hold what a disturbance acts on."""
 
+WINDY = {"hfb320": "alpha", "lateral": "beta", "uav": "w"}
+"""States that the forces have as they are relative to the air."""
+
 POSITIONS = {"servo": ("angle", "rate", "torque")}
 """A position, its rate, and the place of the model where its force stands, of systems that have one that no sensor
 measures too."""
@@ -67,6 +70,7 @@ class _Twist:
     """How a record differs from what its model says; everything is left as it is unless set.
 
     force    (x, u, time) -> what is added to the derivatives.
+    wind     time -> what is added to the states where forces and moments follow from them.
     acts     (u, memory, time) -> inputs as they act; memory is a dictionary of its own.
     drifts   time -> parameters.
     recorded inputs -> inputs as they are recorded.
@@ -75,6 +79,7 @@ class _Twist:
     """
 
     force: Callable[[Any, Any, float], Any] | None = None
+    wind: Callable[[float], Any] | None = None
     acts: Callable[[list[float], dict[str, Any], float], list[float]] | None = None
     drifts: Callable[[float], Mapping[str, float]] | None = None
     recorded: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]] | None = None
@@ -125,7 +130,7 @@ def _moved(
 
     def rhs(now: float, x: np.ndarray, acting: list[float]) -> np.ndarray:
         p = {**vehicle.parameters, **(twist.drifts(now) if twist.drifts else {})}
-        q = s.quantities(x, acting, p)
+        q = s.quantities(x + twist.wind(now) if twist.wind else x, acting, p)
         f = np.array([float(v) for v in s.dynamics(x, acting, q, p)])
         return f + twist.force(x, acting, now) if twist.force else f
 
@@ -133,7 +138,7 @@ def _moved(
         for k, now in enumerate(t):
             p = {**vehicle.parameters, **(twist.drifts(now) if twist.drifts else {})}
             acting = twist.acts(at(now), memory, now) if twist.acts else at(now)
-            y = s.measured(z, acting, s.quantities(z, acting, p), p)
+            y = s.measured(z, acting, s.quantities(z + twist.wind(now) if twist.wind else z, acting, p), p)
             for n in s.outputs:
                 clean[n].append(float(y[n]))
                 noisy[n].append(float(y[n]) + noise[n][k])
@@ -203,6 +208,15 @@ def _gust(s: System, rng: np.random.Generator, size: float) -> tuple[_Twist, tup
     return _Twist(force=make(int(rng.integers(2**31)))), (f"{which}':noise",), {"gust": size}
 
 
+def _wind(s: System, rng: np.random.Generator, size: float) -> tuple[_Twist, tuple[str, ...], dict[str, float]]:
+    """Turbulence of 0.3 to 1 s that the vehicle feels and the sensors of its motion over ground do not."""
+    which, tau = WINDY[s.name], rng.uniform(0.3, 1.0)
+    a = float(np.exp(-s.step / tau))
+    history = _filtered(rng.standard_normal(s.samples), a) * np.sqrt(1 - a * a)
+    unit = size * 0.15 * s.limits[which] * np.eye(len(s.states))[list(s.states).index(which)]
+    return _Twist(wind=lambda now: unit * np.interp(now, s.t, history)), (f"{which}':noise",), {"wind": size}
+
+
 def _twist(what: str, s: System, vehicle: Vehicle, rng: np.random.Generator, size: float) -> Any:
     """The twist, what may be named, and its sizes; ``size`` 1 is what a record shows plainly."""
     u = str(rng.choice([n for n in s.inputs if n in (s.needed or list(s.inputs)[:1])]))
@@ -212,6 +226,8 @@ def _twist(what: str, s: System, vehicle: Vehicle, rng: np.random.Generator, siz
         # Slopes of states as a manoeuvre has them: a limit within a second or so.
         which = DRIVEN[s.name]
         return _gust(s, rng, size * 0.25 * float(np.mean([s.limits[n] for n in which])))
+    if what == "wind":
+        return _wind(s, rng, size)
     if what == "noisy input":
         own = np.random.default_rng(int(rng.integers(2**31)))
 
@@ -321,7 +337,7 @@ def _feedback(s: System, vehicle: Vehicle) -> Callable[..., Any]:
 
 
 SITUATIONS = (
-    "gust", "noisy input", "drift", "backlash", "rate limit", "event", "held input", "outside", "clipped",
+    "gust", "wind", "noisy input", "drift", "backlash", "rate limit", "event", "held input", "outside", "clipped",
     "hysteresis", "closed loop", "coarse", *NOISES,
 )  # fmt: skip
 
@@ -335,6 +351,8 @@ def situation(what: str, system: str, seed: int) -> Situation:
         raise ValueError(f"situation is one of {SITUATIONS}, not {what!r}")
     if what == "hysteresis" and system not in POSITIONS:
         raise Unreachable(f"{what}: {system} has no position with a force")
+    if what == "wind" and system not in WINDY:
+        raise Unreachable(f"{what}: {system} does not fly")
     s = SYSTEMS[system]
     rng = np.random.default_rng([seed, zlib.crc32(f"{what} {system}".encode())])
     for _ in range(4):
@@ -344,7 +362,7 @@ def situation(what: str, system: str, seed: int) -> Situation:
         first = _record(s, vehicle, rng, twist, "data")
         if what == "event":  # it happened once
             twist.force = None
-        if what == "gust":
+        if what in ("gust", "wind"):
             twist = _again(twist, s, rng)
         other = _record(s, vehicle, rng, twist, "validation")
         if first is None or other is None:
@@ -365,7 +383,9 @@ def _coarse(e: ph.Experiment) -> ph.Experiment:
 
 def _again(twist: _Twist, s: System, rng: np.random.Generator) -> _Twist:
     """Other air: the same gusts later on."""
-    force, away = twist.force, rng.uniform(0.3, 0.7) * s.t[-1]
+    force, wind, away = twist.force, twist.wind, rng.uniform(0.3, 0.7) * s.t[-1]
+    if wind is not None:
+        return _Twist(wind=lambda now: wind((now + away) % s.t[-1]))
     assert force is not None
     return _Twist(force=lambda x, u, now: force(x, u, (now + away) % s.t[-1]))
 

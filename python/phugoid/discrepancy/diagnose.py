@@ -26,6 +26,7 @@ from .search.confirmation import Found
 from .search.data_suspects import (
     with_changes,
     with_inputs_as_sampled,
+    with_proposals,
     with_record_changes,
     with_recorded_input,
     with_remainder,
@@ -41,6 +42,7 @@ from .search.remainder_finding import finding_of_record_change, finding_of_recor
 from .search.sampled_input import SampledInputs
 from .search.scan import NEARLY, Scan
 from .search.search import Search, SearchResult
+from .search.segments import segments_of
 
 __all__ = ["diagnose"]
 
@@ -210,6 +212,9 @@ def diagnose(
     free = _biases(fit, others, biases)
     base = Refit((), collocated(fit))
     _check_size(base)
+    segments = segments_of(base, others)
+    if segments is not None:
+        base, others, fit = segments.base, segments.validation, segments.base.fit
     listed = _candidates(fit, candidates, base)
     with _shown(progress) as watch:
 
@@ -227,6 +232,8 @@ def diagnose(
             # Now, while what the search needs next is at hand.
             ranking, interrupted = _ranked(search, base)
             if not interrupted:
+                interrupted = with_proposals(search, lambda near: _candidates(fit, candidates, near))
+            if not interrupted:
                 following, interrupted = with_recorded_input(search)
                 while following is not None:
                     # All else is sought with the input as it acts.
@@ -239,7 +246,7 @@ def diagnose(
                 result = search.run()
                 interrupted = result.interrupted
             before = search
-            if not interrupted:
+            if not interrupted and segments is None:
                 search, result, changes, interrupted = with_record_changes(search, result)
             if not interrupted:
                 search, result, sampled, interrupted = with_inputs_as_sampled(search, result)
@@ -287,7 +294,7 @@ def diagnose(
             ranking = tuple(ranking_of(search, search.cache.scan(corrected)))
         scan = search.cache.scan(corrected) if ranking or not ended else None
         notes = (*_notes(scan, final, listed, others, free, ended, search.settings.most), *result.remarks)
-        notes = (*notes, *words_of_inputs(between, sampled))
+        notes = (*notes, *words_of_inputs(between, sampled), *([segments.note] if segments else []))
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
         diagnosed = corrected.fit if sampled or any(b.kind == "cubic" for b in between) else fit
         return DiagnosisResult(

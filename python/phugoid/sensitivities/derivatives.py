@@ -68,13 +68,18 @@ class Derivatives:
         self.places += [(Place("input", n), n) for n in inputs]
         if len(self.parameters) <= _PARAMETERS:
             self.places += [(Place("parameter", n), n) for n in self.parameters]
+        # What acts on a state as the equations have it, and is no part of it, such as a gust: neither a sensor of that
+        # state itself nor the kinematics know of it.
+        self.places += [(Place("state", n), n) for n in self.states]
+        plain = [Expr(equations["output", name]) for name in self.outputs]
         for place, symbol in self.places:
             for k, e in enumerate(f):
-                if symbol in e.symbols:
+                if symbol in e.symbols and not (place.kind == "state" and e == Expr.symbol(symbol)):
                     ask("place f", place, k, e.diff(symbol))
             for k, e in enumerate(g_of_quantities if place.kind == "quantity" else g):
                 if symbol in e.symbols:
-                    ask("place g", place, k, e.diff(symbol))
+                    of_sensor = plain[k].diff(symbol).substitute(known) if place.kind == "state" else 0.0
+                    ask("place g", place, k, Expr(e.diff(symbol) - of_sensor))
         self.n_quantities = len(quantities)
         self._compiled = CompiledExpressions(asked, self.parameters, inputs, self.states)
 

@@ -5,25 +5,28 @@ Each ends with a search that goes on as if the data were as they were found to b
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ...errors import PhugoidError
 from ...validation.biases import freed_by_default
+from ..candidates.candidate import Candidate
 from .disturbance import Disturbances
 from .finding import ExtensionResult
 from .record_change import RecordChange, record_changes
 from .recorded_input import RecordedInput, recorded_input
-from .refit import fitted_to
+from .refit import Refit, fitted_to
 from .remainder import Remainder, RemainderSettings, remainder_of
 from .sampled_input import SampledInputs, sampled_inputs
 from .search import Search, SearchResult
+from .segments import short_segments
 
 __all__ = [
     "with_changes",
     "with_inputs_as_sampled",
+    "with_proposals",
     "with_record_changes",
     "with_recorded_input",
     "with_remainder",
@@ -37,6 +40,20 @@ _RIVALS = {
     "noise": ("deadband", "backlash", "saturation", "lag", "delay"),
 }
 _BEYOND = 1.25
+
+
+def with_proposals(search: Search, listed: Callable[[Refit], Sequence[Candidate]]) -> bool:
+    """Have candidates tried that first order about short segments of the records proposes, where the model is far from
+    the records. ``listed`` makes the candidates about a fit. Return whether that was interrupted."""
+    try:
+        near = short_segments(search.cache.base)
+        if near is not None:
+            search.propose(near, listed(near))
+    except (PhugoidError, np.linalg.LinAlgError):
+        pass
+    except KeyboardInterrupt:
+        return True
+    return False
 
 
 def with_recorded_input(search: Search) -> tuple[RecordedInput | None, bool]:

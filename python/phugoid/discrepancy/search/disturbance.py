@@ -61,6 +61,7 @@ class Disturbance:
     span        (record, begin, end) of an event, s.
     knots       (k,) values of time, records one after the other, or nodes of the variable.
     step        s, between knots.
+    counts      knots of each record, of a random time history.
     """
 
     kind: _Kind
@@ -72,11 +73,12 @@ class Disturbance:
     span: tuple[int, float, float] | None
     knots: _Array
     step: float
+    counts: tuple[int, ...] = ()
 
     @property
     def name(self) -> str:
         """Canonical, ``where:what``."""
-        where = f"{self.place.name}'" if self.place.kind == "equation" else self.place.name
+        where = f"{self.place.name}'" if self.place.kind in ("equation", "state") else self.place.name
         return f"{where}:f({self.variable})" if self.kind == "function" else f"{where}:{self.kind}"
 
     @property
@@ -120,7 +122,7 @@ def _hypotheses(at: Refit, known: Collection[str], white: bool) -> Iterator[Dist
     if min(_KNOTS, samples) ** 2 * linear.n_rows > _PRODUCTS:
         return
     every = sorted((p for p in linear.places if p.name in known), key=lambda p: (p.kind, p.name))
-    places = [p for p in every if p.kind in ("equation", "input")]
+    places = [p for p in every if p.kind in ("equation", "input", "state")]
     rough = []
     for place in places:
         found = _histories(linear, place, noise, min(_KNOTS, samples), times=(0.0,) if white else _CORRELATION)
@@ -182,7 +184,8 @@ def _histories(
             variance = near.marginal.variance * (1.0 if near.correlation else near.step / step)
         marginal = effects.with_correlation(_exponential(knots, tau)).maximised(noise, variance)
         merit = marginal.log_likelihood - (2.0 if tau else 1.0)
-        found.append(Disturbance("noise", place, "", merit, marginal, tau * step, None, flat, step))
+        counts = tuple(k.size for k in knots)
+        found.append(Disturbance("noise", place, "", merit, marginal, tau * step, None, flat, step, counts))
     return sorted(found, key=lambda h: -h.merit)
 
 
@@ -196,12 +199,12 @@ def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | 
     first = int(np.argmin(lengths))
     last = min(first + int(lengths[first]) + 1, n)
     first = max(first - 1, 0)
-    # A span goes over no end of a record: times of the next begin anew.
-    if last - first > max(_SHORT * n, 4) or np.any(np.diff(of.knots[first:last]) <= 0.0):
-        return None
-    ends_of = np.flatnonzero(np.diff(of.knots) <= 0.0) + 1
+    ends_of = np.cumsum(of.counts)
     record = int(np.searchsorted(ends_of, first, side="right"))
-    knots = np.split(of.knots, ends_of)
+    # A span goes over no end of a record.
+    if last - first > max(_SHORT * n, 4) or last > ends_of[record]:
+        return None
+    knots = np.split(of.knots, ends_of[:-1])
     answers = linear.answers(of.place, _signals(linear.points, knots))[first:last]
     marginal = RandomEffects(linear, answers).maximised(noise)
     span = (record, float(of.knots[first]), float(of.knots[last - 1]))

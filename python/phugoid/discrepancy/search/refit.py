@@ -39,8 +39,8 @@ __all__ = [
     "refit",
 ]
 
-# A refit goes on from a fit nearby: one that needs more goes nowhere.
-_ITERATIONS = 40
+# A refit goes on from a fit nearby: one that needs more goes nowhere. What a scan elsewhere proposed may be farther.
+_ITERATIONS, _PATIENT = 40, 150
 # In s and in times of the base fit: where its iterations take so long, the mesh is refined again and again.
 _SECONDS, _TIMES = 30.0, 20.0
 # The same for a fit to data held out.
@@ -112,6 +112,7 @@ def refit(
     starts: Mapping[str, float],
     near: FitResult | None = None,
     points: Sequence[Points] = (),
+    patient: bool = False,
 ) -> Refit | None:
     """The base model with candidates, fitted from the values in ``starts`` and a fit nearby; new states from what the
     candidates say of them at ``points``.
@@ -131,7 +132,9 @@ def refit(
             transcription=base.transcription,
             noise=base.noise,
             start=_with_paths(started_from(near or base, model.parameter_names), candidates, points, starts),
-            solver=Newton(max_iterations=_ITERATIONS, time_limit=max(_SECONDS, _TIMES * base.time)),
+            solver=Newton(
+                max_iterations=_PATIENT if patient else _ITERATIONS, time_limit=max(_SECONDS, _TIMES * base.time)
+            ),
         )
     except PhugoidError:
         return None

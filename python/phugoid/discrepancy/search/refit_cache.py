@@ -61,6 +61,8 @@ class RefitCache:
         self._modes = light_modes(self.base.fit)
         self._ringing: dict[frozenset[str], Ringing | None] = {}
         self.candidates = with_other_centres(self.candidates, self.base.linear.points)
+        # Candidates to refit whatever a scan says of them -> where that starts.
+        self.proposed: Mapping[str, Mapping[str, float]] = {}
 
     @property
     def tries(self) -> int:
@@ -111,6 +113,11 @@ class RefitCache:
         shares = {c.name: max((scan.share(c.name) for scan in self._scans.values()), default=1.0) for c in candidates}
         new = [c for c in candidates if c.several_starts and c.shape_names[0] not in known and shares[c.name] > _LARGE]
         best = refit(self.base.fit, candidates, starts, near, points)
+        elsewhere = self.proposed.get(candidates[-1].name) if candidates else None
+        if elsewhere is not None:
+            other = refit(self.base.fit, candidates, {**starts, **elsewhere}, near, points, patient=best is None)
+            if other is not None and (best is None or other.fit.log_likelihood > best.fit.log_likelihood):
+                best = other
         if best is None:
             # About a start far off the linearisation that gave it says little: two others.
             last = candidates[-1] if candidates else None
@@ -128,10 +135,12 @@ class RefitCache:
         for c in new:
             # Far from the base the linearisation may ask for a shape that does nothing, such as a limit never reached.
             asked = begun + _LITTLE * 0.5 * shares[c.name] * self.base.linear.n_rows
+            failed = sum(r is None for r in ends)
             for shape in c.shapes[:: max(len(c.shapes) // _OTHERS, 1)]:
-                if any(r is not None and r.fit.log_likelihood > asked for r in ends):
+                if failed >= _FAILED or any(r is not None and r.fit.log_likelihood > asked for r in ends):
                     break
                 ends.append(refit(self.base.fit, candidates, {**starts, **shape}, near, points))
+                failed += ends[-1] is None
         return max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
 
     def scan(self, at: Refit) -> Scan:
@@ -196,6 +205,14 @@ class RefitCache:
             **dict(zip(candidate.coefficients, amplitude.tolist(), strict=False)),
             **shape,
         }
+
+    def start(self, name: str) -> Mapping[str, float]:
+        """Return where a refit starts: parameters of a candidate -> values."""
+        return self._starts.get(name, {})
+
+    def start_as_proposed(self, name: str) -> None:
+        """Have a refit start where it was proposed to, where nothing else is known of that."""
+        self._starts.setdefault(name, self.proposed[name])
 
     def has_start(self, name: str) -> bool:
         """Tell whether it is known where a refit with a candidate starts."""

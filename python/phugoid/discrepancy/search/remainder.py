@@ -253,12 +253,13 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
     if _share(search, option.at, d) < search.assessment.settings.minor:
         return None
     held_out = float("nan")
+    if d.kind == "noise" and option.event is not None and option.event.merit > coloured + s.margin:
+        # What happened once other data cannot confirm.
+        return Remainder(option.event, option.at, gain, held_out)
     if d.kind == "noise" and other is not None:
         held_out = _held_out(search, option, d, other, s)
         if held_out <= 0.0:
             return None
-    if d.kind == "noise" and option.event is not None:
-        return Remainder(option.event, option.at, gain, held_out)
     moves = d.kind == "noise" and _goes_with_motion(option.at.linear, d) > s.motion
     return Remainder(d, option.at, gain, held_out, filtered=option.filtered, moves=moves)
 
@@ -305,8 +306,7 @@ def _goes_with_motion(linear: Linearised, of: Disturbance) -> float:
     columns, record = [], []
     first = 0
     for e, p in enumerate(linear.points):
-        n = int(np.sum(np.diff(of.knots[first:]) <= 0.0) and np.argmax(np.diff(of.knots[first:]) <= 0.0) + 1)
-        n = n or of.knots.size - first
+        n = of.counts[e]
         at = of.knots[first : first + n]
         names = [*linear.model.state_names, *linear.model.declared_inputs]
         columns.append(np.stack([np.interp(at, p.t, p.values[name]) for name in names]))

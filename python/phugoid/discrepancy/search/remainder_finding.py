@@ -144,6 +144,8 @@ def _size(r: Remainder, fit: FitResult) -> tuple[float, float, str]:
 def _explanation(r: Remainder) -> str:
     d = r.disturbance
     at = f"{d.place.name}'" if d.place.kind == "equation" else d.place.name
+    if d.place.kind == "state":
+        at = f"{at} as the forces have it"
     if d.kind == "function":
         return f"no candidate describes it, but a smooth function of {d.variable} in {where(d.place)} does: {_shape(d)}"
     if r.moves:
@@ -179,5 +181,10 @@ def _advice(r: Remainder) -> str:
         return (
             f"With a noisy input the estimates are biased. Measure {d.place.name} better, smooth it, or estimate by "
             "FilterError with process noise on the states that it drives."
+        )
+    if d.place.kind == "state":
+        return (
+            f"It acts in every equation that {d.place.name} is in, as wind does: measure it, and give it as an input. "
+            f"Estimation with transcription=FilterError('{d.place.name}') comes near to that."
         )
     return f"Estimate with transcription=FilterError('{d.place.name}'): it takes such noise into account."

@@ -80,7 +80,19 @@ class Screen:
             if suggested is not None:
                 names[c.name] = c
                 self._cache.remember(c, suggested, np.empty(0))
+        for c in self._cache.candidates:
+            # Of those centred in several ways that which the scan takes, or the first.
+            if c.name in self._cache.proposed and c.name not in {*names, *at.names}:
+                names[c.name] = c
+                self._cache.start_as_proposed(c.name)
         return list(names.values())
+
+    def plainest(self, at: Refit) -> list[Candidate]:
+        """Return those that explain most with residuals taken as white, of those that other data have, too, and that
+        need no more than one start."""
+        scan = self._cache.scan(at)
+        among = np.array([c.transferable and not c.several_starts for c, _ in scan.effects])
+        return self._best(scan, scan.through(scan.white.filter), self.settings.explains, among) if scan.effects else []
 
     def simple(self, at: Refit) -> list[Candidate]:
         """Return constants and linear terms, whatever they gain to first order, which says little where it is far."""

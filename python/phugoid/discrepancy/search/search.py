@@ -86,14 +86,24 @@ class Search:
         """Return the same search at another fit, with other data held out and other biases where they are given."""
         cache = self.cache
         data, free = cache.validation if validation is None else validation, cache.biases if biases is None else biases
-        return Search(base, self._listed, data, cache.watch, free, self.settings, cache.diagnosed)
+        search = Search(base, self._listed, data, cache.watch, free, self.settings, cache.diagnosed)
+        search.cache.proposed = cache.proposed
+        return search
+
+    def propose(self, near: Refit, candidates: Sequence[Candidate]) -> None:
+        """Have the candidates that do most to first order about a fit whose motion is nearer to the records refitted,
+        too, and begun there."""
+        there = Search(near, candidates, watch=self.cache.watch, settings=self.settings)
+        self.cache.proposed = {c.name: there.cache.start(c.name) for c in there.screen.plainest(near)}
 
     def without_noise(self, base: Refit, validation: Sequence[Experiment]) -> Search:
         """Return the same search on records whose inputs were freed of noise: what is left of that is still part of the
         misfit of the model that was diagnosed."""
         cache = self.cache
         diagnosed = cache.diagnosed or (cache.base, cache.on_validation(cache.base))
-        return Search(base, self._listed, validation, cache.watch, cache.biases, self.settings, diagnosed)
+        search = Search(base, self._listed, validation, cache.watch, cache.biases, self.settings, diagnosed)
+        search.cache.proposed = cache.proposed
+        return search
 
     def run(self) -> SearchResult:
         """Screen, refit and confirm, one term after the other."""
@@ -112,7 +122,7 @@ class Search:
                 seen.add(following.names)
                 minor = minor + 1 if self._is_minor(current, following) else 0
                 current = following
-                if minor == self.settings.minor:  # what comes next would be less
+                if minor == self.settings.minor or self._is_done(current):  # what comes next would be less
                     break
             current = self._pruned(current)
             unexplained = unexplained or self.confirmation.ringing(current)
@@ -184,6 +194,11 @@ class Search:
         """Tell whether the last step explains less of the misfit than is worth a name."""
         explained = self.assessment.explained(before, after)
         return explained is None or explained.part < self.assessment.settings.minor
+
+    def _is_done(self, at: Refit) -> bool:
+        """Tell whether so little of the misfit is left that all of it would be a minor finding."""
+        explained = self.assessment.explained(self.cache.base, at)
+        return explained is not None and explained.interval[0] > 1.0 - self.assessment.settings.minor
 
     def extension(self, final: Refit, known: bool = False) -> ExtensionResult:
         """The model with all terms that were found, its fit, and the gain over the base model. With ``known`` nothing

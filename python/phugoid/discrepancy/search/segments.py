@@ -1,0 +1,101 @@
+"""Records cut into segments, each with first states of its own, where a simulation of the whole drifts away from them.
+
+Of a system that integrates, is unstable, or stands in a closed loop, whose inputs go by what it does, a free simulation
+with a model that lacks something ends far from the record. To first order about such a motion next to nothing is true:
+a friction has the wrong sign of the rate, and a term that holds the motion near the record looks like the cause.
+Simulated over a horizon, the motion stays near what was measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...data.experiment import Experiment
+from ...errors import PhugoidError
+from ...estimation.estimate import estimate
+from ...sensitivities.collocated import dataset
+from .evidence import is_structured
+from .refit import Refit
+
+__all__ = ["Segments", "segments_of", "short_segments"]
+
+# Segments of all records, and samples that each has at least: a tenth of a record holds a few of the motions that the
+# record was made for. Short ones, about which candidates are proposed, are as many as these samples allow.
+_COUNT, _SHORT, _SAMPLES = 10, 80, 40
+# Part of the residuals' power that is predictable, from which on the model is thought far from the record.
+_ERROR = 0.5
+# Part of the RMS of every output that is left over segments, where it is the drift that made the rest. A stable
+# system, which forgets its first states, keeps more.
+_LEFT = 0.25
+
+
+@dataclass(frozen=True)
+class Segments:
+    """The records of a fit in segments: the fit to them, validation records likewise, and how long a segment is, in s."""
+
+    base: Refit
+    validation: Sequence[Experiment]
+    horizon: float
+
+    @property
+    def note(self) -> str:
+        """What the user is to know of it."""
+        return (
+            f"Over a whole record the simulation drifts away from what was measured. It was simulated over segments of "
+            f"{self.horizon:.3g} s, each with its own first states, and so were the data held out."
+        )
+
+
+def segments_of(base: Refit, validation: Sequence[Experiment]) -> Segments | None:
+    """Return the records of a fit in segments, where the model is far from the records as a whole and much nearer to
+    segments of them; None else, and where first states or parameters belong to a whole record."""
+    fit = base.fit
+    found, length = _fitted(base, _COUNT)
+    if found is None:
+        return None
+    for name in fit.model.output_names:
+        before, after = (np.concatenate([r.residuals[name] for r in f.fit.records]) for f in (base, found))
+        if not np.nanmean(after**2) < _LEFT**2 * np.nanmean(before**2):
+            return None
+    horizon = float(np.median([e.t[-1] - e.t[0] for e in dataset(found.fit)]))
+    return Segments(found, [piece for e in validation for piece in _cut(e, length)], horizon)
+
+
+def short_segments(base: Refit) -> Refit | None:
+    """Return the fit to many short segments, along which the motion is nearly that of the record, where the model is
+    far from it over longer ones; None else."""
+    return _fitted(base, _SHORT)[0]
+
+
+def _fitted(base: Refit, most: int) -> tuple[Refit | None, int]:
+    """The model of a fit estimated from segments of its records, and the number of their samples."""
+    fit, records = base.fit, dataset(base.fit)
+    own = [n for n, p in fit.model.declared_parameters.items() if p.per_experiment]
+    samples = sum(e.n for e in records)
+    count = min(most, samples // _SAMPLES)
+    if own or fit.model.end_conditions or count < 2 * len(records) or not is_structured(base, _ERROR):
+        return None, 0
+    length = -(-samples // count)
+    try:
+        # The path is begun anew: that of the fit is the one that drifts.
+        found = estimate(
+            fit.model,
+            [piece for e in records for piece in _cut(e, length)],
+            transcription=fit.transcription,
+            noise=fit.noise,
+            start={n: fit.parameters[n].value for n in fit.model.parameter_names if n in fit.parameters},
+        )
+    except PhugoidError:
+        return None, 0
+    return (Refit((), found) if found.status in ("converged", "acceptable") else None), length
+
+
+def _cut(e: Experiment, length: int) -> list[Experiment]:
+    """Return a record in parts of about so many samples."""
+    parts = np.array_split(np.arange(e.n), max(round(e.n / length), 1))
+    if len(parts) == 1:
+        return [e]
+    return [e.window(e.t[p[0]], e.t[p[-1]], name=f"{e.name} from {e.t[p[0]]:.4g} s") for p in parts]

@@ -70,8 +70,8 @@ def estimated(
 ) -> _core.Fit:
     """Return the core's estimate.
 
-    ``pressed`` tells how often the user asked for an end: once gives the best point so far, twice leaves out its standard
-    errors.
+    ``pressed`` tells how often the user asked for an end: once gives the best point so far, twice leaves out its
+    standard errors.
     """
     options: dict[str, Any] = {
         "order": transcription.order if isinstance(transcription, Collocation) else 4,
@@ -87,6 +87,7 @@ def estimated(
         "gauss_newton": solver.gauss_newton,
         "regression": solver.regression if isinstance(solver, Newton) else None,
         "paths": solver.paths if isinstance(solver, Newton) else None,
+        "delays": (model.delays.settled, model.delays.passes),
     }
     if not isinstance(transcription, Collocation):
         options["shooting"] = transcription.integrator, step_spec(transcription)

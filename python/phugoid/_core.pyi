@@ -5,6 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import disjoint_base
 
+from .data.interpolation import Interpolation
+
 __all__ = [
     "Collocation",
     "Evaluator",
@@ -368,6 +370,9 @@ class Whitening:
 # name, value, standard error, unit, bounds, what keeps it
 _Estimated: TypeAlias = tuple[str, float, float, str, tuple[float, float], str | None]
 
+# times, inputs, outputs, interpolation of each input, signals
+_Moved: TypeAlias = tuple[_Array, list[_Array], list[_Array], list[Interpolation], list[_Signal]]
+
 @final
 class Fit:
     @property
@@ -392,6 +397,10 @@ class Fit:
     def iterations(self) -> int: ...
     @property
     def solution(self) -> NewtonSolution: ...
+    @property
+    def edges(self) -> list[list[float]] | None: ...
+    @property
+    def moved(self) -> tuple[Fit, list[tuple[str, float]], float, list[_Moved]] | None: ...
     def record(self, index: int) -> tuple[list[_Array], list[_Array], list[_Array], _Array, list[_Array]]: ...
 
 def estimate(

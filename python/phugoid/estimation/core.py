@@ -87,6 +87,7 @@ def estimated(
         "gauss_newton": solver.gauss_newton,
         "regression": solver.regression if isinstance(solver, Newton) else None,
         "paths": solver.paths if isinstance(solver, Newton) else None,
+        "delays": (model.delays.settled, model.delays.passes),
     }
     if not isinstance(transcription, Collocation):
         options["shooting"] = transcription.integrator, step_spec(transcription)

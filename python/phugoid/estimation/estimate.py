@@ -28,7 +28,6 @@ from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
 from .core import Earlier, estimated
 from .fitted import make_fit
-from .late import estimate_late
 from .motion import Paths, on_moving_meshes, starts_known
 from .refine import refined
 from .smooth import kinks_matter, smoothed_fit
@@ -149,11 +148,8 @@ def _estimate(
 
         return refined(fit_on, transcription, deadline.passed)
 
-    if model.delays:
-        if isinstance(transcription, FilterError):
-            raise OptionError("FilterError: delays are not supported")
-        options = {"transcription": transcription, "noise": noise, "progress": progress}
-        return estimate_late(_estimate, model, experiments, start, (solver, deadline), options)
+    if model.delays and isinstance(transcription, FilterError):
+        raise OptionError("FilterError: delays are not supported")
 
     moving = [_moving(e, model.output_names) for e in experiments]
     for i, experiment in enumerate(experiments):
@@ -173,7 +169,7 @@ def _estimate(
     if isinstance(start, (FitResult, EquationError)):
         earlier = Earlier.of(start, noise)
     values = start_values(model, given, experiments, noise)
-    follows = paths is None and not isinstance(start, EquationError)
+    follows = paths is None and not model.delays and not isinstance(start, EquationError)
     if follows and _follows_motion(model, experiments, transcription, given):
         given = start.as_start(noise) if isinstance(start, FitResult) else given
 

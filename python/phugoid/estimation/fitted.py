@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, cast
 
 from .. import _core
@@ -10,6 +11,7 @@ from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..fit_result import FitResult
 from ..match import no_match, r_squared
+from ..modelling.delayed import at_delays
 from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
 from ..noise.kinds import PerExperiment
@@ -19,6 +21,7 @@ from ..records import Record
 from ..repeated_outputs import repeated_outputs
 from ..solvers import Iteration, Solution
 from ..solvers.newton import COUNTED
+from ..transcription.collocation import Collocation
 from ..transcription.shooting import Transcription
 
 __all__ = ["make_fit"]
@@ -34,7 +37,8 @@ def make_fit(
     transcription: Transcription,
     found: _core.Fit,
 ) -> FitResult:
-    """Return the fit that the core found."""
+    """Return the fit that the core found. Where it has delays, that at fixed delays is within."""
+    inner = _at_fixed_delays(model, experiments, noise, transcription, found)
     records = [_record(model, e, found, i) for i, e in enumerate(experiments)]
     warnings, message = found.warnings, found.message
     kinks = kink_advice(model._core) if found.status in _KINKED else ""
@@ -68,9 +72,34 @@ def make_fit(
         time=solution.time,
         warnings=tuple(filter(None, [*warnings[:known], no_match(explained), *warnings[known:]])),
         history=solution.history,
-        solution=solution,
+        solution=solution if inner is None else None,
         experiments=tuple(experiments),
+        _moved=inner,
     )
+
+
+def _at_fixed_delays(
+    model: Model,
+    experiments: Sequence[Experiment],
+    noise: Noise,
+    transcription: Transcription,
+    found: _core.Fit,
+) -> FitResult | None:
+    """Return the fit of the model without delays to the records that were moved by them."""
+    if found.moved is None:
+        return None
+    inner, base, reach, records = found.moved
+    slim = at_delays(model, dict(base), reach)
+    moved = []
+    for e, (t, inputs, outputs, kinds, signals) in zip(experiments, records, strict=True):
+        alike = kinds_for(dict(zip(slim.input_names, kinds, strict=True)), slim.input_names)
+        u, z = (dict(zip(n, x, strict=True)) for n, x in ((slim.input_names, inputs), (slim.output_names, outputs)))
+        record = Experiment(t, u, z, e.name, alike, units=e.units)
+        of_input = dict(zip(slim.input_names, signals, strict=True))
+        moved.append(record._sampled(of_input, e.t if e.mesh_times is None else e.mesh_times))
+    if isinstance(transcription, Collocation) and isinstance(transcription.segments, tuple):
+        transcription = replace(transcription, segments=tuple(map(tuple, inner.edges or [])))
+    return make_fit(slim, moved, noise, transcription, inner)
 
 
 def _solution(found: _core.NewtonSolution) -> Solution:

@@ -20,6 +20,17 @@ pub enum Interpolation {
     Hold,
 }
 
+impl Interpolation {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Interpolation::Linear => "linear",
+            Interpolation::Cubic => "cubic",
+            Interpolation::Hold => "hold",
+        }
+    }
+}
+
 /// A time this part of a sampling interval before a sample counts as that of the sample where the sample is held:
 /// delays and divisions of time carry rounding.
 const SAME: f64 = 1e-9;

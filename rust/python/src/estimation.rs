@@ -46,6 +46,8 @@ pub struct Options<'py> {
     gauss_newton: bool,
     regression: Option<bool>,
     paths: Option<bool>,
+    /// When passes over delays end.
+    delays: (f64, usize),
 }
 
 /// An earlier fit.
@@ -232,6 +234,7 @@ pub fn estimate(
     if let Some(paths) = options.paths {
         estimation = estimation.consistent_paths(paths);
     }
+    estimation = estimation.delay_passes(options.delays.0, options.delays.1);
     let errors = Interrupt::within(None);
     let estimation = estimation.stop_errors(errors.clone());
     let (watch, solver) = (watch.as_ref(), solver.as_ref());

@@ -1,7 +1,9 @@
 //! What an estimation gives back.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
-use phugoid::estimate::{Bound as Limit, Estimate, Fit};
+use phugoid::estimate::{Bound as Limit, Estimate, Fit, Transcription};
+use phugoid::experiment::{Experiment, Signal};
+use phugoid::mesh::Grid;
 use pyo3::prelude::*;
 
 use crate::newton::PySolution;
@@ -10,6 +12,16 @@ use crate::newton::PySolution;
 type Estimated = (String, f64, f64, String, (f64, f64), Option<&'static str>);
 
 type Array<'py> = Bound<'py, PyArray1<f64>>;
+
+/// A record that was moved: times, inputs, outputs, how each input behaves between samples, and its signal: times,
+/// samples, delay, order of the derivative.
+type MovedRecord<'py> = (
+    Array<'py>,
+    Vec<Array<'py>>,
+    Vec<Array<'py>>,
+    Vec<&'static str>,
+    Vec<(Array<'py>, Array<'py>, f64, usize)>,
+);
 
 /// Estimates with standard errors, time histories and warnings at the end of an estimation.
 #[pyclass(name = "Fit", module = "phugoid._core", frozen)]
@@ -108,5 +120,34 @@ impl PyFit {
             mesh,
             arrays(py, &r.mesh_states),
         )
+    }
+
+    /// Ends of the segments in each experiment, where they were given so.
+    #[getter]
+    fn edges(&self) -> Option<Vec<Vec<f64>>> {
+        let Transcription::Collocation(settings) = &self.0.transcription else { return None };
+        let edges = |grid: &Grid| if let Grid::Edges(edges) = grid { Some(edges.clone()) } else { None };
+        settings.grid.iter().map(edges).collect()
+    }
+
+    /// Where delays are estimated: the fit at fixed delays, these by name, how far they may move, and the moved records.
+    #[getter]
+    #[allow(clippy::type_complexity)] // a tuple for Python
+    fn moved<'py>(&self, py: Python<'py>) -> Option<(PyFit, Vec<(String, f64)>, f64, Vec<MovedRecord<'py>>)> {
+        let moved = self.0.moved.as_ref()?;
+        let signal = |(i, s): (usize, &Option<Signal>), e: &Experiment| {
+            let (t, values, delay, order) = match s {
+                Some(s) => (&s.t, &s.values, s.delay, s.derivative),
+                None => (&e.t, &e.inputs[i], 0.0, 0),
+            };
+            (PyArray1::from_slice(py, t), PyArray1::from_slice(py, values), delay, order)
+        };
+        let record = |e: &Experiment| {
+            let signals = e.signals.iter().enumerate().map(|s| signal(s, e)).collect();
+            let kinds = (0..e.inputs.len()).map(|i| e.kind(i).name()).collect();
+            (PyArray1::from_slice(py, &e.t), arrays(py, &e.inputs), arrays(py, &e.outputs), kinds, signals)
+        };
+        let records = moved.experiments.iter().map(record).collect();
+        Some((PyFit(moved.fit.clone()), moved.base.clone(), moved.reach, records))
     }
 }

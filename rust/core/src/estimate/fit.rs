@@ -5,6 +5,7 @@ use std::ops::Index;
 
 use super::Transcription;
 use crate::error::did_you_mean;
+use crate::experiment::Experiment;
 use crate::model::Model;
 use crate::solver::{Solution, Status};
 
@@ -121,6 +122,21 @@ pub struct Fit {
     pub unknowns: usize,
     /// What the solver gave back: all unknowns, multipliers, counts, the iteration table.
     pub solution: Solution,
+    /// The fit that this one was made of, where delays are estimated.
+    pub moved: Option<Box<Moved>>,
+}
+
+/// A fit of a model at fixed delays to records that were moved by them.
+#[derive(Clone, Debug)]
+pub struct Moved {
+    /// The fit.
+    pub fit: Fit,
+    /// The moved records.
+    pub experiments: Vec<Experiment>,
+    /// Delays by name, s.
+    pub base: Vec<(String, f64)>,
+    /// How far they may move until the base follows, s.
+    pub reach: f64,
 }
 
 impl Index<&str> for Fit {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::Estimation;
-use super::fit::{Bound, Fit, Record};
+use super::fit::{Bound, Fit, Moved, Record};
 use super::start::Start;
 use crate::error::Error;
 use crate::experiment::{Experiment, Signal};
@@ -18,12 +18,10 @@ use crate::solver::{Control, Iteration, Status};
 
 /// A delay moves by no more than this many sample intervals before its base follows.
 const REACH: f64 = 2.0;
-/// Bases have settled when they move by less than this part of the standard error,
-const SETTLED: f64 = 1e-4;
-/// or of a sample interval.
+/// Bases have settled, too, when they move by less than this part of a sample interval.
 const NOTHING: f64 = 1e-9;
-/// How often they may move until then.
-const PASSES: usize = 30;
+/// A delay is at a bound when it is this near to it, s, or this part of it beyond 1 s.
+const THERE: f64 = 1e-6;
 /// Times closer than this part of the shortest interval of a channel are the same.
 const SAME: f64 = 1e-8;
 
@@ -50,55 +48,67 @@ impl Estimation<'_> {
         let interval = self.experiments.iter().map(|e| median_interval(&e.t)).fold(f64::INFINITY, f64::min);
 
         let (mut iterations, mut time) = (0, Duration::ZERO);
-        let mut warnings = Vec::new();
+        let mut warning = None;
         let mut before: Option<Fit> = None;
         let mut number = 0;
-        let mut fit = loop {
+        let (inner, experiments) = loop {
             let slim = model.at_delays(&base, REACH * interval);
             let moved = self.experiments.iter().map(|e| moved(model, &slim, e, &base));
             let moved: Vec<Experiment> = moved.collect::<Result<_, _>>()?;
-            let fit = self.at(&slim, &moved, before.as_ref()).solve_now(watch)?;
+            let mut pass = self.at(&slim, &moved, before.as_ref());
+            pass.solver.max_iterations -= iterations.min(self.solver.max_iterations);
+            let fit = pass.solve_now(watch)?;
             iterations += fit.iterations;
             time += fit.solution.time;
             let settled = names.iter().all(|name| {
                 let e = &fit[name];
                 let error = if e.std_error.is_finite() { e.std_error } else { 0.0 };
-                (e.value - base[name]).abs() <= (SETTLED * error).max(NOTHING * interval)
+                (e.value - base[name]).abs() <= (self.settled * error).max(NOTHING * interval)
             });
             let unfinished =
                 fit.status.lost() || matches!(fit.status, Status::Interrupted | Status::TimeLimit);
             number += 1;
             if settled || unfinished {
-                break fit;
+                break (fit, moved);
             }
-            if number == PASSES {
+            if number >= self.passes || iterations >= self.solver.max_iterations {
                 let left = names.iter().map(|n| (fit[n].value - base[n]).abs()).fold(0.0, f64::max);
-                warnings.push(format!(
+                warning = Some(format!(
                     "the delays still move by up to {left:.1e} s: where inputs bend sharply between samples, the \
                      likelihood is not smooth in a delay"
                 ));
-                break fit;
+                break (fit, moved); // the base stays that of the fit
             }
             base = names.iter().map(|n| (*n, fit[n].value)).collect();
             before = Some(fit);
         };
 
-        for name in &names {
-            let p = model.parameters.iter().find(|p| p.name == *name).expect("a delay is a parameter");
-            if let Some(e) = fit.parameters.iter_mut().find(|e| e.name == *name) {
-                e.bound = match e.value {
-                    _ if p.fixed => Some(Bound::Fixed),
-                    v if p.lower.is_some_and(|b| v <= b) => Some(Bound::Lower),
-                    v if p.upper.is_some_and(|b| v >= b) => Some(Bound::Upper),
-                    _ => None,
-                };
+        let mut fit = inner.clone();
+        let mut on_the_way = Vec::new();
+        for p in model.parameters.iter().filter(|p| names.contains(&p.name.as_str())) {
+            let Some(e) = fit.parameters.iter_mut().find(|e| e.name == p.name) else { continue };
+            // With the bounds of the model: that a pass let it go no further is no bound of these.
+            e.bounds = (p.lower.unwrap_or(f64::NEG_INFINITY), p.upper.unwrap_or(f64::INFINITY));
+            let there = |bound: f64| (e.value - bound).abs() <= THERE * bound.abs().max(1.0);
+            match e.bound {
+                Some(Bound::Lower) if !there(e.bounds.0) => on_the_way.push(p.name.as_str()),
+                Some(Bound::Upper) if !there(e.bounds.1) => on_the_way.push(p.name.as_str()),
+                _ => continue,
             }
+            e.bound = None;
+        }
+        if !on_the_way.is_empty() && fit.status == Status::Converged {
+            let (hint, names) = (Status::IterationLimit.hint(), on_the_way.join(", "));
+            (fit.status, fit.message) =
+                (Status::IterationLimit, format!("{hint} ({names} is still on the way)"));
         }
         for (record, experiment) in fit.records.iter_mut().zip(self.experiments) {
             restore(model, record, experiment, &base);
         }
-        fit.warnings.extend(warnings);
+        fit.warnings.extend(warning);
         (fit.iterations, fit.solution.time, fit.model) = (iterations, time, model.clone());
+        let base = base.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        fit.moved = Some(Box::new(Moved { fit: inner, experiments, base, reach: REACH * interval }));
         Ok(fit)
     }
 

@@ -187,6 +187,7 @@ fn assessed(
         parameters,
         iterations: solution.iterations,
         solution,
+        moved: None,
     }
 }
 

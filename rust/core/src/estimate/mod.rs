@@ -14,7 +14,7 @@ mod start;
 mod transcription;
 
 pub use earlier::{Earlier, Multipliers, Path};
-pub use fit::{Bound, Estimate, Fit, Record};
+pub use fit::{Bound, Estimate, Fit, Moved, Record};
 pub use judge::unlike_noise;
 pub use measured::Measured;
 pub use noise::resolved;
@@ -80,6 +80,9 @@ pub struct Estimation<'a> {
     noise: NoiseModel,
     start: Vec<(String, Start)>,
     earlier: Option<Arc<Earlier>>,
+    /// Of passes over delays: the part of a standard error by which these may still move, and most passes.
+    settled: f64,
+    passes: usize,
     /// What stops all work but that of standard errors of a run that was interrupted.
     outside: Interrupt,
     /// What stops that.
@@ -101,6 +104,8 @@ impl<'a> Estimation<'a> {
             noise: model.noise.clone(),
             start: Vec::new(),
             earlier: None,
+            settled: 1e-4,
+            passes: 30,
             outside: Interrupt::default(),
             afterwards: Interrupt::default(),
         }
@@ -209,6 +214,13 @@ impl<'a> Estimation<'a> {
     /// samples are few, unless said.
     pub fn consistent_paths(mut self, paths: bool) -> Self {
         self.paths = Some(paths);
+        self
+    }
+
+    /// Passes over the delays end where these move by less than this part of their standard errors, 1e-4 unless said, or
+    /// after so many passes, 30 unless said.
+    pub fn delay_passes(mut self, settled: f64, passes: usize) -> Self {
+        (self.settled, self.passes) = (settled, passes);
         self
     }
 

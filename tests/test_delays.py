@@ -108,13 +108,11 @@ def test_the_estimate_is_the_maximum_and_its_error_the_curvature_there() -> None
 @pytest.mark.parametrize("interpolation", ["linear", "cubic"])
 def test_rates_of_signals_are_those_of_the_interpolation(interpolation: str) -> None:
     """Derivatives of the transcribed program with respect to a delay, while the base stays."""
-    from phugoid.estimation.late import _moved
-    from phugoid.modelling.delayed import at_delays
-
-    m, data, base = model(), record(interpolation), {"tau": 0.2, "late": 0.1}
-    slim = at_delays(m, base)
+    start = {"tau": 0.2, "late": 0.1}
+    found = ph.estimate(model(), record(interpolation), start=start, solver=ph.Newton(max_iterations=0))._moved
+    assert found is not None
     noise = ph.Gaussian().resolve(list("xva"), dict.fromkeys("xva", 1.0), {})
-    problem = ph.Collocation(3).problem(slim, [_moved(m, slim, data, base)], noise)
+    problem = ph.Collocation(3).problem(found.model, found.experiments, noise)
     random = np.random.default_rng(0)
     xi = random.standard_normal(problem.n)
     xi[:4], xi[4:7] = [2.0, 0.7, 0.21, 0.12], 1.3

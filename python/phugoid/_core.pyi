@@ -1,11 +1,9 @@
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NoReturn, TypeAlias, final
+from typing import Any, Literal, NoReturn, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import disjoint_base
-
-from .data.interpolation import Interpolation
 
 __all__ = [
     "Collocation",
@@ -371,7 +369,7 @@ class Whitening:
 _Estimated: TypeAlias = tuple[str, float, float, str, tuple[float, float], str | None]
 
 # times, inputs, outputs, interpolation of each input, signals
-_Moved: TypeAlias = tuple[_Array, list[_Array], list[_Array], list[Interpolation], list[_Signal]]
+_Moved: TypeAlias = tuple[_Array, list[_Array], list[_Array], list[Literal["linear", "cubic", "hold"]], list[_Signal]]
 
 @final
 class Fit:

@@ -108,11 +108,11 @@ def test_the_estimate_is_the_maximum_and_its_error_the_curvature_there() -> None
 @pytest.mark.parametrize("interpolation", ["linear", "cubic"])
 def test_rates_of_signals_are_those_of_the_interpolation(interpolation: str) -> None:
     """Derivatives of the transcribed program with respect to a delay, while the base stays."""
-    base = {"tau": 0.2, "late": 0.1}
-    without = ph.estimate(model(), record(interpolation), start=base, solver=ph.Newton(max_iterations=0))._moved
-    assert without is not None and not without.model.delays and set(base) <= set(without.model.parameter_names)
+    start = {"tau": 0.2, "late": 0.1}
+    found = ph.estimate(model(), record(interpolation), start=start, solver=ph.Newton(max_iterations=0))._moved
+    assert found is not None
     noise = ph.Gaussian().resolve(list("xva"), dict.fromkeys("xva", 1.0), {})
-    problem = ph.Collocation(3).problem(without.model, without.experiments, noise)
+    problem = ph.Collocation(3).problem(found.model, found.experiments, noise)
     random = np.random.default_rng(0)
     xi = random.standard_normal(problem.n)
     xi[:4], xi[4:7] = [2.0, 0.7, 0.21, 0.12], 1.3

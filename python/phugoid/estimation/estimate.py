@@ -32,7 +32,7 @@ from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
 from .fitted import make_fit
 from .late import estimate_late
-from .motion import Paths, on_moving_meshes, starts_known
+from .motion import Paths, Search, starts_known
 from .refine import refined
 from .smooth import kinks_matter, smoothed_fit
 
@@ -186,7 +186,9 @@ def _estimate(
             return _estimate(model, data, mesh, noise, {**given, **at}, by, progress, paths)
 
         assert isinstance(transcription, Collocation)
-        found = on_moving_meshes(on_mesh, model, experiments, transcription, parameters, deadline.left)
+        restarts = solver.restarts if isinstance(solver, Newton) else 0
+        restarts = 0 if isinstance(start, FitResult) else restarts
+        found = Search(on_mesh, model, experiments, transcription, deadline.left).best(parameters, restarts)
         if found is not None:
             return found
     # A scale that no output can tell would let the solver drift without end.

@@ -1,7 +1,10 @@
-"""Meshes and state paths from a simulation at the starting parameters, moved along with the estimates."""
+"""Meshes and state paths from a simulation at the starting parameters, moved along with the estimates, and restarts from
+other parameters: where samples are few, the likelihood has many maxima."""
 
 from __future__ import annotations
 
+import math
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
@@ -14,9 +17,10 @@ from ..data.experiment import Experiment
 from ..errors import EvaluationError
 from ..fit_result import FitResult
 from ..modelling.model import Model
+from ..parameters import Parameter
 from ..transcription.collocation import Collocation, Record, Signal, records_of
 
-__all__ = ["Motion", "on_moving_meshes", "simulated", "starts_known"]
+__all__ = ["Motion", "Search", "simulated", "starts_known"]
 
 _Array: TypeAlias = NDArray[np.float64]
 Paths: TypeAlias = Sequence[Sequence[tuple[_Array, _Array] | None]]
@@ -29,6 +33,14 @@ _ITERATIONS, _MOVES = 25, 8
 _PARTS, _FINEST = {2: 8, 3: 2}, 64
 # A mesh suits where outputs differ from those of an integration by less than this part of the residuals.
 _SUITS = 0.01
+# Restarts in a row that bring no more than this in log-likelihood, before one for each parameter is added.
+_RESTARTS, _GAIN = 10, 1e-3
+# A run behind the best goes on where a mesh brings this part of what is missing.
+_RATE = 0.1
+# What part of the parameters is drawn anew, and in decades: how far those without bounds go, and how far all move.
+_SHARE, _DECADES, _MOVE = 0.3, 3.0, 0.5
+# Most draws for parameters at which the model can be simulated.
+_DRAWS = 60
 
 
 @dataclass(frozen=True)
@@ -59,7 +71,7 @@ def simulated(model: Model, experiment: Experiment, values: Sequence[float], lef
         _, outputs, steps = _core.simulate(model._core, model.delays.spec, record, named, [], "auto", _TOLERANCE, limit)
         if steps.size > _MOST:
             return None
-        times = np.sort(np.concatenate([steps, 0.5 * (steps[1:] + steps[:-1])]))
+        times = np.unique(np.concatenate([steps, 0.5 * (steps[1:] + steps[:-1])]))
         finer = _resampled(model, experiment, times)
         states, *_ = _core.simulate(model._core, model.delays.spec, finer, named, [], "auto", _TOLERANCE, limit)
     except EvaluationError:
@@ -75,50 +87,177 @@ def _resampled(model: Model, experiment: Experiment, times: _Array) -> Record:
     return name, times, [np.zeros(times.size) for _ in inputs], missing, kinds, own
 
 
-def on_moving_meshes(
-    solve: Callable[[Collocation, Paths, Mapping[str, float], int | None], FitResult],
-    model: Model,
-    experiments: Sequence[Experiment],
-    transcription: Collocation,
-    values: Mapping[str, float],
-    left: Callable[[], float | None],
-) -> FitResult | None:
-    """Estimate on meshes that follow the motion: the steps of an integration with the parameters as they are.
+Solve: TypeAlias = Callable[[Collocation, Paths, Mapping[str, float], int | None], FitResult]
 
-    ``solve`` estimates on a mesh, from state paths and parameters, with a limit of iterations. With few samples these
-    say nothing of where a mesh must be fine, and a path that starts as a solution of the equations can be kept one.
-    None where there is no simulation to begin with. ``values`` are the starting parameters, ``left`` tells the time.
+
+@dataclass(frozen=True)
+class Search:
+    """Estimation where samples are few: on meshes that follow the motion, from several parameters.
+
+    ``solve`` estimates on a mesh, from state paths and parameters, with a limit of iterations. ``left`` tells the time.
     """
-    fit: FitResult | None = None
-    at = dict(values)
-    iterations, time = 0, 0.0
-    parts = _PARTS.get(transcription.order, 1)
-    for move in range(_MOVES + 1):
-        last = move == _MOVES
-        found = [simulated(model, e, _values(model, at, e.name), left()) for e in experiments]
-        runs = [each for each in found if each is not None]
-        if len(runs) == len(found):
-            if fit is not None and fit.status not in _UNFINISHED:
-                if _suits(fit, runs) or parts > _FINEST:
-                    break
-                parts *= 2
-            ends = [_divided(r.steps, parts) for r in runs]
-            paths = [[(r.times, x) for x in r.states] for r in runs]
-        elif fit is None:
+
+    solve: Solve
+    model: Model
+    experiments: Sequence[Experiment]
+    transcription: Collocation
+    left: Callable[[], float | None]
+
+    def best(self, values: Mapping[str, float], restarts: int | None) -> FitResult | None:
+        """Return the best end of a run from ``values`` and of so many restarts from other parameters.
+
+        It is an iterated local search (Lourenço, Martin and Stützle 2003): a restart begins at the best end so far, with
+        some of the parameters drawn anew. It ends after so many restarts in a row without a gain: by default ten, and
+        one for each parameter. Where the model cannot be simulated at ``values``, parameters are sought where it can.
+        None where there are none.
+        """
+        free = {n: p for n, p in self.model.declared_parameters.items() if not p.fixed and not p.per_experiment}
+        # Another start draws other numbers, the same start the same.
+        random = np.random.default_rng(zlib.crc32(repr(sorted(values.items())).encode()))
+        runs = self._simulated(values)
+        if runs is None:
+            values, runs = self._simulable(values, free, random)
+        if runs is None:
             return None
-        else:
-            # No mesh to move to. A path across a pole of the solution is one of a mesh that is too coarse.
-            assert isinstance(fit.transcription, Collocation)
-            ends = [_divided(r.mesh_t[:: fit.transcription.order - 1], 2) for r in fit.records]
-            paths = [[(r.mesh_t, r.mesh_states[n]) for n in model.state_names] for r in fit.records]
-            last = True
-        mesh = replace(transcription, segments=tuple(tuple(e.tolist()) for e in ends), refine=False)
-        fit = solve(mesh, paths, at, None if last else _ITERATIONS)
-        iterations, time = iterations + fit.iterations, time + fit.time
-        if last or fit.status in ("interrupted", "time limit"):
-            break
-        at = {n: e.value for n, e in fit.parameters.items()}
-    return None if fit is None else replace(fit, iterations=iterations, time=time)
+        fit = self._from(values, runs, math.inf)
+        if restarts is None:
+            restarts = _RESTARTS + len(free)
+        iterations, time, without = fit.iterations, fit.time, 0
+        while without < restarts and free and fit.status not in _STOPPED and self.left() != 0.0:
+            at = {n: fit.parameters[n].value if n in fit.parameters else v for n, v in values.items()}
+            others = _redrawn(at, free, random) if without % 2 == 0 else _spread_out(at, free, random)
+            without += 1
+            if (runs := self._simulated(others)) is None:
+                continue
+            other = self._from(others, runs, fit.log_likelihood if fit.feasible else -math.inf)
+            iterations, time = iterations + other.iterations, time + other.time
+            if other.status == "interrupted":
+                fit = replace(fit, status=other.status, message=other.message)
+            elif other.feasible and (not fit.feasible or other.log_likelihood > fit.log_likelihood + _GAIN):
+                fit, without = other, 0
+        return replace(fit, iterations=iterations, time=time)
+
+    def _simulated(self, values: Mapping[str, float]) -> list[Motion] | None:
+        """Simulate all experiments; None where one of them has no solution."""
+        found = []
+        for e in self.experiments:
+            run = simulated(self.model, e, _values(self.model, values, e.name), self.left())
+            if run is None:
+                return None
+            found.append(run)
+        return found
+
+    def _simulable(
+        self, values: Mapping[str, float], free: Mapping[str, Parameter], random: np.random.Generator
+    ) -> tuple[Mapping[str, float], list[Motion] | None]:
+        """Seek parameters at which the model can be simulated, near the given ones first."""
+        for draw in range(_DRAWS if free else 0):
+            others = _redrawn(values, free, random) if draw % 2 == 0 else _spread_out(values, free, random)
+            if (runs := self._simulated(others)) is not None:
+                return others, runs
+        return values, None
+
+    def _from(self, values: Mapping[str, float], runs: list[Motion] | None, best: float) -> FitResult:
+        """Estimate on meshes that follow the motion: the steps of an integration with the parameters as they are.
+
+        With few samples these say nothing of where a mesh must be fine, and a path that starts as a solution of the
+        equations can be kept one. ``runs`` are those at the starting parameters. A run that is behind the ``best``
+        log-likelihood and does not gain on it from one mesh to the next ends early.
+        """
+        model, at = self.model, dict(values)
+        fit: FitResult | None = None
+        iterations, time = 0, 0.0
+        parts = _PARTS.get(self.transcription.order, 1)
+        for move in range(_MOVES + 1):
+            last = move == _MOVES
+            if move > 0:
+                runs = self._simulated(at)
+            if runs is not None:
+                if fit is not None and fit.status not in _UNFINISHED:
+                    if _suits(fit, runs) or parts > _FINEST:
+                        break
+                    parts *= 2
+                ends = [_divided(r.steps, parts) for r in runs]
+                paths = [[(r.times, x) for x in r.states] for r in runs]
+            else:
+                # No mesh to move to. A path across a pole of the solution is one of a mesh that is too coarse.
+                assert fit is not None and isinstance(fit.transcription, Collocation)
+                ends = [_divided(r.mesh_t[:: fit.transcription.order - 1], 2) for r in fit.records]
+                paths = [[(r.mesh_t, r.mesh_states[n]) for n in model.state_names] for r in fit.records]
+                last = True
+            mesh = replace(self.transcription, segments=tuple(tuple(e.tolist()) for e in ends), refine=False)
+            before = fit
+            fit = self.solve(mesh, paths, at, None if last else _ITERATIONS)
+            iterations, time = iterations + fit.iterations, time + fit.time
+            if last or fit.status in _STOPPED:
+                break
+            if before is not None and math.isfinite(best):
+                gain = fit.log_likelihood - before.log_likelihood
+                if not gain > _RATE * (best - fit.log_likelihood):
+                    break
+            at = {n: e.value for n, e in fit.parameters.items()}
+        assert fit is not None
+        return replace(fit, iterations=iterations, time=time)
+
+
+def _redrawn(
+    values: Mapping[str, float], free: Mapping[str, Parameter], random: np.random.Generator
+) -> dict[str, float]:
+    """Draw some of the parameters anew, within their bounds; one at least."""
+    names = list(free)
+    chosen = random.random(len(names)) < _SHARE
+    chosen[random.integers(len(names))] = True
+    found = dict(values)
+    for name in (n for n, c in zip(names, chosen, strict=True) if c):
+        scale = _Scale.of(free[name], values[name])
+        low, high = scale.range
+        found[name] = scale.value(random.uniform(low, high))
+    return found
+
+
+def _spread_out(
+    values: Mapping[str, float], free: Mapping[str, Parameter], random: np.random.Generator
+) -> dict[str, float]:
+    """Move all parameters, most of them a little and some of them far: by a Cauchy distribution."""
+    found = dict(values)
+    for name, parameter in free.items():
+        scale = _Scale.of(parameter, values[name])
+        found[name] = scale.value(scale.at + scale.unit * random.standard_cauchy())
+    return found
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """How a parameter is drawn: its logarithm, where it is declared so, where it is, within which range, and in what
+    unit it moves."""
+
+    logarithmic: bool
+    at: float
+    range: tuple[float, float]
+    unit: float
+
+    @classmethod
+    def of(cls, parameter: Parameter, value: float) -> _Scale:
+        logarithmic = parameter.transform == "log" and value > 0.0
+        low, high = parameter.bounds
+        if logarithmic:
+            value = math.log10(value)
+            low = math.log10(low) if low > 0.0 else value - _DECADES
+            high = math.log10(high) if math.isfinite(high) else value + _DECADES
+            return cls(True, value, (low, high), _MOVE)
+        size = abs(value) or 1.0
+        unit = 0.1 * (high - low) if math.isfinite(high - low) else size
+        low, high = (v if math.isfinite(v) else value + s * size for v, s in ((low, -3.0), (high, 3.0)))
+        return cls(False, value, (low, high), unit)
+
+    def value(self, x: float) -> float:
+        """Return the value of the parameter at x, which is reflected into the range."""
+        low, high = self.range
+        if not low < high:
+            return 10.0**self.at if self.logarithmic else self.at
+        x = (x - low) % (2.0 * (high - low))
+        x = low + min(x, 2.0 * (high - low) - x)
+        return float(10.0**x) if self.logarithmic else float(x)
 
 
 def _divided(ends: _Array, parts: int) -> _Array:
@@ -127,6 +266,7 @@ def _divided(ends: _Array, parts: int) -> _Array:
 
 
 _UNFINISHED = ("iteration limit", "infeasible", "diverging")
+_STOPPED = ("interrupted", "time limit")
 
 
 def _values(model: Model, at: Mapping[str, float], experiment: str) -> list[float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,9 @@ class Newton:
     ``gauss_newton`` False uses the exact Hessian from the start.
     ``paths``: start with steps along paths that satisfy the equations, integrated anew after each step, with the
     parameters in a trust region; None does so where states are neither measured nor given and there are few samples.
+    ``restarts``: so many restarts in a row without a gain end the search for a better optimum, which begins anew with
+    some of the parameters drawn within their bounds; None is ten and one for each parameter, where such steps make sense
+    and parameters tell all initial states, and 0 has none.
     ``time_limit`` in seconds, of all that the estimation does; the best point so far is the result.
     """
 
@@ -42,12 +46,15 @@ class Newton:
     regression: bool | None = None
     gauss_newton: bool = True
     paths: bool | None = None
+    restarts: int | None = None
 
     def __post_init__(self) -> None:
         check_limits("Newton", self.max_iterations, self.tolerance, self.time_limit)
         for name in ("regression", "paths"):
             if getattr(self, name) not in (None, True, False):
                 raise OptionError(f"Newton: {name} is True, False or None, not {getattr(self, name)!r}")
+        if self.restarts is not None and (not isinstance(self.restarts, Integral) or self.restarts < 0):
+            raise OptionError(f"Newton: restarts is a whole number from 0, or None, not {self.restarts!r}")
 
     def solve(
         self,

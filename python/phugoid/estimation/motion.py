@@ -1,5 +1,5 @@
-"""Meshes and state paths from a simulation at the starting parameters, moved along with the estimates, and restarts from
-other parameters: where samples are few, the likelihood has many maxima."""
+"""Meshes and state paths from a simulation at the starting parameters, moved along with the estimates, and restarts
+from other parameters: where samples are few, the likelihood has many maxima."""
 
 from __future__ import annotations
 
@@ -25,8 +25,12 @@ __all__ = ["Motion", "Search", "simulated", "starts_known"]
 _Array: TypeAlias = NDArray[np.float64]
 Paths: TypeAlias = Sequence[Sequence[tuple[_Array, _Array] | None]]
 
-# Tolerance of the integration whose steps become segments, most of these in a record, and most time for it, s.
-_TOLERANCE, _MOST, _LONGEST = 1e-7, 2_000, 5.0
+# Tolerances of the integration whose steps become segments: of the search, and of the last run.
+_COARSE, _FINE = 1e-4, 1e-7
+# Most steps in a record, and most time of an integration, s.
+_MOST, _LONGEST = 2_000, 5.0
+# Steps shorter than this part of a record are none.
+_APART = 1e-12
 # Iterations on one mesh before it is moved, and how often it is. The last mesh has no limit of its own.
 _ITERATIONS, _MOVES = 25, 8
 # Each step is a segment; of low orders, and where that does not suit, it is divided into more.
@@ -59,7 +63,9 @@ def starts_known(model: Model, given: Mapping[str, object]) -> bool:
     return said.issuperset(model.state_names) and not any(n in given for n in model.state_names)
 
 
-def simulated(model: Model, experiment: Experiment, values: Sequence[float], left: float | None) -> Motion | None:
+def simulated(
+    model: Model, experiment: Experiment, values: Sequence[float], left: float | None, tolerance: float = _FINE
+) -> Motion | None:
     """Simulate from the model's initial conditions; None where the solution does not exist or takes too long.
 
     ``values`` of the parameters in the order of the model; ``left``: seconds that are left, None for no limit.
@@ -68,15 +74,24 @@ def simulated(model: Model, experiment: Experiment, values: Sequence[float], lef
     (record,) = records_of(model, [experiment])
     limit = _LONGEST if left is None else min(_LONGEST, left)
     try:
-        _, outputs, steps = _core.simulate(model._core, model.delays.spec, record, named, [], "auto", _TOLERANCE, limit)
+        _, outputs, steps = _core.simulate(model._core, model.delays.spec, record, named, [], "auto", tolerance, limit)
         if steps.size > _MOST:
             return None
+        steps = _apart(steps)
         times = np.unique(np.concatenate([steps, 0.5 * (steps[1:] + steps[:-1])]))
         finer = _resampled(model, experiment, times)
-        states, *_ = _core.simulate(model._core, model.delays.spec, finer, named, [], "auto", _TOLERANCE, limit)
+        states, *_ = _core.simulate(model._core, model.delays.spec, finer, named, [], "auto", tolerance, limit)
     except EvaluationError:
         return None
     return Motion(steps, times, states, outputs)
+
+
+def _apart(steps: _Array) -> _Array:
+    """The ends of steps without those that rounding would put into one place."""
+    least = _APART * (steps[-1] - steps[0])
+    inner = steps[1:-1]
+    inner = inner[(np.diff(steps[:-1]) > least) & (steps[-1] - inner > least)]
+    return np.concatenate([steps[:1], inner, steps[-1:]])
 
 
 def _resampled(model: Model, experiment: Experiment, times: _Array) -> Record:
@@ -106,42 +121,58 @@ class Search:
     def best(self, values: Mapping[str, float], restarts: int | None) -> FitResult | None:
         """Return the best end of a run from ``values`` and of so many restarts from other parameters.
 
-        It is an iterated local search (Lourenço, Martin and Stützle 2003): a restart begins at the best end so far, with
-        some of the parameters drawn anew. It ends after so many restarts in a row without a gain: by default ten, and
-        one for each parameter. Where the model cannot be simulated at ``values``, parameters are sought where it can.
-        None where there are none.
+        It is an iterated local search (Lourenço, Martin and Stützle 2003): a restart begins at the best end so far,
+        with some of the parameters drawn anew. It ends after so many restarts in a row without a gain: by default ten,
+        and one for each parameter. Where the model cannot be simulated at ``values``, parameters are sought where it
+        can. None where there are none.
         """
         free = {n: p for n, p in self.model.declared_parameters.items() if not p.fixed and not p.per_experiment}
         # Another start draws other numbers, the same start the same.
         random = np.random.default_rng(zlib.crc32(repr(sorted(values.items())).encode()))
-        runs = self._simulated(values)
+        if restarts is None:
+            restarts = _RESTARTS + len(free)
+        tolerance = _COARSE if restarts and free else _FINE
+        runs = self._simulated(values, tolerance)
         if runs is None:
             values, runs = self._simulable(values, free, random)
         if runs is None:
             return None
-        fit = self._from(values, runs, math.inf)
-        if restarts is None:
-            restarts = _RESTARTS + len(free)
+        fit = self._from(values, runs, -math.inf, tolerance)
+        likelihood = self._likelihood(fit)
         iterations, time, without = fit.iterations, fit.time, 0
         while without < restarts and free and fit.status not in _STOPPED and self.left() != 0.0:
             at = {n: fit.parameters[n].value if n in fit.parameters else v for n, v in values.items()}
             others = _redrawn(at, free, random) if without % 2 == 0 else _spread_out(at, free, random)
             without += 1
-            if (runs := self._simulated(others)) is None:
+            if (runs := self._simulated(others, tolerance)) is None:
                 continue
-            other = self._from(others, runs, fit.log_likelihood if fit.feasible else -math.inf)
+            other = self._from(others, runs, likelihood, tolerance)
             iterations, time = iterations + other.iterations, time + other.time
             if other.status == "interrupted":
                 fit = replace(fit, status=other.status, message=other.message)
-            elif other.feasible and (not fit.feasible or other.log_likelihood > fit.log_likelihood + _GAIN):
-                fit, without = other, 0
+            elif (reached := self._likelihood(other)) > likelihood + _GAIN:
+                fit, likelihood, without = other, reached, 0
+        if tolerance > _FINE and fit.status not in _STOPPED and self.left() != 0.0:
+            at = {n: e.value for n, e in fit.parameters.items()}
+            if (runs := self._simulated(at, _FINE)) is not None:
+                fit = self._from(at, runs, -math.inf, _FINE)
+                iterations, time = iterations + fit.iterations, time + fit.time
         return replace(fit, iterations=iterations, time=time)
 
-    def _simulated(self, values: Mapping[str, float]) -> list[Motion] | None:
+    def _likelihood(self, fit: FitResult) -> float:
+        """Return the log-likelihood of an end, where the equations have a solution with its parameters.
+
+        A path on a mesh that is too coarse may cross a pole of the solution; then it is -inf, as without a path.
+        """
+        at = {n: e.value for n, e in fit.parameters.items()}
+        known = fit.feasible and self._simulated(at, _COARSE) is not None
+        return fit.log_likelihood if known else -math.inf
+
+    def _simulated(self, values: Mapping[str, float], tolerance: float) -> list[Motion] | None:
         """Simulate all experiments; None where one of them has no solution."""
         found = []
         for e in self.experiments:
-            run = simulated(self.model, e, _values(self.model, values, e.name), self.left())
+            run = simulated(self.model, e, _values(self.model, values, e.name), self.left(), tolerance)
             if run is None:
                 return None
             found.append(run)
@@ -153,16 +184,16 @@ class Search:
         """Seek parameters at which the model can be simulated, near the given ones first."""
         for draw in range(_DRAWS if free else 0):
             others = _redrawn(values, free, random) if draw % 2 == 0 else _spread_out(values, free, random)
-            if (runs := self._simulated(others)) is not None:
+            if (runs := self._simulated(others, _COARSE)) is not None:
                 return others, runs
         return values, None
 
-    def _from(self, values: Mapping[str, float], runs: list[Motion] | None, best: float) -> FitResult:
+    def _from(self, values: Mapping[str, float], runs: list[Motion] | None, best: float, tolerance: float) -> FitResult:
         """Estimate on meshes that follow the motion: the steps of an integration with the parameters as they are.
 
         With few samples these say nothing of where a mesh must be fine, and a path that starts as a solution of the
-        equations can be kept one. ``runs`` are those at the starting parameters. A run that is behind the ``best``
-        log-likelihood and does not gain on it from one mesh to the next ends early.
+        equations can be kept one. ``runs`` are those at the starting parameters, with this ``tolerance``. A run that
+        is behind the ``best`` log-likelihood and does not gain on it from one mesh to the next ends early.
         """
         model, at = self.model, dict(values)
         fit: FitResult | None = None
@@ -171,7 +202,7 @@ class Search:
         for move in range(_MOVES + 1):
             last = move == _MOVES
             if move > 0:
-                runs = self._simulated(at)
+                runs = self._simulated(at, tolerance)
             if runs is not None:
                 if fit is not None and fit.status not in _UNFINISHED:
                     if _suits(fit, runs) or parts > _FINEST:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -37,12 +37,15 @@ _ITERATIONS, _MOVES = 25, 8
 _PARTS, _FINEST = {2: 8, 3: 2}, 64
 # A mesh suits where outputs differ from those of an integration by less than this part of the residuals.
 _SUITS = 0.01
+# How often a mesh is divided, at most, where the model cannot be simulated with what it led to.
+_DIVISIONS = 3
 # Restarts in a row that bring no more than this in log-likelihood, before one for each parameter is added.
 _RESTARTS, _GAIN = 10, 1e-3
 # A run behind the best goes on where a mesh brings this part of what is missing.
 _RATE = 0.1
-# What part of the parameters is drawn anew, and in decades: how far those without bounds go, and how far all move.
-_SHARE, _DECADES, _MOVE = 0.3, 3.0, 0.5
+# What part of the parameters is drawn anew, and of those of which the data say nothing; in decades: how far those
+# without bounds go, and how far all move.
+_SHARE, _MOST_OF_THEM, _DECADES, _MOVE = 0.3, 0.8, 3.0, 0.5
 # Most draws for parameters at which the model can be simulated.
 _DRAWS = 60
 
@@ -142,7 +145,7 @@ class Search:
         iterations, time, without = fit.iterations, fit.time, 0
         while without < restarts and free and fit.status not in _STOPPED and self.left() != 0.0:
             at = {n: fit.parameters[n].value if n in fit.parameters else v for n, v in values.items()}
-            others = _redrawn(at, free, random) if without % 2 == 0 else _spread_out(at, free, random)
+            others = _elsewhere(without, at, free, random, _undetermined(fit))
             without += 1
             if (runs := self._simulated(others, tolerance)) is None:
                 continue
@@ -183,7 +186,7 @@ class Search:
     ) -> tuple[Mapping[str, float], list[Motion] | None]:
         """Seek parameters at which the model can be simulated, near the given ones first."""
         for draw in range(_DRAWS if free else 0):
-            others = _redrawn(values, free, random) if draw % 2 == 0 else _spread_out(values, free, random)
+            others = _elsewhere(draw, values, free, random)
             if (runs := self._simulated(others, _COARSE)) is not None:
                 return others, runs
         return values, None
@@ -197,7 +200,7 @@ class Search:
         """
         model, at = self.model, dict(values)
         fit: FitResult | None = None
-        iterations, time = 0, 0.0
+        iterations, time, divisions = 0, 0.0, 0
         parts = _PARTS.get(self.transcription.order, 1)
         for move in range(_MOVES + 1):
             last = move == _MOVES
@@ -213,9 +216,11 @@ class Search:
             else:
                 # No mesh to move to. A path across a pole of the solution is one of a mesh that is too coarse.
                 assert fit is not None and isinstance(fit.transcription, Collocation)
+                divisions += 1
+                if divisions > _DIVISIONS or not fit.feasible:
+                    break
                 ends = [_divided(r.mesh_t[:: fit.transcription.order - 1], 2) for r in fit.records]
                 paths = [[(r.mesh_t, r.mesh_states[n]) for n in model.state_names] for r in fit.records]
-                last = True
             mesh = replace(self.transcription, segments=tuple(tuple(e.tolist()) for e in ends), refine=False)
             before = fit
             fit = self.solve(mesh, paths, at, None if last else _ITERATIONS)
@@ -231,12 +236,36 @@ class Search:
         return replace(fit, iterations=iterations, time=time)
 
 
-def _redrawn(
-    values: Mapping[str, float], free: Mapping[str, Parameter], random: np.random.Generator
+def _undetermined(fit: FitResult) -> set[str]:
+    """Names of the parameters of which the data say nothing at an end, or no more than how large they are."""
+    return {n for n, e in fit.parameters.items() if not e.std_error < abs(e.value)}
+
+
+def _elsewhere(
+    number: int,
+    values: Mapping[str, float],
+    free: Mapping[str, Parameter],
+    random: np.random.Generator,
+    undetermined: Collection[str] = (),
 ) -> dict[str, float]:
-    """Draw some of the parameters anew, within their bounds; one at least."""
+    """Draw other parameters, in one of three ways in turn: some of them anew; most of the undetermined ones anew, which
+    where they are have no influence, and few others; all of them moved."""
+    kind = number % 3
+    if kind == 2:
+        return _spread_out(values, free, random)
+    others, undetermined_ones = (_SHARE, _SHARE) if kind == 0 or not undetermined else (0.5 * _SHARE, _MOST_OF_THEM)
+    return _redrawn(values, free, random, {n: undetermined_ones if n in undetermined else others for n in free})
+
+
+def _redrawn(
+    values: Mapping[str, float],
+    free: Mapping[str, Parameter],
+    random: np.random.Generator,
+    shares: Mapping[str, float],
+) -> dict[str, float]:
+    """Draw parameters anew within their bounds, each with its probability; one at least."""
     names = list(free)
-    chosen = random.random(len(names)) < _SHARE
+    chosen = random.random(len(names)) < [shares[n] for n in names]
     chosen[random.integers(len(names))] = True
     found = dict(values)
     for name in (n for n, c in zip(names, chosen, strict=True) if c):

@@ -26,7 +26,7 @@ _Array: TypeAlias = NDArray[np.float64]
 Paths: TypeAlias = Sequence[Sequence[tuple[_Array, _Array] | None]]
 
 # Tolerances of the integration whose steps become segments: of the search, and of the last run.
-_COARSE, _FINE = 1e-4, 1e-7
+_COARSE, _FINE = 1e-6, 1e-7
 # Most steps in a record, and most time of an integration, s.
 _MOST, _LONGEST = 2_000, 5.0
 # Steps shorter than this part of a record are none.

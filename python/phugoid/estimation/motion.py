@@ -135,21 +135,21 @@ class Search:
         if restarts is None:
             restarts = _RESTARTS + len(free)
         tolerance = _COARSE if restarts and free else _FINE
-        runs = self._simulated(values, tolerance)
-        if runs is None:
-            values, runs = self._simulable(values, free, random)
-        if runs is None:
+        fit = self._from(values, -math.inf, tolerance)
+        for draw in range(_DRAWS if fit is None and restarts and free else 0):
+            fit = self._from(_elsewhere(draw, values, free, random), -math.inf, tolerance)
+            if fit is not None:
+                break
+        if fit is None:
             return None
-        fit = self._from(values, runs, -math.inf, tolerance)
         likelihood = self._likelihood(fit)
         iterations, time, without = fit.iterations, fit.time, 0
         while without < restarts and free and fit.status not in _STOPPED and self.left() != 0.0:
             at = {n: fit.parameters[n].value if n in fit.parameters else v for n, v in values.items()}
             others = _elsewhere(without, at, free, random, _undetermined(fit))
             without += 1
-            if (runs := self._simulated(others, tolerance)) is None:
+            if (other := self._from(others, likelihood, tolerance)) is None:
                 continue
-            other = self._from(others, runs, likelihood, tolerance)
             iterations, time = iterations + other.iterations, time + other.time
             if other.status == "interrupted":
                 fit = replace(fit, status=other.status, message=other.message)
@@ -157,9 +157,8 @@ class Search:
                 fit, likelihood, without = other, reached, 0
         if tolerance > _FINE and fit.status not in _STOPPED and self.left() != 0.0:
             at = {n: e.value for n, e in fit.parameters.items()}
-            if (runs := self._simulated(at, _FINE)) is not None:
-                fit = self._from(at, runs, -math.inf, _FINE)
-                iterations, time = iterations + fit.iterations, time + fit.time
+            if (last := self._from(at, -math.inf, _FINE)) is not None and last.status != "time limit":
+                fit, iterations, time = last, iterations + last.iterations, time + last.time
         return replace(fit, iterations=iterations, time=time)
 
     def _likelihood(self, fit: FitResult) -> float:
@@ -181,22 +180,13 @@ class Search:
             found.append(run)
         return found
 
-    def _simulable(
-        self, values: Mapping[str, float], free: Mapping[str, Parameter], random: np.random.Generator
-    ) -> tuple[Mapping[str, float], list[Motion] | None]:
-        """Seek parameters at which the model can be simulated, near the given ones first."""
-        for draw in range(_DRAWS if free else 0):
-            others = _elsewhere(draw, values, free, random)
-            if (runs := self._simulated(others, _COARSE)) is not None:
-                return others, runs
-        return values, None
-
-    def _from(self, values: Mapping[str, float], runs: list[Motion] | None, best: float, tolerance: float) -> FitResult:
+    def _from(self, values: Mapping[str, float], best: float, tolerance: float) -> FitResult | None:
         """Estimate on meshes that follow the motion: the steps of an integration with the parameters as they are.
 
         With few samples these say nothing of where a mesh must be fine, and a path that starts as a solution of the
-        equations can be kept one. ``runs`` are those at the starting parameters, with this ``tolerance``. A run that
-        is behind the ``best`` log-likelihood and does not gain on it from one mesh to the next ends early.
+        equations can be kept one. A run that is behind the ``best`` log-likelihood and does not gain on it from one
+        mesh to the next ends early. None where the model cannot be simulated at the starting parameters, or has no
+        finite derivatives there.
         """
         model, at = self.model, dict(values)
         fit: FitResult | None = None
@@ -204,9 +194,7 @@ class Search:
         parts = _PARTS.get(self.transcription.order, 1)
         for move in range(_MOVES + 1):
             last = move == _MOVES
-            if move > 0:
-                runs = self._simulated(at, tolerance)
-            if runs is not None:
+            if (runs := self._simulated(at, tolerance)) is not None:
                 if fit is not None and fit.status not in _UNFINISHED:
                     if _suits(fit, runs) or parts > _FINEST:
                         break
@@ -215,15 +203,18 @@ class Search:
                 paths = [[(r.times, x) for x in r.states] for r in runs]
             else:
                 # No mesh to move to. A path across a pole of the solution is one of a mesh that is too coarse.
-                assert fit is not None and isinstance(fit.transcription, Collocation)
                 divisions += 1
-                if divisions > _DIVISIONS or not fit.feasible:
+                if fit is None or divisions > _DIVISIONS or not fit.feasible:
                     break
+                assert isinstance(fit.transcription, Collocation)
                 ends = [_divided(r.mesh_t[:: fit.transcription.order - 1], 2) for r in fit.records]
                 paths = [[(r.mesh_t, r.mesh_states[n]) for n in model.state_names] for r in fit.records]
             mesh = replace(self.transcription, segments=tuple(tuple(e.tolist()) for e in ends), refine=False)
             before = fit
-            fit = self.solve(mesh, paths, at, None if last else _ITERATIONS)
+            try:
+                fit = self.solve(mesh, paths, at, None if last else _ITERATIONS)
+            except EvaluationError:
+                break
             iterations, time = iterations + fit.iterations, time + fit.time
             if last or fit.status in _STOPPED:
                 break
@@ -232,8 +223,7 @@ class Search:
                 if not gain > _RATE * (best - fit.log_likelihood):
                     break
             at = {n: e.value for n, e in fit.parameters.items()}
-        assert fit is not None
-        return replace(fit, iterations=iterations, time=time)
+        return None if fit is None else replace(fit, iterations=iterations, time=time)
 
 
 def _undetermined(fit: FitResult) -> set[str]:

@@ -34,9 +34,9 @@ class Newton:
     ``gauss_newton`` False uses the exact Hessian from the start.
     ``paths``: start with steps along paths that satisfy the equations, integrated anew after each step, with the
     parameters in a trust region; None does so where states are neither measured nor given and there are few samples.
-    ``restarts``: so many restarts in a row without a gain end the search for a better optimum, which begins anew with
-    some of the parameters drawn within their bounds; None is ten and one for each parameter, where such steps make sense
-    and parameters tell all initial states, and 0 has none.
+    ``restarts``: where there are few samples and the parameters tell all initial states, the estimation begins anew
+    with some of the parameters drawn within their bounds, from the best optimum so far, until so many restarts in a row
+    have brought no gain; None is ten, and one for each parameter. 0 has none: the optimum is that next to the start.
     ``time_limit`` in seconds, of all that the estimation does; the best point so far is the result.
     """
 

@@ -41,13 +41,16 @@ _SUITS = 0.01
 _DIVISIONS = 3
 # Restarts in a row that bring no more than this in log-likelihood, before one for each parameter is added.
 _RESTARTS, _GAIN = 10, 1e-3
+# Ends of runs that differ by less than this are the same optimum.
+_SAME = 0.1
+_ONCE = "none of the last {} restarts ended at this optimum again: there may be better ones, which `multistart` seeks"
 # A run behind the best goes on where a mesh brings this part of what is missing.
 _RATE = 0.1
 # What part of the parameters is drawn anew, and of those of which the data say nothing; in decades: how far those
 # without bounds go, and how far all move.
 _SHARE, _MOST_OF_THEM, _DECADES, _MOVE = 0.3, 0.8, 3.0, 0.5
-# Most draws for parameters at which the model can be simulated.
-_DRAWS = 60
+# Most draws for parameters at which the model can be simulated, and its outputs are others.
+_DRAWS = 30
 
 
 @dataclass(frozen=True)
@@ -143,10 +146,16 @@ class Search:
         if fit is None:
             return None
         likelihood = self._likelihood(fit)
-        iterations, time, without = fit.iterations, fit.time, 0
+        iterations, time, without, again = fit.iterations, fit.time, 0, 0
         while without < restarts and free and fit.status not in _STOPPED and self.left() != 0.0:
             at = {n: fit.parameters[n].value if n in fit.parameters else v for n, v in values.items()}
-            others = _elsewhere(without, at, free, random, _undetermined(fit))
+            undetermined = _undetermined(fit)
+            for _ in range(_DRAWS):
+                others = _elsewhere(without, at, free, random, undetermined)
+                runs = self._simulated(others, tolerance)
+                # What changes nothing leads back.
+                if runs is not None and not _suits(fit, runs):
+                    break
             without += 1
             if (other := self._from(others, likelihood, tolerance)) is None:
                 continue
@@ -154,11 +163,16 @@ class Search:
             if other.status == "interrupted":
                 fit = replace(fit, status=other.status, message=other.message)
             elif (reached := self._likelihood(other)) > likelihood + _GAIN:
+                again = int(reached - likelihood < _SAME)
                 fit, likelihood, without = other, reached, 0
+            else:
+                again += reached > likelihood - _SAME
         if tolerance > _FINE and fit.status not in _STOPPED and self.left() != 0.0:
             at = {n: e.value for n, e in fit.parameters.items()}
             if (last := self._from(at, -math.inf, _FINE)) is not None and last.status != "time limit":
                 fit, iterations, time = last, iterations + last.iterations, time + last.time
+        if restarts and not again and fit.feasible:
+            fit = replace(fit, warnings=(*fit.warnings, _ONCE.format(without)))
         return replace(fit, iterations=iterations, time=time)
 
     def _likelihood(self, fit: FitResult) -> float:
@@ -335,6 +349,6 @@ def _suits(fit: FitResult, runs: Sequence[Motion]) -> bool:
             [(r.outputs[name] - m.outputs[i])[k] for r, m, k in zip(fit.records, runs, there, strict=True)]
         )
         residual = np.concatenate([r.residuals[name][k] for r, k in zip(fit.records, there, strict=True)])
-        if not np.sqrt(np.mean(off**2)) <= _SUITS * np.sqrt(np.mean(residual**2)):
+        if not np.linalg.norm(off) <= _SUITS * np.linalg.norm(residual):
             return False
     return True

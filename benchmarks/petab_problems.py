@@ -1,6 +1,6 @@
-"""Random starts on problems in the PEtab format, against pyPESTO with Fides on AMICI, and scipy by single shooting.
+"""Random starts on problems in the PEtab format, against scipy by single shooting, and pyPESTO with Fides on AMICI.
 
-    python benchmarks/petab_problems.py FOLDER [--starts 20] [--only Boehm Rahman] [--peer PYTHON] [--figure FILE]
+    python benchmarks/petab_problems.py FOLDER [--starts 100] [--only Boehm Rahman] [--peer PYTHON] [--figure FILE]
 
 FOLDER holds problems as the benchmark collection has them (a folder each, its YAML file of the same name); it does
 not ship with phugoid. Starts are a Latin hypercube within the bounds, of logarithms where the table says so, the same
@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import petab_shooting
 from tables import show
 
 import phugoid as ph
@@ -39,34 +40,6 @@ def ours(problem, starts):
         yield value, time.process_time() - before
 
 
-def scipys(problem, starts, seconds):
-    """The same by scipy's L-BFGS-B in logarithms, gradients by differences, the ODE integrated by ours for each."""
-    from scipy.optimize import minimize
-
-    declared = problem.model.declared_parameters
-    names = list(declared)
-    logarithmic = np.array([p.transform == "log" for p in declared.values()])
-    low, high = np.array([p.bounds for p in declared.values()]).T
-    low[logarithmic], high[logarithmic] = np.log(low[logarithmic]), np.log(high[logarithmic])
-
-    def cost(z):
-        values = np.where(logarithmic, np.exp(np.where(logarithmic, z, 0.0)), z)
-        try:
-            return -problem.log_likelihood(dict(zip(names, values, strict=True)), time_limit=2.0)
-        except (ph.EvaluationError, ph.ModelError):
-            return 1e10
-
-    began = time.process_time()
-    for start in starts:
-        x = np.array([start[n] for n in names])
-        z = np.where(logarithmic, np.log(np.where(logarithmic, x, 1.0)), x)
-        before = time.process_time()
-        found = minimize(cost, z, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)))
-        yield float(found.fun), time.process_time() - before
-        if time.process_time() - began > seconds:
-            return
-
-
 def pypesto(python, path, starts, seconds):
     """The same by pyPESTO in another interpreter."""
     with tempfile.TemporaryDirectory() as folder:
@@ -85,7 +58,7 @@ def main():
     """Print a table of all problems."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--starts", type=int, default=20)
+    parser.add_argument("--starts", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--peer", help="an interpreter with pyPESTO, Fides and AMICI")
@@ -109,7 +82,7 @@ def main():
         if options.peer:
             found["pyPESTO"] = pypesto(options.peer, path, starts, seconds)
         if not options.no_scipy:
-            found["scipy"] = list(scipys(problem, starts, seconds))
+            found["scipy"] = list(petab_shooting.run(problem, starts, seconds))
         best = min([nominal, *(v for runs in found.values() for v, _ in runs if math.isfinite(v))])
         ends[folder.name] = (best, found)
         for name, runs in found.items():

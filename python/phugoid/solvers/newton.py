@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,10 @@ class Newton:
     ``gauss_newton`` False uses the exact Hessian from the start.
     ``paths``: start with steps between paths that satisfy the equations, integrated again after each step, with the
     parameters in a trust region; None does so where states are neither measured nor given and there are few samples.
+    ``restarts``: where there are few samples and the parameters determine all initial states, the estimation is repeated
+    from the best optimum so far with some of the parameters drawn within their bounds, until so many restarts in
+    succession have brought no gain. None: ten, and one for each parameter. 0: none; the optimum is that next to the
+    start.
     ``time_limit`` in seconds, for the whole estimation; the best point so far is the result.
     """
 
@@ -42,12 +47,15 @@ class Newton:
     regression: bool | None = None
     gauss_newton: bool = True
     paths: bool | None = None
+    restarts: int | None = None
 
     def __post_init__(self) -> None:
         check_limits("Newton", self.max_iterations, self.tolerance, self.time_limit)
         for name in ("regression", "paths"):
             if getattr(self, name) not in (None, True, False):
                 raise OptionError(f"Newton: {name} is True, False or None, not {getattr(self, name)!r}")
+        if self.restarts is not None and (not isinstance(self.restarts, Integral) or self.restarts < 0):
+            raise OptionError(f"Newton: restarts is a whole number from 0, or None, not {self.restarts!r}")
 
     def solve(
         self,

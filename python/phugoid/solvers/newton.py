@@ -34,9 +34,9 @@ class Newton:
     ``gauss_newton`` False uses the exact Hessian from the start.
     ``paths``: start with steps between paths that satisfy the equations, integrated again after each step, with the
     parameters in a trust region; None does so where states are neither measured nor given and there are few samples.
-    ``restarts``: where there are few samples and the parameters determine all initial states, the estimation is repeated
-    from the best optimum so far with some of the parameters drawn within their bounds, until so many restarts in
-    succession have brought no gain. None: ten, and one for each parameter. 0: none; the optimum is that next to the
+    ``restarts``: where there are few samples and the parameters determine all initial states, the estimation is
+    repeated from the best optimum so far with some of the parameters drawn within their bounds, until so many restarts
+    in succession have brought no gain. None: ten, and one for each parameter. 0: none; the optimum is that next to the
     start.
     ``time_limit`` in seconds, for the whole estimation; the best point so far is the result.
     """

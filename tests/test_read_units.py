@@ -103,3 +103,13 @@ def test_unknown_unit_names_its_column(path: Path) -> None:
         read(path, units={"alpha": ("deg", "kt")})
     with pytest.raises(DataError, match=r"units: give 'alpha' its unit, or \(from, to\)"):
         read(path, units={"alpha": ("deg", "rad", "grad")})  # type: ignore[dict-item]
+
+
+@pytest.mark.parametrize(("name", "factor"), [("t_us", 1e6), ("time_ms", 1e3), ("Timestamp_ns", 1e9), ("t_s", 1.0)])
+def test_a_unit_in_the_name_of_the_time_column_counts(tmp_path: Path, name: str, factor: float) -> None:
+    file = tmp_path / "run.csv"
+    rows = "\n".join(f"{round(0.05 * k * factor, 2)},{k}" for k in range(5))
+    file.write_text(f"{name},q\n{rows}\n", encoding="utf-8")
+    assert read(file, time=name).t == pytest.approx(0.05 * np.arange(5))
+    # A unit that is given goes before.
+    assert read(file, time=name, units={name: "s"}).t[1] == pytest.approx(0.05 * factor)

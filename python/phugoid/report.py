@@ -22,7 +22,7 @@ from .parameters import Estimate, Estimates, plus_minus
 from .summary import corrected
 from .uncertainty.correlation import correlation
 from .validation.result import Validation
-from .writing import check_folder, write
+from .writing import PAGES, check_folder, check_suffix, write
 
 __all__ = ["remarks", "report"]
 
@@ -143,6 +143,7 @@ def report(
     be read.
     """
     check_folder(path)
+    check_suffix(path, PAGES, "a report")
     if validation is not None and getattr(validation, "matches", None) is None:
         raise OptionError(f"report: validation is what Fit.validate gives back, not a {type(validation).__name__}")
     if validation is not None and validation.model.name != fit.model.name:

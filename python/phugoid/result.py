@@ -116,13 +116,17 @@ class Fit(FitResult):
         arguments."""
         return Improvement._of(improve(self, validation, **options))
 
-    def predict(self, data: Experiment, **options: Any) -> Record:
+    def predict(self, data: Experiment, values: Mapping[str, float] | None = None, **options: Any) -> Record:
         """Return the outputs and states of the fitted model over the inputs of an experiment, simulated from its first
         sample; see `phugoid.simulate`, which has the same options (``initial``, ``method``, ``rtol``, ``time_limit``).
 
-        `validate` estimates initial states and biases first.
+        ``values``: name -> value of parameters that are not those of the fit, such as a trim that each experiment has
+        its own of. `validate` estimates initial states and biases first.
         """
-        return simulate(self.model, self, data, **options)
+        if not values:
+            return simulate(self.model, self, data, **options)
+        own = {n: e.value for n, e in self.parameters.items() if n not in self.noise_parameters}
+        return simulate(self.model, own | dict(values), data, **options)
 
     @property
     def correlation(self) -> Correlation:

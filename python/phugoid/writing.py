@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from hashlib import sha256
 from os import PathLike
@@ -12,9 +12,12 @@ from pathlib import Path
 from threading import get_ident
 from typing import Any
 
-from .errors import DataError
+from .errors import DataError, OptionError
 
-__all__ = ["CHECKSUM", "check_folder", "checksum", "drawn", "sealed", "unsealed", "write"]
+__all__ = ["CHECKSUM", "PAGES", "check_folder", "check_suffix", "checksum", "drawn", "sealed", "unsealed", "write"]
+
+PAGES = (".html", ".htm")
+"""Suffixes of a page."""
 
 CHECKSUM = "checksum"
 """The key of a document's checksum."""
@@ -64,6 +67,13 @@ def check_folder(path: str | PathLike[str]) -> None:
     folder = Path(path).resolve().parent
     if not folder.is_dir():
         raise DataError(f"{path}: cannot be saved, since there is no folder {folder}")
+
+
+def check_suffix(path: str | PathLike[str], known: Sequence[str], what: str) -> None:
+    """Raise OptionError where a file has a suffix that is not one of those known; it may have none."""
+    suffix = Path(path).suffix.lower()
+    if suffix and suffix not in known:
+        raise OptionError(f"{path}: {what} is written to a file that ends in {' or '.join(known)}")
 
 
 def drawn(figure: Any, path: str | PathLike[str], **options: Any) -> bytes:

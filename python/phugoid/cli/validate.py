@@ -13,6 +13,7 @@ import typer
 from ..errors import OptionError
 from ..result import Fit
 from ..validation.result import Validation
+from ..writing import PAGES, check_suffix
 from .estimation import Estimation
 from .fit import code_of, write_report
 from .guard import NOT_CONVERGED
@@ -49,6 +50,8 @@ def validate(
 ) -> int:
     """Validate a fitted model on other records: only initial states and sensor biases are re-estimated."""
     check_targets([plot], [report])
+    if report is not None:
+        check_suffix(report, PAGES, "a report")
     limits = tolerances(tolerance)
     source = load_source(model)
     if isinstance(source, Fit):

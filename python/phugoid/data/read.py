@@ -76,7 +76,7 @@ class _Columns:
         if clock not in self._read:
             where = f"{self.where}, time '{clock}'"
             values = real(_seconds(self._columns[clock].values(clock)), where)
-            unit = self._labels[clock] = self._label(clock)
+            unit = self._labels[clock] = self._label(clock) or _unit_in_name(clock)
             if unit:
                 # Seconds "since" some date, as the CF conventions write it, are seconds; a step of time is all we need.
                 measure = unit.partition(" since ")[0]
@@ -153,7 +153,14 @@ def _renamed(source: Source, rename: Mapping[str, str]) -> list[str]:
 
 
 # Names of a time column that need no `time=`, in any case; of several none is taken. ("T" is no time but a thrust.)
-_TIMES = ("time", "time_s", "t_s")
+_TIME_UNITS = ("s", "ms", "us", "ns")
+_TIMES = ("time", *(f"{name}_{unit}" for name in ("time", "t") for unit in _TIME_UNITS))
+
+
+def _unit_in_name(clock: str) -> str:
+    """Return the unit with which the name of a time column ends, as in ``t_us``; "" where there is none."""
+    name, _, unit = clock.lower().rpartition("_")
+    return unit if name in ("t", "time", "timestamp") and unit in _TIME_UNITS else ""
 
 
 def _time_of(source: Source, names: Sequence[str], named: str | None) -> str:
@@ -255,7 +262,8 @@ def read(
                and groups are called ``group.name``, those of logs ``topic.field`` (of a second instance
                ``topic[1].field``), columns of matrices ``name[0]``.
     time       name of the time column, in s, with its unit as in the header or without; None: ``t``, or what the file
-               itself takes for time, or the one column that is called ``time``, ``Time``, ``time_s`` or the like.
+               itself takes for time, or the one column that is called ``time``, ``Time``, ``t_us`` or the like;
+               a unit with which the name ends is that of the column.
                In a log, the field with the stamps, such as ``timestamp_sample``, of each topic that has it.
     inputs     names of the input columns; None: a model finds its inputs among all columns.
     outputs    the same for outputs. With both given, the other columns are not even looked at.

@@ -77,6 +77,8 @@ def estimate(
     finite at the start. Not to converge is a status of the fit, not an error.
     """
     deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
+    if isinstance(model, Model):
+        model = model.copy()  # what is declared on the user's own afterwards is no part of this fit
     fit = _estimate(model, data, transcription, noise, start, solver, progress)
     if fit.status == "iteration limit" and solver is None and start is None:
         fit = _with_noise_last(fit, model, data, transcription, noise, progress)

@@ -433,6 +433,10 @@ class Model:
         model.noise(*args, **sigma)
         return model
 
+    def copy(self) -> Model:
+        """Return a model that is equal to this one, and that later declarations here do not change."""
+        return self._around(self._core.copy(), self._delays)
+
     def _changed(
         self,
         *,

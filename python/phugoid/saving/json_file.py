@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
-from ..writing import CHECKSUM, check_folder, sealed, unsealed, write
+from ..writing import CHECKSUM, check_folder, check_suffix, sealed, unsealed, write
 from . import hdf5_file
 
 __all__ = [
@@ -107,6 +107,7 @@ def save_fit_dict(
     else. Raises DataError where the file cannot be written, MissingDependency for HDF5 without h5py.
     """
     check_folder(path)
+    check_suffix(path, (".json", *SUFFIXES), f"a {_WHAT[name]}")
     what = f"the {_WHAT[name]}"
     if Path(path).suffix.lower() not in SUFFIXES:
         write(path, to_json(payload, name=name), what)

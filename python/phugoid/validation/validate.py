@@ -166,9 +166,11 @@ def _held(fit: FitResult, free: Sequence[str], values: Mapping[str, Any]) -> dic
             held[name] = fit.parameters[name].value
     if own:
         listed, one = ", ".join(f"'{name}'" for name in own), own[0]
+        # Those that are estimated again are no longer found by themselves where some are named.
+        named = ", ".join(f"'{name}'" for name in [*free, *own])
         raise ModelError(
             f"validate: each experiment of the fit has its own {listed}, and which value another one has is not known: "
-            f"give it in values={{'{one}': ...}}, or name it in biases=['{one}'] to estimate it again"
+            f"give it in values={{'{one}': ...}}, or name what is to be estimated again: biases=[{named}]"
         )
     return held
 

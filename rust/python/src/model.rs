@@ -158,6 +158,11 @@ impl PyModel {
         PyModel(self.late(delays).at_delays(&base, reach))
     }
 
+    /// A model of its own.
+    fn copy(&self) -> PyModel {
+        PyModel(self.0.clone())
+    }
+
     /// The model with each kink made smooth over its width.
     #[allow(clippy::needless_pass_by_value)]
     fn smoothed(&self, widths: Vec<f64>) -> PyResult<PyModel> {

@@ -9,7 +9,7 @@ from ...modelling.model import Model
 from ...pages.mathml import equation
 from ...pages.page import PageTable, picture, render, sources
 from ...parameters import Estimate
-from ...writing import check_folder, write
+from ...writing import PAGES, check_folder, check_suffix, write
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
 from ..search.finding import DiagnosisResult, ExtensionResult, Finding
@@ -30,6 +30,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
     data and versions it comes from.
     """
     check_folder(path)
+    check_suffix(path, PAGES, "a report")
     fit = diagnosis.fit
     extension = diagnosis.extend() if diagnosis.found else None
     known = {

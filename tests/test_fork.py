@@ -109,8 +109,7 @@ def test_a_fork_simulates_diagnoses_and_validates_a_fit_of_its_parent() -> None:
 
 def test_a_fork_evaluates_a_problem_of_its_parent() -> None:
     _run("""
-    from phugoid import _core
-    noise = _core.Noise.independent([(False, 0.1, 0.0, 1.0)], [("gaussian", [], None, [])])
+    noise = ph.Gaussian().resolve(["x"], {"x": 0.1}, {})
     ways = ph.Collocation(), ph.Collocation(threads=2), ph.MultipleShooting(threads=2)
     problems = [way.problem(m, [e], noise) for way in ways]
     def work():

@@ -109,7 +109,7 @@ def test_a_fork_simulates_diagnoses_and_validates_a_fit_of_its_parent() -> None:
 
 def test_a_fork_evaluates_a_problem_of_its_parent() -> None:
     _run("""
-    noise = ph.Gaussian().resolve(list(m.output_names), dict.fromkeys(m.output_names, 0.1), {})
+    noise = ph.Gaussian().resolve(["x"], {"x": 0.1}, {})
     ways = ph.Collocation(), ph.Collocation(threads=2), ph.MultipleShooting(threads=2)
     problems = [way.problem(m, [e], noise) for way in ways]
     def work():

@@ -71,7 +71,11 @@ def fixture():
         t[-1] = EDGES[i][-1]
         kind = ("linear", "cubic")[i]
         experiments.append(ph.Experiment(t, {"de": some(n)}, outputs, name=f"run {i}", interpolation=kind))
-    noise = _core.Noise.independent(SIGMAS, [("gaussian", [], None, [])] * len(SIGMAS))
+    sigmas = {
+        name: start if known else ph.Sigma(start, (low, high))
+        for name, (known, start, low, high) in zip(m.output_names, SIGMAS, strict=True)
+    }
+    noise = ph.Gaussian(sigmas).resolve(m.output_names, dict.fromkeys(m.output_names, np.inf), {})
     problem = ph.Collocation(order=ORDER, segments=EDGES).problem(m, experiments, noise)
     evaluator = _core.Evaluator(m._core)
     parameters, columns = some(len(m.parameter_names)), [some(POINTS) for _ in range(4)]

@@ -21,7 +21,7 @@ use crate::interrupt::{Caller, seconds, watched_twice};
 use crate::model::{DelaySpec, PyModel};
 use crate::newton::line;
 use crate::problem::{GridSpec, Kept, PyProblem, Record, Transcription, experiment, grids};
-use crate::shooting::{StepSpec, steps};
+use crate::shooting::{StepSpec, core_steps};
 use crate::start::{StartSpec, starts};
 
 type Array<'py> = PyReadonlyArray1<'py, f64>;
@@ -213,7 +213,7 @@ pub fn estimate(
         let unknown = || PyValueError::new_err("unknown integrator");
         let integrator = Integrator::from_name(integrator).ok_or_else(unknown)?;
         let grid = grids(options.grids)?;
-        let steps = steps(spec)?;
+        let steps = core_steps(spec)?;
         estimation = estimation.grid(phugoid::Grid::Samples(1)).shooting(Shots {
             grid,
             integrator,

@@ -16,7 +16,7 @@ use crate::problem::{GridSpec, PyProblem, Record, Transcription, experiment, gri
 pub type StepSpec = (String, f64);
 
 /// Steps of the core.
-pub fn steps((kind, n): &StepSpec) -> PyResult<Steps> {
+pub fn core_steps((kind, n): &StepSpec) -> PyResult<Steps> {
     match kind.as_str() {
         "samples" => Ok(Steps::Samples(*n as usize)),
         "number" => Ok(Steps::Number(*n as usize)),
@@ -40,7 +40,7 @@ impl PyShooting {
         noise: &PyNoise,
         divisions: Vec<GridSpec>,
         integrator: &str,
-        step: StepSpec,
+        steps: StepSpec,
         threads: usize,
     ) -> PyResult<PyClassInitializer<Self>> {
         let records: Vec<_> = experiments.into_iter().map(experiment).collect::<PyResult<_>>()?;
@@ -49,7 +49,7 @@ impl PyShooting {
         let settings = Shots {
             grid: grids(divisions)?,
             integrator,
-            steps: steps(&step)?,
+            steps: core_steps(&steps)?,
             threads,
             noise_per_experiment: noise.per_experiment,
         };

@@ -141,7 +141,7 @@ impl Estimation<'_> {
         let posed = problem.transcribed();
         let multipliers = self.multipliers(posed);
         let near = self.earlier.as_ref().is_some_and(|e| e.near);
-        let sparse = self.shots.is_none() && !self.states_known() && self.few_samples();
+        let sparse = !known && self.shots.is_none() && self.few_samples() && !self.states_known();
         let found = match self.own_solver {
             Some(solver) => {
                 let stopped = || Solution::without_a_run(posed, xi, multipliers.map(|m| &m.constraints[..]));

@@ -19,8 +19,8 @@ class Place:
     """Where a candidate acts: what its signal is added to.
 
     An "input" or a "parameter" stands for its symbol everywhere, an "equation" for the derivative of the state of that
-    name, a "state" for what a state is in the forces, but neither in the kinematics nor at its own sensor: with wind the
-    motion through the air is another than that over ground.
+    name, a "state" for what a state is in the forces, but neither in the kinematics nor at its own sensor: with wind
+    the motion through the air is another than that over ground.
     """
 
     kind: Literal["quantity", "equation", "output", "input", "parameter", "state"]

@@ -85,6 +85,8 @@ class Assessment:
     def __init__(self, cache: RefitCache, settings: AssessmentSettings) -> None:
         self._cache, self.settings = cache, settings
         self._tries = max(cache.tries, 1)
+        self._held: dict[tuple[tuple[str, ...], ...], HeldOut] = {}
+        self._compared: dict[tuple[tuple[str, ...], ...], Explained | None] = {}
 
     def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
         """The evidence for what ``more`` has and ``base`` has not: a candidate, with others that came in its place."""
@@ -129,6 +131,12 @@ class Assessment:
 
     def held_out(self, base: Refit, more: Refit) -> HeldOut:
         """Gain on held-out data; none where the model cannot be fitted there."""
+        key = base.names, more.names
+        if key not in self._held:
+            self._held[key] = self._gain_held_out(base, more)
+        return self._held[key]
+
+    def _gain_held_out(self, base: Refit, more: Refit) -> HeldOut:
         new = more.beside(base.candidates)
         others = self._cache.on_validation(base)
         if others is None or not all(c.transferable for c in new):

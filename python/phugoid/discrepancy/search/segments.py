@@ -34,7 +34,7 @@ _LEFT = 0.25
 
 @dataclass(frozen=True)
 class Segments:
-    """The records of a fit in segments: the fit to them, validation records likewise, and how long a segment is, in s."""
+    """The fit to the records in segments, validation records likewise, and how long a segment is, in s."""
 
     base: Refit
     validation: Sequence[Experiment]

@@ -85,8 +85,9 @@ class Assessment:
     def __init__(self, cache: RefitCache, settings: AssessmentSettings) -> None:
         self._cache, self.settings = cache, settings
         self._tries = max(cache.tries, 1)
-        self._held: dict[tuple[tuple[str, ...], ...], HeldOut] = {}
-        self._compared: dict[tuple[tuple[str, ...], ...], Explained | None] = {}
+        # By the refits themselves: two fits of an unknown function may have the same name.
+        self._held: dict[tuple[Refit, Refit], HeldOut] = {}
+        self._compared: dict[tuple[Refit, Refit, Refit], Explained | None] = {}
 
     def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
         """The evidence for what ``more`` has and ``base`` has not: a candidate, with others that came in its place."""
@@ -131,7 +132,7 @@ class Assessment:
 
     def held_out(self, base: Refit, more: Refit) -> HeldOut:
         """Gain on held-out data; none where the model cannot be fitted there."""
-        key = base.names, more.names
+        key = base, more
         if key not in self._held:
             self._held[key] = self._gain_held_out(base, more)
         return self._held[key]

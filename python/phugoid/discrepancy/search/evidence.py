@@ -85,6 +85,9 @@ class Assessment:
     def __init__(self, cache: RefitCache, settings: AssessmentSettings) -> None:
         self._cache, self.settings = cache, settings
         self._tries = max(cache.tries, 1)
+        # By the refits themselves: two fits of an unknown function may have the same name.
+        self._held: dict[tuple[Refit, Refit], HeldOut] = {}
+        self._compared: dict[tuple[Refit, Refit, Refit], Explained | None] = {}
 
     def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
         """The evidence for what ``more`` has and ``base`` has not: a candidate, with others that came in its place."""
@@ -129,6 +132,12 @@ class Assessment:
 
     def held_out(self, base: Refit, more: Refit) -> HeldOut:
         """Gain on held-out data; none where the model cannot be fitted there."""
+        key = base, more
+        if key not in self._held:
+            self._held[key] = self._gain_held_out(base, more)
+        return self._held[key]
+
+    def _gain_held_out(self, base: Refit, more: Refit) -> HeldOut:
         new = more.beside(base.candidates)
         others = self._cache.on_validation(base)
         if others is None or not all(c.transferable for c in new):

@@ -34,7 +34,7 @@ _LEFT = 0.25
 
 @dataclass(frozen=True)
 class Segments:
-    """The fit to records in segments, validation records in segments, and the duration of a segment, in s."""
+    """The fit to the records in segments, validation records likewise, and how long a segment is, in s."""
 
     base: Refit
     validation: Sequence[Experiment]

@@ -127,8 +127,8 @@ def _values(model: Model, parameters: Mapping[str, Any] | FitResult, experiment:
     found = {name: f"{name}[{experiment}]" for name in local if f"{name}[{experiment}]" in given}
     missing = [name for name in model.parameter_names if name not in given and name not in found]
     if missing:
-        of_one = [name for name in missing if name in local]
-        why = f"; each experiment has its own {', '.join(of_one)}, and '{experiment}' has none" if of_one else ""
+        own = [name for name in missing if name in local]
+        why = f"; each experiment has its own {', '.join(own)}, and '{experiment}' has none" if own else ""
         raise ModelError(f"simulate: no value was given for {', '.join(missing)}{why}")
     return {name: _finite(f"parameter '{name}'", given[found.get(name, name)]) for name in model.parameter_names}
 

@@ -17,6 +17,8 @@ Outcome = Literal["named", "nothing", "unexplained"]
 _WIDTH = 110
 # Of the residuals' power, what can be predicted and is most of it.
 _MOSTLY = 0.9
+# Ratio of residuals to their noise, from which on what named causes leave is worth a word.
+_FAR = 1.5
 
 
 def outcome(diagnosis: DiagnosisResult) -> Outcome:
@@ -55,9 +57,22 @@ def headline(diagnosis: DiagnosisResult) -> str:
     if surrogates:
         what = "are surrogates, which fit" if len(surrogates) > 1 else "is a surrogate, which fits"
         text += f" {', '.join(surrogates)} {what} outside of what is physical: the cause itself may be another."
-    if named and any(f.status == "unexplained" for f in findings):
-        text += " A part of the misfit stays without an established cause."
+    if named:
+        text += _remaining(diagnosis)
     return text
+
+
+def _remaining(diagnosis: DiagnosisResult) -> str:
+    """Return a sentence on the misfit that the named causes leave; "" where there is none to speak of."""
+    left = diagnosis.remaining
+    channels = [c for c in left.channels.values() if c.structured and c.predictable > _MOSTLY and c.ratio > _FAR]
+    if not channels and not any(f.status == "unexplained" for f in diagnosis.findings):
+        return ""
+    text = " A part of the misfit stays without an established cause"
+    if channels:
+        worst = max(channels, key=lambda c: c.ratio)
+        text += f": with what is named, the residual of {worst.name} is {number(worst.ratio, 2)} times its noise"
+    return f"{text}."
 
 
 def alias_set(finding: Finding) -> str:

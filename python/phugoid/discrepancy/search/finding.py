@@ -273,6 +273,11 @@ class DiagnosisResult:
             return "unexplained"
         return "surrogate" if "surrogate" in statuses else "minor" if "minor" in statuses else "nothing"
 
+    @cached_property
+    def remaining(self) -> Misfit:
+        """What the model with all named causes still gets wrong, computed when it is first asked for."""
+        return self.misfit if self._extension is None else misfit(self._extension.fit)
+
     @property
     def structured_outputs(self) -> tuple[str, ...]:
         """Outputs whose residuals, in the model that was diagnosed, have structure worth a word; the worst first."""

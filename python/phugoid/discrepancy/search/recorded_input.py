@@ -20,6 +20,7 @@ from ...sensitivities.collocated import dataset
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Place
 from ...sensitivities.whitened import Whitened
+from .evidence import AssessmentSettings
 from .free_run import Explained, Misfitting, Simulated
 from .refit import HeldOut, Refit, fitted_to, gain_on_other_data, on_other_data
 from .refit_cache import RefitCache
@@ -51,7 +52,7 @@ class RecordedInput:
     validation  the other records with it so; those that are no better so as they are.
     gain        in log-likelihood, coloured noise.
     held_out    the same on the other records; None without any.
-    explained   what it explains of their misfit in free simulation; None without any.
+    explained   what it explains of their misfit in free simulation; without other records, of that of the fit's own.
     noise       RMS of the noise, in the input's unit; 0 for the other kinds.
     """
 
@@ -95,13 +96,23 @@ def recorded_input(search: RefitCache) -> RecordedInput | None:
                 continue
             one = RecordedInput(name, kind, refit, validation, refit.merit - base.merit, None, None)
             one = replace(one, noise=_rms(data, treated, name)) if kind == "noise" else one
-            if before is not None:
-                confirmed = _confirmed(one, before, base, search.biases)
-                if confirmed is None:
-                    continue
-                one = confirmed
-            found, least = one, one.gain
+            confirmed = _confirmed(one, before, base, search.biases) if before is not None else _explaining(one, base)
+            if confirmed is not None:
+                found, least = confirmed, confirmed.gain
     return found
+
+
+def _explaining(one: RecordedInput, base: Refit) -> RecordedInput | None:
+    """Return what the records themselves say of it, where none are held out; None where it explains next to nothing of
+    their misfit, however likely it is."""
+    misfit = Misfitting.of(base.linear)
+    explained = Simulated.of(one.refit.linear).explained(Simulated.of(base.linear), misfit)
+    return replace(one, explained=explained) if one.kind == "cubic" or _counts(explained) else None
+
+
+def _counts(explained: Explained) -> bool:
+    """Tell whether it explains more than a minor finding does, and more than chance."""
+    return explained.significant and explained.part >= AssessmentSettings().minor
 
 
 def _confirmed(one: RecordedInput, before: Linearised, base: Refit, free: Sequence[str] | None) -> RecordedInput | None:
@@ -119,7 +130,7 @@ def _confirmed(one: RecordedInput, before: Linearised, base: Refit, free: Sequen
         return None
     gain = gain_on_other_data(before, after)
     explained = Simulated.of(after).explained(Simulated.of(before), Misfitting.of(before))
-    if kind != "cubic" and not (gain.gain > 0.0 and explained.significant):
+    if kind != "cubic" and not (gain.gain > 0.0 and _counts(explained)):
         return None
     if gain.gain <= 0.0:  # of another manoeuvre inputs may not be smooth
         other = list(one.validation)

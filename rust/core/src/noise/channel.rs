@@ -32,19 +32,20 @@ impl Sigma {
     }
 
     pub(super) fn check(&self, output: &str) -> Result<(), Error> {
-        let sound = match *self {
-            Sigma::Known(value) => value > 0.0 && value.is_finite(),
-            Sigma::Unknown { start, lower, upper } => {
-                start > 0.0 && start.is_finite() && 0.0 <= lower && lower <= start && start <= upper
+        let positive = |value: f64| value > 0.0 && value.is_finite();
+        let wrong = match *self {
+            Sigma::Known(value) if !positive(value) => {
+                format!("the standard deviation of '{output}' is a positive number, not {value}")
             }
-            Sigma::Expression(_) => true,
+            Sigma::Unknown { start, .. } if !positive(start) => {
+                format!("the start of sigma_{output} is a positive number, not {start}")
+            }
+            Sigma::Unknown { start, lower, upper } if !(0.0 <= lower && lower <= start && start <= upper) => {
+                format!("the start {start} of sigma_{output} lies outside its bounds ({lower}, {upper})")
+            }
+            _ => return Ok(()),
         };
-        if sound {
-            return Ok(());
-        }
-        Err(Error::Option(format!(
-            "noise of output '{output}': {self:?} is not a positive standard deviation within its bounds"
-        )))
+        Err(Error::Model(wrong))
     }
 
     /// The precision root as a parameter, where it is unknown.

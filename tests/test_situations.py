@@ -5,6 +5,8 @@ The records are made by tests/hidden, which knows nothing of how they are looked
 
 from __future__ import annotations
 
+import html
+
 import numpy as np
 import pytest
 from hidden.situation import situation
@@ -171,7 +173,7 @@ def test_findings_of_disturbances_are_saved_and_shown(tmp_path: object) -> None:
     assert any(label.startswith("added to") for label in shown)
     d.report(f"{tmp_path}/d.html")
     with open(f"{tmp_path}/d.html") as page:
-        assert event.cause in page.read()
+        assert event.cause in html.unescape(page.read())
 
 
 def test_a_marginal_likelihood_is_that_of_a_normal_distribution() -> None:

@@ -64,8 +64,8 @@ def headline(diagnosis: DiagnosisResult) -> str:
 
 def _remaining(diagnosis: DiagnosisResult) -> str:
     """Return a sentence on the misfit that the named causes leave; "" where there is none to speak of."""
-    left = diagnosis.remaining
-    channels = [c for c in left.channels.values() if c.structured and c.predictable > _MOSTLY and c.ratio > _FAR]
+    left = diagnosis.remaining.channels.values() if diagnosis.is_extended else ()
+    channels = [c for c in left if c.structured and c.predictable > _MOSTLY and c.ratio > _FAR]
     if not channels and not any(f.status == "unexplained" for f in diagnosis.findings):
         return ""
     text = " A part of the misfit stays without an established cause"

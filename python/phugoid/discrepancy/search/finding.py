@@ -279,6 +279,12 @@ class DiagnosisResult:
         return self.misfit if self._extension is None else misfit(self._extension.fit)
 
     @property
+    def is_extended(self) -> bool:
+        """Tell whether the extended model has all named causes; disturbances and faults of the data have no term."""
+        added = () if self._extension is None else self._extension.added
+        return self.found and all(f.cause in added for f in self.findings if f.status == "named")
+
+    @property
     def structured_outputs(self) -> tuple[str, ...]:
         """Outputs whose residuals, in the model that was diagnosed, have structure worth a word; the worst first."""
         channels = self.misfit.channels

@@ -67,6 +67,9 @@ def test_steps_must_be_a_number() -> None:
         ph.improve(fit, steps=0)
 
 
-def test_time_ends_it_with_what_was_found() -> None:
-    better = ph.improve(ph.estimate(model(), flown(1)), flown(2), time_limit=0.01)
+@pytest.mark.parametrize("limit", [0, 0.01])
+def test_time_ends_it_with_what_was_found(limit: float) -> None:
+    better = ph.improve(ph.estimate(model(), flown(1)), flown(2), time_limit=limit)
     assert better.steps[0].diagnosis.interrupted and better.added == ()
+    # Who reads the summary is to know, too.
+    assert better.interrupted and "is preliminary" in better.summary() and "ended early" in repr(better)

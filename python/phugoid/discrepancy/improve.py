@@ -63,6 +63,11 @@ class ImprovementResult:
         """What the last diagnosis came to; see `Diagnosis.verdict`."""
         return self.steps[-1].diagnosis.verdict
 
+    @property
+    def interrupted(self) -> bool:
+        """Tell whether Ctrl-C or the time limit ended the last diagnosis: a complete one may name other causes."""
+        return self.steps[-1].diagnosis.interrupted
+
     def summary(self) -> str:
         """A table of the steps: what was added, the part of the misfit that it explains, the RMS of each output on data
         held out before and after; and what was rejected, with the reason."""
@@ -81,10 +86,17 @@ class ImprovementResult:
         rejected = {name: why for step in self.steps for name, why in step.rejected.items()}
         if rejected:
             lines.append("Not added: " + ", ".join(f"{name} ({why})" for name, why in rejected.items()) + ".")
+        if self.interrupted:
+            lines.append(
+                "The last diagnosis was ended by Ctrl-C or the time limit before it was complete: what it found is "
+                "preliminary, and a complete one may name other causes."
+            )
         return "\n\n".join(lines)
 
     def __repr__(self) -> str:
-        return f"<Improvement of '{self.steps[0].diagnosis.fit.model.name}' by {', '.join(self.added) or 'nothing'}>"
+        early = ", ended early" if self.interrupted else ""
+        model = self.steps[0].diagnosis.fit.model.name
+        return f"<Improvement of '{model}' by {', '.join(self.added) or 'nothing'}{early}>"
 
 
 def _changes(gain: Gain | None) -> str:
@@ -123,9 +135,7 @@ def improve(
     done: list[ImprovementStep] = []
     current = fit
     for _ in range(steps):
-        d = diagnose(
-            current, own, others, biases=biases, progress=progress, time_limit=deadline.left() if time_limit else None
-        )
+        d = diagnose(current, own, others, biases=biases, progress=progress, time_limit=deadline.left())
         extension = d.extend()
         added = (*d._inputs, *extension.added)
         rejected = {_label(f): _reason(f) for f in d.findings if f.cause not in added}

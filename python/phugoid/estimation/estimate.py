@@ -28,7 +28,7 @@ from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
 from .core import Earlier, estimated
 from .fitted import make_fit
-from .motion import Paths, Search, starts_known
+from .motion import Paths, RestartSearch, starts_known
 from .refine import refined
 from .smooth import kinks_matter, smoothed_fit
 
@@ -184,7 +184,7 @@ def _estimate(
         parameters = parameter_start(model, given)
         restarts = solver.restarts if isinstance(solver, Newton) else 0
         restarts = 0 if isinstance(start, FitResult) else restarts
-        moved = Search(on_mesh, model, experiments, transcription, deadline.left).best(parameters, restarts)
+        moved = RestartSearch(on_mesh, model, experiments, transcription, deadline.left).best(parameters, restarts)
         if moved is not None:
             return moved
     by = replace(solver, time_limit=deadline.left())

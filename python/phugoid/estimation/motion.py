@@ -20,7 +20,7 @@ from ..modelling.model import Model
 from ..parameters import Parameter
 from ..transcription.collocation import Collocation, Record, Signal, records_of
 
-__all__ = ["Motion", "Search", "simulated", "starts_known"]
+__all__ = ["Motion", "RestartSearch", "simulated", "starts_known"]
 
 _Array: TypeAlias = NDArray[np.float64]
 Paths: TypeAlias = Sequence[tuple[_Array, dict[str, _Array]]]
@@ -112,7 +112,7 @@ Solve: TypeAlias = Callable[[Collocation, Paths, Mapping[str, float], int | None
 
 
 @dataclass(frozen=True)
-class Search:
+class RestartSearch:
     """Estimation where samples are few: on meshes that follow the motion, from several parameters.
 
     ``solve`` estimates on a mesh, from state paths and parameters, with a limit of iterations. ``left`` tells the time.
@@ -273,7 +273,7 @@ def _redrawn(
     chosen[random.integers(len(names))] = True
     found = dict(values)
     for name in (n for n, c in zip(names, chosen, strict=True) if c):
-        scale = _Scale.of(free[name], values[name])
+        scale = _DrawingScale.of(free[name], values[name])
         low, high = scale.range
         found[name] = scale.value(random.uniform(low, high))
     return found
@@ -285,13 +285,13 @@ def _spread_out(
     """Move all parameters, most of them a little and some of them far: by a Cauchy distribution."""
     found = dict(values)
     for name, parameter in free.items():
-        scale = _Scale.of(parameter, values[name])
+        scale = _DrawingScale.of(parameter, values[name])
         found[name] = scale.value(scale.at + scale.unit * random.standard_cauchy())
     return found
 
 
 @dataclass(frozen=True)
-class _Scale:
+class _DrawingScale:
     """How a parameter is drawn: its logarithm, where it is declared so, where it is, within which range, and in what
     unit it moves."""
 
@@ -301,7 +301,7 @@ class _Scale:
     unit: float
 
     @classmethod
-    def of(cls, parameter: Parameter, value: float) -> _Scale:
+    def of(cls, parameter: Parameter, value: float) -> _DrawingScale:
         logarithmic = parameter.transform == "log" and value > 0.0
         low, high = parameter.bounds
         if logarithmic:

@@ -87,7 +87,7 @@ fn options_out_of_range() {
 fn noise_that_does_not_fit_the_outputs() {
     let records = [record(&linear(), "one", 20, false, 1)];
     let of = |sigmas: Vec<Sigma>| match build(&records, Noise::Gaussian(sigmas), &Settings::default()) {
-        Err(Error::Option(text)) => text,
+        Err(Error::Option(text) | Error::Model(text)) => text,
         other => panic!("{:?}", other.map(|_| ())),
     };
     let known = Sigma::Known(0.5);

@@ -67,8 +67,6 @@ class Refitting:
                 # Another must be significant itself, whatever the filter of the first makes of it.
                 (new,) = r.beside(others)
                 sure = without is None or assess.gain(without, r) > assess.needed(r, new)
-                # Nor does likelihood with coloured noise decide where free simulation says the contrary.
-                sure = sure and (without is None or not assess.is_worse(without, r, at))
                 if sure and not any(n in rejected for n in r.names):
                     yield r
                     break

@@ -122,7 +122,7 @@ class Search:
                 seen.add(following.names)
                 minor = minor + 1 if self._is_minor(current, following) else 0
                 current = following
-                if minor == self.settings.minor or self._is_done(current):  # what comes next would be less
+                if minor == self.settings.minor:  # what comes next would be less
                     break
             current = self._pruned(current)
             unexplained = unexplained or self.confirmation.ringing(current)
@@ -194,11 +194,6 @@ class Search:
         """Tell whether the last step explains less of the misfit than is worth a name."""
         explained = self.assessment.explained(before, after)
         return explained is None or explained.part < self.assessment.settings.minor
-
-    def _is_done(self, at: Refit) -> bool:
-        """Tell whether so little of the misfit is left that all of it would be a minor finding."""
-        explained = self.assessment.explained(self.cache.base, at)
-        return explained is not None and explained.interval[0] > 1.0 - self.assessment.settings.minor
 
     def extension(self, final: Refit, known: bool = False) -> ExtensionResult:
         """The model with all terms that were found, its fit, and the gain over the base model. With ``known`` nothing

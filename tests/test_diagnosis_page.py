@@ -65,6 +65,8 @@ class Told(SimpleNamespace):
     found = DiagnosisResult.found
     verdict = DiagnosisResult.verdict
     structured_outputs = DiagnosisResult.structured_outputs
+    is_extended = DiagnosisResult.is_extended
+    _extension = None
 
 
 def model(complete: bool) -> ph.Model:

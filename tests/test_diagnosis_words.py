@@ -79,13 +79,22 @@ def test_what_fits_without_predicting_is_no_rival() -> None:
 
 def test_surrogates_among_causes_are_named() -> None:
     surrogate = dataclasses.replace(LAG, cause="Z:periodic", aliases=(), status="surrogate")
-    both: Any = SimpleNamespace(findings=[LAG, surrogate], verdict="named", interrupted=False)
+    both: Any = SimpleNamespace(findings=[LAG, surrogate], verdict="named", interrupted=False, is_extended=False)
     assert headline(both) == (
         "The model misses one of {CL:lag_alpha, CL:lag_q}. "
         "Z:periodic is a surrogate, which fits outside of what is physical: the cause itself may be another."
     )
     both.findings.append(dataclasses.replace(surrogate, cause="Z:drift"))
     assert "Z:periodic, Z:drift are surrogates, which fit outside" in headline(both)
+
+
+@pytest.mark.parametrize(("ratio", "predictable", "told"), [(5.2, 0.97, True), (1.2, 0.97, False), (5.2, 0.3, False)])
+def test_what_named_causes_leave_is_told(ratio: float, predictable: float, told: bool) -> None:
+    channel = SimpleNamespace(name="q", structured=True, predictable=predictable, ratio=ratio)
+    one: Any = SimpleNamespace(findings=[LAG], verdict="named", interrupted=False, is_extended=True)
+    one.remaining = SimpleNamespace(channels={"q": channel})
+    said = "with what is named, the residual of q is 5.2 times its noise." in headline(one)
+    assert said is told
 
 
 def near(statistic: float) -> Any:

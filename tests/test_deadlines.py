@@ -107,7 +107,7 @@ def test_mesh_refinement_and_delays_share_the_time() -> None:
 
 
 def test_shooting_ends_in_time() -> None:
-    model, data = oscillator(10_001)
+    model, data = oscillator(60_001)
     fit, seconds = timed(model, data, 0.3, transcription=ph.SingleShooting())
     assert fit.status == "time limit" and seconds < _SLACK
 

@@ -292,8 +292,8 @@ def _spread_out(
 
 @dataclass(frozen=True)
 class _DrawingScale:
-    """How a parameter is drawn: its logarithm, where it is declared so, where it is, within which range, and in what
-    unit it moves."""
+    """The scale on which a parameter is drawn: logarithmic where it is declared so; its value, its range, and the unit of
+    its moves."""
 
     logarithmic: bool
     at: float

@@ -247,7 +247,7 @@ class DiagnosisResult:
 
     @cached_property
     def misfit(self) -> Misfit:
-        """What the diagnosed model gets wrong, computed when it is first asked for: a diagnosis that ends at
+        """The misfit of the diagnosed model, computed when it is first asked for: a diagnosis that ends at
         its time limit has no time for it."""
         return misfit(self.fit)
 
@@ -275,7 +275,7 @@ class DiagnosisResult:
 
     @cached_property
     def remaining(self) -> Misfit:
-        """What the model with all named causes still gets wrong, computed when it is first asked for."""
+        """The misfit of the model with all named causes, computed when it is first asked for."""
         return self.misfit if self._extension is None else misfit(self._extension.fit)
 
     @property

@@ -42,7 +42,7 @@ class Segments:
 
     @property
     def note(self) -> str:
-        """What the user is to know of it."""
+        """The note for the user."""
         return (
             f"Over a whole record the simulation drifts away from what was measured. It was simulated over segments of "
             f"{self.horizon:.3g} s, each with its own first states, and so were the data held out."

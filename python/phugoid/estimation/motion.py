@@ -292,7 +292,7 @@ def _spread_out(
 
 @dataclass(frozen=True)
 class _DrawingScale:
-    """The scale on which a parameter is drawn: logarithmic where it is declared so; its value, its range, and the unit of
+    """The scale on which a parameter is drawn, logarithmic where that is declared: value, range, and the unit of
     its moves."""
 
     logarithmic: bool

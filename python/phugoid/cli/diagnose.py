@@ -15,7 +15,6 @@ from ..api import diagnose as find_missing
 from ..api import load_fit
 from ..errors import OptionError
 from ..result import Diagnosis, Fit
-from ..writing import PAGES, check_suffix
 from .estimation import Estimation
 from .fit import code_of
 from .guard import INTERRUPTED, NOT_CONVERGED
@@ -49,9 +48,7 @@ def diagnose(
     Exit code 1: the fit has not converged, or the residuals have structure and no cause is named.
     """
     check_saved(save, "diagnosis")
-    check_targets((), [save, report])
-    if report is not None:
-        check_suffix(report, PAGES, "a report")
+    check_targets((), [save], report)
     base = _base(model, reading, data or [], fit, how)
     others = reading.read(validation) if validation else None
     if base.status not in ("converged", "acceptable"):

@@ -13,7 +13,6 @@ import typer
 
 from ..result import Fit
 from ..validation.result import Validation
-from ..writing import PAGES, check_suffix
 from .estimation import Estimation
 from .guard import INTERRUPTED, NOT_CONVERGED
 from .model_file import load_source
@@ -37,9 +36,7 @@ def fit(
 ) -> int:
     """Estimate the parameters of a model from one data file or several."""
     check_saved(save, "fit")
-    check_targets([plot], [save, report])
-    if report is not None:
-        check_suffix(report, PAGES, "a report")
+    check_targets([plot], [save], report)
     source = load_source(model)
     records = reading.read(data)
     # The estimation continues from a saved fit.

@@ -15,7 +15,7 @@ from ..parameters import Estimates
 from ..result import Fit
 from ..saving.json_file import SUFFIXES
 from ..summary import corrected
-from ..writing import drawn, write
+from ..writing import PAGES, check_suffix, drawn, write
 from .guard import printed_summary
 
 __all__ = ["check_saved", "check_targets", "emit_json", "finish", "fit_facts", "match_facts", "save_figures", "saved"]
@@ -27,13 +27,17 @@ def check_saved(path: Path | None, what: str) -> None:
         raise OptionError(f"--save {path}: a saved {what} ends in .json, {' or '.join(SUFFIXES)}")
 
 
-def check_targets(figures: Sequence[Path | None] = (), others: Sequence[Path | None] = ()) -> None:
-    """Raise OptionError, before any work is done, for a file that could not be written."""
-    for path in (p for p in (*figures, *others) if p is not None):
+def check_targets(
+    figures: Sequence[Path | None] = (), others: Sequence[Path | None] = (), report: Path | None = None
+) -> None:
+    """Raise OptionError, before any work is done, for a file that could not be written, or a report that is no page."""
+    for path in (p for p in (*figures, *others, report) if p is not None):
         if not path.resolve().parent.is_dir():
             raise OptionError(f"{path}: cannot be written, since there is no folder {path.resolve().parent}")
         if path.is_dir():
             raise OptionError(f"{path}: is a folder, not a file to write")
+    if report is not None:
+        check_suffix(report, PAGES, "a report")
     paths = [p for p in figures if p is not None]
     if paths:
         import matplotlib

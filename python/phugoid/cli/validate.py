@@ -13,7 +13,6 @@ import typer
 from ..errors import OptionError
 from ..result import Fit
 from ..validation.result import Validation
-from ..writing import PAGES, check_suffix
 from .estimation import Estimation
 from .fit import code_of, write_report
 from .guard import NOT_CONVERGED
@@ -49,9 +48,7 @@ def validate(
     json: JsonOption = False,
 ) -> int:
     """Validate a fitted model on other records: only initial states and sensor biases are re-estimated."""
-    check_targets([plot], [report])
-    if report is not None:
-        check_suffix(report, PAGES, "a report")
+    check_targets([plot], report=report)
     limits = tolerances(tolerance)
     source = load_source(model)
     if isinstance(source, Fit):

@@ -29,7 +29,7 @@ _Watch: TypeAlias = Callable[[Iteration], None]
 
 @dataclass(frozen=True)
 class Earlier:
-    """What is known of an earlier fit: values of parameters, paths of states (times and, by name, values) in each
+    """Knowledge of an earlier fit: values of parameters, paths of states (times and, by name, values) in each
     experiment, its solution, and whether all that is near the optimum."""
 
     values: dict[str, float]
@@ -40,7 +40,7 @@ class Earlier:
 
     @staticmethod
     def of(fit: FitResult | EquationError, noise: Noise) -> Earlier:
-        """What a fit or a regression says of an estimation with this noise."""
+        """Return what a fit or a regression gives for an estimation with this noise."""
         paths = [(r.mesh_t, dict(r.mesh_states)) for r in fit.records]
         if isinstance(fit, EquationError):
             return Earlier(fit.as_start(), paths)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -463,13 +462,6 @@ class Model:
         """Return all right-hand sides by kind ("quantity", "equation", "output", or the end of a condition) and
         name."""
         return dict(equations_of(self._core))
-
-    def _holding(self, values: Mapping[str, float]) -> Model:
-        """Return the model with some parameters fixed at these values."""
-        if not values:
-            return self
-        declared = self.declared_parameters
-        return self.with_parameters({n: replace(declared[n], start=v, fixed=True) for n, v in values.items()})
 
     def _smoothed(self, widths: Sequence[float]) -> Model:
         """Return the model with each kink of its state equations smoothed over a width."""

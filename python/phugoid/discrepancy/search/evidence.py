@@ -87,7 +87,6 @@ class Assessment:
         self._tries = max(cache.tries, 1)
         # By the refits themselves: two fits of an unknown function may have the same name.
         self._held: dict[tuple[Refit, Refit], HeldOut] = {}
-        self._compared: dict[tuple[Refit, Refit, Refit], Explained | None] = {}
 
     def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
         """The evidence for what ``more`` has and ``base`` has not: a candidate, with others that came in its place."""

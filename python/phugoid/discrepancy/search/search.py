@@ -81,12 +81,17 @@ class Search:
         self.confirmation = Confirmation(self.cache, self.screen, self.refitting, self.assessment, s.confirmation)
 
     def on(
-        self, base: Refit, validation: Sequence[Experiment] | None = None, biases: Sequence[str] | None = None
+        self,
+        base: Refit,
+        validation: Sequence[Experiment] | None = None,
+        biases: Sequence[str] | None = None,
+        diagnosed: tuple[Refit, Linearised | None] | None = None,
     ) -> Search:
-        """Return the same search at another fit, with other data held out and other biases where they are given."""
+        """Return the same search at another fit; with other data held out, other biases, and another model whose misfit
+        is diagnosed, where they are given."""
         cache = self.cache
         data, free = cache.validation if validation is None else validation, cache.biases if biases is None else biases
-        search = Search(base, self._listed, data, cache.watch, free, self.settings, cache.diagnosed)
+        search = Search(base, self._listed, data, cache.watch, free, self.settings, diagnosed or cache.diagnosed)
         search.cache.proposed = cache.proposed
         return search
 
@@ -100,10 +105,7 @@ class Search:
         """Return the same search on records whose inputs were freed of noise: what is left of that is still part of the
         misfit of the model that was diagnosed."""
         cache = self.cache
-        diagnosed = cache.diagnosed or (cache.base, cache.on_validation(cache.base))
-        search = Search(base, self._listed, validation, cache.watch, cache.biases, self.settings, diagnosed)
-        search.cache.proposed = cache.proposed
-        return search
+        return self.on(base, validation, diagnosed=cache.diagnosed or (cache.base, cache.on_validation(cache.base)))
 
     def run(self) -> SearchResult:
         """Screen, refit and confirm, one term after the other."""

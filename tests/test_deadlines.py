@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.estimation.refine import refined
 
 # On a machine that others share, the wall clock goes on while this process waits: what is told of a deadline by the
 # wall alone fails by chance. So the overshoot is the lesser of wall and processor time that went by after the limit,
@@ -165,16 +164,3 @@ def test_ctrl_c_is_seen_within_an_iteration() -> None:
     done.set()
     [t.join() for t in timers]
     assert fit.status == "interrupted" and seconds < 2 * _SLACK
-
-
-def test_a_mesh_that_was_not_checked_is_no_refined_one() -> None:
-    """A fit that converges as its time ends has the status of what was asked for, a mesh that is fine enough."""
-    model, data = oscillator(201)
-    fit = ph.estimate(model, data)
-
-    def solve(*_: object) -> ph.Fit:
-        return fit
-
-    ended = refined(solve, ph.Collocation(refine=True), lambda: True)
-    assert ended.status == "time limit" and "fine enough" in ended.message and ended.refinement is None
-    assert refined(solve, ph.Collocation(refine=True, tolerance=0.5), lambda: False).status == fit.status == "converged"

@@ -116,5 +116,8 @@ def test_the_integration_error_is_that_with_the_finer_inputs() -> None:
     data = decimated(measured(1).band_pass(6, 32), 5).window(1.0, 3.0)
     fit = ph.estimate(mode(), data, transcription=ph.Collocation(order=4, substeps=4))
     error = fit.integration_error()[0].worst.max()
-    blind = replace(fit, records=[replace(r, input_samples={}) for r in fit.records])
+    (run,) = fit.experiments
+    inputs = {name: run.input(name) for name in fit.model.input_names}
+    outputs = {name: run.output(name) for name in fit.model.output_names}
+    blind = replace(fit, experiments=[ph.Experiment(run.t, inputs, outputs, run.name, run.interpolation)])
     assert error < 1e-4 < 10.0 * error < blind.integration_error()[0].worst.max()

@@ -1,6 +1,7 @@
 """Kinks of state equations are smoothed over widths that fall until the estimates settle; else they are named."""
 
 import os
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -10,7 +11,6 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid.estimation import smooth
 
 TRUE = {"w": 4.0, "z": 0.3, "c": 0.8}
 T = np.linspace(0, 20, 401)
@@ -94,18 +94,12 @@ def test_what_was_smoothed_is_told() -> None:
     assert fit.smoothing is not None and list(fit.smoothing.widths) == ["sign(v) in v'"]
     width, unit = fit.smoothing.widths["sign(v) in v'"]
     assert width < 1e-3 and unit == "m/s"
-    assert f"sign(v) in v' over {width:.2g} m/s" in fit.message
+    told = re.search(r"sign\(v\) in v' over (\S+) m/s", fit.message)
+    assert told is not None and float(told[1]) == pytest.approx(width, rel=0.05)
     assert "left by smoothing" in fit.summary()
-    assert [name for _, name, *_ in fit.model._core.kinks()] == ["sign"]  # the model as it was given
+    assert [name for name, _ in fit.model._core.kinks()] == ["sign"]  # the model as it was given
     parts = [abs(left) / error for left, error in fit.smoothing.left.values()]
     assert max(parts) < 0.25
-
-
-def test_widths_that_leave_much_in_error_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(smooth, "_PASSES", 4)
-    fit = ph.estimate(oscillator(ph.sign), record(0))
-    assert fit.smoothing is not None and fit.smoothing.beyond(1.0)["z"] > 1
-    assert "kinks of the state equations were smoothed" in fit.warnings[0] and "z by +" in fit.warnings[0]
 
 
 def test_smoothing_is_saved(tmp_path: Path) -> None:

@@ -14,9 +14,10 @@ from pathlib import Path
 # fmt: off
 RUST = [
     "math", "simd", "interrupt", "lgl", "interpolate", "table", "error", "threads", "pairs", "expr", "tape",
-    "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment", "gaps", "mesh",
+    "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment", "gaps", "measured",
+    "mesh",
     "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver", "initial", "diagnosis",
-    "estimate", "simulate",
+    "simulate", "estimate",
 ]
 
 PYTHON = [

@@ -27,6 +27,8 @@ class Progress:
             f"defect {line.defect:8.1e}  dual {line.dual:8.1e}  step {line.step:7.1e}"
         )
         if self.terminal:
+            if line.number < self.shown:  # another pass
+                print(file=sys.stderr)
             print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
         elif line.number % 10 == 0:
             print(text, file=sys.stderr, flush=True)

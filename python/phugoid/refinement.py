@@ -46,10 +46,10 @@ class Refinement:
     changes: Mapping[str, tuple[float, float, float]]
 
     @staticmethod
-    def of(first: Estimates, last: Estimates, steps: Sequence[Step], tolerance: float) -> Refinement:
-        """Return the refinement made of the estimates of the first and the last pass."""
+    def of(first: Mapping[str, float], last: Estimates, steps: Sequence[Step], tolerance: float) -> Refinement:
+        """Return the refinement made of the values in the first pass and the estimates of the last."""
         changes = {
-            name: (first[name].value, e.value, e.std_error) for name, e in last.items() if name in first and not e.fixed
+            name: (first[name], e.value, e.std_error) for name, e in last.items() if name in first and not e.fixed
         }
         return Refinement(tolerance, tuple(steps), changes)
 

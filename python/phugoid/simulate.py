@@ -65,7 +65,7 @@ def simulate(
     check_units(model, [data], "simulate")
     values = _values(model, parameters, data.name)
     x0 = first_values(model, values, parameters, data, initial or {})
-    states, y, _ = _core.simulate(
+    states, y = _core.simulate(
         model._core,
         model.delays.spec,
         _record(model, data),

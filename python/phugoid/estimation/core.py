@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -67,8 +67,9 @@ def estimated(
     solver: Newton | Ipopt,
     progress: bool | _Watch,
     pressed: Callable[[], int],
+    ways: Mapping[str, Any],
 ) -> _core.Fit:
-    """Return the core's estimate.
+    """Return the core's estimate. ``ways``: what else may be tried for a fit: moving meshes, restarts, smoothed kinks.
 
     ``pressed`` tells how often the user asked for an end: once gives the best point so far, twice leaves out its
     standard errors.
@@ -88,6 +89,8 @@ def estimated(
         "regression": solver.regression if isinstance(solver, Newton) else None,
         "paths": solver.paths if isinstance(solver, Newton) else None,
         "delays": (model.delays.settled, model.delays.passes),
+        "refine": transcription.tolerance if isinstance(transcription, Collocation) and transcription.refine else None,
+        **ways,
     }
     if not isinstance(transcription, Collocation):
         options["shooting"] = transcription.integrator, step_spec(transcription)

@@ -13,11 +13,10 @@ from ..data.experiment import Experiment, as_experiments, completed
 from ..data.units import check_units
 from ..errors import ModelError, OptionError
 from ..fit_result import FitResult
-from ..guess import parameter_start, spread, start_values
-from ..integration import coarse_mesh_warning
+from ..guess import start_values
 from ..interrupts import interrupts
 from ..modelling.model import Model
-from ..noise.noise import Gaussian, Noise, not_noise
+from ..noise.noise import Noise, not_noise
 from ..process_noise.fit import better, doubtful, filter_error
 from ..process_noise.variables import split
 from ..regression.equation_error import EquationError
@@ -28,14 +27,8 @@ from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
 from .core import Earlier, estimated
 from .fitted import make_fit
-from .motion import Paths, RestartSearch, starts_known
-from .refine import refined
-from .smooth import kinks_matter, smoothed_fit
 
 __all__ = ["estimate"]
-
-# How a run ends at an optimum.
-_ENDS = ("converged", "acceptable", "unidentifiable")
 
 
 def estimate(
@@ -76,22 +69,9 @@ def estimate(
     Raises ModelError, DataError or OptionError for what cannot be right, EvaluationError where the model is not
     finite at the start. Not to converge is a status of the fit, not an error.
     """
-    deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
     if isinstance(model, Model):
         model = model.copy()  # what is declared on the user's own afterwards is no part of this fit
-    fit = _estimate(model, data, transcription, noise, start, solver, progress)
-    if fit.status == "iteration limit" and solver is None and start is None:
-        fit = _with_noise_last(fit, model, data, transcription, noise, progress)
-    if deadline.passed() or not kinks_matter(fit):
-        return fit
-
-    def solve(smooth: Model, mesh: Collocation, before: FitResult | None) -> FitResult:
-        by = replace(solver or Newton(), time_limit=deadline.left())
-        if before is not None and isinstance(by, Newton):
-            by = replace(by, regression=False)
-        return _estimate(smooth, data, mesh, noise, start if before is None else before, by, progress)
-
-    return smoothed_fit(solve, fit)
+    return _estimate(model, data, transcription, noise, start, solver, progress, every_way=True)
 
 
 def _estimate(
@@ -102,13 +82,10 @@ def _estimate(
     start: Mapping[str, Any] | FitResult | EquationError | None = None,
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
-    paths: Paths | None = None,
+    every_way: bool = False,
 ) -> FitResult:
-    """Return the estimate with the kinks of the model as they are.
-
-    ``paths``: where the states start, for each experiment times and values of each state.
-    """
-    deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
+    """Return the estimate as `estimate` does; without ``every_way``, kinks of the model stay as they are, and a fit
+    that does not converge is not tried again."""
     experiments = as_experiments(data, "estimate")
     if not isinstance(model, Model):
         raise ModelError(f"estimate: the first argument is a Model, not a {type(model).__name__}")
@@ -128,6 +105,7 @@ def _estimate(
         model = model.with_noise(noise)
     if isinstance(transcription, FilterError) and solver is not None:
         raise OptionError("estimate: FilterError has a solver of its own; leave out solver")
+    solver_given = solver is not None or not every_way
     solver = solver or Newton()
     if not isinstance(solver, (Newton, Ipopt)):
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
@@ -138,18 +116,6 @@ def _estimate(
         raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
     if not isinstance(start, (Mapping, FitResult, EquationError, type(None))):
         raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
-    if isinstance(transcription, Collocation) and transcription.refine:
-        # A mesh that is only finer needs no regression: the path is there.
-        again = replace(solver, regression=False) if isinstance(solver, Newton) else solver
-
-        def fit_on(mesh: Collocation, fit: FitResult | None) -> FitResult:
-            # The likelihood on another mesh is none to compare with.
-            begin, by = (replace(fit, log_likelihood=np.nan), again) if fit else (start, solver)
-            by = replace(by, time_limit=deadline.left())
-            return _estimate(model, data, transcription=mesh, noise=noise, start=begin, solver=by, progress=progress)
-
-        return refined(fit_on, transcription, deadline.passed)
-
     if model.delays and isinstance(transcription, FilterError):
         raise OptionError("FilterError: delays are not supported")
 
@@ -166,30 +132,16 @@ def _estimate(
         with Deadline(transcription.time_limit).in_force():
             return _filtered(model, experiments, transcription, noise, start, progress)
 
-    earlier = Earlier({}, paths) if paths is not None else None
-    given: Mapping[str, Any] = start if isinstance(start, Mapping) else {}
-    if isinstance(start, (FitResult, EquationError)):
-        earlier = Earlier.of(start, noise)
-    values = start_values(model, given, experiments, noise)
-    follows = paths is None and not model.delays and not isinstance(start, EquationError)
-    if follows and _follows_motion(model, experiments, transcription, given):
-        given = start.as_start(noise) if isinstance(start, FitResult) else given
-
-        def on_mesh(mesh: Collocation, paths: Paths, at: Mapping[str, float], most: int | None) -> FitResult:
-            most = solver.max_iterations if most is None else min(most, solver.max_iterations)
-            by = replace(solver, time_limit=deadline.left(), max_iterations=most)
-            return _estimate(model, data, mesh, noise, {**given, **at}, by, progress, paths)
-
-        assert isinstance(transcription, Collocation)
-        parameters = parameter_start(model, given)
-        restarts = solver.restarts if isinstance(solver, Newton) else 0
-        restarts = 0 if isinstance(start, FitResult) else restarts
-        moved = RestartSearch(on_mesh, model, experiments, transcription, deadline.left).best(parameters, restarts)
-        if moved is not None:
-            return moved
-    by = replace(solver, time_limit=deadline.left())
+    earlier = Earlier.of(start, noise) if isinstance(start, (FitResult, EquationError)) else None
+    values = start_values(model, start if isinstance(start, Mapping) else {}, experiments, noise)
+    ways = {
+        "smooth_kinks": every_way,
+        "solver_given": solver_given,
+        "moving_mesh": None if not collocated else _may_move(transcription, start),
+        "restarts": solver.restarts if isinstance(solver, Newton) else 0,
+    }
     with interrupts() as pressed:
-        found = estimated(model, experiments, transcription, noise, values, earlier, by, progress, pressed)
+        found = estimated(model, experiments, transcription, noise, values, earlier, solver, progress, pressed, ways)
         fit = make_fit(model, experiments, noise, transcription, found)
         if pressed() and fit.status != "interrupted":  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])
@@ -198,65 +150,14 @@ def _estimate(
         fit = replace(fit, warnings=(*fit.warnings, f"not every experiment measures all outputs: {listed}"))
     if isinstance(start, FitResult) and (worse := _worse_than_start(fit, start)):
         fit = replace(fit, warnings=(worse, *fit.warnings))
-    unfinished = fit.status in ("interrupted", "time limit") or deadline.passed()
-    if isinstance(transcription, Collocation) and fit.feasible and not unfinished:
-        fit = replace(fit, warnings=(*fit.warnings, *filter(None, [coarse_mesh_warning(fit)])))
     return fit
 
 
-def _with_noise_last(
-    fit: FitResult,
-    model: Model,
-    data: Experiment | Sequence[Experiment],
-    transcription: Transcription | FilterError | None,
-    noise: Noise | None,
-    progress: bool | Callable[[Iteration], None],
-) -> FitResult:
-    """Return the fit with the noise free from where one with known noise ends, where both converge.
-
-    Where a model misses much, the likelihood has ridges along which the noise of one output falls while that of others
-    grows. With standard deviations held at the spread of the measurements it has none. Output-error programs keep the
-    noise as it is for their first iterations for the same reason (Jategaonkar 2015, ch. 4).
-    """
-    if not isinstance(fit.transcription, Collocation) or fit.noise.known_sigmas(model.output_names):
-        return fit
-    spreads = {name: spread(as_experiments(data, "estimate"), name) for name in model.output_names}
-    if not all(np.isfinite(s) and s > 0.0 for s in spreads.values()):
-        return fit
-    with_known = _estimate(model, data, transcription, Gaussian(spreads), progress=progress)
-    if with_known.status not in _ENDS:
-        return fit
-    found = _estimate(model, data, transcription, noise, with_known, progress=progress)
-    if found.status not in _ENDS:
-        return fit
-    lost, more = fit.log_likelihood - found.log_likelihood, []
-    if fit.feasible and lost > _LESS:
-        more = [
-            f"a run that did not converge has a log-likelihood higher by {lost:.4g}: `multistart` seeks other optima"
-        ]
-    iterations = fit.iterations + with_known.iterations + found.iterations
-    time = fit.time + with_known.time + found.time
-    return replace(found, iterations=iterations, time=time, warnings=(*found.warnings, *more))
-
-
-def _follows_motion(
-    model: Model, experiments: Sequence[Experiment], transcription: Transcription, given: Mapping[str, Any]
-) -> bool:
-    """Whether the mesh is to follow the motion: samples are few, and the parameters tell where it begins."""
-    if not isinstance(transcription, Collocation) or transcription.segments is not None or transcription.substeps != 1:
-        return False
-    return starts_known(model, given) and _few_samples(experiments, model)
-
-
-# With fewer measured values for each parameter, data do not keep the path of states that are not measured in place.
-_FEW = 20
-
-
-def _few_samples(experiments: Sequence[Experiment], model: Model) -> bool:
-    """Whether there are few measured values for the parameters of a model."""
-    free = sum(not p.fixed for p in model.declared_parameters.values())
-    values = sum(int(np.isfinite(e.output(n)).sum()) for e in experiments for n in model.output_names)
-    return values <= _FEW * free
+def _may_move(transcription: Transcription, start: object) -> bool:
+    """Whether the mesh may follow the motion: none was asked for, and no path of the states is known."""
+    assert isinstance(transcription, Collocation)
+    chosen = transcription.segments is not None or transcription.substeps != 1
+    return not chosen and not isinstance(start, EquationError)
 
 
 def _filtered(
@@ -292,10 +193,16 @@ _LESS = 1e-2
 def _worse_than_start(fit: FitResult, start: FitResult) -> str:
     """Return a sentence where a fit is less likely than the one that it started from, on the same data, else ""."""
     pairs = list(zip(fit.records, start.records, strict=False))
-    same = len(fit.records) == len(start.records) and all(
-        a.measured.keys() == b.measured.keys()
-        and all(np.array_equal(z, b.measured[name], equal_nan=True) for name, z in a.measured.items())
-        for a, b in pairs
+    refined = fit.refinement is not None and len(fit.refinement.steps) > 1  # another mesh, another likelihood
+    same = (
+        not refined
+        and not fit.smoothing
+        and len(fit.records) == len(start.records)
+        and all(
+            a.measured.keys() == b.measured.keys()
+            and all(np.array_equal(z, b.measured[name], equal_nan=True) for name, z in a.measured.items())
+            for a, b in pairs
+        )
     )
     lost = start.log_likelihood - fit.log_likelihood
     if not same or fit.noise != start.noise or not lost > _LESS:

@@ -11,14 +11,16 @@ from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..fit_result import FitResult
 from ..match import no_match, r_squared
-from ..modelling.delayed import at_delays
+from ..modelling.delayed import Delays
 from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
 from ..noise.kinds import PerExperiment
 from ..noise.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record
+from ..refinement import Refinement, Step
 from ..repeated_outputs import repeated_outputs
+from ..smoothing import Smoothing, SmoothingStep
 from ..solvers import Iteration, Solution
 from ..solvers.newton import COUNTED
 from ..transcription.collocation import Collocation
@@ -37,13 +39,15 @@ def make_fit(
     transcription: Transcription,
     found: _core.Fit,
 ) -> FitResult:
-    """Return the fit that the core found. Where it has delays, that at fixed delays is within."""
-    inner = _at_fixed_delays(model, experiments, noise, transcription, found)
+    """Return the fit that the core found. Where it has delays, that at fixed delays is within; where kinks were
+    smoothed, that of the smooth model."""
+    transcription = _on_final_mesh(transcription, experiments, found)
+    inner = _within(model, experiments, noise, transcription, found)
     records = [_record(model, e, found, i) for i, e in enumerate(experiments)]
     warnings, message = found.warnings, found.message
     kinks = kink_advice(model._core) if found.status in _KINKED else ""
     # First that residuals are not those of noise that is known.
-    known = int(bool(warnings) and warnings[0].startswith("the residuals are"))
+    known = int(found.unlike_noise)
     if kinks:
         warnings.insert(known, kinks)
         message = f"{message}; above all, the state equations have kinks or jumps (see the warning)"
@@ -57,11 +61,12 @@ def make_fit(
         for e, states in zip(experiments, found.initial, strict=True)
     }
     solution = _solution(found.solution)
+    parameters = _estimates(model, found)
     return FitResult(
         model=model,
         noise=noise,
         transcription=transcription,
-        parameters=_estimates(model, found),
+        parameters=parameters,
         initial_states=initial,
         covariance=found.covariance,
         log_likelihood=found.log_likelihood,
@@ -73,23 +78,27 @@ def make_fit(
         warnings=tuple(filter(None, [*warnings[:known], no_match(explained), *warnings[known:]])),
         history=solution.history,
         solution=solution if inner is None else None,
+        refinement=_refinement(found, parameters),
+        smoothing=_smoothing(found),
         experiments=tuple(experiments),
         _moved=inner,
     )
 
 
-def _at_fixed_delays(
+def _within(
     model: Model,
     experiments: Sequence[Experiment],
     noise: Noise,
     transcription: Transcription,
     found: _core.Fit,
 ) -> FitResult | None:
-    """Return the fit of the model without delays to the records that were moved by them."""
+    """Return the fit of the model without delays to the records that were moved by them, or of the smooth model."""
     if found.moved is None:
         return None
-    inner, base, reach, records = found.moved
-    slim = at_delays(model, dict(base), reach)
+    inner, records = found.moved
+    slim = model._around(inner.model, Delays())
+    if not model.delays:
+        return make_fit(slim, experiments, noise, transcription, inner)
     moved = []
     for e, (t, inputs, outputs, kinds, signals) in zip(experiments, records, strict=True):
         alike = kinds_for(dict(zip(slim.input_names, kinds, strict=True)), slim.input_names)
@@ -97,9 +106,40 @@ def _at_fixed_delays(
         record = Experiment(t, u, z, e.name, alike, units=e.units)
         of_input = dict(zip(slim.input_names, signals, strict=True))
         moved.append(record._sampled(of_input, e.t if e.mesh_times is None else e.mesh_times))
-    if isinstance(transcription, Collocation) and isinstance(transcription.segments, tuple):
-        transcription = replace(transcription, segments=tuple(map(tuple, inner.edges or [])))
     return make_fit(slim, moved, noise, transcription, inner)
+
+
+def _on_final_mesh(transcription: Transcription, experiments: Sequence[Experiment], found: _core.Fit) -> Transcription:
+    """Return the transcription with the mesh on which the fit ended."""
+    if not isinstance(transcription, Collocation):
+        return transcription
+    asked = [edges for _, _, edges in transcription.grids(experiments)]
+    if (
+        found.edges is not None
+        and found.order is not None
+        and (found.edges != asked or found.order != transcription.order)
+    ):
+        edges = tuple(tuple(e) for e in found.edges)
+        transcription = replace(transcription, order=found.order, substeps=1, segments=edges)
+    return replace(transcription, refine=False)
+
+
+def _refinement(found: _core.Fit, parameters: Estimates) -> Refinement | None:
+    if found.refinement is None:
+        return None
+    tolerance, steps, first = found.refinement
+    return Refinement.of(dict(first), parameters, [Step(*step) for step in steps], tolerance)
+
+
+def _smoothing(found: _core.Fit) -> Smoothing | None:
+    if found.smoothing is None:
+        return None
+    widths, steps, left = found.smoothing
+    return Smoothing(
+        {kink: (width, unit) for kink, width, unit in widths},
+        tuple(SmoothingStep(*step) for step in steps),
+        {name: (change, error) for name, change, error in left},
+    )
 
 
 def _solution(found: _core.NewtonSolution) -> Solution:

@@ -14,9 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
-__all__ = ["Delays", "at_delays"]
+__all__ = ["Delays"]
 
 
 @dataclass(frozen=True)
@@ -64,8 +62,3 @@ class Delays:
         """Reads `to_dict`."""
         inputs = {late: (of, tau) for late, (of, tau) in saved.get("inputs", {}).items()}
         return Delays(inputs, dict(saved.get("outputs", {})))
-
-
-def at_delays(model: Any, base: Mapping[str, float], reach: float = np.inf) -> Any:
-    """The model without delays, for data that were moved by ``base`` (s): parameters are the same."""
-    return model._around(model._core.at_delays(model.delays.spec, list(base.items()), reach), Delays())

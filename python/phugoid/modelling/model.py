@@ -16,7 +16,7 @@ from ..noise.noise import Gaussian, Noise, Sigma
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
 from .declared import Declared, State, check_units, read_names, source_line
-from .delayed import Delays, at_delays
+from .delayed import Delays
 from .rebuilt import Key, added_parameters, changed, changed_parameters, declare_parameter, equations_of
 
 __all__ = ["Model"]
@@ -324,7 +324,8 @@ class Model:
     def check(self) -> None:
         """Raise ModelError where the model is incomplete: a state without equation, an unknown symbol, ..."""
         if self._delays:
-            at_delays(self, {name: self.declared_parameters[name].start for name in self._delays.parameters}).check()
+            base = [(name, self.declared_parameters[name].start) for name in self._delays.parameters]
+            self._core.at_delays(self._delays.spec, base).check()
         else:
             self._core.check()
 
@@ -462,10 +463,6 @@ class Model:
         """Return all right-hand sides by kind ("quantity", "equation", "output", or the end of a condition) and
         name."""
         return dict(equations_of(self._core))
-
-    def _smoothed(self, widths: Sequence[float]) -> Model:
-        """Return the model with each kink of its state equations smoothed over a width."""
-        return self._around(self._core.smoothed(widths), self._delays)
 
     def _around(self, core: _core.Model, delays: Delays) -> Model:
         """Return a model with another core, and the noise and the conditions of this one."""

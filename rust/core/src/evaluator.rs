@@ -39,7 +39,7 @@ impl Evaluator {
     /// parameters not the model's.
     pub fn dynamics(&self, parameters: &[f64], columns: &[&[f64]]) -> Result<Vec<Vec<f64>>, Error> {
         self.check(parameters, columns)?;
-        Ok(run(&self.dynamics, parameters, columns))
+        Ok(at_points(&self.dynamics, parameters, columns))
     }
 
     /// y at points, as [`Evaluator::dynamics`].
@@ -48,7 +48,7 @@ impl Evaluator {
     /// As [`Evaluator::dynamics`].
     pub fn outputs(&self, parameters: &[f64], columns: &[&[f64]]) -> Result<Vec<Vec<f64>>, Error> {
         self.check(parameters, columns)?;
-        Ok(run(&self.outputs, parameters, columns))
+        Ok(at_points(&self.outputs, parameters, columns))
     }
 
     fn check(&self, parameters: &[f64], columns: &[&[f64]]) -> Result<(), Error> {
@@ -75,7 +75,8 @@ impl Evaluator {
     }
 }
 
-fn run(tape: &Tape, parameters: &[f64], columns: &[&[f64]]) -> Vec<Vec<f64>> {
+/// Values of a tape at points, one column for each of its outputs.
+pub(crate) fn at_points(tape: &Tape, parameters: &[f64], columns: &[&[f64]]) -> Vec<Vec<f64>> {
     let n = columns[0].len();
     let lanes = n.next_multiple_of(LANE_MULTIPLE);
     let mut uniforms = Vec::new();

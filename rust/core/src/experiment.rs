@@ -204,6 +204,17 @@ impl Experiment {
         all
     }
 
+    /// Times of the samples and of the inputs' own within the record, in order, s: where inputs bend or jump.
+    pub(crate) fn input_times(&self) -> Vec<f64> {
+        let (first, last) = (self.t[0], self.t[self.t.len() - 1]);
+        let own = self.signals.iter().flatten().flat_map(|s| s.t.iter().map(|t| t + s.delay));
+        let mut all: Vec<f64> =
+            self.t.iter().copied().chain(own).filter(|t| (first..=last).contains(t)).collect();
+        all.sort_by(f64::total_cmp);
+        all.dedup();
+        all
+    }
+
     /// An input at times each of which belongs to a span of time, such as a segment of a mesh or a step: where it is
     /// held, it is what it is inside that span, its mean where it jumps there.
     pub fn input_over(&self, channel: usize, times: &[f64], spans: &[[f64; 2]]) -> Vec<f64> {

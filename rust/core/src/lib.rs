@@ -77,7 +77,7 @@
 //! | [`nlp`] | the seam to solvers: a nonlinear program with names |
 //! | [`parameter`], [`noise`] | unknowns; the density of the noise |
 //! | [`model`], [`evaluator`] | states, inputs, parameters, equations, delays; f and g at points |
-//! | [`experiment`], [`gaps`], [`mesh`] | records, gaps in their sampling, segments and their points |
+//! | [`experiment`], [`gaps`], [`measured`], [`mesh`] | records, gaps in their sampling, states that outputs measure, segments and their points |
 //! | [`integrate`] | Runge-Kutta steps with their exact derivatives |
 //! | [`problem`] | what transcriptions share: variables, functions, likelihood |
 //! | [`collocation`], [`shooting`] | from all these to the nonlinear program of collocation, or of single or multiple shooting |
@@ -86,8 +86,8 @@
 //! | [`solver`] | Gauss-Newton, then Newton |
 //! | [`initial`] | what goes before: a regression, other places to start from |
 //! | [`diagnosis`] | covariance, and what the data leave open |
-//! | [`estimate`] | all of it in one call |
 //! | [`simulate`] | what a model says for given parameters |
+//! | [`estimate`] | all of it in one call |
 #![warn(missing_docs)]
 // Documentation names private items too, for those who read on in the source.
 #![allow(rustdoc::private_intra_doc_links)]
@@ -109,6 +109,7 @@ pub mod interrupt;
 pub mod lgl;
 pub mod linalg;
 pub mod math;
+pub mod measured;
 pub mod mesh;
 pub mod model;
 pub mod nlp;

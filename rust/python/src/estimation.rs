@@ -48,6 +48,13 @@ pub struct Options<'py> {
     paths: Option<bool>,
     /// When passes over delays end.
     delays: (f64, usize),
+    /// Tolerance of a mesh refinement.
+    refine: Option<f64>,
+    moving_mesh: Option<bool>,
+    restarts: Option<usize>,
+    smooth_kinks: bool,
+    /// Whether the user gave options of a solver.
+    solver_given: bool,
 }
 
 /// An earlier fit.
@@ -203,12 +210,24 @@ pub fn estimate(
         .order(options.order)
         .grids(grids(options.grids.clone())?)
         .noise_model(noise)
-        .solver(Settings {
+        .smooth_kinks(options.smooth_kinks);
+    if options.solver_given {
+        estimation = estimation.solver(Settings {
             max_iterations: options.max_iterations,
             tolerance: options.tolerance,
             time_limit: seconds(options.time_limit),
             gauss_newton: options.gauss_newton,
         });
+    }
+    if let Some(tolerance) = options.refine {
+        estimation = estimation.refine(tolerance);
+    }
+    if let Some(moving) = options.moving_mesh {
+        estimation = estimation.moving_mesh(moving);
+    }
+    if let Some(restarts) = options.restarts {
+        estimation = estimation.restarts(restarts);
+    }
     if let Some((integrator, spec)) = &options.shooting {
         let unknown = || PyValueError::new_err("unknown integrator");
         let integrator = Integrator::from_name(integrator).ok_or_else(unknown)?;

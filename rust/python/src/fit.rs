@@ -1,11 +1,18 @@
 //! What an estimation gives back.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
-use phugoid::estimate::{Bound as Limit, Estimate, Fit, Transcription};
+use phugoid::estimate::{
+    Bound as Limit, CollocatedPath, Estimate, Fit, RefinementStep, SmoothingStep, Transcription,
+};
 use phugoid::experiment::{Experiment, Signal};
 use phugoid::mesh::Grid;
+use phugoid::model::{Delays, Model};
+use phugoid::noise::NoiseModel;
 use pyo3::prelude::*;
 
+use crate::errors::raise;
+use crate::interrupt::interruptible;
+use crate::model::PyModel;
 use crate::newton::PySolution;
 
 /// An estimate: name, value, standard error, unit, bounds, and "lower", "upper" or "fixed" for what keeps it.
@@ -86,6 +93,12 @@ impl PyFit {
         self.0.warnings.clone()
     }
 
+    /// Whether residuals are not those of noise that is known, which the first warning says.
+    #[getter]
+    fn unlike_noise(&self) -> bool {
+        self.0.unlike_noise
+    }
+
     /// Number of parameters of the model and initial states that were estimated.
     #[getter]
     fn unknowns(&self) -> usize {
@@ -122,6 +135,43 @@ impl PyFit {
         )
     }
 
+    /// The model that was fitted, without delays and noise.
+    #[getter]
+    fn model(&self) -> PyModel {
+        PyModel(Model { noise: NoiseModel::new(), delays: Delays::default(), ..self.0.model.clone() })
+    }
+
+    /// Points of a segment, of collocation.
+    #[getter]
+    fn order(&self) -> Option<usize> {
+        let Transcription::Collocation(settings) = &self.0.transcription else { return None };
+        Some(settings.order)
+    }
+
+    /// Mesh refinement: tolerance; order, segments, largest error, segments too coarse, iterations and log-likelihood of each
+    /// pass; estimates of the first.
+    #[getter]
+    #[allow(clippy::type_complexity)] // a tuple for Python
+    fn refinement(&self) -> Option<(f64, Vec<(usize, usize, f64, usize, usize, f64)>, Vec<(String, f64)>)> {
+        let refinement = self.0.refinement.as_ref()?;
+        let step =
+            |s: &RefinementStep| (s.order, s.segments, s.largest, s.coarse, s.iterations, s.log_likelihood);
+        let first = refinement.first.iter().map(|e| (e.name.clone(), e.value)).collect();
+        Some((refinement.tolerance, refinement.steps.iter().map(step).collect(), first))
+    }
+
+    /// Smoothing of kinks: kink, width and unit; width as a part, segments, iterations and log-likelihood of each pass;
+    /// parameter, change with widths of zero and standard error.
+    #[getter]
+    #[allow(clippy::type_complexity)] // a tuple for Python
+    fn smoothing(
+        &self,
+    ) -> Option<(Vec<(String, f64, String)>, Vec<(f64, usize, usize, f64)>, Vec<(String, f64, f64)>)> {
+        let s = self.0.smoothing.as_ref()?;
+        let step = |s: &SmoothingStep| (s.part, s.segments, s.iterations, s.log_likelihood);
+        Some((s.widths.clone(), s.steps.iter().map(step).collect(), s.left.clone()))
+    }
+
     /// Ends of the segments in each experiment, where they were given so.
     #[getter]
     fn edges(&self) -> Option<Vec<Vec<f64>>> {
@@ -130,10 +180,9 @@ impl PyFit {
         settings.grid.iter().map(edges).collect()
     }
 
-    /// Where delays are estimated: the fit at fixed delays, these by name, how far they may move, and the moved records.
+    /// Where delays are estimated or kinks were smoothed: the fit at fixed delays or of the smooth model, and its records.
     #[getter]
-    #[allow(clippy::type_complexity)] // a tuple for Python
-    fn moved<'py>(&self, py: Python<'py>) -> Option<(PyFit, Vec<(String, f64)>, f64, Vec<MovedRecord<'py>>)> {
+    fn moved<'py>(&self, py: Python<'py>) -> Option<(PyFit, Vec<MovedRecord<'py>>)> {
         let moved = self.0.moved.as_ref()?;
         let signal = |(i, s): (usize, &Option<Signal>), e: &Experiment| {
             let (t, values, delay, order) = match s {
@@ -148,6 +197,34 @@ impl PyFit {
             (PyArray1::from_slice(py, &e.t), arrays(py, &e.inputs), arrays(py, &e.outputs), kinds, signals)
         };
         let records = moved.experiments.iter().map(record).collect();
-        Some((PyFit(moved.fit.clone()), moved.base.clone(), moved.reach, records))
+        Some((PyFit(moved.fit.clone()), records))
     }
+}
+
+/// The error that each segment of a mesh adds to a path of the states: ends of the segments, errors of each state, and what is
+/// small for it. `sigmas` are the standard deviations of the outputs' noise.
+#[pyfunction]
+#[allow(clippy::type_complexity, clippy::too_many_arguments, clippy::needless_pass_by_value)] // as Python gives them
+pub fn integration_error<'py>(
+    py: Python<'py>,
+    model: &PyModel,
+    record: crate::problem::Record<'py>,
+    parameters: Vec<f64>,
+    sigmas: Vec<Option<f64>>,
+    order: usize,
+    t: Vec<f64>,
+    states: Vec<Vec<f64>>,
+) -> PyResult<(Array<'py>, Vec<Array<'py>>, Vec<f64>)> {
+    let experiment = crate::problem::experiment(record)?;
+    let path = CollocatedPath {
+        model: &model.0,
+        experiment: &experiment,
+        parameters: &parameters,
+        sigmas: &sigmas,
+        order,
+        t: &t,
+        states: &states,
+    };
+    let found = interruptible(py, None, || path.integration_error())?.map_err(raise)?;
+    Ok((PyArray1::from_vec(py, found.edges), arrays(py, &found.errors), found.scales))
 }

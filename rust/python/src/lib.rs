@@ -38,6 +38,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<whitening::PyWhitening>()?;
     m.add_function(wrap_pyfunction!(estimation::estimate, m)?)?;
     m.add_function(wrap_pyfunction!(estimation::unlike_noise, m)?)?;
+    m.add_function(wrap_pyfunction!(fit::integration_error, m)?)?;
     m.add_function(wrap_pyfunction!(newton::newton, m)?)?;
     m.add_function(wrap_pyfunction!(start::check_start, m)?)?;
     m.add_function(wrap_pyfunction!(start::parameter_start, m)?)?;

@@ -145,28 +145,21 @@ impl PyModel {
         self.0.check().map_err(raise)
     }
 
-    /// Kinks and jumps in the states: the quantity or the state with a prime, the operation, the expression as text, and
-    /// what is zero at the kink.
-    fn kinks(&self) -> Vec<(String, &'static str, String, PyExpr)> {
-        self.0.kinks().into_iter().map(|k| (k.place, k.name, k.text, PyExpr(k.argument))).collect()
+    /// Kinks and jumps in the states: the operation, and in words where it stands, as in "sign(v) in v'".
+    fn kinks(&self) -> Vec<(&'static str, String)> {
+        self.0.kinks().into_iter().map(|k| (k.name, k.label())).collect()
     }
 
     /// The model without these delays, for data that were moved by the base (s) of each.
     #[allow(clippy::needless_pass_by_value)]
-    fn at_delays(&self, delays: DelaySpec, base: Vec<(String, f64)>, reach: f64) -> PyModel {
+    fn at_delays(&self, delays: DelaySpec, base: Vec<(String, f64)>) -> PyModel {
         let base = base.iter().map(|(name, value)| (name.as_str(), *value)).collect();
-        PyModel(self.late(delays).at_delays(&base, reach))
+        PyModel(self.late(delays).at_delays(&base, f64::INFINITY))
     }
 
     /// A model of its own.
     fn copy(&self) -> PyModel {
         PyModel(self.0.clone())
-    }
-
-    /// The model with each kink made smooth over its width.
-    #[allow(clippy::needless_pass_by_value)]
-    fn smoothed(&self, widths: Vec<f64>) -> PyResult<PyModel> {
-        self.0.smoothed(&widths).map(PyModel).map_err(raise)
     }
 
     /// Scalings that no output can tell: exponents by name, the parameter to hold, and where.

@@ -13,7 +13,7 @@ use crate::problem::{Record, experiment};
 
 type Channels<'py> = Vec<Bound<'py, PyArray1<f64>>>;
 
-/// States and outputs at the samples of a record, and the ends of the integration's steps, from values of all parameters and states by name, of a model with these
+/// States and outputs at the samples of a record, from values of all parameters and states by name, of a model with these
 /// delays. `time_limit` in s. Ctrl-C raises KeyboardInterrupt.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // as Python gives them
@@ -27,7 +27,7 @@ pub fn simulate<'py>(
     method: &str,
     tolerance: f64,
     time_limit: Option<f64>,
-) -> PyResult<(Channels<'py>, Channels<'py>, Bound<'py, PyArray1<f64>>)> {
+) -> PyResult<(Channels<'py>, Channels<'py>)> {
     let run = experiment(record)?;
     let method = match method {
         "auto" => Method::Automatic,
@@ -48,6 +48,5 @@ pub fn simulate<'py>(
     }
     let path = interruptible(py, None, || simulation.run())?.map_err(raise)?;
     let arrays = |channels: Vec<Vec<f64>>| channels.into_iter().map(|c| PyArray1::from_vec(py, c)).collect();
-    let steps = PyArray1::from_vec(py, path.steps);
-    Ok((arrays(path.states), arrays(path.outputs), steps))
+    Ok((arrays(path.states), arrays(path.outputs)))
 }

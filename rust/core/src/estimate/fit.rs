@@ -3,10 +3,12 @@
 use std::fmt;
 use std::ops::Index;
 
-use super::Transcription;
+use super::{Refinement, Smoothing, Transcription};
 use crate::error::did_you_mean;
 use crate::experiment::Experiment;
 use crate::model::Model;
+use crate::noise::NoiseModel;
+use crate::simulate::Simulation;
 use crate::solver::{Solution, Status};
 
 /// What keeps a parameter where it is.
@@ -98,6 +100,8 @@ pub struct Record {
 pub struct Fit {
     /// The model.
     pub model: Model,
+    /// The noise.
+    pub noise: NoiseModel,
     /// How it was transcribed.
     pub transcription: Transcription,
     /// The model's parameters, then the unknown standard deviations `sigma_<output>`; by name: `fit["CLa"]`.
@@ -118,15 +122,21 @@ pub struct Fit {
     pub records: Vec<Record>,
     /// What to beware of, in words.
     pub warnings: Vec<String>,
+    /// Whether residuals are not those of noise that is known, which the first warning says.
+    pub unlike_noise: bool,
     /// Number of parameters of the model and initial states that were estimated.
     pub unknowns: usize,
     /// What the solver gave back: all unknowns, multipliers, counts, the iteration table.
     pub solution: Solution,
-    /// The fit that this one was made of, where delays are estimated.
+    /// What mesh refinement did.
+    pub refinement: Option<Refinement>,
+    /// How kinks of the state equations were smoothed, where they had to be.
+    pub smoothing: Option<Smoothing>,
+    /// The fit that this one was made of, where delays are estimated or kinks were smoothed.
     pub moved: Option<Box<Moved>>,
 }
 
-/// A fit of a model at fixed delays to records that were moved by them.
+/// A fit of a model at fixed delays to records that were moved by them, and of a model whose kinks are smooth.
 #[derive(Clone, Debug)]
 pub struct Moved {
     /// The fit.
@@ -181,5 +191,16 @@ impl Fit {
     pub fn residual(&self, experiment: usize, name: &str) -> Option<&[f64]> {
         let i = self.model.outputs.iter().position(|o| o.name == name)?;
         Some(&self.records.get(experiment)?.residuals[i])
+    }
+}
+
+impl Simulation<'_> {
+    /// Takes parameters and first states from a fit; single ones given go before.
+    pub fn fit(mut self, fit: &Fit) -> Self {
+        self.known = fit.parameters.iter().map(|e| (e.name.clone(), e.value)).collect();
+        let record = fit.records.iter().find(|r| r.name == self.experiment.name);
+        let initial = record.into_iter().flat_map(|r| &r.initial);
+        self.known_initial = initial.map(|e| (e.name.clone(), e.value)).collect();
+        self
     }
 }

@@ -12,7 +12,7 @@ use crate::gaps::gap_warnings;
 use crate::interrupt::{Cause, Interrupt};
 use crate::linalg::KktError;
 use crate::model::{Model, Scaling, Variable};
-use crate::noise::{Reported, SIGMA};
+use crate::noise::{NoiseModel, Reported, SIGMA};
 use crate::problem::Transcribed;
 use crate::solver::{Solution, Status};
 
@@ -170,9 +170,9 @@ fn assessed(
         _ => f64::NAN,
     };
     let records: Vec<Record> = (0..experiments.len()).map(record).collect();
-    if feasible && let Some(warning) = residuals_unlike_noise(&problem.posed().noise, &records, unknowns) {
-        warnings.insert(0, warning);
-    }
+    let unlike = residuals_unlike_noise(&problem.posed().noise, &records, unknowns).filter(|_| feasible);
+    let unlike_noise = unlike.is_some();
+    warnings.splice(0..0, unlike);
     Fit {
         model: model.clone(),
         transcription,
@@ -183,10 +183,14 @@ fn assessed(
         status,
         message,
         warnings,
+        unlike_noise,
         unknowns,
         parameters,
         iterations: solution.iterations,
         solution,
+        noise: NoiseModel::new(),
+        refinement: None,
+        smoothing: None,
         moved: None,
     }
 }

@@ -1,24 +1,34 @@
 //! From a model and records to a fit: the problem put together, solved, and told in the user's names.
 
+mod delays;
 mod earlier;
 mod fit;
+mod integration;
 mod judge;
-mod late;
+
 mod make;
-mod measured;
+mod motion;
+
 mod noise;
+mod noise_first;
 mod outside;
 mod print;
+mod refine;
+mod restarts;
 mod run;
+mod smoothing;
 mod start;
 mod transcription;
 
+pub use crate::measured::Measured;
 pub use earlier::{Earlier, Multipliers, Path};
 pub use fit::{Bound, Estimate, Fit, Moved, Record};
+pub use integration::{CollocatedPath, IntegrationError};
 pub use judge::unlike_noise;
-pub use measured::Measured;
 pub use noise::resolved;
 pub use outside::{Beginning, Solver};
+pub use refine::{Refinement, RefinementStep};
+pub use smoothing::{Smoothing, SmoothingStep};
 pub use start::{Given, Start, point};
 pub use transcription::{Problem, Transcription};
 
@@ -83,6 +93,14 @@ pub struct Estimation<'a> {
     /// Of passes over delays: the part of a standard error by which these may still move, and most passes.
     settled: f64,
     passes: usize,
+    /// The tolerance of a mesh refinement.
+    refine: Option<f64>,
+    moving_mesh: Option<bool>,
+    restarts: Option<usize>,
+    smooth_kinks: bool,
+    smoothing_passes: usize,
+    /// Whether options of a solver were given.
+    solver_given: bool,
     /// What stops all work but that of standard errors of a run that was interrupted.
     outside: Interrupt,
     /// What stops that.
@@ -106,6 +124,12 @@ impl<'a> Estimation<'a> {
             earlier: None,
             settled: 1e-4,
             passes: 30,
+            refine: None,
+            moving_mesh: None,
+            restarts: None,
+            smooth_kinks: true,
+            smoothing_passes: 30,
+            solver_given: false,
             outside: Interrupt::default(),
             afterwards: Interrupt::default(),
         }
@@ -200,13 +224,47 @@ impl<'a> Estimation<'a> {
 
     /// Options of the solver.
     pub fn solver(mut self, settings: Settings) -> Self {
-        self.solver = settings;
+        (self.solver, self.solver_given) = (settings, true);
         self
     }
 
     /// A solver of one's own. Of [`Estimation::solver`] it takes the number of iterations and the time.
     pub fn own_solver(mut self, solver: &'a dyn Solver) -> Self {
-        self.own_solver = Some(solver);
+        (self.own_solver, self.solver_given) = (Some(solver), true);
+        self
+    }
+
+    /// Divides segments whose integration error is above this part of the noise, or raises the order, and estimates again,
+    /// until it is below in all. [`Fit::refinement`] reports the passes.
+    pub fn refine(mut self, tolerance: f64) -> Self {
+        self.refine = Some(tolerance);
+        self
+    }
+
+    /// Whether the mesh follows the motion, as a simulation with the estimates shows it: unless said, where it has one segment
+    /// between samples, samples are few, and the parameters tell all first states.
+    pub fn moving_mesh(mut self, moving: bool) -> Self {
+        self.moving_mesh = Some(moving);
+        self
+    }
+
+    /// With a mesh that follows the motion: restarts from other parameters without a gain until the search for better optima
+    /// ends; ten, and one for each parameter, unless said.
+    pub fn restarts(mut self, restarts: usize) -> Self {
+        self.restarts = Some(restarts);
+        self
+    }
+
+    /// Whether kinks and jumps of the state equations are smoothed where they keep a fit by collocation from converging, or are
+    /// crossed where its mesh is too coarse for them; they are, unless said. [`Fit::smoothing`] reports the passes.
+    pub fn smooth_kinks(mut self, smooth: bool) -> Self {
+        self.smooth_kinks = smooth;
+        self
+    }
+
+    /// Most passes over narrower widths of smoothed kinks, 30 unless said.
+    pub fn smoothing_passes(mut self, passes: usize) -> Self {
+        self.smoothing_passes = passes;
         self
     }
 

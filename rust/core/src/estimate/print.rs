@@ -57,6 +57,15 @@ pub(super) fn number(value: f64, digits: i32) -> String {
     }
 }
 
+/// A number with so many significant digits, without zeros at the end.
+pub(super) fn short(value: f64, digits: i32) -> String {
+    let text = number(value, digits);
+    let (digits, exponent) = text.split_once('e').unwrap_or((&text, ""));
+    let digits =
+        if digits.contains('.') { digits.trim_end_matches('0').trim_end_matches('.') } else { digits };
+    if exponent.is_empty() { digits.to_owned() } else { format!("{digits}e{exponent}") }
+}
+
 /// Columns as wide as what they hold; numbers, which stand second and third, to the right.
 fn table(
     f: &mut fmt::Formatter<'_>,

@@ -38,11 +38,54 @@ impl Estimation<'_> {
         self.solver.check()?;
         let within = Estimation { outside: current(), ..self.clone() };
         // All passes share the time.
-        Interrupt::within(self.solver.time_limit).run(|| within.solve_passes(&mut watch))
+        Interrupt::within(self.solver.time_limit).run(|| within.solve_all(&mut watch))
     }
 
-    fn solve_passes(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
-        if self.model.delays.is_empty() { self.solve_now(watch) } else { self.solve_late(watch) }
+    /// The fit, made again where it ended for a reason that another way to it may mend.
+    fn solve_all(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
+        let mut fit = self.solve_refined(watch)?;
+        let plain = !self.solver_given && self.start.is_empty() && self.earlier.is_none();
+        if fit.status == Status::IterationLimit && plain {
+            fit = self.with_noise_first(fit, watch)?;
+        }
+        if self.smooth_kinks && !current().stops() && fit.kinks_matter(self.experiments) {
+            fit = self.smoothed(fit, watch)?;
+        }
+        if self.outside.cause() == Some(Cause::Stopped) && fit.status != Status::Interrupted {
+            // Whoever called is to know.
+            (fit.status, fit.message) = (Status::Interrupted, Status::Interrupted.hint().into());
+        }
+        Ok(fit)
+    }
+
+    /// The fit with the kinks of the model as they are, on a mesh that is refined where that was asked for.
+    pub(super) fn solve_refined(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
+        match self.refine {
+            Some(tolerance) if self.shots.is_none() => self.solve_by_refinement(tolerance, watch),
+            _ => {
+                let mut fit = self.solve_on_mesh(watch)?;
+                if fit.feasible && !fit.status.was_stopped() && !current().stops() {
+                    fit.warnings.extend(fit.coarse_mesh_warning(self.experiments));
+                }
+                Ok(fit)
+            }
+        }
+    }
+
+    /// The fit on the mesh that was asked for, or on one that follows the motion.
+    pub(super) fn solve_on_mesh(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
+        if self.follows_motion() {
+            self.checked_noise()?;
+            if let Some(fit) = self.search_restarts(watch)? {
+                return Ok(fit);
+            }
+        }
+        self.solve_passes(watch)
+    }
+
+    /// The fit on a given mesh.
+    pub(super) fn solve_passes(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
+        if self.model.delays.is_empty() { self.solve_now(watch) } else { self.solve_with_delays(watch) }
     }
 
     /// The estimate of a model in which nothing is late.
@@ -103,13 +146,8 @@ impl Estimation<'_> {
             self.best_of(&problem, &further, watch)?
         };
         let limit = self.time_for_errors(&solution);
-        let mut fit =
-            Fit::new(self.model, self.experiments, posed, solution, scalings, (transcription, &limit));
-        if self.outside.cause() == Some(Cause::Stopped) && fit.status != Status::Interrupted {
-            // Whoever called is to know.
-            (fit.status, fit.message) = (Status::Interrupted, Status::Interrupted.hint().into());
-        }
-        Ok(fit)
+        let fit = Fit::new(self.model, self.experiments, posed, solution, scalings, (transcription, &limit));
+        Ok(Fit { noise: self.noise.clone(), ..fit })
     }
 
     fn transcription(&self) -> Transcription {
@@ -149,6 +187,7 @@ impl Estimation<'_> {
                     return Ok(solution);
                 }
                 let max_iterations = self.solver.max_iterations;
+                let known = known && self.regression != Some(false);
                 let from = Beginning { xi, multipliers, known, near, sparse, max_iterations };
                 solver.solve(problem, &from, watch).or_else(|e| stopped().ok_or(e))
             }

@@ -12,7 +12,6 @@ pub use path::Path;
 
 use crate::condition::End;
 use crate::error::{Error, did_you_mean};
-use crate::estimate::Fit;
 use crate::experiment::{Experiment, Signal};
 use crate::interrupt::Interrupt;
 use crate::model::{Model, TIME};
@@ -47,8 +46,10 @@ use flow::Flow;
 #[derive(Clone, Debug)]
 pub struct Simulation<'a> {
     model: &'a Model,
-    experiment: &'a Experiment,
-    fit: Option<&'a Fit>,
+    pub(crate) experiment: &'a Experiment,
+    /// Parameters and first states of a fit, which those given go before.
+    pub(crate) known: Vec<(String, f64)>,
+    pub(crate) known_initial: Vec<(String, f64)>,
     parameters: Vec<(String, f64)>,
     initial: Vec<(String, f64)>,
     tolerance: f64,
@@ -63,19 +64,14 @@ impl<'a> Simulation<'a> {
         Simulation {
             model,
             experiment,
-            fit: None,
+            known: Vec::new(),
+            known_initial: Vec::new(),
             parameters,
             initial,
             tolerance: 1e-9,
             method: Method::Automatic,
             time_limit: None,
         }
-    }
-
-    /// Parameters and first states as a fit has them; single ones given go before.
-    pub fn fit(mut self, fit: &'a Fit) -> Self {
-        self.fit = Some(fit);
-        self
     }
 
     /// The value of a parameter; `name[experiment]` is that of one experiment.
@@ -159,7 +155,7 @@ impl<'a> Simulation<'a> {
             }
         }
         let given = |name: &str| self.parameters.iter().rev().find(|p| p.0 == name).map(|p| p.1);
-        let fitted = |name: &str| self.fit.and_then(|fit| fit.parameter(name)).map(|e| e.value);
+        let fitted = |name: &str| self.known.iter().find(|p| p.0 == name).map(|p| p.1);
         let value = |p: &crate::model::Parameter| {
             let local = if p.local { given(&own(&p.name)) } else { None };
             let of_fit = || if p.local { fitted(&own(&p.name)) } else { None };
@@ -189,13 +185,12 @@ impl<'a> Simulation<'a> {
                 )));
             }
         }
-        let record = self.fit.and_then(|fit| fit.records.iter().find(|r| r.name == run.name));
         let said = |name: &str| {
             let given = self.initial.iter().rev().find(|s| s.0 == name).map(|s| s.1);
-            given.or_else(|| record?.initial.iter().find(|e| e.name == name).map(|e| e.value))
+            given.or_else(|| self.known_initial.iter().find(|s| s.0 == name).map(|s| s.1))
         };
         let measured = model.measured_states(parameters);
-        let start = |(name, m): (&str, &Option<crate::estimate::Measured>)| {
+        let start = |(name, m): (&str, &Option<crate::measured::Measured>)| {
             let as_measured = || m.as_ref().and_then(|m| m.samples(run).1.first().copied());
             said(name).or_else(as_measured).unwrap_or(0.0)
         };

@@ -46,6 +46,11 @@ impl Status {
         matches!(self, Status::Failed | Status::Diverging | Status::Infeasible)
     }
 
+    /// Whether a run was stopped, by its caller or the time limit.
+    pub(crate) fn was_stopped(self) -> bool {
+        matches!(self, Status::Interrupted | Status::TimeLimit)
+    }
+
     /// How a run ends where it has been stopped.
     pub(crate) fn stopped(interrupt: &Interrupt) -> Option<Status> {
         interrupt.cause().map(|cause| match cause {

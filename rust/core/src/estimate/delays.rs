@@ -9,6 +9,7 @@ use std::time::Duration;
 use super::Estimation;
 use super::fit::{Bound, Fit, Moved, Record};
 use super::start::Start;
+use crate::condition::End;
 use crate::error::Error;
 use crate::experiment::{Experiment, Signal};
 use crate::interpolate::{Interpolation, interpolate};
@@ -27,7 +28,10 @@ const SAME: f64 = 1e-8;
 
 impl Estimation<'_> {
     /// The estimate of a model with delays, by passes over models without.
-    pub(super) fn solve_late(&self, watch: &mut dyn FnMut(&Iteration) -> Control) -> Result<Fit, Error> {
+    pub(super) fn solve_with_delays(
+        &self,
+        watch: &mut dyn FnMut(&Iteration) -> Control,
+    ) -> Result<Fit, Error> {
         let model = self.model;
         self.checked_noise()?;
         if self.experiments.is_empty() {
@@ -194,7 +198,11 @@ fn moved(
         }
         channels.push(own);
     }
-    let (t, outputs) = together(&channels);
+    // Conditions on an end are those of the record, whether or not an output is measured there.
+    let at = |ends: [End; 2]| model.conditions.iter().any(|c| ends.contains(&c.end));
+    let (at_first, at_last) = (at([End::Initial, End::Periodic]), at([End::Final, End::Periodic]));
+    let ends = at_first.then_some(first).into_iter().chain(at_last.then_some(last));
+    let (t, outputs) = together(&channels, ends);
     let measured = model.input_names();
     let mut signals = Vec::new();
     for input in &slim.inputs {
@@ -229,12 +237,12 @@ fn moved(
     })
 }
 
-/// The times of all channels, and each channel at these, NaN where it has no sample.
-fn together(channels: &[Vec<(f64, f64)>]) -> (Vec<f64>, Vec<Vec<f64>>) {
+/// The times of all channels and some more, and each channel at these, NaN where it has no sample.
+fn together(channels: &[Vec<(f64, f64)>], more: impl Iterator<Item = f64>) -> (Vec<f64>, Vec<Vec<f64>>) {
     let gaps = channels.iter().flat_map(|c| c.windows(2).map(|w| w[1].0 - w[0].0));
     let least = gaps.fold(f64::INFINITY, f64::min);
     let same = SAME * if least.is_finite() { least } else { 1.0 };
-    let mut all: Vec<f64> = channels.iter().flatten().map(|s| s.0).collect();
+    let mut all: Vec<f64> = channels.iter().flatten().map(|s| s.0).chain(more).collect();
     all.sort_by(f64::total_cmp);
     // Of times that follow each other closely, the first is kept.
     let kept = (0..all.len()).filter(|&i| i == 0 || all[i] - all[i - 1] > same);

@@ -23,6 +23,7 @@ mod newton;
 mod newton_system;
 mod point;
 mod program;
+mod promise;
 mod reduced;
 mod restoration;
 mod settings;

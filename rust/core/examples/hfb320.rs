@@ -60,11 +60,11 @@ pub fn model() -> Result<Model, phugoid::Error> {
     let (b_q, b_aq, b_ax, b_az) = (p("b_q")?, p("b_aq")?, p("b_ax")?, p("b_az")?);
 
     let dv = &speed / v_ref - 1.0;
-    let cd = m.quantity("CD", cd0 + cdv * &dv + cda * &alpha, None)?;
-    let cl = m.quantity("CL", cl0 + clv * &dv + cla * &alpha, None)?;
+    let cd = m.quantity("CD", cd0 + cdv * &dv + cda * &alpha)?;
+    let cl = m.quantity("CL", cl0 + clv * &dv + cla * &alpha)?;
     // The paper prints the pitch rate as q c/(2 V); its published optimum was found with q c/(2 Vref).
     let cm = cm0 + cmv * &dv + cma * &alpha + cmq * (half_chord / v_ref) * &q + cmde * de;
-    let cm = m.quantity("Cm", cm, None)?;
+    let cm = m.quantity("Cm", cm)?;
 
     let pressure = 0.5 * rho * speed.pow(2.0);
     let lift = s_m * &pressure * cl;
@@ -72,19 +72,19 @@ pub fn model() -> Result<Model, phugoid::Error> {
     let gamma = &theta - &alpha;
     let pull = &thrust / mass;
     let q_dot = sc_iy * pressure * cm + lt_iy * &thrust;
-    m.equation("V", &pull * (&alpha + eps_t).cos() - &drag - g0 * gamma.sin(), None)?;
-    m.equation("alpha", (g0 * gamma.cos() - &lift - &pull * (&alpha + eps_t).sin()) / &speed + &q, None)?;
-    m.equation("theta", q.clone(), None)?;
-    m.equation("q", q_dot.clone(), None)?;
+    m.equation("V", &pull * (&alpha + eps_t).cos() - &drag - g0 * gamma.sin())?;
+    m.equation("alpha", (g0 * gamma.cos() - &lift - &pull * (&alpha + eps_t).sin()) / &speed + &q)?;
+    m.equation("theta", q.clone())?;
+    m.equation("q", q_dot.clone())?;
 
     let (sin, cos) = (alpha.sin(), alpha.cos());
-    m.output("V", speed, "", None)?;
-    m.output("alpha", alpha, "", None)?;
-    m.output("theta", theta, "", None)?;
-    m.output("q", q + b_q, "rad/s", None)?;
-    m.output("aq", q_dot + b_aq, "rad/s²", None)?;
-    m.output("ax", &lift * &sin - &drag * &cos + &pull * eps_t.cos() + b_ax, "m/s²", None)?;
-    m.output("az", -(lift * cos + drag * sin) - pull * eps_t.sin() + b_az, "m/s²", None)?;
+    m.output("V", speed, "")?;
+    m.output("alpha", alpha, "")?;
+    m.output("theta", theta, "")?;
+    m.output("q", q + b_q, "rad/s")?;
+    m.output("aq", q_dot + b_aq, "rad/s²")?;
+    m.output("ax", &lift * &sin - &drag * &cos + &pull * eps_t.cos() + b_ax, "m/s²")?;
+    m.output("az", -(lift * cos + drag * sin) - pull * eps_t.sin() + b_az, "m/s²")?;
     Ok(m)
 }
 

@@ -33,11 +33,11 @@ pub fn model() -> Result<Model, phugoid::Error> {
     let (zw, zq, zde) = (p("Zw", "1/s")?, p("Zq", "m/s")?, p("Zde", "m/s²")?);
     let (mw, mq, mde) = (p("Mw", "1/(m s)")?, p("Mq", "1/s")?, p("Mde", "1/s²")?);
 
-    m.equation("w", &zw * &w + (u0 + &zq) * &q + &zde * &de, None)?;
-    m.equation("q", mw * &w + mq * &q + mde * &de, None)?;
-    m.output("w", w.clone(), "", None)?;
-    m.output("q", q.clone(), "", None)?;
-    m.output("az", zw * w + zq * q + zde * de, "m/s²", None)?;
+    m.equation("w", &zw * &w + (u0 + &zq) * &q + &zde * &de)?;
+    m.equation("q", mw * &w + mq * &q + mde * &de)?;
+    m.output("w", w.clone(), "")?;
+    m.output("q", q.clone(), "")?;
+    m.output("az", zw * w + zq * q + zde * de, "m/s²")?;
     Ok(m)
 }
 

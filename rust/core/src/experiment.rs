@@ -14,8 +14,8 @@ use crate::model::Model;
 /// let mut m = Model::new("lag");
 /// let (x, u) = (m.state("x", "")?, m.input("u", "")?);
 /// let tau = m.parameter(Parameter::new("tau", 1.0))?;
-/// m.equation("x", (u - &x) / tau, None)?;
-/// m.output("y", x, "", None)?;
+/// m.equation("x", (u - &x) / tau)?;
+/// m.output("y", x, "")?;
 ///
 /// // By name, in any order; NaN where a sample is missing.
 /// let (t, u, y) = (vec![0.0, 0.1, 0.2], vec![1.0; 3], vec![0.0, f64::NAN, 0.3]);

@@ -44,9 +44,9 @@
 //! let (x, v) = (m.state("x", "m")?, m.state("v", "m/s")?);
 //! let k = m.parameter(Parameter::new("k", 0.0))?; // stiffness over mass, from 0
 //! let c = m.parameter(Parameter { lower: Some(0.0), ..Parameter::new("c", 0.0) })?; // damping
-//! m.equation("x", v.clone(), None)?;
-//! m.equation("v", -k * &x - c * &v, None)?;
-//! m.output("x", x, "m", None)?;
+//! m.equation("x", v.clone())?;
+//! m.equation("v", -k * &x - c * &v)?;
+//! m.output("x", x, "m")?;
 //!
 //! // The record: k = 4.01, c = 0.2, and 5 mm of what serves as noise here.
 //! let t: Vec<f64> = (0..200).map(|i| 0.05 * i as f64).collect();

@@ -25,14 +25,14 @@ fn model(delays: bool) -> Model {
     if delays {
         let tau = m.parameter(tau).unwrap();
         push = push + m.delay(&u, &tau, "late").unwrap();
-        m.equation("x", a * &x + push + (&u + 1.0).sqrt(), None).unwrap();
-        m.output("y", x.clone(), "", None).unwrap();
+        m.equation("x", a * &x + push + (&u + 1.0).sqrt()).unwrap();
+        m.output("y", x.clone(), "").unwrap();
         m.sensor_delay("y", &tau).unwrap();
     } else {
-        m.equation("x", a * &x + push + (&u + 1.0).sqrt(), None).unwrap();
-        m.output("y", x.clone(), "", None).unwrap();
+        m.equation("x", a * &x + push + (&u + 1.0).sqrt()).unwrap();
+        m.output("y", x.clone(), "").unwrap();
     }
-    m.output("w", &x * &x, "", None).unwrap();
+    m.output("w", &x * &x, "").unwrap();
     m
 }
 

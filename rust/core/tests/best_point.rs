@@ -16,10 +16,10 @@ fn problem(start: [f64; 2], outputs: impl Fn(&Expr, &Expr) -> [Expr; 2]) -> (Col
     let x = m.state("x", "").unwrap();
     let a = m.parameter(Parameter::new("a", start[0])).unwrap();
     let b = m.parameter(Parameter::new("b", start[1])).unwrap();
-    m.equation("x", -&x, None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.equation("x", -&x).unwrap();
+    m.output("x", x, "").unwrap();
     for (name, output) in ["y", "z"].into_iter().zip(outputs(&a, &b)) {
-        m.output(name, output, "", None).unwrap();
+        m.output(name, output, "").unwrap();
     }
     let e = Experiment {
         name: "one".into(),

@@ -22,10 +22,10 @@ fn known(name: &str, equations: &[(&str, Expr)], solution: fn(f64) -> Vec<f64>) 
     let mut model = Model::new(name);
     for (state, _) in equations {
         let x = model.state(state, "").unwrap();
-        model.output(state, x, "", None).unwrap();
+        model.output(state, x, "").unwrap();
     }
     for (state, rhs) in equations {
-        model.equation(state, rhs.clone(), None).unwrap();
+        model.equation(state, rhs.clone()).unwrap();
     }
     Known { model, solution }
 }

@@ -8,9 +8,9 @@ fn level() -> Model {
     let mut m = Model::new("level");
     let x = m.state("x", "m").unwrap();
     let rate = m.parameter(Parameter::new("rate", 0.0)).unwrap();
-    m.equation("x", rate, None).unwrap();
-    m.output("y", x.clone(), "", None).unwrap();
-    m.output("z", 2.0 * x, "m", None).unwrap();
+    m.equation("x", rate).unwrap();
+    m.output("y", x.clone(), "").unwrap();
+    m.output("z", 2.0 * x, "m").unwrap();
     m
 }
 

@@ -92,8 +92,8 @@ fn saving_and_loading() {
         }
         let mut model = Model::new("deep");
         model.state("x", "").unwrap();
-        model.equation("x", deep(true), None).unwrap();
-        model.output("y", deep(false), "", None).unwrap();
+        model.equation("x", deep(true)).unwrap();
+        model.output("y", deep(false), "").unwrap();
         assert!(Model::from_json(&model.to_json()).unwrap() == model);
         assert_eq!(model.compile().unwrap().dynamics.len(), 1);
     });

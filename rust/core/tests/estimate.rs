@@ -21,8 +21,8 @@ fn lag(gain: Parameter) -> Model {
     let (x, u) = (m.state("x", "m").unwrap(), m.input("u", "V").unwrap());
     let tau = Parameter { lower: Some(0.01), unit: "s".into(), ..Parameter::new("tau", 0.5) };
     let (tau, gain) = (m.parameter(tau).unwrap(), m.parameter(gain).unwrap());
-    m.equation("x", (gain * u - &x) / tau, None).unwrap();
-    m.output("y", x, "m", None).unwrap();
+    m.equation("x", (gain * u - &x) / tau).unwrap();
+    m.output("y", x, "m").unwrap();
     m
 }
 
@@ -191,8 +191,8 @@ fn wrong_names_and_values_give_clear_errors() {
 fn a_model_that_is_not_finite_at_the_start_is_an_error() {
     let mut m = Model::new("root");
     let (x, a) = (m.state("x", "").unwrap(), m.parameter(Parameter::new("a", -1.0)).unwrap());
-    m.equation("x", (&a * &x).sqrt(), None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.equation("x", (&a * &x).sqrt()).unwrap();
+    m.output("x", x, "").unwrap();
     let run = Experiment::new(&m, "run", vec![0.0, 0.1, 0.2], [("x", vec![1.0, 1.1, 1.2])]).unwrap();
     assert_error(
         Estimation::new(&m, &[run]).solve(),
@@ -206,10 +206,10 @@ fn states_start_as_measured_or_given() {
     let mut m = Model::new("chain");
     let (a, b) = (m.state("a", "").unwrap(), m.state("b", "").unwrap());
     let bias = m.parameter(Parameter::new("bias", 0.5)).unwrap();
-    m.equation("a", b.clone(), None).unwrap();
-    m.equation("b", -&a, None).unwrap();
-    m.output("a", 2.0 * &a + &bias, "", None).unwrap();
-    m.output("product", &a * &b, "", None).unwrap();
+    m.equation("a", b.clone()).unwrap();
+    m.equation("b", -&a).unwrap();
+    m.output("a", 2.0 * &a + &bias, "").unwrap();
+    m.output("product", &a * &b, "").unwrap();
     let z = [1.5, f64::NAN, 3.5];
     let run =
         Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("a", z.to_vec()), ("product", vec![1., 2., 3.])]);

@@ -19,8 +19,8 @@ fn problem(f: &Expr, g: &Expr) -> Collocation {
     let x = model.state("x", "").unwrap();
     model.input("u", "").unwrap();
     let p = model.parameter(Parameter::new("p", 2.0)).unwrap();
-    model.equation("x", f + 0.0 * &x, None).unwrap();
-    model.output("y", g + p, "", None).unwrap();
+    model.equation("x", f + 0.0 * &x).unwrap();
+    model.output("y", g + p, "").unwrap();
     let record = |name: &str| Experiment {
         name: name.to_owned(),
         t: (0..6).map(|i| STEP * f64::from(i)).collect(),

@@ -81,8 +81,8 @@ fn two_samples(scale: f64) -> Filter {
     let mut m = Model::new("cubic");
     let x = m.state("x", "").unwrap();
     let a = m.parameter(Parameter::new("a", 1.0)).unwrap();
-    m.equation("x", -(a * &x * &x * &x), None).unwrap();
-    m.output("y", (1.0 + &x * &x).sqrt(), "", None).unwrap();
+    m.equation("x", -(a * &x * &x * &x)).unwrap();
+    m.output("y", (1.0 + &x * &x).sqrt(), "").unwrap();
     let z = [1.3, 1.2].map(|z: f64| z + scale * 0.3).to_vec();
     let run = Experiment::new(&m, "run", vec![0.0, 0.1], [("y", z)]).unwrap();
     let settings =
@@ -138,9 +138,9 @@ fn what_has_no_path_is_said() {
     let mut m = Model::new("unseen");
     let (x, y) = (m.state("x", "").unwrap(), m.state("y", "").unwrap());
     let a = m.parameter(Parameter::new("a", -1.0)).unwrap();
-    m.equation("x", a * &x, None).unwrap();
-    m.equation("y", y.sqrt() - &x, None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.equation("x", a * &x).unwrap();
+    m.equation("y", y.sqrt() - &x).unwrap();
+    m.output("x", x, "").unwrap();
     let run = Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 0.5, 0.2])]).unwrap();
     let settings = Settings { states: vec!["x".into()], substeps: 1, terms: 1, initial: vec![None; 2] };
     let filter = Filter::new(&m, std::slice::from_ref(&run), &unknown(1), &settings).unwrap();

@@ -16,9 +16,9 @@ fn tanks(start: impl Fn(&str, f64) -> Parameter, upper: Variable) -> Model {
     let (x1, x2) = (m.state_within(upper).unwrap(), m.state("x2", "m").unwrap());
     let u = m.input("u", "V").unwrap();
     let [k1, k2, k3, k4] = TRUE.map(|(name, value)| m.parameter(start(name, value)).unwrap());
-    m.equation("x1", -k1 * x1.clone().sqrt() + k4 * u, None).unwrap();
-    m.equation("x2", k2 * x1.sqrt() - k3 * x2.clone().sqrt(), None).unwrap();
-    m.output("x2", x2, "", None).unwrap();
+    m.equation("x1", -k1 * x1.clone().sqrt() + k4 * u).unwrap();
+    m.equation("x2", k2 * x1.sqrt() - k3 * x2.clone().sqrt()).unwrap();
+    m.output("x2", x2, "").unwrap();
     m
 }
 

@@ -39,8 +39,8 @@ fn a_fit_warns_where_an_input_moves_over_a_gap() {
     let mut m = Model::new("lag");
     let (x, u) = (m.state("x", "").unwrap(), m.input("u", "").unwrap());
     let a = m.parameter(Parameter::new("a", 1.0)).unwrap();
-    m.equation("x", a * (u - &x), None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.equation("x", a * (u - &x)).unwrap();
+    m.output("x", x, "").unwrap();
     let t = with_gap(even(200), 99, 30.0);
     let u: Vec<f64> = t.iter().map(|t| (2.0 * t).sin()).collect();
     let x: Vec<f64> = t.iter().map(|t| (2.0 * t - 0.6).sin() + 1e-3 * (1e4 * t).sin()).collect();

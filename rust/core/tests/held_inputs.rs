@@ -20,10 +20,10 @@ fn oscillator() -> Model {
     let u = m.input("u", "N").unwrap();
     let [a, b, c] = ["a", "b", "c"].map(|name| m.parameter(Parameter::new(name, 1.0)).unwrap());
     let force = c * u - a * &x - b * &v;
-    m.equation("x", v, None).unwrap();
-    m.equation("v", force.clone(), None).unwrap();
-    m.output("x", x, "m", None).unwrap();
-    m.output("acceleration", force, "m/s^2", None).unwrap();
+    m.equation("x", v).unwrap();
+    m.equation("v", force.clone()).unwrap();
+    m.output("x", x, "m").unwrap();
+    m.output("acceleration", force, "m/s^2").unwrap();
     m
 }
 
@@ -174,9 +174,9 @@ fn derivatives_are_those_of_differences() {
     let mut m = Model::new("pendulum");
     let (x, v, u) = (m.state("x", "").unwrap(), m.state("v", "").unwrap(), m.input("u", "").unwrap());
     let [a, b] = ["a", "b"].map(|name| m.parameter(Parameter::new(name, 1.3)).unwrap());
-    m.equation("x", v.clone(), None).unwrap();
-    m.equation("v", -a * x.clone().sin() * (1.0 + 0.2 * &u) - &b * &v * &v + u, None).unwrap();
-    m.output("x", &x * &x + b, "", None).unwrap();
+    m.equation("x", v.clone()).unwrap();
+    m.equation("v", -a * x.clone().sin() * (1.0 + 0.2 * &u) - &b * &v * &v + u).unwrap();
+    m.output("x", &x * &x + b, "").unwrap();
     let n = 70;
     let t: Vec<f64> = (0..n).map(|k| 0.1 * k as f64).collect();
     let run = Experiment::new(&m, "run", t, [("u", steps(n)), ("x", vec![0.4; n])]).unwrap();

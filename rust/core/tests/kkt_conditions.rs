@@ -19,12 +19,12 @@ fn model(conditions: &[(End, &str, f64)]) -> Model {
     let mut m = Model::new("growth");
     let (x, y, u) = (m.state("x", "").unwrap(), m.state("y", "").unwrap(), m.input("u", "").unwrap());
     let [a, b, c, d] = ["a", "b", "c", "d"].map(|name| m.parameter(Parameter::new(name, 1.0)).unwrap());
-    m.equation("x", a * &x + c * u, None).unwrap();
-    m.equation("y", b * &x - &y + d, None).unwrap();
-    m.output("x", x, "", None).unwrap();
-    m.output("y", y, "", None).unwrap();
+    m.equation("x", a * &x + c * u).unwrap();
+    m.equation("y", b * &x - &y + d).unwrap();
+    m.output("x", x, "").unwrap();
+    m.output("y", y, "").unwrap();
     for (end, state, value) in conditions {
-        m.condition(*end, state, Expr::from(*value), None).unwrap();
+        m.condition(*end, state, Expr::from(*value)).unwrap();
     }
     m
 }

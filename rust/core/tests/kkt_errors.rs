@@ -18,10 +18,10 @@ fn problem(condition: bool) -> Collocation {
 fn of_length(segments: u32, condition: bool) -> Collocation {
     let mut m = Model::new("growth");
     let (x, a) = (m.state("x", "").unwrap(), m.parameter(Parameter::new("a", 1.0)).unwrap());
-    m.equation("x", a * &x, None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.equation("x", a * &x).unwrap();
+    m.output("x", x, "").unwrap();
     if condition {
-        m.condition(End::Initial, "x", Expr::from(1.0), None).unwrap();
+        m.condition(End::Initial, "x", Expr::from(1.0)).unwrap();
     }
     let t: Vec<f64> = (0..=segments).map(f64::from).collect();
     let run = Experiment::new(&m, "run", t, [("x", vec![1.0; segments as usize + 1])]).unwrap();

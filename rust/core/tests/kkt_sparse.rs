@@ -797,8 +797,8 @@ fn parameters_that_data_cannot_tell_are_named() {
     let x = m.state("x", "").unwrap();
     let [a, b, c, idle] = ["a", "b", "c", "idle"].map(|p| m.parameter(Parameter::new(p, -0.3)).unwrap());
     let u = m.input("u", "").unwrap();
-    m.equation("x", (&a + &b) * &x + &c + &idle * u, None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.equation("x", (&a + &b) * &x + &c + &idle * u).unwrap();
+    m.output("x", x, "").unwrap();
     let mut records = [record(&m, "one", 40, false, 1)];
     records[0].inputs[0].fill(0.0);
     for (order, exact) in [(2, false), (4, false)] {
@@ -849,16 +849,16 @@ fn large(order: usize, samples: usize) -> Collocation {
     let cd = &p[0] + &p[1] * &v + &p[2] * &alpha;
     let cl = &p[3] + &p[4] * &v + &p[5] * &alpha;
     let cm = &p[6] + &p[7] * &v + &p[8] * &alpha + &p[9] * &q + &p[10] * &de;
-    m.equation("V", &thrust * alpha.cos() - &cd * &v * &v + (&theta - &alpha).sin() + &p[11], None).unwrap();
-    m.equation("alpha", &q - &cl * &v + (&theta - &alpha).cos() / &v + &p[12], None).unwrap();
-    m.equation("theta", &q + &p[13], None).unwrap();
-    m.equation("q", &cm * &v * &v + &p[14], None).unwrap();
+    m.equation("V", &thrust * alpha.cos() - &cd * &v * &v + (&theta - &alpha).sin() + &p[11]).unwrap();
+    m.equation("alpha", &q - &cl * &v + (&theta - &alpha).cos() / &v + &p[12]).unwrap();
+    m.equation("theta", &q + &p[13]).unwrap();
+    m.equation("q", &cm * &v * &v + &p[14]).unwrap();
     let ax = &cl * alpha.sin() - &cd * alpha.cos();
     let az = -(&cl * alpha.cos()) - &cd * alpha.sin();
     for (name, value) in
         [("V", v), ("alpha", alpha), ("theta", theta), ("q", q), ("dq", cm), ("ax", ax), ("az", az)]
     {
-        m.output(name, value, "", None).unwrap();
+        m.output(name, value, "").unwrap();
     }
     let mut random = Random(14);
     let mut channel = || (0..samples).map(|_| random.between(0.5, 1.0)).collect::<Vec<f64>>();

@@ -21,8 +21,8 @@ fn model(n: usize, in_dynamics: bool) -> Model {
         terms.reduce(|a, b| a + b).unwrap()
     };
     let joint = series(Expr::cos).sin();
-    m.equation("x", if in_dynamics { joint - &x } else { -&x }, None).unwrap();
-    m.output("y", &x + series(Expr::sin).exp(), "", None).unwrap();
+    m.equation("x", if in_dynamics { joint - &x } else { -&x }).unwrap();
+    m.output("y", &x + series(Expr::sin).exp(), "").unwrap();
     m
 }
 

@@ -10,10 +10,10 @@ fn sound() -> Model {
     let (x, v) = (m.state("x", "m").unwrap(), m.state("v", "m/s").unwrap());
     let force = m.input("force", "N").unwrap();
     let stiffness = m.parameter(Parameter::new("stiffness", 2.0)).unwrap();
-    let pull = m.quantity("pull", &stiffness * &x, Some("spring.py:5".into())).unwrap();
-    m.equation("x", v.clone(), None).unwrap();
-    m.equation("v", force - pull, Some("spring.py:7".into())).unwrap();
-    m.output("x", x, "", None).unwrap();
+    let pull = m.written_at(Some("spring.py:5".into())).quantity("pull", &stiffness * &x).unwrap();
+    m.equation("x", v.clone()).unwrap();
+    m.written_at(Some("spring.py:7".into())).equation("v", force - pull).unwrap();
+    m.output("x", x, "").unwrap();
     m
 }
 
@@ -38,7 +38,9 @@ fn a_sound_model_is_accepted() {
 #[test]
 fn an_undeclared_symbol() {
     let mut m = sound();
-    m.output("energy", Expr::symbol("mass") * Expr::symbol("v"), "J", Some("spring.py:9".into())).unwrap();
+    m.written_at(Some("spring.py:9".into()))
+        .output("energy", Expr::symbol("mass") * Expr::symbol("v"), "J")
+        .unwrap();
     names(m.check(), &["spring", "energy", "spring.py:9", "'mass'", "not declared"]);
     names(m.compile(), &["'mass'"]);
 }
@@ -46,11 +48,11 @@ fn an_undeclared_symbol() {
 #[test]
 fn a_misspelt_symbol_is_recognised() {
     let mut m = sound();
-    m.quantity("damping", Expr::symbol("Stifness") * 0.1, None).unwrap();
+    m.quantity("damping", Expr::symbol("Stifness") * 0.1).unwrap();
     names(m.check(), &["damping", "'Stifness'", "Did you mean 'stiffness'?"]);
     // Nothing like it: no guess.
     let mut m = sound();
-    m.output("y", Expr::symbol("qqq"), "", None).unwrap();
+    m.output("y", Expr::symbol("qqq"), "").unwrap();
     let text = m.check().unwrap_err().to_string();
     assert!(!text.contains("Did you mean"), "{text}");
 }
@@ -59,10 +61,10 @@ fn a_misspelt_symbol_is_recognised() {
 fn a_quantity_used_before_it_is_named() {
     let mut m = Model::new("order");
     let x = m.state("x", "").unwrap();
-    m.quantity("first", Expr::symbol("second") + 1.0, None).unwrap();
-    m.quantity("second", x.clone(), None).unwrap();
-    m.equation("x", Expr::symbol("first"), None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.quantity("first", Expr::symbol("second") + 1.0).unwrap();
+    m.quantity("second", x.clone()).unwrap();
+    m.equation("x", Expr::symbol("first")).unwrap();
+    m.output("x", x, "").unwrap();
     names(m.check(), &["first", "'second'"]);
 }
 
@@ -76,14 +78,17 @@ fn a_state_without_equation() {
 #[test]
 fn an_equation_of_no_state() {
     let mut m = sound();
-    names(m.equation("V", Expr::symbol("x"), Some("spring.py:11".into())), &["'V'", "spring.py:11", "'v'"]);
-    names(m.equation("force", Expr::symbol("x"), None), &["'force'", "not a state"]);
+    names(
+        m.written_at(Some("spring.py:11".into())).equation("V", Expr::symbol("x")),
+        &["'V'", "spring.py:11", "'v'"],
+    );
+    names(m.equation("force", Expr::symbol("x")), &["'force'", "not a state"]);
 }
 
 #[test]
 fn a_second_equation_of_a_state() {
     let mut m = sound();
-    names(m.equation("v", Expr::symbol("x"), None), &["'v'", "already"]);
+    names(m.equation("v", Expr::symbol("x")), &["'v'", "already"]);
 }
 
 #[test]
@@ -98,9 +103,9 @@ fn a_parameter_that_is_not_used() {
 fn a_parameter_in_an_idle_quantity_is_not_used() {
     let mut m = sound();
     let friction = m.parameter(Parameter::new("friction", 0.0)).unwrap();
-    let drag = m.quantity("drag", friction * Expr::symbol("v"), None).unwrap();
+    let drag = m.quantity("drag", friction * Expr::symbol("v")).unwrap();
     names(m.check(), &["'friction'", "no equation"]);
-    m.output("drag", drag, "N", None).unwrap();
+    m.output("drag", drag, "N").unwrap();
     m.check().unwrap();
 }
 
@@ -111,9 +116,9 @@ fn a_parameter_behind_several_quantities_is_used() {
     let friction = m.parameter(Parameter::new("friction", 0.0)).unwrap();
     let mut drag = friction * Expr::symbol("v");
     for name in ["first", "second", "third"] {
-        drag = m.quantity(name, drag + 1.0, None).unwrap();
+        drag = m.quantity(name, drag + 1.0).unwrap();
     }
-    m.output("drag", drag, "N", None).unwrap();
+    m.output("drag", drag, "N").unwrap();
     m.check().unwrap();
 }
 
@@ -123,9 +128,9 @@ fn names_are_taken_once() {
         names(sound().state(name, ""), &[&format!("'{name}'"), "already"]);
         names(sound().input(name, ""), &[&format!("'{name}'"), "already"]);
         names(sound().parameter(Parameter::new(name, 0.0)), &[&format!("'{name}'"), "already"]);
-        names(sound().quantity(name, Expr::symbol("v"), None), &[&format!("'{name}'"), "already"]);
+        names(sound().quantity(name, Expr::symbol("v")), &[&format!("'{name}'"), "already"]);
     }
-    names(sound().output("x", Expr::symbol("v"), "", None), &["'x'", "already"]);
+    names(sound().output("x", Expr::symbol("v"), ""), &["'x'", "already"]);
 }
 
 #[test]
@@ -133,7 +138,7 @@ fn time_is_reserved() {
     names(sound().state("time", ""), &["state 'time'", "model.time"]);
     names(sound().input("time", ""), &["input 'time'"]);
     names(sound().parameter(Parameter::new("time", 0.0)), &["parameter 'time'"]);
-    names(sound().quantity("time", Expr::symbol("x"), None), &["quantity 'time'"]);
+    names(sound().quantity("time", Expr::symbol("x")), &["quantity 'time'"]);
 }
 
 #[test]
@@ -174,6 +179,6 @@ fn a_model_without_states_or_outputs() {
     names(Model::new("empty").check(), &["'empty'", "no states"]);
     let mut m = Model::new("blind");
     let x = m.state("x", "").unwrap();
-    m.equation("x", x, None).unwrap();
+    m.equation("x", x).unwrap();
     names(m.check(), &["'blind'", "no outputs"]);
 }

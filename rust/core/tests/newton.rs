@@ -188,8 +188,8 @@ fn not_finite_at_the_start_is_an_error_and_on_the_way_it_is_not() {
     let mut m = Model::new("lag");
     let (x, u) = (m.state("x", "").unwrap(), m.input("u", "").unwrap());
     let a = m.parameter(Parameter::new("a", 40.0)).unwrap();
-    m.equation("x", a.log() * (&u - &x), None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.equation("x", a.log() * (&u - &x)).unwrap();
+    m.output("x", x, "").unwrap();
     let mut e = models::record(&m, "one", 60, false, 1);
     let mut state = 0.5;
     for i in 0..e.t.len() {
@@ -215,8 +215,8 @@ fn a_hopeless_model_ends_within_its_limits() {
     let mut m = Model::new("explosion");
     let x = m.state("x", "").unwrap();
     let a = m.parameter(Parameter::new("a", 1.0)).unwrap();
-    m.equation("x", (1.0 + &a * &a) * 50.0 * &x * &x + 40.0, None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.equation("x", (1.0 + &a * &a) * 50.0 * &x * &x + 40.0).unwrap();
+    m.output("x", x, "").unwrap();
     let e = models::record(&m, "one", 40, false, 1);
     let noise = common::flights::unknown_noise(&e);
     let p = Collocation::new(&m, std::slice::from_ref(&e), noise, &settings(3)).unwrap();

@@ -15,8 +15,8 @@ fn levels() -> Model {
     for name in ["a", "b"] {
         let x = m.state(&format!("x_{name}"), "").unwrap();
         let slope = m.parameter(Parameter::new(&format!("slope_{name}"), 0.0)).unwrap();
-        m.equation(&format!("x_{name}"), slope, None).unwrap();
-        m.output(name, x, "m", None).unwrap();
+        m.equation(&format!("x_{name}"), slope).unwrap();
+        m.output(name, x, "m").unwrap();
     }
     m
 }

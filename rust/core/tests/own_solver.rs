@@ -23,10 +23,10 @@ fn late(tau: Parameter) -> Model {
         (m.parameter(Parameter::new("k", 1.0)).unwrap(), m.parameter(Parameter::new("c", 0.5)).unwrap());
     let tau = m.parameter(tau).unwrap();
     let then = m.delay(&u, &tau, "u_then").unwrap();
-    m.equation("x", v.clone(), None).unwrap();
-    m.equation("v", -k * (&x - then) - c * &v, None).unwrap();
-    m.output("x", x, "m", None).unwrap();
-    m.output("v", v, "m/s", None).unwrap();
+    m.equation("x", v.clone()).unwrap();
+    m.equation("v", -k * (&x - then) - c * &v).unwrap();
+    m.output("x", x, "m").unwrap();
+    m.output("v", v, "m/s").unwrap();
     m
 }
 

@@ -13,8 +13,8 @@ fn model() -> Model {
     let (x, u) = (m.state("x", "").unwrap(), m.input("u", "").unwrap());
     let [rate, tau] = ["rate", "tau"].map(|name| m.parameter(Parameter::new(name, 0.5)).unwrap());
     let late = m.delay(&u, &tau, "late").unwrap();
-    m.equation("x", rate * (late - &x) + u, None).unwrap();
-    m.output("y", x, "", None).unwrap();
+    m.equation("x", rate * (late - &x) + u).unwrap();
+    m.output("y", x, "").unwrap();
     m
 }
 

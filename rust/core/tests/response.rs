@@ -25,10 +25,10 @@ fn pendulum() -> Model {
     let [u, bx, bv] = ["u", "bx", "bv"].map(|name| m.input(name, "").unwrap());
     let [k, c, force] =
         [("k", 2.0), ("c", 0.3), ("F", 0.0)].map(|p| m.parameter(Parameter::new(p.0, p.1)).unwrap());
-    m.equation("v", -(&k * x.sin()) - &c * &v * &v * &v + &u + &force * &bv, None).unwrap();
-    m.equation("x", &v + &force * &bx, None).unwrap();
-    m.output("x", x.clone(), "", None).unwrap();
-    m.output("a", -(&k * x.sin()) - &c * &v * &v * &v, "", None).unwrap();
+    m.equation("v", -(&k * x.sin()) - &c * &v * &v * &v + &u + &force * &bv).unwrap();
+    m.equation("x", &v + &force * &bx).unwrap();
+    m.output("x", x.clone(), "").unwrap();
+    m.output("a", -(&k * x.sin()) - &c * &v * &v * &v, "").unwrap();
     m
 }
 
@@ -304,7 +304,7 @@ fn by_the_kkt_system_it_is_the_least() {
 fn conditions_on_the_beginning_are_met() {
     let mut model = pendulum();
     let k = phugoid::Expr::symbol("k");
-    model.condition(End::Initial, "x", 0.2 * &k, None).unwrap();
+    model.condition(End::Initial, "x", 0.2 * &k).unwrap();
     let (problem, _, slopes) = at_rest(&model, 4, &Grid::Uniform(9));
     let (_, xi) = solved(&pendulum(), 4, &Grid::Uniform(9), &THETA, &[[0.4, -0.7], [0.4, 0.5]]);
     let mut residuals = vec![0.0; problem.m()];
@@ -338,7 +338,7 @@ fn conditions_on_the_beginning_are_met() {
 fn conditions_on_the_end_are_none_of_forward() {
     for end in [End::Final, End::Periodic] {
         let mut model = pendulum();
-        model.condition(end, "x", phugoid::Expr::constant(0.1), None).unwrap();
+        model.condition(end, "x", phugoid::Expr::constant(0.1)).unwrap();
         let (problem, xi, slopes) = at_rest(&model, 4, &Grid::Samples(1));
         assert!(Forward::new(&problem, &xi).unwrap().is_none(), "{end:?}");
         let mut d = vec![0.0; problem.n()];
@@ -386,7 +386,7 @@ fn one_linearisation_answers_all_questions() {
     for at_end in [false, true] {
         let mut model = pendulum();
         if at_end {
-            model.condition(End::Final, "x", phugoid::Expr::constant(0.1), None).unwrap();
+            model.condition(End::Final, "x", phugoid::Expr::constant(0.1)).unwrap();
         }
         let (problem, xi, _) = at_rest(&model, 3, &Grid::Samples(1));
         let points: usize = problem.meshes.iter().map(|m| m.times.len()).sum();

@@ -187,8 +187,8 @@ fn a_number_that_json_cannot_hold_is_refused() {
         assert!(Pool::new(&[&a + number]).to_json().is_err());
         let mut model = Model::new("broken");
         let x = model.state("x", "").unwrap();
-        model.equation("x", &x * number, None).unwrap();
-        model.output("x", x, "", None).unwrap();
+        model.equation("x", &x * number).unwrap();
+        model.output("x", x, "").unwrap();
         let error = model.check().unwrap_err().to_string();
         assert!(error.contains("x'") && error.contains(&number.to_string()), "{error}");
     }

@@ -18,9 +18,9 @@ fn model(names: &[&str], starts: &[f64], force: impl Fn(&[Expr], &Expr) -> Expr)
         .map(|(name, start)| m.parameter(Parameter::new(name, *start)).unwrap())
         .collect();
     let rate = force(&p, &u) - &x;
-    m.equation("x", rate.clone(), None).unwrap();
-    m.output("x", x, "", None).unwrap();
-    m.output("rate", rate, "", None).unwrap();
+    m.equation("x", rate.clone()).unwrap();
+    m.output("x", x, "").unwrap();
+    m.output("rate", rate, "").unwrap();
     m
 }
 

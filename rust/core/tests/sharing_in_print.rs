@@ -52,8 +52,8 @@ fn a_message_holds_the_beginning_of_a_long_expression() {
     assert!(text.chars().count() < 2000 && text.contains("characters"), "{text}");
 
     let undeclared = Expr::symbol(&"y".repeat(5000));
-    model.equation("x", -undeclared, None).unwrap();
-    model.output("x", tau, "", None).unwrap();
+    model.equation("x", -undeclared).unwrap();
+    model.output("x", tau, "").unwrap();
     assert!(model.check().unwrap_err().to_string().chars().count() <= 2000);
 }
 
@@ -98,8 +98,8 @@ fn long_chains_are_walked_on_a_small_stack() {
     let walk = || {
         let mut model = Model::new("chain");
         model.state("x", "").unwrap();
-        model.equation("x", -chain(20_000), None).unwrap();
-        model.output("y", chain(20_000), "", None).unwrap();
+        model.equation("x", -chain(20_000)).unwrap();
+        model.output("y", chain(20_000), "").unwrap();
         assert!(format!("{model:?}").len() > 20_000);
         let slope = (-chain(20_000)).derivative("x");
         assert_eq!(slope.evaluate(&values(&[("x", 3.5)])).unwrap(), -3.0);

@@ -21,8 +21,8 @@ fn bell() -> Model {
     let mut m = Model::new("bell");
     let (x, time) = (m.state("x", "").unwrap(), m.time());
     let a = m.parameter(Parameter::new("a", -2.0)).unwrap();
-    m.equation("x", a * &time * &x * &x, None).unwrap();
-    m.output("y", x, "", None).unwrap();
+    m.equation("x", a * &time * &x * &x).unwrap();
+    m.output("y", x, "").unwrap();
     m
 }
 
@@ -84,8 +84,8 @@ fn a_solution_that_ceases_to_exist() {
     let mut m = Model::new("escape");
     let x = m.state("x", "").unwrap();
     let a = m.parameter(Parameter::new("a", 1.0)).unwrap();
-    m.equation("x", a * &x * &x * &x, None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.equation("x", a * &x * &x * &x).unwrap();
+    m.output("x", x, "").unwrap();
     let t: Vec<f64> = (0..200).map(|k| 0.1 * f64::from(k)).collect();
     let z = t.iter().map(|t| 1.0 + 0.01 * t.sin()).collect();
     let runs = [Experiment::new(&m, "run", t, [("x", z)]).unwrap()];
@@ -108,8 +108,8 @@ fn a_slope_that_is_not_finite_is_named() {
     let mut m = Model::new("tank");
     let h = m.state("h", "m").unwrap();
     let c = m.parameter(Parameter::new("c", 1.0)).unwrap();
-    m.equation("h", -c * h.sqrt(), None).unwrap();
-    m.output("h", h, "", None).unwrap();
+    m.equation("h", -c * h.sqrt()).unwrap();
+    m.output("h", h, "").unwrap();
     let t: Vec<f64> = (0..40).map(|k| 0.2 * f64::from(k)).collect();
     let z = t.iter().map(|t| (1.0 - 0.1 * t).powi(2)).collect();
     let runs = [Experiment::new(&m, "run", t, [("h", z)]).unwrap()];

@@ -9,8 +9,8 @@ fn lag() -> Model {
     let (x, u) = (m.state("x", "m").unwrap(), m.input("u", "V").unwrap());
     let tau = m.parameter(Parameter::new("tau", 1.0)).unwrap();
     let b = m.parameter(Parameter { local: true, ..Parameter::new("b", 0.0) }).unwrap();
-    m.equation("x", (u - &x) / tau, None).unwrap();
-    m.output("y", x + b, "m", None).unwrap();
+    m.equation("x", (u - &x) / tau).unwrap();
+    m.output("y", x + b, "m").unwrap();
     m
 }
 
@@ -81,9 +81,9 @@ fn inputs_and_sensors_are_late() {
     let by = m.parameter(Parameter::new("by", 0.0)).unwrap();
     let slow = m.parameter(Parameter::new("slow", 0.0)).unwrap();
     let late = m.delay(&u, &by, "u_late").unwrap();
-    m.equation("x", late, None).unwrap();
-    m.output("now", x.clone(), "", None).unwrap();
-    m.output("then", x, "", None).unwrap();
+    m.equation("x", late).unwrap();
+    m.output("now", x.clone(), "").unwrap();
+    m.output("then", x, "").unwrap();
     m.sensor_delay("then", &slow).unwrap();
 
     let t = times(31, 0.1);
@@ -133,7 +133,7 @@ fn where_states_begin() {
     };
     assert_eq!(first(&model), 3.0);
     let tau = phugoid::Expr::symbol("tau");
-    model.condition(phugoid::condition::End::Initial, "x", 2.0 * tau + 0.5, None).unwrap();
+    model.condition(phugoid::condition::End::Initial, "x", 2.0 * tau + 0.5).unwrap();
     assert_eq!(first(&model), 2.5);
 }
 

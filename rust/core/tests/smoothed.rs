@@ -8,7 +8,7 @@ use phugoid::expr::{Expr, Op, gt, lt, max, min, select};
 fn model(right: impl Fn(&Expr, &Expr) -> Expr) -> Model {
     let mut m = Model::new("kinked");
     let (x, u) = (m.state("x", "m").unwrap(), m.input("u", "").unwrap());
-    m.equation("x", right(&x, &u), None).unwrap();
+    m.equation("x", right(&x, &u)).unwrap();
     m
 }
 
@@ -51,8 +51,8 @@ fn a_branch_that_is_not_finite_does_not_enter_where_it_is_not_taken() {
 fn kinks_of_inputs_of_time_and_of_outputs_alone_are_none() {
     let mut m = model(|x, u| u.abs() * x + gt(Expr::symbol("time"), 1.0));
     let x = Expr::symbol("x");
-    let shown = m.quantity("shown", x.abs(), None).unwrap();
-    m.output("y", shown, "", None).unwrap();
+    let shown = m.quantity("shown", x.abs()).unwrap();
+    m.output("y", shown, "").unwrap();
     assert!(m.kinks().is_empty());
     assert_eq!(m.smoothed(&[]).unwrap(), m);
 }
@@ -61,8 +61,8 @@ fn kinks_of_inputs_of_time_and_of_outputs_alone_are_none() {
 fn quantities_of_state_equations_are_smoothed_in_their_place() {
     let mut m = Model::new("kinked");
     let v = m.state("v", "m/s").unwrap();
-    let force = m.quantity("force", v.sign(), None).unwrap();
-    m.equation("v", -max(force, 0.5), None).unwrap();
+    let force = m.quantity("force", v.sign()).unwrap();
+    m.equation("v", -max(force, 0.5)).unwrap();
     let kinks = m.kinks();
     assert_eq!(kinks.iter().map(|k| &*k.place).collect::<Vec<_>>(), ["force", "v'"]);
     assert_eq!(kinks[1].argument, v.sign() - 0.5);

@@ -9,9 +9,9 @@ fn oscillator(n: usize) -> (Model, Experiment) {
     let mut m = Model::new("oscillator");
     let (x, v) = (m.state("x", "m").unwrap(), m.state("v", "m/s").unwrap());
     let k = m.parameter(Parameter::new("k", 4.0)).unwrap();
-    m.equation("x", v, None).unwrap();
-    m.equation("v", -k * x.clone(), None).unwrap();
-    m.output("y", x, "m", None).unwrap();
+    m.equation("x", v).unwrap();
+    m.equation("v", -k * x.clone()).unwrap();
+    m.output("y", x, "m").unwrap();
     let t: Vec<f64> = (0..n).map(|i| 0.01 * i as f64).collect();
     let y = t.iter().map(|t| 3.0 * (2.0 * t).cos()).collect();
     let record = Experiment::new(&m, "run", t, [("y", y)]).unwrap();

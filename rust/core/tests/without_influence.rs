@@ -13,9 +13,9 @@ fn of_a_state_that_nothing_measures() {
         let mut m = Model::new("hidden");
         let [x, z] = ["x", "z"].map(|name| m.state(name, "").unwrap());
         let [p, q] = [("p", -0.3), ("q", 0.1)].map(|(n, v)| m.parameter(Parameter::new(n, v)).unwrap());
-        m.equation("x", p * &x, None).unwrap();
-        m.equation("z", right(&x, &z, &q), None).unwrap();
-        m.output("x", x, "", None).unwrap();
+        m.equation("x", p * &x).unwrap();
+        m.equation("z", right(&x, &z, &q)).unwrap();
+        m.output("x", x, "").unwrap();
         let t: Vec<f64> = (0..101).map(|k| 0.05 * f64::from(k)).collect();
         let y = t.iter().map(|t| (-0.5 * t).exp() + 1e-3 * (1e4 * t).sin()).collect();
         let runs = [Experiment::new(&m, "run", t, [("x", y)]).unwrap()];

@@ -105,15 +105,15 @@ impl PyModel {
     }
 
     fn quantity(&mut self, name: &str, expr: Operand, source: Option<String>) -> PyResult<PyExpr> {
-        self.0.quantity(name, expr.0, source).map(PyExpr).map_err(raise)
+        self.0.written_at(source).quantity(name, expr.0).map(PyExpr).map_err(raise)
     }
 
     fn equation(&mut self, state: &str, expr: Operand, source: Option<String>) -> PyResult<()> {
-        self.0.equation(state, expr.0, source).map_err(raise)
+        self.0.written_at(source).equation(state, expr.0).map_err(raise)
     }
 
     fn output(&mut self, name: &str, expr: Operand, unit: &str, source: Option<String>) -> PyResult<()> {
-        self.0.output(name, expr.0, unit, source).map_err(raise)
+        self.0.written_at(source).output(name, expr.0, unit).map_err(raise)
     }
 
     /// `end` is "initial", "final" or "periodic".
@@ -124,7 +124,7 @@ impl PyModel {
             "periodic" => End::Periodic,
             _ => return Err(PyValueError::new_err(format!("unknown end '{end}'"))),
         };
-        self.0.condition(end, state, expr.0, source).map_err(raise)
+        self.0.written_at(source).condition(end, state, expr.0).map_err(raise)
     }
 
     /// End, state, expression and source.

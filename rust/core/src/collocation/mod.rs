@@ -61,8 +61,8 @@ impl Default for Settings {
 ///
 /// let mut m = Model::new("ramp");
 /// let (x, slope) = (m.state("x", "m")?, m.parameter(Parameter::new("slope", 0.0))?);
-/// m.equation("x", slope, None)?;
-/// m.output("x", x, "", None)?;
+/// m.equation("x", slope)?;
+/// m.output("x", x, "")?;
 /// let run = Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 3.1, 5.0])])?;
 ///
 /// let noise = Noise::Gaussian(vec![Sigma::Known(0.1)]);

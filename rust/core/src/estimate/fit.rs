@@ -80,9 +80,9 @@ pub struct Record {
 /// let mut m = Model::new("fall");
 /// let (h, v) = (m.state("h", "m")?, m.state("v", "m/s")?);
 /// let g = m.parameter(Parameter { unit: "m/s²".into(), ..Parameter::new("g", 0.0) })?;
-/// m.equation("h", v, None)?;
-/// m.equation("v", -g, None)?;
-/// m.output("height", h, "", None)?;
+/// m.equation("h", v)?;
+/// m.equation("v", -g)?;
+/// m.output("height", h, "")?;
 ///
 /// let t: Vec<f64> = (0..40).map(|k| 0.05 * k as f64).collect();
 /// let height = t.iter().map(|t| 20.0 - 0.5 * 9.81 * t * t + 0.01 * (1e4 * t).sin()).collect();

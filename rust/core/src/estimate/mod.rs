@@ -57,8 +57,8 @@ use crate::solver::Settings;
 /// let mut m = Model::new("decay");
 /// let x = m.state("x", "m")?;
 /// let rate = m.parameter(Parameter::new("rate", 0.1))?;
-/// m.equation("x", -(&rate * &x), None)?;
-/// m.output("x", x, "", None)?;
+/// m.equation("x", -(&rate * &x))?;
+/// m.output("x", x, "")?;
 ///
 /// // Two runs from different initial states, measured to 1 mm.
 /// let run = |name, x0: f64| {

@@ -81,8 +81,8 @@ pub use smoothed::Smoothed;
 ///
 /// let mut m = Model::new("random walk with drift");
 /// let (x, slope) = (m.state("x", "m")?, m.parameter(Parameter::new("slope", 0.0))?);
-/// m.equation("x", slope, None)?;
-/// m.output("x", x, "m", None)?;
+/// m.equation("x", slope)?;
+/// m.output("x", x, "m")?;
 /// let run = Experiment::new(&m, "run", vec![0.0, 1.0], [("x", vec![1.0, 3.0])])?;
 ///
 /// let initial = vec![Some((1.0, 0.5))];

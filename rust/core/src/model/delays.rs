@@ -88,8 +88,8 @@ impl Model {
     /// let (q, de) = (m.state("q", "rad/s")?, m.input("de", "rad")?);
     /// let tau = m.parameter(Parameter { lower: Some(0.0), upper: Some(0.5), ..Parameter::new("tau", 0.0) })?;
     /// let de_late = m.delay(&de, &tau, "de_late")?;
-    /// m.equation("q", -2.0 * &q - 5.0 * de_late, None)?;
-    /// m.output("q", q, "", None)?;
+    /// m.equation("q", -2.0 * &q - 5.0 * de_late)?;
+    /// m.output("q", q, "")?;
     /// assert_eq!(m.input_names(), ["de"]); // what records must have
     /// # Ok::<(), phugoid::Error>(())
     /// ```

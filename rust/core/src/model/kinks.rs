@@ -36,7 +36,7 @@ impl Model {
     /// ```
     /// let mut m = phugoid::Model::new("friction");
     /// let v = m.state("v", "m/s")?;
-    /// m.equation("v", -v.sign(), None)?;
+    /// m.equation("v", -v.sign())?;
     /// let kinks = m.kinks();
     /// assert_eq!((kinks.len(), &*kinks[0].place, &*kinks[0].text), (1, "v'", "sign(v)"));
     /// assert_eq!(kinks[0].argument, v);

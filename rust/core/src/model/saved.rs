@@ -147,8 +147,8 @@ impl Model {
     /// let mut m = Model::new("decay");
     /// let x = m.state("x", "m")?;
     /// let rate = m.parameter(Parameter::new("rate", 0.1))?;
-    /// m.equation("x", -(rate * &x), None)?;
-    /// m.output("x", x, "", None)?;
+    /// m.equation("x", -(rate * &x))?;
+    /// m.output("x", x, "")?;
     ///
     /// let text = m.to_json(); // or std::fs::read_to_string("model.json")
     /// assert_eq!(Model::from_json(&text)?, m);
@@ -184,16 +184,16 @@ impl Model {
             model.parameter(p)?;
         }
         for (e, expr) in saved.quantities.into_iter().zip(exprs.by_ref()) {
-            model.quantity(&e.name, expr, e.source)?;
+            model.written_at(e.source).quantity(&e.name, expr)?;
         }
         for (e, expr) in saved.dynamics.into_iter().zip(exprs.by_ref()) {
-            model.equation(&e.name, expr, e.source)?;
+            model.written_at(e.source).equation(&e.name, expr)?;
         }
         for (e, expr) in saved.outputs.into_iter().zip(exprs.by_ref()) {
-            model.output(&e.name, expr, &e.unit, e.source)?;
+            model.written_at(e.source).output(&e.name, expr, &e.unit)?;
         }
         for (c, expr) in saved.conditions.into_iter().zip(exprs) {
-            model.condition(c.end, &c.state, expr, c.source)?;
+            model.written_at(c.source).condition(c.end, &c.state, expr)?;
         }
         if let Some(delays) = saved.delays {
             delays.declare(&mut model)?;

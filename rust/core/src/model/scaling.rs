@@ -72,8 +72,8 @@ impl Model {
     /// let mut m = Model::new("gain");
     /// let (x, u) = (m.state("x", "")?, m.input("u", "V")?);
     /// let (b, c) = (m.parameter(Parameter::new("b", 1.0))?, m.parameter(Parameter::new("c", 1.0))?);
-    /// m.equation("x", b * u - &x, None)?;
-    /// m.output("y", c * x, "", None)?;
+    /// m.equation("x", b * u - &x)?;
+    /// m.output("y", c * x, "")?;
     ///
     /// let found = m.scalings(&[1.0, 1.0])?; // x may be in any unit
     /// assert_eq!(found[0].exponents, [("x".into(), 1.0), ("b".into(), 1.0), ("c".into(), -1.0)]);

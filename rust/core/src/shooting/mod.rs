@@ -47,8 +47,8 @@ use pieces::Uniforms;
 ///
 /// let mut m = Model::new("decay");
 /// let (x, rate) = (m.state("x", "m")?, m.parameter(Parameter::new("rate", 0.1))?);
-/// m.equation("x", -rate * &x, None)?;
-/// m.output("x", x, "", None)?;
+/// m.equation("x", -rate * &x)?;
+/// m.output("x", x, "")?;
 /// let t: Vec<f64> = (0..50).map(|k| 0.1 * k as f64).collect();
 /// let x = t.iter().map(|t| (-0.7 * t).exp() + 1e-3 * (1e4 * t).sin()).collect();
 /// let runs = [Experiment::new(&m, "run", t, [("x", x)])?];

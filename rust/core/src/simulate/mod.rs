@@ -31,8 +31,8 @@ use flow::Flow;
 /// let mut m = Model::new("lag");
 /// let (x, u) = (m.state("x", "")?, m.input("u", "")?);
 /// let tau = m.parameter(Parameter::new("tau", 1.0))?;
-/// m.equation("x", (u - &x) / tau, None)?;
-/// m.output("y", x, "", None)?;
+/// m.equation("x", (u - &x) / tau)?;
+/// m.output("y", x, "")?;
 ///
 /// let t: Vec<f64> = (0..11).map(|k| 0.1 * k as f64).collect();
 /// let run = Experiment::of_inputs(&m, "step", t, [("u", vec![1.0; 11])])?;

@@ -6,7 +6,8 @@ use super::merit::{Goal, Merit};
 use super::newton_system::Factored;
 use super::point::Point;
 use super::program::Program;
-use super::step::{Promise, Step};
+use super::promise::Promise;
+use super::step::Step;
 use super::watchdog::Watchdog;
 
 /// Shortest step.

@@ -1,7 +1,7 @@
 //! The ℓ₁ merit function.
 
 use super::point::Point;
-use super::step::Promise;
+use super::promise::Promise;
 
 /// Part of the promised decrease that must come true (Armijo).
 const ARMIJO: f64 = 1e-4;

@@ -23,6 +23,7 @@ mod newton;
 mod newton_system;
 mod point;
 mod program;
+mod promise;
 mod reduced;
 mod restoration;
 mod settings;
@@ -60,8 +61,8 @@ const NEAR: f64 = 10.0;
 ///
 /// let mut m = Model::new("ramp");
 /// let (x, slope) = (m.state("x", "m")?, m.parameter(Parameter::new("slope", 0.0))?);
-/// m.equation("x", slope, None)?;
-/// m.output("x", x, "", None)?;
+/// m.equation("x", slope)?;
+/// m.output("x", x, "")?;
 /// let runs = [Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 3.1, 5.0])])?];
 ///
 /// let (problem, start) = Estimation::new(&m, &runs).noise("x", Sigma::Known(0.1)).order(2).transcribe()?;

@@ -9,10 +9,11 @@ use super::line_search::LineSearch;
 use super::newton_system::{Factored, NewtonSystem, NoStep};
 use super::point::Point;
 use super::program::Program;
+use super::promise::Promise;
 use super::settings::Settings;
 use super::solution::Solution;
 use super::status::Status;
-use super::step::{Promise, Step};
+use super::step::Step;
 use super::termination::{Ending, Sizes};
 use crate::nlp::NotFinite;
 

@@ -5,7 +5,8 @@ use super::active_set::ActiveSet;
 use super::damping::{Damping, ROUNDED, damps};
 use super::iterate::Iterate;
 use super::program::Program;
-use super::step::{Promise, Step};
+use super::promise::Promise;
+use super::step::Step;
 use crate::linalg::{Curvature, Effort, Factor, KktError, KktSolver, kkt_for};
 use crate::nlp::NotFinite;
 

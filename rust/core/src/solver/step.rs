@@ -1,7 +1,5 @@
-//! The Newton step, and what it promises.
+//! The Newton step.
 
-use super::active_set::ActiveSet;
-use super::iterate::Iterate;
 use super::program::Program;
 
 /// The Newton step, and the multipliers at its end.
@@ -19,32 +17,5 @@ impl Step {
     pub fn copy(&mut self, other: &Step) {
         self.d.copy_from_slice(&other.d);
         self.multipliers.copy_from_slice(&other.multipliers);
-    }
-}
-
-/// What a step promises.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Promise {
-    /// ∇φᵀd
-    pub slope: f64,
-    /// dᵀHd
-    pub curvature: f64,
-    /// Gain in φ if all goes as the model says, and what defects may pretend: distance from the end.
-    pub gain: f64,
-    /// What rounding leaves of that.
-    pub floor: f64,
-}
-
-impl Promise {
-    pub fn of(program: &Program<'_>, iterate: &Iterate, step: &Step, active: &ActiveSet) -> Promise {
-        let (c, xi) = (&iterate.point.c, &iterate.point.xi);
-        let slope: f64 = iterate.gradient.iter().zip(&step.d).map(|(g, d)| g * d).sum();
-        let pull: f64 = step.multipliers.iter().zip(c).map(|(l, c)| l * c).sum();
-        let pretended: f64 = step.multipliers.iter().zip(c).map(|(l, c)| (l * c).abs()).sum();
-        // H d = −∇φ − Aᵀλ − z, and A d = −c.
-        let curvature = -slope + pull - active.pull(&step.d);
-        let own = xi[program.border()..].iter();
-        let sizes: f64 = step.multipliers.iter().zip(own).map(|(l, x)| (l * x).abs()).sum();
-        Promise { slope, curvature, gain: 0.5 * slope.abs() + pretended, floor: 8.0 * f64::EPSILON * sizes }
     }
 }

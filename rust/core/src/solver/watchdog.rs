@@ -2,7 +2,7 @@
 
 use super::iterate::Iterate;
 use super::point::Point;
-use super::step::Promise;
+use super::promise::Promise;
 
 /// Most full steps in a row without a lower merit function, until such steps have led nowhere.
 const PATIENCE: usize = 8;

@@ -20,11 +20,11 @@ pub fn linear() -> Model {
     let [zw, zq, zde, mw, mq, mde] =
         [("Zw", -1.4), ("Zq", -1.5), ("Zde", -6.3), ("Mw", 0.2), ("Mq", -3.7), ("Mde", -12.8)]
             .map(|(name, start)| m.parameter(Parameter::new(name, start)).unwrap());
-    m.equation("w", &zw * &w + (44.57 + &zq) * &q + &zde * &de, None).unwrap();
-    m.equation("q", &mw * &w + &mq * &q + &mde * &de, Some("aircraft.py:12".into())).unwrap();
-    m.output("w", w.clone(), "", None).unwrap();
-    m.output("q", q.clone(), "", None).unwrap();
-    m.output("az", &zw * &w + &zq * &q + &zde * &de, "m/s^2", None).unwrap();
+    m.equation("w", &zw * &w + (44.57 + &zq) * &q + &zde * &de).unwrap();
+    m.written_at(Some("aircraft.py:12".into())).equation("q", &mw * &w + &mq * &q + &mde * &de).unwrap();
+    m.output("w", w.clone(), "").unwrap();
+    m.output("q", q.clone(), "").unwrap();
+    m.output("az", &zw * &w + &zq * &q + &zde * &de, "m/s^2").unwrap();
     m
 }
 
@@ -57,19 +57,19 @@ pub fn nonlinear() -> Model {
     let cmq = m.parameter(Parameter::new("Cmq", -0.9)).unwrap();
     let bias = m.parameter(Parameter::new("bias", 0.01)).unwrap();
     let cl = &cl0 + &cla * &alpha + lookup(&lift_table(), &[&alpha]);
-    let cl = m.quantity("CL", cl, Some("stall.py:8".into())).unwrap();
+    let cl = m.written_at(Some("stall.py:8".into())).quantity("CL", cl).unwrap();
     let cd = select(gt(&alpha, 0.25), &k * &alpha * &alpha * &cl, &k * (&alpha - 0.1) / (1.0 + &cl * &cl));
-    let cd = m.quantity("CD", cd, None).unwrap();
+    let cd = m.quantity("CD", cd).unwrap();
     let time = m.time();
-    m.equation("alpha", &q - &cl * &v / (1.0 + &v * &v) + 0.1 * time.sin(), None).unwrap();
-    m.equation("V", &thrust / &v - &cd * &v * &v - (&alpha - &k).sin(), None).unwrap();
+    m.equation("alpha", &q - &cl * &v / (1.0 + &v * &v) + 0.1 * time.sin()).unwrap();
+    m.equation("V", &thrust / &v - &cd * &v * &v - (&alpha - &k).sin()).unwrap();
     let cm =
         &cma * &alpha + &cmq * &q * (0.3 * &alpha).exp() + lookup(&moment_table(), &[&alpha, &v]) + &de * &v;
-    m.equation("q", cm, None).unwrap();
-    m.output("V", v.clone(), "", None).unwrap();
-    m.output("alpha", &alpha + &bias * &v, "rad", None).unwrap();
-    m.output("q", q.clone(), "", None).unwrap();
-    m.output("az", &cl * &v * &v * alpha.cos() + &cd * alpha.sin() + &de, "m/s^2", None).unwrap();
+    m.equation("q", cm).unwrap();
+    m.output("V", v.clone(), "").unwrap();
+    m.output("alpha", &alpha + &bias * &v, "rad").unwrap();
+    m.output("q", q.clone(), "").unwrap();
+    m.output("az", &cl * &v * &v * alpha.cos() + &cd * alpha.sin() + &de, "m/s^2").unwrap();
     m
 }
 
@@ -78,8 +78,8 @@ pub fn scalar() -> Model {
     let mut m = Model::new("scalar");
     let (x, u) = (m.state("x", "").unwrap(), m.input("u", "").unwrap());
     let a = m.parameter(Parameter::new("a", -0.8)).unwrap();
-    m.equation("x", &a * &x * &x + x.sin() * &u, None).unwrap();
-    m.output("y", &x * &x + &a, "", None).unwrap();
+    m.equation("x", &a * &x * &x + x.sin() * &u).unwrap();
+    m.output("y", &x * &x + &a, "").unwrap();
     m
 }
 

@@ -3,9 +3,6 @@
 use std::ops::Range;
 
 use super::items::Items;
-use super::places::Places;
-use super::shape::{Shape, positions};
-use crate::nlp::Structure;
 
 /// States that no others enter: a system that falls apart, like one of modes, is eliminated part by part.
 ///
@@ -14,7 +11,7 @@ use crate::nlp::Structure;
 pub(super) struct Part {
     /// The states, in ascending order.
     pub states: Vec<usize>,
-    /// Places in [`Shape::dynamic`] of what enters their equations.
+    /// Places among the [dynamic border](super::shape::Shape::dynamic) of what enters their equations.
     pub dynamic: Vec<usize>,
     /// Length of a row of sensitivities to (first states of a group, dynamic border) of the part, padded.
     pub width: usize,
@@ -76,45 +73,4 @@ impl PartPlan {
         let place = (0..part.rows(most)).map(|i| ((i % n) as u32, part.row(i, units.len()) as u32)).collect();
         PartPlan { jacobian, place, rows: own.iter().map(|u| 1.0 / u).collect(), columns }
     }
-}
-
-/// The parts that the dynamics fall into: sets of states that no entry of the Jacobian joins.
-pub(super) fn parts(shape: &Shape, places: &Places, jacobian: &Structure) -> Vec<Part> {
-    let n = shape.n;
-    let of_row = |t: usize| {
-        let row = places.rows[jacobian.rows[t] as usize];
-        row.is_own().then(|| row.index as usize % n)
-    };
-    // Each state points to one of its part, the first of them to itself.
-    let mut to: Vec<usize> = (0..n).collect();
-    let root = |to: &[usize], mut i: usize| {
-        while to[i] != i {
-            i = to[i];
-        }
-        i
-    };
-    for (t, &column) in jacobian.columns.iter().enumerate().filter(|(_, c)| **c as usize >= shape.border) {
-        if let Some(i) = of_row(t) {
-            let (a, b) = (root(&to, i), root(&to, places.variables[column as usize].index as usize % n));
-            to[a.max(b)] = a.min(b);
-        }
-    }
-    let roots: Vec<usize> = (0..n).map(|i| root(&to, i)).collect();
-    let place = positions(&shape.dynamic, shape.border, 0);
-    let mut enters = vec![false; n * shape.dynamic.len()];
-    for (t, &column) in jacobian.columns.iter().enumerate().filter(|(_, c)| (**c as usize) < shape.border) {
-        if let Some(i) = of_row(t) {
-            enters[roots[i] * shape.dynamic.len() + place[column as usize]] = true;
-        }
-    }
-    let mut first = 0;
-    let part = |root: usize| {
-        let states: Vec<usize> = (0..n).filter(|&i| roots[i] == root).collect();
-        let count = shape.dynamic.len();
-        let dynamic: Vec<usize> = (0..count).filter(|d| enters[root * count + d]).collect();
-        let width = (states.len() + dynamic.len()).next_multiple_of(8);
-        first += width;
-        Part { states, dynamic, width, first: first - width, meets: Vec::new() }
-    };
-    (0..n).filter(|&i| roots[i] == i).map(part).collect()
 }

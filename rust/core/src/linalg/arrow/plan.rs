@@ -2,7 +2,7 @@
 
 use super::chain::ChainPlan;
 use super::items::{Items, Slot};
-use super::part::{Part, PartPlan, parts};
+use super::part::{Part, PartPlan};
 use super::places::Places;
 use super::shape::{Shape, positions};
 use crate::interrupt::current;
@@ -34,8 +34,7 @@ impl Plan {
         if current().stops() {
             return None;
         }
-        shape.parts = parts(&shape, &places, jacobian);
-        shape.width = shape.parts.last().map_or(0, |part| part.first + part.width);
+        shape.find_parts(&places, jacobian);
 
         let mut of_rows = rows_by_panel(&shape, &plans, &places, jacobian)?.into_iter();
         let of_points = points_by_panel(&shape, &plans, &places, hessian)?;

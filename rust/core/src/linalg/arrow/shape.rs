@@ -1,6 +1,7 @@
 //! Sizes that all panels share.
 
 use super::part::Part;
+use super::places::Places;
 use super::run::Run;
 use crate::nlp::{Chains, Structure};
 
@@ -43,6 +44,47 @@ impl Shape {
             ..Shape::default()
         };
         (shape.n.max(shape.coupled.len()) <= usize::from(u16::MAX)).then_some(shape)
+    }
+
+    /// Finds the parts that the dynamics fall into: sets of states that no entry of the Jacobian joins.
+    pub fn find_parts(&mut self, places: &Places, jacobian: &Structure) {
+        let n = self.n;
+        let of_row = |t: usize| {
+            let row = places.rows[jacobian.rows[t] as usize];
+            row.is_own().then(|| row.index as usize % n)
+        };
+        // Each state points to one of its part, the first of them to itself.
+        let mut to: Vec<usize> = (0..n).collect();
+        let root = |to: &[usize], mut i: usize| {
+            while to[i] != i {
+                i = to[i];
+            }
+            i
+        };
+        for (t, &column) in jacobian.columns.iter().enumerate().filter(|(_, c)| **c as usize >= self.border) {
+            if let Some(i) = of_row(t) {
+                let (a, b) = (root(&to, i), root(&to, places.variables[column as usize].index as usize % n));
+                to[a.max(b)] = a.min(b);
+            }
+        }
+        let roots: Vec<usize> = (0..n).map(|i| root(&to, i)).collect();
+        let place = positions(&self.dynamic, self.border, 0);
+        let mut enters = vec![false; n * self.dynamic.len()];
+        for (t, &column) in jacobian.columns.iter().enumerate().filter(|(_, c)| (**c as usize) < self.border)
+        {
+            if let Some(i) = of_row(t) {
+                enters[roots[i] * self.dynamic.len() + place[column as usize]] = true;
+            }
+        }
+        let part = |root: usize| {
+            let states: Vec<usize> = (0..n).filter(|&i| roots[i] == root).collect();
+            let count = self.dynamic.len();
+            let dynamic: Vec<usize> = (0..count).filter(|d| enters[root * count + d]).collect();
+            let width = (states.len() + dynamic.len()).next_multiple_of(8);
+            self.width += width;
+            Part { states, dynamic, width, first: self.width - width, meets: Vec::new() }
+        };
+        self.parts = (0..n).filter(|&i| roots[i] == i).map(part).collect();
     }
 
     /// Length of a row of sensitivities of the whole without the padding.

@@ -247,7 +247,7 @@ def test_bad_input_is_named() -> None:
         ph.linear.fit_linear(truth, data, progress=1)  # type: ignore[arg-type]
     with pytest.raises(ph.ModelError, match="start is a StateSpace"):
         ph.linear.fit_linear("x", data)  # type: ignore[arg-type]
-    with pytest.raises(ph.ModelError, match="cannot be told apart"):
+    with pytest.raises(ph.ModelError, match="cannot be distinguished"):
         ph.linear.fit_linear(([[-1.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], [[1.0, 0.0]]), data)
     with pytest.raises(ph.DataError, match="too short for 2 states"):
         ph.linear.fit_linear(truth, data.window(0, 0.08))

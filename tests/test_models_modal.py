@@ -125,7 +125,7 @@ def test_what_cannot_be_right_is_refused() -> None:
         (ph.OptionError, "sigma_r1 is the damping", lambda: ph.models.modal(1, outputs="r1", n_real=1)),
         (ph.ModelError, "n_modes is 2, but start has 1", lambda: ph.models.modal(2, start=good)),
         (ph.ModelError, "2 inputs are named, but start has 1", lambda: ph.models.modal(inputs="u v", start=good)),
-        (ph.ModelError, "cannot be told apart", lambda: ph.models.modal(start=twice)),
+        (ph.ModelError, "cannot be distinguished", lambda: ph.models.modal(start=twice)),
         (ph.ModelError, "start is a StateSpace, or the matrices", lambda: ph.models.modal(start="gvt")),
         (ph.ModelError, "B has shape", lambda: ph.models.modal(start=(twice[0], [[1.0]], [[1.0, 0.0]]))),
         (ph.ModelError, "A holds numbers that are not finite", lambda: ph.linear.StateSpace([[np.nan]], [[1]], [[1]])),

@@ -161,8 +161,8 @@ def modal_parts(A: _Array, B: _Array, C: _Array) -> ModalParts:
     if not condition < _DISTINCT:
         k, other = _nearest(values)
         raise ModelError(
-            f"modal form: the eigenvalues {values[k]:.6g} and {values[other]:.6g} 1/s cannot be told apart; the modal "
-            "form is for distinct ones: take models.state_space"
+            f"modal form: the eigenvalues {values[k]:.6g} and {values[other]:.6g} 1/s cannot be distinguished; "
+            "the modal form is for distinct ones: take models.state_space"
         )
     left = np.linalg.inv(right)
     chosen = [int(k) for k in np.lexsort((values.real, np.abs(values))) if values[k].imag >= 0.0]

@@ -177,7 +177,9 @@ def _assigned_harmonics(
     every = np.concatenate(list(found.values()))
     if np.unique(every).size < every.size:
         twice = next(k for k in every.tolist() if (every == k).sum() > 1)
-        raise OptionError(f"{caller}: harmonic {twice} is given to two inputs: their effects could not be told apart")
+        raise OptionError(
+            f"{caller}: harmonic {twice} is given to two inputs: their effects could not be distinguished"
+        )
     return found
 
 

@@ -44,21 +44,21 @@ class Delays:
         return [(late, of, tau) for late, (of, tau) in self.inputs.items()], list(self.outputs.items())
 
     def with_input(self, late: str, of: str, tau: str) -> Delays:
-        """One more late input."""
+        """Add one more delayed input."""
         return replace(self, inputs={**self.inputs, late: (of, tau)})
 
     def with_output(self, output: str, tau: str) -> Delays:
-        """One more late output."""
+        """Add one more delayed output."""
         return replace(self, outputs={**self.outputs, output: tau})
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON takes it; empty where nothing is late."""
+        """Return the delays for JSON; empty where nothing is delayed."""
         if not self:
             return {}
         return {"inputs": {late: list(pair) for late, pair in self.inputs.items()}, "outputs": dict(self.outputs)}
 
     @staticmethod
     def from_dict(saved: Mapping[str, Any]) -> Delays:
-        """Reads `to_dict`."""
+        """Read what `to_dict` wrote."""
         inputs = {late: (of, tau) for late, (of, tau) in saved.get("inputs", {}).items()}
         return Delays(inputs, dict(saved.get("outputs", {})))

@@ -58,8 +58,8 @@ def modal(
                      so that c_1a and c_1b are the residue of the mode: nothing is redundant, and standard errors of all
                      parameters exist. The fixed input is the one that excites the mode most at ``start``, else the
                      first; a mode that this input does not excite has no such form. ``"free"`` is the form of the
-                     paper: b is a parameter, the fit warns that b and c cannot be told apart and has no standard errors
-                     of them, and agrees in all quantities that do not depend on the scale.
+                     paper: b is a parameter, the fit warns that b and c cannot be distinguished, has no standard
+                     errors of them, and agrees in all quantities that do not depend on the scale.
     ``bias``         adds ``bias_<output>``, a constant of each experiment.
     ``stable``       bounds every sigma at 0, so that no mode grows; a growing mode of ``start`` is reflected. A mode
                      that represents all resonances above the band may end at the bound, without damping; neither it nor

@@ -34,9 +34,10 @@ Starts = Uniform | Given
 
 
 def fingerprint(problem: Problem, starts: Starts) -> dict[str, Any]:
-    """What makes an outcome what it is, in parts that a message can name: texts and numbers as they are, the model
-    and the data as hashes. The number of threads, where equations stand in the user's files, and what the model does
-    not use of the data have no part in it.
+    """Return all that determines an outcome, in parts that a message can name.
+
+    Texts and numbers stand as they are, the model and the data as hashes. The number of threads, where equations stand
+    in the user's files, and data that the model does not use are left out.
     """
     document = json.loads(problem.model._equations_to_json())
     for group in document.values():
@@ -107,7 +108,7 @@ class Journal:
                 self._file.truncate(self._sound)  # half a line
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._file.close()
 
     def _write(self, line: bytes) -> None:
@@ -117,7 +118,7 @@ class Journal:
         self._sound += len(line)
 
     def _whole_lines(self, text: bytes, first: bytes) -> tuple[list[bytes], int]:
-        """The lines that are complete, and how many bytes they are."""
+        """Return the lines that are complete, and their number of bytes."""
         sound = text.rfind(b"\n") + 1
         if not sound and not first.startswith(text):
             raise self._foreign("its first line is no header")
@@ -242,7 +243,7 @@ def _data_hash(problem: Problem, experiment: Any) -> str:
 
 
 def _differences(key: str, there: Any, here: Any) -> list[str]:
-    """Which parts differ, in words; hashes are not shown."""
+    """Describe which parts differ; hashes are not shown."""
     if there == here:
         return []
     if key == "model":

@@ -129,7 +129,7 @@ def multistart(
 
 
 def _problem(model: Any, data: Any, transcription: Any, noise: Any, start: Any, solver: Any) -> Problem:
-    """What all starts share, as far as it can be checked before the first run."""
+    """Return what all starts share, as far as it can be checked before the first run."""
     if not isinstance(model, Model):
         raise ModelError(f"multistart: the first argument is a Model, not a {type(model).__name__}")
     model.check()

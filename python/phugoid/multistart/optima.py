@@ -49,7 +49,7 @@ class Optimum:
 
 
 def same(one: Outcome, other: Outcome, log_likelihood: float = LOG_LIKELIHOOD, parameters: float = PARAMETERS) -> bool:
-    """Whether two outcomes are the same optimum; the standard errors are those of the first.
+    """Return whether two outcomes are the same optimum; the standard errors are those of the first.
 
     Where one of them is unidentifiable, parameters without a standard error may differ by any amount.
     """
@@ -66,7 +66,7 @@ def same(one: Outcome, other: Outcome, log_likelihood: float = LOG_LIKELIHOOD, p
 def group(
     outcomes: Iterable[Outcome], log_likelihood: float = LOG_LIKELIHOOD, parameters: float = PARAMETERS
 ) -> tuple[Optimum, ...]:
-    """The optima among the outcomes that ended at one, best first.
+    """Group the outcomes that ended at an optimum by it, best first.
 
     From the highest log-likelihood downwards, an outcome joins the first optimum whose representative is the `same`,
     or starts a new one.
@@ -190,7 +190,7 @@ def _scale(gaps: Sequence[float], axis: Axes) -> None:
 
 
 def _label_counts(axis: Axes, plateaus: Sequence[tuple[int, float, float]]) -> None:
-    """Writes each plateau's number of starts above its middle, the largest first, as long as there is room."""
+    """Write each plateau's number of starts above its middle, the largest first, as long as there is room."""
     taken: list[Any] = []
     dpi = figure_of(axis).dpi
     for i, (count, middle, level) in sorted(enumerate(plateaus), key=lambda p: (p[0] > 0, -p[1][0])):
@@ -212,7 +212,7 @@ def _label_counts(axis: Axes, plateaus: Sequence[tuple[int, float, float]]) -> N
 
 
 def _draw_failures(axis: Axes, counts: Counter[str], rank: int) -> None:
-    """One row a status, the commonest at the bottom; ranks go on from those that converged."""
+    """Draw one row a status, the commonest at the bottom; ranks go on from those that converged."""
     color, marker = _FAILED
     rows = counts.most_common()
     for row, (_, count) in enumerate(rows):

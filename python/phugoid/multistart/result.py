@@ -55,7 +55,7 @@ class Multistart:
         return self.group()
 
     def group(self, log_likelihood: float = LOG_LIKELIHOOD, parameters: float = PARAMETERS) -> tuple[Optimum, ...]:
-        """The optima that outcomes reached, best first.
+        """Return the optima that outcomes reached, best first.
 
         An outcome counts where it converged, where the data leave directions undetermined ("unidentifiable"), and where
         only rounding kept it from its tolerances ("acceptable").
@@ -133,7 +133,7 @@ class Multistart:
         return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
-        """The waterfall figure: how far below the best each start ended, in order; optima are plateaus.
+        """Draw the waterfall figure: how far below the best each start ended, in order; optima are plateaus.
 
         Returns the figure and its axes by name: ``"gap"``, and ``"not converged"`` where there are such starts.
         """
@@ -142,7 +142,7 @@ class Multistart:
         return plot_waterfall(self.outcomes, self.optima, title)
 
     def to_pandas(self) -> pandas.DataFrame:
-        """One row a finished start, its number as index.
+        """Return a table with one row a finished start, its number as index.
 
         Columns: optimum (from 1, NA where none was reached), status, log_likelihood, iterations, time (s), message
         (with a remark where the optimum is below the best one known);

@@ -83,7 +83,7 @@ class Conditions:
 
 
 def _entry(value: Any) -> float | str | None:
-    """A number, the name of a parameter, or None for what is not said."""
+    """Return a number, the name of a parameter, or None for an empty entry."""
     try:
         number = float(value)
     except (TypeError, ValueError):

@@ -90,7 +90,7 @@ class PetabProblem:
         return np.asarray(-0.5 * e**2)
 
     def _with_sigmas(self) -> Model:
-        """The model with the standard deviation of each output as an output of its own."""
+        """Return the model with the standard deviation of each output as an output of its own."""
         scales = self.model.noise_model.sigma
         # All are known numbers or expressions.
         sigmas: dict[str, Any] = {f"sigma of {n}": Expr(cast(Any, scales[n])) for n in self.model.output_names}
@@ -203,7 +203,7 @@ def read_petab(path: str | os.PathLike[str]) -> PetabProblem:
 
 
 def _phases(measurements: Any) -> list[Phase]:
-    """The pairs of conditions that are measured, in the order of the table."""
+    """Return the pairs of conditions that are measured, in the order of the table."""
     before = measurements.get("preequilibrationConditionId")
     found: dict[Phase, None] = {}
     for i, during in enumerate(measurements["simulationConditionId"]):

@@ -132,7 +132,7 @@ class Records:
         raise EvaluationError(f"PEtab: the model does not come to rest in the condition {phase.name}")
 
     def _held_on(self, experiment: Experiment, t: _Array) -> Experiment:
-        """The signals of an experiment as they are at its end, over other times."""
+        """Return the signals of an experiment over other times, constant at their last values."""
         place = np.clip(np.searchsorted(experiment.t, t, side="right") - 1, 0, experiment.n - 1)
         inputs = {n: experiment.input(n)[place] for n in self.model.input_names}
         kinds: dict[str, Interpolation] = dict.fromkeys(inputs, "hold")

@@ -163,7 +163,7 @@ def _stoichiometry(model: Any) -> dict[str, list[tuple[str, float]]]:
 
 
 def _unsupported(model: Any) -> Iterator[str]:
-    """What this reader does not know, in words."""
+    """Yield the elements of the model that this reader does not support, in words."""
     compartments = {c.getId() for c in model.getListOfCompartments()}
     for rule in model.getListOfRules():
         if rule.isAlgebraic():

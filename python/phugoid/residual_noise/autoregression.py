@@ -72,16 +72,16 @@ class Autoregression:
         return np.array(c)
 
     def covariance(self, lags: int) -> _Array:
-        """(lags,) autocovariance from lag 0 on, in the unit of the residuals squared."""
+        """Return the autocovariance (lags,) from lag 0 on, in the unit of the residuals squared."""
         return _continued(self.covariances, self.coefficients, lags)
 
     def autocorrelation(self, lags: int) -> _Array:
-        """(lags,) of the model, from lag 0, where it is 1."""
+        """Return the autocorrelation (lags,) of the model, from lag 0, where it is 1."""
         c = self.covariance(lags)
         return np.asarray(c / c[0] if c[0] > 0.0 else np.eye(1, lags)[0])
 
     def response(self, lags: int) -> _Array:
-        """(lags,) what becomes of an innovation of 1: weights of innovations now and before in r."""
+        """Return the impulse response (lags,): the weights of this and earlier innovations in the residual."""
         p = self.order
         first = np.zeros(p + 1)
         first[0] = 1.0
@@ -90,7 +90,10 @@ class Autoregression:
         return _continued(first, self.coefficients, lags)
 
     def spectrum(self, lags: int, size: int) -> _Array:
-        """Of the autocovariance up to so many lags, for `numpy.fft.rfft` of a size that is at least twice that."""
+        """Return the spectrum of the autocovariance up to so many lags, on the frequencies of `numpy.fft.rfft`.
+
+        ``size``: at least twice the number of lags.
+        """
         c = self.covariance(lags)
         both = np.zeros(size)
         both[:lags] = c
@@ -98,7 +101,7 @@ class Autoregression:
         return np.asarray(np.fft.rfft(both).real)
 
     def innovations(self, grid: _Array) -> _Array:
-        """(G,) or (G, m) values on a grid passed through the filter 1 - a_1 z^-1 - ...; NaN where a lag is missing."""
+        """Pass values (G,) or (G, m) on a grid through the filter 1 - a_1 z^-1 - ...; NaN where a lag is missing."""
         p = self.order
         if p == 0:
             return grid
@@ -109,14 +112,15 @@ class Autoregression:
         return out
 
     def deviation(self, grids: Sequence[_Array]) -> float:
-        """Standard deviation of the innovations of series on grids, NaN where missing, less degrees of freedom."""
+        """Return the standard deviation of the innovations of series on grids (NaN where missing), with the degrees of
+        freedom of the model taken off."""
         found = np.concatenate([self.innovations(grid) for grid in grids])
         found = found[np.isfinite(found)]
         return math.sqrt(float(found @ found) / max(found.size - self.order, 1))
 
 
 def _continued(first: _Array, a: _Array, n: int) -> _Array:
-    """(n,) a sequence that goes on from its first values as x[t] = a_1 x[t-1] + ...: in blocks."""
+    """Continue a sequence from its first values as x[t] = a_1 x[t-1] + ..., up to n values, in blocks."""
     p = a.size
     out = np.zeros(n)
     out[: first.size] = first[:n]
@@ -136,7 +140,7 @@ def _continued(first: _Array, a: _Array, n: int) -> _Array:
 
 
 def burg(runs: Sequence[_Array]) -> Autoregression:
-    """The AR models of residuals: ``runs`` are (n,) each, equally spaced and without a gap.
+    """Fit the AR models of residuals: ``runs`` are (n,) each, equally spaced and without a gap.
 
     Runs (k, n) are k sequences that stand for the same samples: their squares are added, and samples count once.
 
@@ -183,7 +187,7 @@ class CorrelatedNoise:
         self._spectra: dict[int, _Array] = {}
 
     def spread(self, weights: Sequence[_Array]) -> float:
-        """Standard deviation of the weighted sum of residuals; each experiment has a memory of its own.
+        """Return the standard deviation of the weighted sum of residuals; experiments are independent of each other.
 
         ``weights``: (G,) on the grid of each experiment, 0 where there is no sample. For weights 1/n it is the standard
         error of a mean, corrected for blocks of samples that are alike.
@@ -196,7 +200,7 @@ class CorrelatedNoise:
         return math.sqrt(max(total, 0.0))
 
     def effective(self, n: int) -> float:
-        """Samples that n such ones in a row are worth for their mean."""
+        """Return the number of independent samples that determine a mean as well as n such samples in a row."""
         return float(np.clip(self.spread([np.full(n, 1.0 / n)]) ** -2.0, 1.0, n))
 
     def _spectrum(self, size: int) -> _Array:

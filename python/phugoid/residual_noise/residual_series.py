@@ -42,7 +42,7 @@ class Series:
 
 
 def channel_series(records: Sequence[Record], channel: str) -> list[Series]:
-    """One for each experiment where the channel has two samples or more."""
+    """Return one series for each experiment where the channel has two samples or more."""
     found = []
     for record in records:
         r = residual_of(record, channel)
@@ -76,7 +76,7 @@ def residual_of(record: Record, channel: str) -> _Array | None:
 
 
 def same_rate(series: Sequence[Series]) -> tuple[list[Series], list[Series]]:
-    """Those sampled at the rate that most samples have, and the others."""
+    """Split series into those sampled at the rate that most samples have, and the others."""
     steps = np.array([s.segment.step for s in series])
     alike = np.abs(steps[:, None] - steps) < 0.01 * steps  # [i, j]: as the step of j has it
     most = int(np.argmax(np.array([s.r.size for s in series]) @ alike))
@@ -85,7 +85,7 @@ def same_rate(series: Sequence[Series]) -> tuple[list[Series], list[Series]]:
 
 
 def _outliers(r: _Array) -> NDArray[np.bool_]:
-    """(n,) Whether a sample is far off the median of its neighbours, and alone: many in a row are a misfit."""
+    """Mark samples (n,) that are far off the median of their neighbours, and alone: many in a row are a misfit."""
     from scipy.ndimage import median_filter
 
     none = np.zeros(r.size, dtype=bool)
@@ -113,7 +113,7 @@ def _regressors(record: Record, there: NDArray[np.int64]) -> dict[str, _Array]:
     found: dict[str, _Array] = {}
     for name, values in (own | rates).items():
         x = values[there]
-        # The rate of an angle is often a state itself: told of once.
+        # The rate of an angle is often a state itself, and is listed once.
         if _moves(x) and not any(abs(np.corrcoef(x, y)[0, 1]) > _SAME for y in found.values()):
             found[name] = x
     return found

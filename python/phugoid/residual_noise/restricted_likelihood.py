@@ -43,7 +43,7 @@ class GridColumns:
         self._transform = np.fft.rfft(self.columns, self.n)
 
     def times(self, process: Autoregression) -> _Array:
-        """(k, size) the columns times the covariance matrix of a process on the grid."""
+        """Return the columns times the covariance matrix of a process on the grid, (k, size)."""
         spectrum = process.spectrum(self.segment.size, self.n)
         return np.asarray(np.fft.irfft(self._transform * spectrum, self.n)[:, : self.segment.size])
 
@@ -51,7 +51,7 @@ class GridColumns:
 def restricted_autoregressions(
     segments: Sequence[Sequence[UniformSegment]], values: _Array, columns: _Array
 ) -> list[Autoregression]:
-    """The process of each channel, by restricted maximum likelihood (Patterson & Thompson 1971).
+    """Estimate the process of each channel by restricted maximum likelihood (Patterson & Thompson 1971).
 
     values   (n_rows,) residuals.
     columns  (n_rows, k) by which the fit may have moved them.
@@ -79,7 +79,7 @@ def restricted_autoregressions(
 
 
 def _innovations(model: Autoregression, segment: UniformSegment, values: _Array) -> tuple[_Array, _Array]:
-    """(size,) innovations in units of their standard deviation, 0 where a lag is missing; and 1 where none is."""
+    """Return innovations (size,) in units of their standard deviation, 0 where a lag is missing, and where none is."""
     e = model.innovations(segment.on_grid(values[segment.rows]))
     known = np.isfinite(e)
     return np.where(known, e, 0.0) / math.sqrt(max(model.power, 1e-300)), known.astype(np.float64)
@@ -128,7 +128,7 @@ def _shifted(x: _Array, y: _Array, lag: int) -> float:
 def shared_covariance(
     linked: Links, processes: Sequence[Autoregression], columns: Sequence[Sequence[GridColumns]]
 ) -> _Array:
-    """(k, k) what noise that channels have in common adds to the covariance of sums of it weighted by columns."""
+    """Return what noise common to channels adds to the covariance (k, k) of its sums weighted by columns."""
     k = columns[0][0].columns.shape[0]
     total = np.zeros((k, k))
     for e in range(len(columns[0])):

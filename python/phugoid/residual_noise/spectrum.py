@@ -63,7 +63,9 @@ class Spectrum:
 
 
 def spectrum_of(series: Sequence[Series], alpha: float) -> Spectrum:
-    """By Welch's method (1967; segments with Hann's window, half overlapped), over all experiments of one rate.
+    """Estimate the spectrum by Welch's method, over all experiments of one rate.
+
+    Welch (1967): segments with Hann's window, half overlapped.
 
     Segments are not freed of their mean: a bias is part of the misfit. Gaps count as residuals of zero, and the density
     is scaled to the samples that are there.

@@ -57,12 +57,12 @@ class UniformSegment:
         return grid
 
     def from_row(self, first: int) -> UniformSegment:
-        """The same where rows are counted from another."""
+        """Return the same segment where rows are counted from another one."""
         return UniformSegment(slice(self.rows.start + first, self.rows.stop + first), self.places, self.step)
 
 
 def uniform_segments(times: _Array) -> Sequence[UniformSegment]:
-    """The segments of increasing times (n,): where a step is no multiple of the usual one, another begins.
+    """Return the segments of increasing times (n,): where a step is no multiple of the usual one, another begins.
 
     The usual step is the median; where more samples are missing than that tells, a lesser one that leaves fewer
     segments.
@@ -86,8 +86,8 @@ def _split(steps: _Array, usual: float) -> list[UniformSegment]:
 
 
 def sampled_segment(times: _Array) -> UniformSegment:
-    """One segment of all times (n,), two or more: each sample is so many median steps after the one before, whatever
-    the jitter of its stamp."""
+    """Return one segment of all times (n,), two or more: each sample follows the one before after so many median steps,
+    whatever the jitter of its time."""
     steps = np.diff(times)
     step = float(np.median(steps))
     numbers = np.clip(np.rint(steps / step), 1, _LONGEST_GAP).astype(np.intp)
@@ -95,7 +95,7 @@ def sampled_segment(times: _Array) -> UniformSegment:
 
 
 def output_segments(times: _Array, rows: Sequence[Sequence[slice]]) -> list[list[UniformSegment]]:
-    """segments[i][e] of output i in experiment e, whose samples at ``times`` are ``rows[i][e]``.
+    """Return segments[i][e] of output i in experiment e, whose samples at ``times`` are ``rows[i][e]``.
 
     A sample stands on the nearest grid point; of samples that are nearer to each other than a step, later ones stand
     on the next. Outputs that are sampled alike have the same grid points.
@@ -118,7 +118,7 @@ def output_segments(times: _Array, rows: Sequence[Sequence[slice]]) -> list[list
 
 
 def _usual_step(times: list[_Array]) -> float:
-    """The usual spacing: the mean of those steps that are nearly a whole number of median ones."""
+    """Return the usual spacing: the mean of those steps that are nearly a whole number of median ones."""
     steps = np.concatenate([np.diff(t) for t in times]) if times else np.empty(0)
     if not steps.size:
         return 1.0

@@ -20,7 +20,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RowStructure:
-    """How rows of residuals hang together.
+    """Which rows of residuals belong together: to one segment, or to one time.
 
     segments  segments[i] those of output i.
     together  rows of the same time: for each set of outputs that are measured at the same times, these outputs and
@@ -39,8 +39,8 @@ class RowStructure:
 
 
 class Whitening:
-    """Autoregressive models of all channels, and how their errors go together: what makes rows of residuals and
-    sensitivities white.
+    """Autoregressive models of all channels and the correlation of their errors, which whiten rows of residuals and
+    sensitivities.
 
     channels     the models, one an output.
     correlation  (n_y, n_y) of their errors at the same time; None where they are independent.
@@ -63,7 +63,7 @@ class Whitening:
 
     @classmethod
     def of(cls, residuals: _Array, rows: RowStructure) -> Whitening:
-        """The models of residuals (n_rows,)."""
+        """Fit the models of residuals (n_rows,)."""
         channels = [
             burg([residuals[segment.rows][run] for segment in line for run in segment.runs]) for line in rows.segments
         ]
@@ -77,7 +77,7 @@ class Whitening:
         return sum(c.order for c in self.channels) + (n * (n - 1) // 2 if self.correlation is not None else 0)
 
     def on(self, rows: RowStructure) -> Whitening:
-        """The same models on other rows."""
+        """Return the same models on other rows."""
         return Whitening(self.channels, rows, self.correlation)
 
     def __call__(self, rows: _Array) -> _Array:
@@ -85,19 +85,18 @@ class Whitening:
         return self._core.errors(np.ascontiguousarray(rows.reshape(-1, rows.shape[-1]))).reshape(rows.shape)
 
     def products(self, columns: _Array, vectors: _Array, sizes: Sequence[int]) -> tuple[_Array, _Array]:
-        """What there is to know of columns (k, n_rows) once they are white, without storing them so: products with
-        vectors (m, n_rows), (k, m); and with each other in groups of so many columns, their squares one after the
-        other."""
+        """Return products of whitened columns (k, n_rows), without storing these: with vectors (m, n_rows), as (k, m);
+        and with each other in groups of so many columns, as squares one after the other."""
         return self._core.products(columns, np.ascontiguousarray(vectors), sizes)
 
     def log_densities(self, errors: _Array) -> _Array:
-        """(n_rows,) log-likelihood of each row, given those before it, of errors (n_rows,) that were whitened; without
-        the constant of the normal density."""
+        """Return the log-likelihood of each row given those before it, (n_rows,), from whitened errors (n_rows,),
+        without the constant of the normal density."""
         return np.asarray(-0.5 * errors**2 - self._core.log_scales())
 
 
 def _correlation(errors: _Array, rows: RowStructure, n: int) -> _Array | None:
-    """Of the errors of n channels at the same times, or None where their independence is the better model."""
+    """Return the correlation of n channels' errors at the same times; None where independence is the better model."""
     products, counts = np.zeros((n, n)), np.zeros((n, n))
     for which, at in rows.together:
         e = errors[at]
@@ -165,7 +164,7 @@ class MultivariateWhitening:
         return n_y * n_y * p + n_y * (n_y - 1) // 2
 
     def on(self, rows: RowStructure) -> MultivariateWhitening:
-        """The same model on other rows."""
+        """Return the same model on other rows."""
         return MultivariateWhitening(self.orders, self.scale, rows)
 
     def __call__(self, rows: _Array) -> _Array:
@@ -195,8 +194,8 @@ class MultivariateWhitening:
         return whitened.reshape(rows.shape)
 
     def log_densities(self, errors: _Array) -> _Array:
-        """(n_rows,) log-likelihood of each row, given those before it, of errors (n_rows,) that were whitened; without
-        the constant of the normal density."""
+        """Return the log-likelihood of each row given those before it, (n_rows,), from whitened errors (n_rows,),
+        without the constant of the normal density."""
         out = -0.5 * errors**2
         for channel, line in enumerate(self.rows.segments):
             for segment in line:
@@ -211,7 +210,7 @@ Filter: TypeAlias = Whitening | MultivariateWhitening
 
 
 def _regression(runs: list[_Array], p: int) -> tuple[_Array, _Array]:
-    """Samples, and the p before each, (times, n_y) and (times, n_y p), the latest first."""
+    """Return samples (times, n_y), and the p before each (times, n_y p), the latest first."""
     now = [run[p:] for run in runs if run.shape[0] > p]
     past = [
         np.hstack([np.empty((run.shape[0] - p, 0)), *(run[p - 1 - i : run.shape[0] - 1 - i] for i in range(p))])

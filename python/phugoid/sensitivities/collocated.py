@@ -21,7 +21,7 @@ _ENDS = ("converged", "acceptable", "unidentifiable")
 
 
 def dataset(fit: FitResult) -> Sequence[Experiment]:
-    """The data of a fit; of one from a file what its records hold."""
+    """Return the data of a fit; for a fit from a file, what its records hold."""
     if fit.experiments:
         return fit.experiments
     return [
@@ -33,7 +33,7 @@ def dataset(fit: FitResult) -> Sequence[Experiment]:
 
 
 def collocated(fit: FitResult) -> FitResult:
-    """The fit by collocation, with its solution at hand: estimated again from it where it is another."""
+    """Return the fit by collocation with its solution: re-estimated from the given fit where that is another."""
     inner = fit._moved or fit
     if isinstance(inner.transcription, Collocation) and inner.solution is not None:
         return fit
@@ -52,8 +52,10 @@ def cheap(fit: FitResult, again: bool = False) -> bool:
 
 
 def collocated_for(fit: FitResult, caller: str) -> FitResult:
-    """The fit by collocation, for a caller that linearises it. Raises OptionError for one with process noise, or that
-    has not come to an end."""
+    """Return the fit by collocation, for a caller that linearises it.
+
+    Raises OptionError for a fit with process noise, and for one that has not converged.
+    """
     if isinstance(fit.transcription, FilterError):
         raise OptionError(
             f"{caller}: is not offered for fits with process noise (FilterError): their innovations are white where "

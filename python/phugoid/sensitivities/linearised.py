@@ -74,7 +74,7 @@ class Linearised:
         self._evaluate()
 
     def _sigma(self, output: str) -> float:
-        """Of the noise as the fit has it; where that is nothing of the kind, of the residual."""
+        """Return the standard deviation of an output's noise; without one in the fit, that of its residuals."""
         label = f"sigma_{output}"
         if label in self.inner.parameters:
             return self.inner.parameters[label].value
@@ -88,7 +88,7 @@ class Linearised:
         return float(np.sqrt(np.mean(r**2))) or 1.0
 
     def _evaluated(self, output: str, expression: Expr) -> float:
-        """Of noise that is an expression of parameters alone."""
+        """Return the standard deviation of noise that is an expression of parameters alone."""
         own = {n: e.value for n, e in self.inner.parameters.items()} | {
             n: p.start for n, p in self.model.declared_parameters.items() if p.fixed
         }
@@ -108,14 +108,14 @@ class Linearised:
         return np.concatenate(parts)
 
     def scale(self) -> _Array:
-        """(n_rows,) standard deviation of the noise in each row."""
+        """Return the standard deviation of the noise in each row, (n_rows,)."""
         scale = np.empty(self.n_rows)
         for sigma, line in zip(self.sigmas, self.rows, strict=True):
             scale[line[0].start : line[-1].stop] = sigma
         return scale
 
     def _evaluate(self) -> None:
-        """Derivatives of f and g along the path, at all points, by symbols."""
+        """Evaluate the derivatives of f and g along the trajectory, at all points, by symbols."""
         model, problem, record = self.model, self._problem, self.inner.records
         derivatives = Derivatives(model, self.fit.model)
         self.points: list[Points] = []
@@ -173,7 +173,7 @@ class Linearised:
         return columns
 
     def _points(self, name: str, columns: _Array, found: Any) -> Points:
-        """The path at all points; slopes of inputs and outputs by differences along time."""
+        """Return the trajectory at all points; slopes of inputs and outputs come from differences over time."""
         model, t = self.model, columns[0]
 
         def rate(v: _Array) -> _Array:
@@ -200,7 +200,7 @@ class Linearised:
         return columns, answers[: self._problem.n_theta].copy()
 
     def directions(self) -> tuple[_Array, _Array]:
-        """As `moves`, with changes of the variables (n_theta + n_samples n_x, k): then of the states at all samples."""
+        """Return what `moves` does, with changes of variables and all sampled states, (n_theta + n_samples n_x, k)."""
         problem, held = self._problem, self._held()
         n_theta, n_x = problem.n_theta, problem.n_states
         wanted = [i for i in range(n_theta) if i not in held]
@@ -220,7 +220,7 @@ class Linearised:
         return columns[:, kept] / size[kept], answers[kept].T / size[kept]
 
     def _conditions(self, variables: Sequence[int]) -> _Array:
-        """(k, n) combinations of variables that leave the conditions on the beginnings of the records met."""
+        """Return the combinations of variables (k, n) that keep the conditions on the initial states satisfied."""
         problem = self._problem
         conditions = np.zeros((len(problem.boundary_states), problem.n))
         rows, columns = problem.jacobian_structure()
@@ -241,7 +241,7 @@ class Linearised:
 
     @cached_property
     def structure(self) -> RowStructure:
-        """How the rows hang together."""
+        """Which rows belong to one segment, and which to one time."""
         segments = [[s.from_row(r.start) for r in line for s in uniform_segments(self.times[r])] for line in self.rows]
         # What a late sensor measured together with others it measured at their time, not at its own.
         measured = np.concatenate(
@@ -267,7 +267,7 @@ class Linearised:
         return RowStructure(segments, together, complete)
 
     def over_time(self, rows: _Array) -> list[_Array]:
-        """Sums of rows (n_rows,) of the same time, in the order of time, for each experiment."""
+        """Return the sums of rows (n_rows,) of the same time, in the order of time, for each experiment."""
         found = []
         for e in range(len(self.experiments)):
             mine = np.concatenate([np.arange(line[e].start, line[e].stop) for line in self.rows])
@@ -308,11 +308,11 @@ class Linearised:
         return np.concatenate(all_rows)
 
     def place(self, name: str) -> int:
-        """Of a parameter among the variables."""
+        """Return the position of a parameter among the variables."""
         return [n for n, *_ in self._problem.estimands].index(name)
 
     def value(self, name: str, step: _Array, covariance: _Array) -> tuple[float, float]:
-        """Of a parameter of the model after a step of the variables, and its standard error."""
+        """Return the value of a parameter after a step of the variables, and its standard error."""
         i = self.place(name)
         n = len(self._problem.estimands)
         _, slope = self._problem.values(self._xi[:n].tolist())[i]
@@ -320,7 +320,7 @@ class Linearised:
         return value, float(abs(slope) * np.sqrt(covariance[i, i]))
 
     def without_states(self, columns: _Array, parameters: _Array) -> _Array:
-        """What is left of answers (k, n_rows), in units of the noise, when first states alone take part in them.
+        """Return what is left of responses (k, n_rows), in units of the noise, with only initial states free.
 
         ``parameters`` (k, n_theta) is how parameters took part.
         """
@@ -330,7 +330,7 @@ class Linearised:
         return np.asarray(columns - (columns @ basis) @ basis.T)
 
     def beside_states(self, moves: _Array) -> tuple[_Array, _Array]:
-        """What tangents with changes ``moves`` (n, k) of n parameters are of these, and of first states.
+        """Split tangents with changes ``moves`` (n, k) of n parameters into those of parameters and of initial states.
 
         (k, n) combinations of tangents in the least way for a change of each parameter, and (n_rows, m) an orthonormal
         basis of the outputs' changes, in units of the noise, that first states make alone.
@@ -366,7 +366,7 @@ class Linearised:
         return by_state, by_variable, np.vstack(rows)
 
     def _outputs(self, answers: _Array) -> _Array:
-        """(k, n_rows) changes of the outputs by those of variables and states."""
+        """Return the changes of the outputs (k, n_rows) that follow from those of variables and states."""
         by_state, by_variable, rows = self._derivatives
         k, n_theta = answers.shape[0], self._problem.n_theta
         states = answers[:, n_theta:].reshape(k, len(rows), -1).transpose(1, 2, 0)
@@ -376,7 +376,7 @@ class Linearised:
         return out
 
     def columns(self, effects: Sequence[tuple[AddedTerm, Mapping[str, float]]]) -> tuple[_Array, _Array, list[slice]]:
-        """The outputs' answers to the coefficients of candidates at a shape.
+        """Return the responses of the outputs to the coefficients of candidates at a shape.
 
         (k, n_rows) answers, (k, n_theta) how parameters took part in them, and which of the k are each effect's. What
         differs by tangents is the same answer: parameters and first states take part in the least way, or none.
@@ -398,7 +398,7 @@ class Linearised:
         return answers, parameters, groups
 
     def answers(self, place: Place, signals: Sequence[_Array]) -> _Array:
-        """(k, n_rows) answers of the outputs to signals (k, points of each experiment) at a place."""
+        """Return the responses (k, n_rows) of the outputs to signals (k, points of each experiment) at a place."""
         return self._answers(place, signals)[0]
 
     def _answers(self, place: Place, signals: Sequence[_Array]) -> tuple[_Array, _Array]:

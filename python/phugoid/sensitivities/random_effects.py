@@ -120,12 +120,14 @@ class RandomEffects:
         return other
 
     def at(self, variance: float, noise: _Array) -> Marginal:
-        """The likelihood at given variances, maximised over b only."""
+        """Return the likelihood at given variances, maximised over b only."""
         return self._marginal(np.log(np.array([variance, *(np.asarray(noise) / self._units**2)])))
 
     def maximised(self, noise: _Array, variance: float | None = None) -> Marginal:
-        """The likelihood at the variances that are likeliest, sought from a variance of the noise for each output, and
-        one of the coefficients where it is known nearly.
+        """Return the likelihood, maximised over the variances too.
+
+        The search starts from a variance of the noise for each output, and from one of the coefficients where that is
+        nearly known.
 
         First by the steps of MacKay (1992, eq. 5), which go far, then by L-BFGS-B, which settles them.
         """
@@ -209,5 +211,5 @@ class RandomEffects:
 
 
 def at_knots(times: _Array, knots: Sequence[float] | _Array) -> _Array:
-    """(k, n) broken lines that are 1 at one of k knots and 0 at the others, at n times."""
+    """Return broken lines (k, n) that are 1 at one of k knots and 0 at the others, at n times."""
     return np.stack([np.interp(times, knots, row) for row in np.eye(len(knots))])

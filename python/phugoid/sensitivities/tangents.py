@@ -44,8 +44,10 @@ class Tangents:
 
     @classmethod
     def of(cls, fit: FitResult, caller: str) -> Tangents:
-        """Those of a fit; one by shooting, or from a file, is estimated again by collocation, from where it is. Raises
-        OptionError for one with process noise, or that has not come to an end."""
+        """Return the tangents of a fit. A fit by shooting, or from a file, is first re-estimated by collocation.
+
+        Raises OptionError for a fit with process noise, and for one that has not converged.
+        """
         return cls(Linearised(collocated_for(fit, caller)))
 
     def __init__(self, linear: Linearised) -> None:
@@ -88,8 +90,11 @@ class Tangents:
         return found
 
     def _exact(self, ends: tuple[int, ...] = (0,)) -> _Array | None:
-        """From the covariance of variables that tell where in the space one is: parameters and first states. In an
-        unstable motion first states alone hardly tell, so last ones take part; they take more time."""
+        """Compute the tangents from the covariance of variables that determine a point of the space: parameters and
+        initial states.
+
+        In an unstable motion initial states alone hardly determine it, so the last states are added; that takes longer.
+        """
         linear, problem = self.linear, self.linear._problem
         assert linear.inner.solution is not None
         n_theta, n_x, n = problem.n_theta, problem.n_states, len(problem.estimands)
@@ -144,12 +149,12 @@ class Tangents:
         return [name for name, *_ in self.linear._problem.estimands]
 
     def of_parameters(self, coordinates: _Array) -> _Array:
-        """(n, n) covariance of the model's parameters from that of the coordinates (k + j, k + j)."""
+        """Return the covariance (n, n) of the model's parameters from that of the coordinates (k + j, k + j)."""
         root = self.slopes[:, None] * self.moves[: len(self.slopes)]
         return np.asarray(root @ coordinates @ root.T)
 
     def outputs(self) -> list[_Array]:
-        """For each experiment (n_y, N, k + j) changes of the outputs at all samples, measured or not."""
+        """Return for each experiment the changes of the outputs at all samples, measured or not, (n_y, N, k + j)."""
         by_state, by_variable, _ = self.linear._derivatives
         states = self.states.reshape(len(by_state), -1, self.states.shape[1])
         changes = (by_state @ states + by_variable @ self.moves).transpose(1, 0, 2)
@@ -222,7 +227,7 @@ class Scores:
         return all(isinstance(kind, Gaussian) for kind in kinds)
 
     def weighted(self, columns: _Array) -> _Array:
-        """By how much scores fall where the outputs change by columns (n_rows, k), in units of the noise."""
+        """Return by how much scores fall where the outputs change by columns (n_rows, k), in units of the noise."""
         if not self._joint:
             return np.asarray(self._curvature[:, None] * columns)
         out = np.zeros_like(columns)
@@ -231,7 +236,7 @@ class Scores:
         return out
 
     def _jointly(self, noise: Gaussian) -> None:
-        """The weights of correlated noise: inverses of its covariance, of those outputs that are measured."""
+        """Return the weights of correlated noise: inverses of its covariance, for the outputs that are measured."""
         linear = self.linear
         outputs = linear.model.output_names
         first = np.concatenate([np.full(r.stop - r.start, e) for line in linear.rows for e, r in enumerate(line)])
@@ -245,7 +250,7 @@ class Scores:
                     self._joint.append((mine, inverse * np.outer(sizes, sizes)))
 
     def _each(self, noise: Noise) -> None:
-        """Of independent noise, output by output."""
+        """Return the weights of independent noise, output by output."""
         linear = self.linear
         for i, name in enumerate(linear.model.output_names):
             kind = noise.of(name) if isinstance(noise, PerOutput) else noise

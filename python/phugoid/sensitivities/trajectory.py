@@ -68,5 +68,5 @@ class AddedTerm(Protocol):
     def unit_amplitude(self) -> bool: ...
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        """(k, n) signals at the points; k is the number of coefficients, or 1 with unit amplitude."""
+        """Return the signals (k, n) at the points; k is the number of coefficients, or 1 with unit amplitude."""
         ...

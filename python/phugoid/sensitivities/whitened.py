@@ -99,7 +99,7 @@ class Whitened:
         return self.linear.value(name, self.step, self.covariance)
 
     def inflation(self, name: str) -> float:
-        """How much greater the variance of a parameter's estimate is than the filter has it, at least 1.
+        """Return the ratio of the variance of a parameter's estimate to that by the filter, at least 1.
 
         The filter takes channels one by one, but one gust moves all of them, one after the other. The estimate is a sum
         over time; the variance of that sum follows from the covariances of its terms over some lags (Newey & West
@@ -116,7 +116,7 @@ class Whitened:
         return max(1.0, total / size) if size > 0.0 else 1.0
 
     def correlation(self, some: Sequence[str], others: Sequence[str]) -> float:
-        """The greatest between the estimates of two sets of parameters."""
+        """Return the greatest correlation between the estimates of two sets of parameters."""
         places = [[self.linear.place(name) for name in names] for names in (some, others)]
         size = np.sqrt(np.diag(self.covariance))
         parts = self.covariance[np.ix_(*places)] / np.maximum(np.outer(size[places[0]], size[places[1]]), 1e-300)
@@ -129,7 +129,7 @@ class Whitened:
 
 
 def own_whitening(linear: Linearised) -> Whitened:
-    """The fit seen through the filter that is the likeliest together with it, from that of its own residuals."""
+    """Return the fit whitened by the likeliest filter; the search starts from that of the fit's own residuals."""
     return climbed(Whitened(linear, Whitening.of(linear.residuals, linear.structure)))
 
 
@@ -144,9 +144,10 @@ def climbed(best: Whitened) -> Whitened:
 
 
 def joint_whitening(own: Whitened) -> Whitened | None:
-    """The fit seen through the likeliest filter of all channels together; None where one by one is better.
+    """Return the fit whitened by a filter of all channels together; None where one filter a channel is better.
 
-    By Akaike's criterion: it is to doubt what noise channel by channel makes of the evidence, so it is taken early.
+    Akaike's criterion decides, which takes the filter of all channels early: it is there to question the evidence that
+    independent channels give.
     """
     best, order = own, None
     for _ in range(_ROUNDS):

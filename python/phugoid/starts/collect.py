@@ -26,7 +26,7 @@ Watch: TypeAlias = Callable[[Outcome], None]
 
 
 def check_progress(caller: str, progress: Any) -> None:
-    """Raises OptionError, in the caller's name, for what is neither a truth value nor a function."""
+    """Raise OptionError, in the caller's name, for what is neither a truth value nor a function."""
     if not isinstance(progress, bool) and not callable(progress):
         raise OptionError(f"{caller}: progress is True, False or a function, not {progress!r}")
 
@@ -42,10 +42,10 @@ def collect(
     keep: Watch | None = None,
     best: bool = False,
 ) -> dict[int, Outcome]:
-    """Number -> outcome of all work, in order; Ctrl-C and the limit in force end it with what is there.
+    """Return the outcomes by number, in order; Ctrl-C and the time limit end the work with the outcomes so far.
 
     ``known``: outcomes that are there already, among ``total``. ``keep`` is called with each new one before it is
-    shown. ``best``: the bar tells the greatest log-likelihood.
+    shown. ``best``: the bar shows the greatest log-likelihood.
     """
     done = dict(known or {})
     with _watching(progress, title, total, tuple(done.values()), best) as watch, closing(crew.outcomes(work)) as coming:
@@ -63,7 +63,7 @@ def collect(
 
 @contextmanager
 def _watching(progress: bool | Watch, title: str, total: int, done: tuple[Outcome, ...], best: bool) -> Iterator[Watch]:
-    """What to call with each outcome: nothing, our bar, or the user's own function."""
+    """Return what is called with each outcome: nothing, our bar, or the user's own function."""
     if callable(progress):
         yield progress
         return
@@ -101,7 +101,7 @@ class Runs:
 
 
 def common_to(fit: FitResult, caller: str) -> dict[str, Any]:
-    """What all runs share, as `Problem` takes it. Raises OptionError where that cannot be."""
+    """Return what all runs share, as `Problem` takes it. Raises OptionError where they cannot share it."""
     if fit.status not in ("converged", "acceptable"):
         raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")
     if all(e.fixed for e in fit.parameters.values()):
@@ -117,7 +117,7 @@ def common_to(fit: FitResult, caller: str) -> dict[str, Any]:
 
 
 def _without_limit(transcription: Transcription | FilterError) -> Transcription | FilterError:
-    """A limit was that of the fit itself."""
+    """Return the transcription without its time limit, which was that of the fit itself."""
     return replace(transcription, time_limit=None) if isinstance(transcription, FilterError) else transcription
 
 
@@ -129,7 +129,7 @@ def run_all(
     caller: str,
     deadline: Deadline,
 ) -> Runs:
-    """Runs all starts; Ctrl-C and the deadline end it with what is there."""
+    """Run all starts; Ctrl-C and the deadline end it with the outcomes so far."""
     from .workers import Crew  # executors are loaded by whoever runs something
 
     check_progress(caller, progress)

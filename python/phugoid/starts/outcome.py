@@ -74,7 +74,7 @@ class Problem:
     start: Mapping[str, Any] = field(default_factory=dict)
 
     def fit(self, start: Mapping[str, Any]) -> FitResult:
-        """The fit from a start."""
+        """Return the fit from a start."""
         return estimate(
             self.model,
             self.experiments,
@@ -86,7 +86,7 @@ class Problem:
         )
 
     def outcome(self, index: int, start: Mapping[str, Any]) -> Outcome:
-        """What comes of a start. Raises only what every start would: a fault of the model, the data or an option."""
+        """Return the outcome of a start. Raises only what every start would, for a model, data or an option."""
         begin = time.perf_counter()
         try:
             fit = self.fit(start)
@@ -108,7 +108,10 @@ class Problem:
         )
 
     def single_threaded(self) -> Problem:
-        """The same for a worker beside others, unless a number of threads was asked for: the results are the same."""
+        """Return the problem with one thread, for a worker beside others, unless a number of threads was asked for.
+
+        The results are the same.
+        """
         if isinstance(self.transcription, FilterError):  # which has none
             return self
         threads = self.transcription.threads or 1

@@ -21,7 +21,7 @@ Draw = Callable[[int, np.random.Generator], Mapping[str, Any]]
 
 
 def stream(seed: int, index: int) -> np.random.Generator:
-    """The random numbers of one start: its own, whatever other starts there are."""
+    """Return the random numbers of one start, which do not depend on other starts."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
 
 
@@ -37,7 +37,7 @@ class Uniform:
     logarithmic: frozenset[str] = frozenset()
 
     def __call__(self, index: int) -> dict[str, Any]:
-        """The start of that number."""
+        """Return the start of that number."""
         random = stream(self.seed, index)
 
         def drawn(name: str, low: float, high: float) -> float:
@@ -56,12 +56,12 @@ class Given:
     starts: Sequence[dict[str, Any]]
 
     def __call__(self, index: int) -> dict[str, Any]:
-        """The start of that number."""
+        """Return the start of that number."""
         return self.starts[index]
 
 
 def uniform(problem: Problem, ranges: Any, seed: int) -> Uniform:
-    """Starts from ranges. Raises ModelError or OptionError for a range that cannot be right."""
+    """Draw starts from ranges. Raises ModelError or OptionError for a range that cannot be right."""
     if not isinstance(ranges, Mapping) or not ranges:
         raise OptionError(f"ranges: give (low, high) by name, such as {{'Mw': (-1, 1)}}, not {ranges!r}")
     model = problem.model
@@ -100,7 +100,7 @@ def uniform(problem: Problem, ranges: Any, seed: int) -> Uniform:
 
 
 def given(problem: Problem, starts: Any, n: int | None, seed: int) -> Given:
-    """Starts from a sequence, or from a function of number and random numbers, each checked."""
+    """Take starts from a sequence, or from a function of number and random numbers, each checked."""
     if callable(starts):
         made: list[Any] = [starts(i, stream(seed, i)) for i in range(1000 if n is None else n)]
     elif isinstance(starts, Sequence) and not isinstance(starts, str) and starts:
@@ -129,7 +129,7 @@ def _spreads(problem: Problem) -> dict[str, float]:
 
 
 def _check(problem: Problem, own: Mapping[str, Any], spreads: Mapping[str, float]) -> None:
-    """Raises what `estimate` would for a start, without its work."""
+    """Raise what `estimate` would for a start, without its work."""
     model, start = problem.model, {**problem.start, **own}
     check_names(model, start, problem.experiments, problem.noise.names(model.output_names))
     parameters = parameter_start(model, start)
@@ -140,7 +140,7 @@ def _check(problem: Problem, own: Mapping[str, Any], spreads: Mapping[str, float
 
 
 def plain(value: Any) -> Any:
-    """A float or an array of floats where it is one; else as it is, for the checks to refuse."""
+    """Convert to a float or an array of floats where possible; leave anything else for the checks to refuse."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

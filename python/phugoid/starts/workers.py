@@ -46,8 +46,9 @@ _PROBLEMS: dict[str, Problem] = {}
 def run(
     key: str, payload: bytes | None, index: int, start: Mapping[str, Any], ticket: int, left: float | None = None
 ) -> Outcome | None:
-    """A task. None where the worker does not know the problem and was not sent it. ``left``: seconds that it may take.
+    """Run a task; return None where the worker does not have the problem and was not sent it.
 
+    ``left``: seconds that it may take.
     ``ticket`` makes every task differ: Dask takes equal ones for the same, and answers from memory.
     """
     problem = _PROBLEMS.get(key)
@@ -114,8 +115,8 @@ class Crew:
         return tuple(found)
 
     def outcomes(self, starts: Iterable[tuple[int, Mapping[str, Any]]]) -> Generator[Outcome, None, None]:
-        """The outcomes as they come in. At Ctrl-C, and at the limit in force, those that are there, and then
-        KeyboardInterrupt."""
+        """Yield the outcomes as they come in. At Ctrl-C, and at the time limit, yields those that are there, and then
+        raises KeyboardInterrupt."""
         self._fresh = (_StartTask(index, start) for index, start in starts)
         try:
             if self.executor is not None:
@@ -137,7 +138,7 @@ class Crew:
             self._dismiss(wait=idle)
 
     def _here(self) -> Iterator[Outcome]:
-        """In this process, what is left; last what was in flight when a worker died."""
+        """Run what is left in this process; last what was in flight when a worker died."""
         for task in chain(self._waiting[0], self._fresh, self._waiting[1], self._waiting[2]):
             check_time()
             outcome = self.problem.outcome(task.index, task.start)
@@ -148,7 +149,7 @@ class Crew:
             yield outcome
 
     def _there(self, payload: bytes, key: str) -> Iterator[Outcome]:
-        """On the executor, until all is done or it takes no more."""
+        """Run on the executor, until all is done or it takes no more."""
         deadline = Deadline(None)
         while True:
             check_time()
@@ -171,7 +172,7 @@ class Crew:
                 self._replace()
 
     def _submit(self, payload: bytes, key: str) -> bool:
-        """Sends tasks up to the limit; whether the executor turned out to be broken."""
+        """Send tasks up to the limit; return whether the executor turned out to be broken."""
         while self.executor is not None and (task := self._next()):
             self._tickets += 1
             carried = payload if task.carries else None
@@ -190,7 +191,7 @@ class Crew:
         return False
 
     def _next(self) -> _StartTask | None:
-        """The next task to send, if there may be one more in flight. Those with more deaths behind them first."""
+        """Return the next task to send, if one more may be in flight. Those with more deaths behind them come first."""
         deaths = next((k for k in (2, 1) if self._waiting[k]), 0)
         limit = 1 if deaths == _ALONE else self._workers() * (1 if deaths else 2)
         if len(self._flying) >= limit or any(t.deaths != deaths for t in self._flying.values()):
@@ -199,7 +200,7 @@ class Crew:
         return waiting.popleft() if waiting else next(self._fresh, None)
 
     def _workers(self) -> int:
-        """How many starts the executor runs at a time."""
+        """Return how many starts the executor runs at a time."""
         fixed = getattr(self.executor, "_max_workers", None)
         if isinstance(fixed, int):
             return max(fixed, 1)
@@ -214,7 +215,7 @@ class Crew:
         return self._size or os.cpu_count() or 1
 
     def _land(self, future: Future[Outcome | None]) -> Outcome | None:
-        """The outcome of a task that is done; None where it goes back among those that wait."""
+        """Return the outcome of a task that is done; None where it goes back among those that wait."""
         task = self._flying.pop(future)
         error = _failure(future)
         if error is None:
@@ -243,7 +244,7 @@ class Crew:
         return None
 
     def _replace(self) -> None:
-        """A fresh pool in place of the broken one, if it works."""
+        """Return a new pool in place of the broken one, if it works."""
         fresh = _again(self.executor)
         self._dismiss(wait=False)
         if fresh is None:
@@ -276,7 +277,7 @@ def _failure(future: Future[Any]) -> BaseException | None:
 
 
 def _is_loss(error: BaseException) -> bool:
-    """Whether an error tells of the worker rather than of the task."""
+    """Return whether an error concerns the worker rather than the task."""
     lost = (BrokenExecutor, CancelledError, KeyboardInterrupt, SystemExit)
     return isinstance(error, lost) or type(error).__module__.partition(".")[0] == "distributed"
 

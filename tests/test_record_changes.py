@@ -58,7 +58,8 @@ def test_an_offset_of_a_sensor_in_one_record_is_named() -> None:
     d = ph.diagnose(ph.estimate(mass(), runs))
     (f,) = d.findings
     assert f.cause == "x:bias_per_experiment" and f.status == "named", d.summary()
-    assert f.aliases == ("v':bias_per_experiment",)  # a constant force on the spring is the same
+    # A constant force on the spring is the same, and so is an offset of the force that is recorded.
+    assert set(f.aliases) == {"u:bias_per_experiment", "v':bias_per_experiment"}
     assert f.parameters["x[flight 2]"][0] == pytest.approx(0.05, abs=0.002)
 
 
@@ -80,3 +81,36 @@ def test_what_is_missing_in_all_records_is_no_difference_between_them() -> None:
 def test_nothing_differs_where_nothing_does() -> None:
     d = ph.diagnose(ph.estimate(mass(), flights(5, (4.0, 4.0, 4.0))))
     assert not d.findings and d.verdict == "nothing", d.summary()
+
+
+def test_an_offset_that_is_small_beside_the_noise_is_named() -> None:
+    """Noise was counted against it: with offsets of the size of the noise it was called process noise."""
+    runs = flights(6, (4.0, 4.0, 4.0, 4.0), offset=(-0.006, 0.007, 0.001, 0.006))
+    d = ph.diagnose(ph.estimate(mass(), runs[:3]), validation=runs[3])
+    (f,) = d.findings
+    assert f.cause == "x:bias_per_experiment" and f.status == "named", d.summary()
+
+
+def test_offsets_of_an_input_are_named_where_another_place_cannot_stand_for_them() -> None:
+    """The input acts on two equations: an offset of it is none of a sensor, and none in one equation."""
+
+    def model() -> ph.Model:
+        m = ph.Model("short period")
+        (de,), (a, q) = m.inputs(de="rad"), m.states(alpha="rad", q="rad/s")
+        za, zd, ma, mq, md = m.parameters(za=-1.0, zd=-0.5, ma=-6.0, mq=-1.6, md=-9.0)
+        m.dynamics(alpha=za * a + q + zd * de, q=ma * a + mq * q + md * de)
+        m.outputs(alpha=a, q=q)
+        return m
+
+    truth = dict(za=-1.0, zd=-0.5, ma=-6.0, mq=-1.6, md=-9.0)
+    rng, runs = np.random.default_rng(7), []
+    for i, offset in enumerate((0.01, -0.012, 0.002)):
+        de = 0.05 * np.repeat(rng.uniform(-1.0, 1.0, 40), 20)[: T.size]
+        run = ph.simulate(model(), truth, ph.Experiment(T, {"de": de}), initial={"alpha": 0.0, "q": 0.0})
+        y = {n: z + 2e-3 * rng.standard_normal(T.size) for n, z in run.outputs.items()}
+        runs.append(ph.Experiment(T, {"de": de + offset}, y, name=f"flight {i + 1}"))
+    d = ph.diagnose(ph.estimate(model(), runs))
+    (f,) = [f for f in d.findings if f.status == "named"]
+    assert f.cause == "de:bias_per_experiment", d.summary()
+    differences = f.parameters["de[flight 2]"][0] - f.parameters["de[flight 1]"][0]
+    assert abs(abs(differences) - 0.022) < 0.002

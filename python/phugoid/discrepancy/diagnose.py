@@ -50,14 +50,19 @@ __all__ = ["diagnose"]
 _ALIASES = 3
 _INTERVAL = 1.959963984540054  # 95 % of a normal distribution
 _UNEXPLAINED = "the residuals hold more than noise, but no candidate predicts data that were held out"
+_OF_THESE_RECORDS = (
+    "Of the records of the fit alone: {}. With that as it was fitted, the simulation of the validation records gets no "
+    "better, and the extended model is without."
+)
 _AGAIN = (
     "Repeat the same input: what repeats in the residuals is no noise. Then a smaller and a larger one: they tell what "
     "depends on amplitude."
 )
 
 
-def finding_of(result: SearchResult, found: Found, minor: bool) -> Finding:
-    """What a search found, as it is told: with the estimate in the model that it is fitted in."""
+def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | None = None) -> Finding:
+    """Return what a search found, as it is told: with the estimate in the model that it is fitted in, the extended one
+    (``kept``) where it is part of that."""
     aliases = tuple(found.rivals)[:_ALIASES]
     if found.candidate is None:
         nothing = float("nan")
@@ -79,7 +84,8 @@ def finding_of(result: SearchResult, found: Found, minor: bool) -> Finding:
             ringing=found.ringing,
         )
     c = found.candidate
-    final, explained = result.of(c), found.explained
+    final = kept if kept is not None and c.name in kept.names else result.of(c)
+    explained = found.explained
     parameters = final.parameters(c)
     name = next(iter(parameters))
     value, error = parameters[name]
@@ -255,7 +261,8 @@ def diagnose(
         ended = deadline.ended() if interrupted else ""
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
-            findings = [finding_of(result, f, _is_minor(search, result, f)) for f in found]
+            kept = final if interrupted else search.shared(final)
+            findings = [finding_of(result, f, _is_minor(search, result, f), kept) for f in found]
             told = [b for b in between if b.kind != "cubic"]
             units, margin = fit.model.units, RemainderSettings().margin
             held = [finding_of_recorded_input(b, margin, units.get(b.name, "")) for b in told]
@@ -270,8 +277,8 @@ def diagnose(
                 and not (slowly and remainder.is_noise)
             ):
                 findings.append(finding_of_remainder(remainder, fit, RemainderSettings().margin))
-            extension = search.extension(final, known=interrupted)
-            full = search.extension(result.full, known=interrupted) if result.full is not final else None
+            extension = search.extension(kept, known=interrupted)
+            full = search.extension(result.full, known=interrupted) if result.full is not kept else None
             if changes:
                 extension = with_changes(extension, before, changes)
                 full = full and with_changes(full, before, changes)
@@ -294,6 +301,9 @@ def diagnose(
             ranking = tuple(ranking_of(search, search.cache.scan(corrected)))
         scan = search.cache.scan(corrected) if ranking or not ended else None
         notes = (*_notes(scan, final, listed, others, free, ended, search.settings.most), *result.remarks)
+        alone = [c.name for c in final.candidates if c.name not in kept.names]
+        if alone:
+            notes = (*notes, _OF_THESE_RECORDS.format(", ".join(alone)))
         notes = (*notes, *words_of_inputs(between, sampled), *([segments.note] if segments else []))
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
         diagnosed = corrected.fit if sampled or any(b.kind == "cubic" for b in between) else fit

@@ -165,4 +165,9 @@ def _label(finding: Finding) -> str:
 
 
 def _reason(finding: Finding) -> str:
-    return "no term of a model" if finding.status == "named" else finding.status
+    if finding.status != "named":
+        return finding.status
+    # What has parameters could be a term: it was fitted, and the validation records do not have it.
+    return (
+        "of its record alone" if finding.coefficient == finding.coefficient and finding.units else "no term of a model"
+    )

@@ -136,6 +136,14 @@ class Assessment:
             self._held[key] = self._gain_held_out(base, more)
         return self._held[key]
 
+    def held_out_as_fitted(self, base: Refit, more: Refit) -> float:
+        """Return the gain of a whole model, disturbances and drifts as fitted, on held-out data."""
+        before = self._cache.on_validation(base)
+        after = self._cache.as_fitted(more) if before is not None else None
+        if before is None or after is None:
+            return self.held_out(base, more).gain
+        return gain_on_other_data(before, after).gain
+
     def _gain_held_out(self, base: Refit, more: Refit) -> HeldOut:
         new = more.beside(base.candidates)
         others = self._cache.on_validation(base)
@@ -175,13 +183,14 @@ class Assessment:
                 return None
             assert elsewhere is not None
             return Simulated.of(second).explained(Simulated.of(first), Misfitting.of(elsewhere))
-        misfit = Misfitting.of(root.linear, self._from_blocks(root, root))
-        return self._from_blocks(base, other).explained(self._from_blocks(base, one), misfit)
+        drifts = any(c.place.kind == "parameter" for c in new)
+        misfit = Misfitting.of(root.linear, self._from_blocks(root, root, drifts))
+        return self._from_blocks(base, other, drifts).explained(self._from_blocks(base, one, drifts), misfit)
 
-    def _from_blocks(self, base: Refit, more: Refit) -> Simulated:
+    def _from_blocks(self, base: Refit, more: Refit, common: bool) -> Simulated:
         """Errors of the blocks of the records, each predicted by the others, with what a model has beside a base."""
         new = more.beside(base.candidates)
-        return Simulated.of(base.linear, predicted_blocks(base, more, new)[-1][1])
+        return Simulated.of(base.linear, predicted_blocks(base, more, new, common)[-1][1])
 
     def predicts(self, held: HeldOut) -> bool:
         """Tell whether a gain on held-out data is one."""
@@ -189,9 +198,9 @@ class Assessment:
         return held.gain > max(s.held_out, s.sure * held.deviation) and held.elsewhere > 0.0
 
     def held_out_rms(self, at: Refit, known: bool = False) -> dict[str, float]:
-        """Output -> RMS on the validation data, first states and biases as they fit best; empty without such data.
-        With ``known`` only of what was fitted to them before."""
-        linear = self._cache.on_validation(at, known=known)
+        """Output -> RMS on the validation data of the model as it was fitted, first states and biases as they fit best;
+        empty without such data. With ``known`` only of what was fitted to them before."""
+        linear = self._cache.as_fitted(at, known=known)
         if linear is None:
             return {}
         found = {}

@@ -21,8 +21,10 @@ from ...sensitivities.collocated import dataset
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Place
 from ...solvers import Newton
+from ..candidates.candidate import unused
 from ..candidates.model_structure import ModelStructure
 from ..candidates.terms import where
+from .evidence import AssessmentSettings
 from .free_run import Explained, Misfitting, Simulated
 from .refit import BLOCKS, Refit, blocks_of
 from .search import Search, SearchResult
@@ -36,8 +38,10 @@ _TRIED, _MOST = 4, 3
 # Probability that any is found where there is none; log-likelihood by which they must be ahead of terms of the physics.
 _FALSE_ALARM, _MARGIN = 0.01, 8.0
 # Part of what is left of the misfit that they must explain, together and each: own values of each record fit a little
-# of any misfit.
-_PART, _EACH = 0.8, 0.2
+# of any misfit. What explains less than the last of the whole is not worth a name.
+_PART, _EACH, _MINOR = 0.8, 0.2, AssessmentSettings.minor
+# Places by how likely something differs there from record to record, where two explain the same.
+_ORDER = ("parameter", "output", "input", "equation")
 # Log-likelihood by which two are not told apart.
 _ALIKE = 2.0
 _ITERATIONS = 60
@@ -67,8 +71,13 @@ class _Difference:
             declared = model.declared_parameters[self.parameter]
             return model.with_parameters({self.parameter: replace(declared, per_experiment=each)})
         to = {"equation": f"{self.place.name}'", "output": f"y:{self.place.name}"}.get(self.place.kind, self.place.name)
-        unit = model.units.get(self.place.name, "") if self.place.kind == "output" else ""
+        unit = "" if self.place.kind == "equation" else model.units.get(self.place.name, "")
         new = Parameter(0.0, per_experiment=each, unit=unit)
+        if self.place.kind == "input":
+            u = Expr.symbol(self.place.name)
+            shifted = {self.place.name: u + Expr.symbol(self.parameter)}
+            equations = {key: Expr(e.substitute(shifted)) for key, e in model._right_hand_sides().items()}
+            return model._changed(parameters={self.parameter: new}, equations=equations)
         return model.with_terms({to: Expr.symbol(self.parameter)}, {self.parameter: new})
 
 
@@ -118,7 +127,9 @@ def record_changes(search: Search, result: SearchResult) -> tuple[Refit | None, 
         merit = found.merit - search.chances(at) - 0.5 * unknowns * float(np.log(at.linear.n_rows))
         if chosen and merit > best and _explained(at, at, found).part > _PART:
             best, options = merit, chosen
-    if best <= full.merit - search.chances(full) + _MARGIN:
+    # Minor findings and surrogates stand for something else: this may be it.
+    final = result.final
+    if best <= final.merit - search.chances(final) + _MARGIN:
         return None, [], []
     current, changes = base, []
     for option, aliases in options:
@@ -139,7 +150,7 @@ def _threshold(unknowns: int, tries: int) -> float:
 def _differing(at: Refit) -> tuple[Refit, list[tuple[_Difference, tuple[str, ...]]]]:
     """Differences that are each significant beside those before, the clearest first, each with its aliases, and the fit
     with all."""
-    chosen: list[tuple[_Difference, tuple[str, ...]]] = []
+    first, chosen = at, list[tuple[_Difference, tuple[str, ...]]]()
     while len(chosen) < _MOST:
         options = _options(at)
         ranked = _ranked(at.linear, options)[:_TRIED]
@@ -148,16 +159,35 @@ def _differing(at: Refit) -> tuple[Refit, list[tuple[_Difference, tuple[str, ...
             break
         best = max(r.merit for r, _ in refits)
         alike = [pair for pair in refits if pair[0].merit > best - _ALIKE]
-        # A parameter that the model has, or a sensor, before an equation that is complete without it.
-        following, option = min(alike, key=lambda pair: (pair[1].place.kind == "equation", -pair[0].merit))
+        # A parameter that the model has, before a sensor or an input, before an equation that is complete without it.
+        following, option = min(alike, key=lambda pair: _ORDER.index(pair[1].place.kind))
         # A constant that is the same in all records is no difference.
         same = _with(at, option, each=False) if option.place.kind != "parameter" else None
         before = same if same is not None and same.merit > at.merit else at
         needed = _threshold(len(dataset(at.fit)) - 1, len(options))
-        if following.merit - before.merit < needed or _explained(at, before, following).part < _EACH:
+        if following.merit - before.merit < needed or _explained(at, before, following).part < _MINOR:
+            break
+        if _explained(before, before, following).part < _EACH:  # of what the same constant leaves
             break
         chosen.append((option, tuple(o.name for _, o in alike if o is not option)))
-        at = following
+        start, at = at, following
+        at, chosen = _pruned(first, at, chosen, needed)
+        if at is not following and at.merit <= start.merit:  # back and forth
+            break
+    return at, chosen
+
+
+def _pruned(
+    first: Refit, at: Refit, chosen: list[tuple[_Difference, tuple[str, ...]]], needed: float
+) -> tuple[Refit, list[tuple[_Difference, tuple[str, ...]]]]:
+    """Return the fit and its differences without those that later ones have made needless."""
+    for pair in chosen[:-1]:
+        left = [other for other in chosen if other is not pair]
+        without: Refit | None = first
+        for option, _ in left:
+            without = _with(without, option) if without is not None else None
+        if without is not None and at.merit - without.merit < needed:
+            return without, left
     return at, chosen
 
 
@@ -170,9 +200,12 @@ def _options(at: Refit) -> list[_Difference]:
         if not (p.fixed or p.per_experiment or n in added) and n in model.parameter_names
     ]
     taken = {*declared, *model.state_names, *model.quantity_names, *model.declared_inputs, *model.output_names}
-    for place in ModelStructure(model).places:
-        if place.kind in ("output", "equation") and f"bias_{place.name}" not in taken:
-            found.append(_Difference(place, f"bias_{place.name}"))
+    structure = ModelStructure(model)
+    for place in structure.places:
+        if place.kind in ("output", "equation"):
+            found.append(_Difference(place, unused(f"bias_{place.name}", taken)))
+    inputs = [v.symbol for v in structure.variables if v.kind == "input" and structure.used(v.symbol)]
+    found += [_Difference(Place("input", n), unused(f"bias_{n}", taken)) for n in inputs]
     return [o for o in found if o.place in at.linear.places]
 
 
@@ -198,18 +231,25 @@ def _ranked(linear: Linearised, options: Sequence[_Difference]) -> list[_Differe
 
 
 def _predicted(block: NDArray[np.intp], same: _Array, each: _Array, residuals: _Array) -> float:
-    """The part of the mean square of blocks that coefficients of columns explain which the other blocks tell; all else
-    is as it fits a block best."""
-    without, with_each, n = 0.0, 0.0, same.shape[1]
+    """Return the part of what columns explain of blocks, each fitted for itself, that is explained with coefficients
+    which the other blocks tell; all else is as it fits a block best. Noise that no columns explain does not count."""
+    own_gain, told_gain, n = 0.0, 0.0, same.shape[1]
     for b in range(BLOCKS):
         inside = block == b
-        both = np.hstack([same, each])[~inside]
-        found = np.linalg.lstsq(both, residuals[~inside], rcond=_RANK)[0][n:]
-        own = np.linalg.svd(same[inside], full_matrices=False)[0]
-        for which, r in enumerate((residuals[inside], residuals[inside] - each[inside] @ found)):
-            power = float(np.sum((r - own @ (own.T @ r)) ** 2))
-            without, with_each = (without + power, with_each) if which == 0 else (without, with_each + power)
-    return 1.0 - with_each / max(without, 1e-300)
+        both = np.hstack([same, each])
+        told = np.linalg.lstsq(both[~inside], residuals[~inside], rcond=_RANK)[0][n:]
+        r = residuals[inside]
+        before = _left(same[inside], r)
+        own_gain += before - _left(both[inside], r)
+        told_gain += before - _left(same[inside], r - each[inside] @ told)
+    return told_gain / max(own_gain, 1e-300)
+
+
+def _left(columns: _Array, r: _Array) -> float:
+    """Return the sum of squares that least squares with columns leave."""
+    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = basis[:, sizes > _RANK * sizes[:1]]
+    return float(np.sum((r - basis @ (basis.T @ r)) ** 2))
 
 
 def _each(linear: Linearised) -> list[_Array]:

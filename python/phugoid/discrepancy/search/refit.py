@@ -223,7 +223,9 @@ def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut
     return HeldOut(total, float(np.sqrt(gain.size) * gain.std()), total - best)
 
 
-def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list[tuple[_Array, _Array]]:
+def predicted_blocks(
+    base: Refit, more: Refit, new: Sequence[Candidate], common: bool = False
+) -> list[tuple[_Array, _Array]]:
     """Errors of the blocks of the records without and with the new candidates: whitened (n_rows,) as the other blocks
     predict them; and in the units of the outputs (n_rows,), with the new coefficients as the others predict them and
     all else as it fits the block best.
@@ -250,6 +252,9 @@ def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list
             seen = parts[~inside]
             step = np.linalg.solve(seen.T @ seen + np.diag(damping), seen.T @ e[~inside])
             white[inside] -= parts[inside] @ step
+            if common:
+                plain[inside] -= added[inside] @ step[k:] + whitened.plain_basis[inside] @ step[:k]
+                continue
             rest = (plain[inside] - added[inside] @ step[k:]) / scale[inside]
             own = whitened.plain_basis[inside] / scale[inside, None]
             plain[inside] = scale[inside] * (rest - own @ np.linalg.lstsq(own, rest, rcond=_RANK)[0])
@@ -269,12 +274,17 @@ def blocks_of(linear: Linearised) -> NDArray[np.intp]:
 
 
 def on_other_data(
-    refit: Refit, data: Sequence[Experiment], near: Linearised | None = None, free: Sequence[str] | None = None
+    refit: Refit,
+    data: Sequence[Experiment],
+    near: Linearised | None = None,
+    free: Sequence[str] | None = None,
+    as_fitted: bool = False,
 ) -> Linearised:
     """A refit's model on other data, linearised: first states and ``free`` parameters (biases unless given) are
     estimated, all else is as fitted.
 
-    ``near`` is another model's, whose path is a start.
+    ``near`` is another model's, whose path is a start. Disturbances and drifts, which another record does not share,
+    are zero there, or ``as_fitted``, as in `Fit.validate`.
 
     Raises ModelError where parameters have a value for each experiment and are not free, DataError where there is no
     such fit.
@@ -282,8 +292,8 @@ def on_other_data(
     fit = refit.fit
     free = freed_by_default(fit.model) if free is None else free
     values = {n: e.value for n, e in fit.parameters.items()}
-    # A disturbance has another phase there: what is known of it is nothing.
-    values |= {n: 0.0 for c in refit.candidates if not c.transferable for n in c.coefficients}
+    if not as_fitted:  # a disturbance has another phase there: what is known of it is nothing
+        values |= {n: 0.0 for c in refit.candidates if not c.transferable for n in c.coefficients}
     declared = fit.model.declared_parameters.items()
     own = [n for n, p in declared if p.per_experiment and not p.fixed and n not in free]
     if own:

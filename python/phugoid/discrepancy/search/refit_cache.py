@@ -57,6 +57,7 @@ class RefitCache:
         self._refits: dict[frozenset[str], Refit | None] = {frozenset(): self.base}
         self._scans: dict[frozenset[str], Scan] = {}
         self._others: dict[frozenset[str], Linearised | None] = {}
+        self._as_fitted: dict[frozenset[str], Linearised | None] = {}
         self._starts: dict[str, Mapping[str, float]] = {}
         self._modes = light_modes(self.base.fit)
         self._ringing: dict[frozenset[str], Ringing | None] = {}
@@ -191,6 +192,21 @@ class RefitCache:
                     raise
                 self._others[key] = None
         return self._others[key]
+
+    def as_fitted(self, at: Refit, known: bool = False) -> Linearised | None:
+        """Return the same with disturbances and drifts as fitted to the records, as `Fit.validate` has them."""
+        if all(c.transferable for c in at.candidates):
+            return self.on_validation(at, known=known)
+        key = frozenset(at.names)
+        if not self.validation or (known and key not in self._as_fitted):
+            return None
+        if key not in self._as_fitted:
+            try:
+                found = on_other_data(at, self.validation, self.on_validation(at), self._free(at), as_fitted=True)
+            except PhugoidError:
+                found = None
+            self._as_fitted[key] = found
+        return self._as_fitted[key]
 
     def _free(self, at: Refit) -> Sequence[str] | None:
         """What is estimated anew on other data: of the base what was asked for, and biases that were found."""

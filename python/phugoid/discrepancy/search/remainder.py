@@ -28,7 +28,7 @@ from ..candidates.candidate import Candidate, Effect, is_function
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of
 from .evidence import is_structured
 from .free_run import Explained, Misfitting, Simulated
-from .refit import Refit
+from .refit import Refit, fitted_to
 from .search import Search, SearchResult
 from .unknown_function import formula, terms_of, unknown_function
 
@@ -271,15 +271,22 @@ def _share(search: Search, at: Refit, of: Disturbance) -> float:
 
 
 def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised, s: RemainderSettings) -> float:
-    """The gain in log-likelihood on data held out over coloured noise; NaN where it cannot be had.
+    """Return the gain in log-likelihood on data held out over coloured noise; NaN where it cannot be had.
 
-    A fit that knows of no disturbance has biased parameters, which no disturbance mends on other data: with the fit by
-    the filter-error method its own are used there.
+    A fit that knows of no disturbance has biased parameters, which no disturbance mends on other data. With the fit by
+    the filter-error method its own are used there. Else, where the biases speak against the disturbance, both
+    hypotheses are compared with parameters that are re-estimated from the other data: what is held out then is what
+    the hypotheses are about, the variances and the colour of the noise.
     """
     filter = option.at.own.filter
     coloured = Whitened(other, filter.on(other.structure)).log_likelihood
     if option.filtered is None:
-        return disturbance_at(other, d) - coloured
+        gain = disturbance_at(other, d) - coloured
+        again = fitted_to(option.at, search.cache.validation) if gain <= 0.0 else None
+        if again is None:
+            return gain
+        linear = again.linear
+        return disturbance_at(linear, d) - Whitened(linear, filter.on(linear.structure)).log_likelihood
     fit = option.filtered
     free = freed_by_default(fit.model) if search.cache.biases is None else search.cache.biases
     values = {n: e.value for n, e in fit.parameters.items()}

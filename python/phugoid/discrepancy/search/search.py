@@ -192,6 +192,18 @@ class Search:
                 return at
             at = following
 
+    def shared(self, at: Refit) -> Refit:
+        """Return the refit without disturbances and drifts with which, as they were fitted, the simulation of the
+        validation records is no better: they are of the records of the fit alone, and no part of a model for others."""
+        for c in [c for c in at.candidates if not c.transferable] if self.cache.validation else []:
+            without = self.cache.refit([other for other in at.candidates if other is not c], at.fit)
+            if without is None:
+                continue
+            before, after = self.assessment.held_out_rms(without), self.assessment.held_out_rms(at)
+            if not after or sum(float(np.log(after[n] / before[n])) for n in before) >= 0.0:
+                at = without
+        return at
+
     def _is_minor(self, before: Refit, after: Refit) -> bool:
         """Tell whether the last step explains less of the misfit than is worth a name."""
         explained = self.assessment.explained(before, after)
@@ -208,7 +220,7 @@ class Search:
         held_out = 0.0
         if final.candidates:
             missing = known and self.cache.validation and not (before and after)
-            held_out = float("nan") if missing else assess.held_out(base, final)[0]
+            held_out = float("nan") if missing else assess.held_out_as_fitted(base, final)
         gain = Gain(
             log_likelihood=white,
             log_likelihood_whitened=assess.gain(base, final) / 2 if final.candidates else 0.0,

@@ -17,10 +17,10 @@ fn oscillator() -> (Model, Experiment) {
     let (x, v) = (m.state("x", "m").unwrap(), m.state("v", "m/s").unwrap());
     let mu = m.parameter(Parameter::new("mu", 0.1)).unwrap();
     let k = m.parameter(Parameter::new("k", 1.0)).unwrap();
-    m.equation("x", v.clone(), None).unwrap();
-    m.equation("v", mu * (1.0 - &x * &x) * &v - k * &x, None).unwrap();
-    m.output("x", x, "m", None).unwrap();
-    m.output("v", v, "m/s", None).unwrap();
+    m.equation("x", v.clone()).unwrap();
+    m.equation("v", mu * (1.0 - &x * &x) * &v - k * &x).unwrap();
+    m.output("x", x, "m").unwrap();
+    m.output("v", v, "m/s").unwrap();
     let t: Vec<f64> = (0..101).map(|i| 0.1 * f64::from(i)).collect();
     let blank = Experiment::of_inputs(&m, "run", t.clone(), []).unwrap();
     let path = Simulation::new(&m, &blank).parameter("mu", 0.8).parameter("k", 1.5).initial("x", 0.4);
@@ -92,9 +92,9 @@ fn friction() -> (Model, Experiment) {
     let (x, v) = (m.state("x", "m").unwrap(), m.state("v", "m/s").unwrap());
     let z = m.parameter(Parameter::new("z", 1.0)).unwrap();
     let c = m.parameter(Parameter::new("c", 0.1)).unwrap();
-    m.equation("x", v.clone(), None).unwrap();
-    m.equation("v", -4.0 * &x - z * &v - c * v.sign(), None).unwrap();
-    m.output("x", x, "m", None).unwrap();
+    m.equation("x", v.clone()).unwrap();
+    m.equation("v", -4.0 * &x - z * &v - c * v.sign()).unwrap();
+    m.output("x", x, "m").unwrap();
     let t: Vec<f64> = (0..201).map(|i| 0.05 * f64::from(i)).collect();
     let (mut x, mut v, mut path) = (2.0, 0.0_f64, vec![2.0]);
     let h: f64 = 0.05 / 200.0;
@@ -140,11 +140,11 @@ fn fast(measured_late: bool) -> (Model, Experiment) {
     let (x, y) = (m.state("x", "").unwrap(), m.state("y", "").unwrap());
     let log = |name: &str, start| Parameter { transform: Transform::Log, ..Parameter::new(name, start) };
     let (a, b) = (m.parameter(log("a", 1.0)).unwrap(), m.parameter(log("b", 1.0)).unwrap());
-    m.equation("x", -(a * (&x * &x - &y)), None).unwrap();
-    m.equation("y", -(b * &y), None).unwrap();
-    m.condition(phugoid::condition::End::Initial, "x", phugoid::Expr::from(3.0), None).unwrap();
-    m.condition(phugoid::condition::End::Initial, "y", phugoid::Expr::from(1.0), None).unwrap();
-    m.output("x", x, "", None).unwrap();
+    m.equation("x", -(a * (&x * &x - &y))).unwrap();
+    m.equation("y", -(b * &y)).unwrap();
+    m.condition(phugoid::condition::End::Initial, "x", phugoid::Expr::from(3.0)).unwrap();
+    m.condition(phugoid::condition::End::Initial, "y", phugoid::Expr::from(1.0)).unwrap();
+    m.output("x", x, "").unwrap();
     if measured_late {
         let late = m.parameter(Parameter { fixed: true, ..Parameter::new("late", 0.01) }).unwrap();
         m.sensor_delay("x", &late).unwrap();

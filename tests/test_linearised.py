@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 import phugoid as ph
 from phugoid import _core
 from phugoid.discrepancy.candidates.candidate import Candidate
-from phugoid.guess import spread
+from phugoid.initialisation import spread
 from phugoid.residual_noise.autoregression import Autoregression
 from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities.collocated import collocated

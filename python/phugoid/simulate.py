@@ -15,7 +15,7 @@ from .data.interpolation import kinds_for
 from .data.units import check_units
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .fit_result import FitResult
-from .guess import measured_states
+from .initialisation import measured_states
 from .modelling.model import Model
 from .records import Record
 from .solvers.limits import limited

@@ -13,7 +13,7 @@ from ..data.experiment import Experiment, as_experiments, completed
 from ..data.units import check_units
 from ..errors import ModelError, OptionError
 from ..fit_result import FitResult
-from ..guess import start_values
+from ..initialisation import start_values
 from ..interrupts import interrupts
 from ..modelling.model import Model
 from ..noise.noise import Noise, not_noise
@@ -41,7 +41,7 @@ def estimate(
     solver: Newton | Ipopt | None = None,
     progress: bool | Callable[[Iteration], None] = False,
 ) -> FitResult:
-    """The maximum-likelihood estimate of a model's parameters from measured data (Eq. ml_loglike of the paper).
+    """Estimate the parameters of a model from measured data by maximum likelihood (Eq. ml_loglike of the paper).
 
     ``data``: one experiment or several with shared parameters. Initial states are free.
     ``start``: values by name of parameters, of ``sigma_<output>`` (and what else the noise has) and of states (a number
@@ -154,7 +154,7 @@ def _estimate(
 
 
 def _may_move(transcription: Transcription, start: object) -> bool:
-    """Whether the mesh may follow the motion: none was asked for, and no path of the states is known."""
+    """Return whether the mesh may follow the motion: none was asked for, and no path of the states is known."""
     assert isinstance(transcription, Collocation)
     chosen = transcription.segments is not None or transcription.substeps != 1
     return not chosen and not isinstance(start, EquationError)
@@ -214,6 +214,6 @@ def _worse_than_start(fit: FitResult, start: FitResult) -> str:
 
 
 def _moving(experiment: Experiment, outputs: Sequence[str]) -> set[str]:
-    """The outputs that an experiment has and that are not constant there."""
+    """Return the outputs that an experiment has and that are not constant there."""
     there = {*experiment.outputs, *experiment.channels}
     return {name for name in outputs if name in there and moves(experiment.output(name))}

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..errors import EvaluationError, ModelError, listing
 from ..fit_result import FitResult
-from ..guess import spread
+from ..initialisation import spread
 from ..modelling.model import Model
 from ..transcription.filter_error import FilterError
 from .jacobians import Jacobians

@@ -15,7 +15,7 @@ from .. import _core
 from ..data.experiment import Experiment
 from ..errors import EvaluationError, OptionError, PhugoidError
 from ..fit_result import FitResult
-from ..guess import check_names, parameter_start, spread, state_start
+from ..initialisation import check_names, parameter_start, spread, state_start
 from ..modelling.model import Model
 from ..noise.noise import Gaussian, Noise
 from ..progress import Progress

@@ -13,7 +13,7 @@ from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
 from ..errors import DataError, ModelError, OptionError
 from ..figures import fit as plot
-from ..guess import check_names, parameter_start
+from ..initialisation import check_names, parameter_start
 from ..modelling.model import Model
 from ..parameters import Estimate, Estimates, estimates_table, text_table
 from ..records import Record

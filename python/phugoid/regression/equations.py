@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .._core import Expr
 from ..data.experiment import Experiment
 from ..errors import EvaluationError, ModelError
-from ..guess import measured_states
+from ..initialisation import measured_states
 from ..modelling.compiled import CompiledExpressions, CompiledModel
 from ..modelling.model import Model
 

@@ -16,7 +16,7 @@ from ..data.experiment import Experiment
 from ..data.interpolation import interpolated
 from ..errors import EvaluationError, OptionError
 from ..fit_result import FitResult
-from ..guess import spread
+from ..initialisation import spread
 from ..residual_noise.uniform_segments import uniform_segments
 from ..residual_noise.whitening import RowStructure
 from ..solvers.limits import check_time, time_is_up

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ModelError, OptionError, PhugoidError, did_you_mean
-from ..guess import check_names, parameter_start, spread, state_start
+from ..initialisation import check_names, parameter_start, spread, state_start
 from ..noise.noise import Sigma
 from .outcome import Problem
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError, UnknownName, did_you_mean
 from ..fit_result import FitResult
-from ..guess import spread
+from ..initialisation import spread
 from ..parameters import Estimates
 from ..records import Record
 from ..sensitivities.collocated import collocated

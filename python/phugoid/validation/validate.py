@@ -14,7 +14,7 @@ from ..data.units import check_units
 from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult
-from ..guess import measured_states
+from ..initialisation import measured_states
 from ..match import Match, chi_square, chi_square_warning, match
 from ..modelling.model import Model
 from ..records import Record

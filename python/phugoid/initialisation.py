@@ -31,18 +31,18 @@ _Array = NDArray[np.float64]
 def check_names(
     model: Model, start: Mapping[str, Any], experiments: Sequence[Experiment] = (), noise: Sequence[str] = ()
 ) -> None:
-    """Raises ModelError for a start that names nothing: not a parameter, a sigma or a state; nor one of ``noise``."""
+    """Raise ModelError for a start with a name that is no parameter, sigma or state, and none of ``noise``."""
     _core.check_start(model._core, [str(name) for name in start], [e.name for e in experiments], list(noise))
 
 
 def parameter_start(model: Model, start: Mapping[str, Any], experiment: str | None = None) -> dict[str, float]:
-    """Starting values of the model's parameters: as declared, or as given, if need be for this experiment alone."""
+    """Return starting values of the model's parameters: as declared, or as given, those of one experiment included."""
     given = _parameters(model, start, [] if experiment is None else [experiment])
     return dict(zip(model.parameter_names, _core.parameter_start(model._core, given, experiment), strict=True))
 
 
 def measured_states(model: Model, parameters: Mapping[str, float]) -> dict[str, tuple[str, float, float]]:
-    """For each state that an output measures: the output, offset and slope, z = offset + slope * x.
+    """Return for each state that an output measures the output, offset and slope: z = offset + slope * x.
 
     An output measures a state where it depends on no other state, input or time, and on this one linearly
     (``q + bias``, ``scale*alpha``), with the parameters at their start.
@@ -58,7 +58,7 @@ def state_start(
     parameters: Mapping[str, float],
     start: Mapping[str, Any],
 ) -> _Array:
-    """Starting states at mesh points, shape (n_x, points).
+    """Return starting states at mesh points, shape (n_x, points).
 
     In order of preference: given in ``start`` (a number, or an array over the samples); measured; as declared (`State`,
     `Model.initial`); zero. Within the bounds of the states.
@@ -139,7 +139,7 @@ def _states(
 
 
 def spread(experiments: Sequence[Experiment], output: str) -> float:
-    """Standard deviation of the measurements of an output over all experiments: the scale of its noise."""
+    """Return the standard deviation of the measurements of an output over all experiments, the scale of its noise."""
     values = np.concatenate([e.output(output) for e in experiments])
     values = values[np.isfinite(values)]
     return float(values.std()) or 1.0

@@ -86,7 +86,8 @@ def candidates(
     """Everything that the library can think of that the model may be missing, with canonical names.
 
     In quantities, and in state equations that hold parameters but no such quantity: constant and linear terms,
-    squares, products and cubes of states and inputs, x^2 v for rates v, x|x|, |x|, sign(x), first-order lags,
+    squares, products and cubes of states and inputs, linear terms, squares and cubes of declared quantities that stand
+    there and hold no parameters (an angle of slip), x^2 v for rates v, x|x|, |x|, sign(x), first-order lags,
     friction that is larger at rest, hysteresis, a lightly damped mode, a periodic disturbance. States that go no
     further than a limit. In outputs: bias, scale, drift, delay, lag, clipping, linear terms, squares and products of
     rates, derivatives of rates. On inputs: scale, bias, dead-band, saturation, backlash, limited rate, lag, delay; of
@@ -221,6 +222,8 @@ def _in_equation(structure: ModelStructure, place: Place, scales: Scales, names:
         return _term(structure, place, form, factors, scales, names)
 
     yield term("bias")
+    for form in ("linear", "square", "cube", "quadratic"):
+        yield from (term(form, v) for v in structure.declared_in(place))
     for form in ("linear", "square"):
         yield from (term(form, v) for v in variables)
     yield from (term("product", v, w) for v, w in combinations(variables, 2))

@@ -8,21 +8,22 @@ from ..._core import Expr
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Place
 
-__all__ = ["ANGLES", "ModelStructure", "Variable"]
+__all__ = ["ANGLES", "ANGULAR_RATES", "ModelStructure", "Variable"]
 
 ANGLES = ("rad", "deg", "°")
 """Units of angles."""
 
-_ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
+ANGULAR_RATES = ("rad/s", "deg/s", "°/s", "1/s")
+"""Units of angular rates."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A state or an input: its symbol in the equations, and the name to show for it."""
+    """A state, an input or a declared quantity: its symbol in the equations, and the name to show for it."""
 
     symbol: str
     shown: str
-    kind: str  # "state" or "input"
+    kind: str  # "state", "input" or "quantity"
     rate: bool = False  # an angular rate, or the derivative of another state
     speed: bool = False  # what friction may turn with
 
@@ -62,6 +63,7 @@ class ModelStructure:
         self.places = [Place("quantity", name) for name in self.quantities if name in uncertain & known]
         self.places += [Place("equation", name) for name in equations if name in known]
         self.places += [Place("output", name) for name in self.outputs]
+        self._defined = [n for n in self.quantities if n not in derived and self._varies(n)]
         self._exact = {
             n: e for n, e in self.dynamics.items() if not {*e.symbols}.intersection(self._parameters | derived)
         }
@@ -80,6 +82,12 @@ class ModelStructure:
             if name in known
         ]
         self.variables += self._inputs()
+
+    def declared_in(self, place: Place) -> list[Variable]:
+        """Return the quantities that stand at a place and are defined exactly, without parameters: an angle of slip or
+        a dynamic pressure, say, that forces are functions of."""
+        symbols = {*self.expression(place).symbols}
+        return [Variable(n, n, "quantity") for n in self._defined if n in symbols]
 
     @property
     def acting(self) -> list[str]:
@@ -103,7 +111,7 @@ class ModelStructure:
 
     def _is_rate(self, name: str) -> bool:
         """An angular rate by its unit, or what another state's derivative is by exact kinematics."""
-        if self.model.units.get(name, "") in _ANGULAR_RATES:
+        if self.model.units.get(name, "") in ANGULAR_RATES:
             return True
         slopes = [Expr(e.diff(name)).constant for state, e in self._exact.items() if state != name]
         return any(slope for slope in slopes)

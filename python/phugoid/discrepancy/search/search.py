@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,12 +11,13 @@ from ...data.experiment import Experiment
 from ...sensitivities.linearised import Linearised
 from ..candidates.candidate import Candidate
 from .confirmation import Confirmation, ConfirmationSettings, Found
-from .evidence import Assessment, AssessmentSettings, is_structured
+from .evidence import Assessment, AssessmentSettings, is_physical, is_structured
 from .finding import ExtensionResult, Gain
 from .refit import HeldOut, Refit
 from .refit_cache import RefitCache
 from .refitting import Refitting, RefittingSettings
 from .screen import Screen, ScreenSettings
+from .simplest import is_equal, plausibility
 
 __all__ = ["Search", "SearchResult", "SearchSettings"]
 
@@ -146,6 +147,7 @@ class Search:
 
         Terms that are not named and make the simulation of data held out no better are not reported.
         """
+        at = self._preferred(at, self._named(at).names)
         final = self._named(at)
         named = {c.name: c for c in final.candidates}
         explained = {c.name: self.confirmation.explained(at, c) for c in at.candidates if c.name not in named}
@@ -170,6 +172,25 @@ class Search:
             if least is at or margins[least] > 0.0:
                 break
             at = least
+        return at
+
+    def _preferred(self, at: Refit, names: Collection[str]) -> Refit:
+        """Return the refit with the most plausible of causes that are the same but for rounding: which one is named
+        must not depend on that."""
+        for name in names:
+            candidate = next(c for c in at.candidates if c.name == name)
+            others = [c for c in at.candidates if c is not candidate]
+            best, rank = at, plausibility(candidate, self.cache.base.fit.model)
+            for r, _ in self.refitting.rivals(at, candidate):
+                if r is at or r.names == at.names:
+                    continue
+                (new,) = r.beside(others)
+                own = plausibility(new, self.cache.base.fit.model)
+                if own >= rank or not is_physical(r, new) or not is_equal(at, r):
+                    continue
+                if self.assessment.is_named(r, new, self.confirmation.explained(r, new)):
+                    best, rank = r, own
+            at = best
         return at
 
     def _named(self, full: Refit) -> Refit:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...modelling.model import Model
 from ...residual_noise.whitening import Whitening
 from ..candidates.candidate import Candidate
+from ..candidates.model_structure import ANGLES, ANGULAR_RATES
 from .refit import Refit
 
-__all__ = ["RICH", "complexity", "is_as_good"]
+__all__ = ["RICH", "complexity", "is_as_good", "is_equal", "plausibility"]
 
 # A constant before a linear term before any other, and those with states of their own or two unknowns last.
 RICH = 3
@@ -20,6 +22,8 @@ _EQUAL = 9.2
 # Where samples are worth less than this part of their number, the residuals are model error rather than noise, and
 # their likelihood says little; equally good terms have this part of the gain elsewhere.
 _MODEL_ERROR, _SIMILAR = 0.2, 0.8
+# Log-likelihood by which two refits differ that are one and the same but for rounding.
+_SAME = 1.0
 # A term that explains most of a misfit leaves an error of the model that is small beside it: others that explain this
 # part of what it does are as good.
 _MOST, _AS_MUCH = 0.5, 0.95
@@ -29,6 +33,32 @@ def complexity(candidate: Candidate) -> int:
     """Return the rank of a candidate: 0 for constants, 1 for linear terms, 3 for those with more unknowns or
     states, 2 for others."""
     return _ORDER.get(getattr(candidate, "family", ""), _OTHER)
+
+
+def plausibility(candidate: Candidate, model: Model) -> tuple[int, int, str]:
+    """Return the rank of a candidate among others that say the same, the most plausible first: a lever arm of a sensor,
+    which every vane and accelerometer away from the centre of gravity has; then what acts on the motion; the size of
+    an input, which mass and actuators change; a sensor, which was calibrated; and what belongs to one record alone.
+    Among equals fewer unknowns come first, then the name."""
+    place = candidate.place
+    rates = [n for n in getattr(candidate, "variables", ()) if model.units.get(n, "") in ANGULAR_RATES]
+    family = getattr(candidate, "family", "")
+    lever = place.kind == "output" and family in ("linear", "rate") and len(rates) == 1
+    order = 0 if lever else {"quantity": 1, "equation": 1, "parameter": 1, "input": 2}.get(place.kind, 3)
+    if lever and model.units.get(place.name, "") not in ("", *ANGLES) and family == "linear":
+        order = 3  # of a rate no lever arm gives a part that goes with a rate
+    if not candidate.transferable:
+        order = 4
+    return order, len(candidate.parameters) + (complexity(candidate) == RICH), candidate.name
+
+
+def is_equal(one: Refit, other: Refit) -> bool:
+    """Tell whether two refits are one and the same but for rounding: by the likelihood of white noise, and by that of
+    noise as coloured as the residuals of the first."""
+    if abs(one.fit.log_likelihood - other.fit.log_likelihood) > _SAME:
+        return False
+    filter = one.own.filter
+    return abs(one.through(filter).log_likelihood - other.through(filter).log_likelihood) < _SAME
 
 
 def is_as_good(best: Refit, other: Refit, gain: float, parts: tuple[float, float]) -> bool:

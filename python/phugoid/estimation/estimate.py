@@ -60,8 +60,11 @@ def estimate(
     from fit to fit until what they leave in error is small beside the standard errors. `Fit.smoothing` and the message
     say so.
 
-    A fit without ``solver`` and ``start`` that does not converge is tried once more with the noise held at the spread
-    of the measurements first; a warning says where the likelihood was higher before.
+    Where a run by `Collocation` with `Newton` ends without an optimum, or at one at which no output is matched well
+    (R² below 0.5), other ways from the same start are tried in turn: a regression on the states as they start, steps
+    along paths that satisfy the equations, and the exact Hessian. The message says which one led to the result. A fit
+    without ``solver`` and ``start`` is tried with the noise held at the spread of the measurements first, too; a
+    warning says where the likelihood was higher before. ``max_iterations`` below 200 leaves all this out.
 
     Ctrl-C ends the run and returns the best point so far, with status "interrupted". Pressed once more, while its
     standard errors are computed, it leaves these out (NaN, and a warning); a third is as ever.
@@ -105,8 +108,7 @@ def _estimate(
         model = model.with_noise(noise)
     if isinstance(transcription, FilterError) and solver is not None:
         raise OptionError("estimate: FilterError has a solver of its own; leave out solver")
-    solver_given = solver is not None or not every_way
-    solver = solver or Newton()
+    solver_given, solver = solver is not None, Newton() if solver is None else solver
     if not isinstance(solver, (Newton, Ipopt)):
         raise OptionError(f"estimate: solver is Newton(...) or Ipopt(...), not {solver!r}")
     collocated = isinstance(transcription, Collocation)
@@ -135,6 +137,7 @@ def _estimate(
     earlier = Earlier.of(start, noise) if isinstance(start, (FitResult, EquationError)) else None
     values = start_values(model, start if isinstance(start, Mapping) else {}, experiments, noise)
     ways = {
+        "other_ways": every_way,
         "smooth_kinks": every_way,
         "solver_given": solver_given,
         "moving_mesh": None if not collocated else _may_move(transcription, start),

@@ -52,6 +52,7 @@ pub struct Options<'py> {
     refine: Option<f64>,
     moving_mesh: Option<bool>,
     restarts: Option<usize>,
+    other_ways: bool,
     smooth_kinks: bool,
     /// Whether the user gave options of a solver.
     solver_given: bool,
@@ -210,6 +211,7 @@ pub fn estimate(
         .order(options.order)
         .grids(grids(options.grids.clone())?)
         .noise_model(noise)
+        .other_ways(options.other_ways)
         .smooth_kinks(options.smooth_kinks);
     if options.solver_given {
         estimation = estimation.solver(Settings {

@@ -10,11 +10,11 @@ mod make;
 mod motion;
 
 mod noise;
-mod noise_first;
 mod outside;
 mod print;
 mod refine;
 mod restarts;
+mod retries;
 mod run;
 mod smoothing;
 mod start;
@@ -97,6 +97,7 @@ pub struct Estimation<'a> {
     refine: Option<f64>,
     moving_mesh: Option<bool>,
     restarts: Option<usize>,
+    other_ways: bool,
     smooth_kinks: bool,
     smoothing_passes: usize,
     /// Whether options of a solver were given.
@@ -127,6 +128,7 @@ impl<'a> Estimation<'a> {
             refine: None,
             moving_mesh: None,
             restarts: None,
+            other_ways: true,
             smooth_kinks: true,
             smoothing_passes: 30,
             solver_given: false,
@@ -252,6 +254,14 @@ impl<'a> Estimation<'a> {
     /// ends; ten, and one for each parameter, unless said.
     pub fn restarts(mut self, restarts: usize) -> Self {
         self.restarts = Some(restarts);
+        self
+    }
+
+    /// Whether other ways from the start are tried where a run ends without an optimum, or at one at which no output is matched
+    /// well: a regression, steps along consistent paths, the exact Hessian, and, where neither a start nor a solver is given, a
+    /// run with the noise held first. They are, unless said.
+    pub fn other_ways(mut self, try_them: bool) -> Self {
+        self.other_ways = try_them;
         self
     }
 

@@ -44,9 +44,8 @@ impl Estimation<'_> {
     /// The fit, made again where it ended for a reason that another way to it may mend.
     fn solve_all(&self, watch: &mut Watch<'_>) -> Result<Fit, Error> {
         let mut fit = self.solve_refined(watch)?;
-        let plain = !self.solver_given && self.start.is_empty() && self.earlier.is_none();
-        if fit.status == Status::IterationLimit && plain {
-            fit = self.with_noise_first(fit, watch)?;
+        if self.other_ways {
+            fit = self.or_otherwise(fit, watch)?;
         }
         if self.smooth_kinks && !current().stops() && fit.kinks_matter(self.experiments) {
             fit = self.smoothed(fit, watch)?;

@@ -1,9 +1,9 @@
 //! What an estimation gives back.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use phugoid::Grid;
 use phugoid::estimate::{Bound as Limit, Estimate, Fit, Transcription};
-use phugoid::experiment::{Experiment, Signal};
-use phugoid::mesh::Grid;
+use phugoid::{Experiment, Signal};
 use pyo3::prelude::*;
 
 use crate::newton::PySolution;

@@ -29,7 +29,7 @@ pub fn model() -> Result<Model, phugoid::Error> {
     let u0 = 44.5695; // m/s
     let mut m = Model::new("unstable aircraft, short period");
     let (w, q, de) = (m.state("w", "m/s")?, m.state("q", "rad/s")?, m.input("de", "rad")?);
-    let mut p = |name, unit: &str| m.parameter(Parameter { unit: unit.into(), ..Parameter::new(name, 0.0) });
+    let mut p = |name, unit: &str| m.parameter(Parameter::new(name, 0.0).unit(unit));
     let (zw, zq, zde) = (p("Zw", "1/s")?, p("Zq", "m/s")?, p("Zde", "m/s²")?);
     let (mw, mq, mde) = (p("Mw", "1/(m s)")?, p("Mq", "1/s")?, p("Mde", "1/s²")?);
 

@@ -3,13 +3,12 @@
 //! Without any, all initial states are free. A condition takes a freedom away: x(t₀) = x₀(θ), x(t_f) = x_f,
 //! or x(t_f) = x(t₀).
 
-use serde::{Deserialize, Serialize};
-
 use crate::expr::Expr;
 
 /// The end of a record at which a condition holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "lowercase"))]
 pub enum End {
     /// At the first sample.
     Initial,

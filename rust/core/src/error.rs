@@ -1,6 +1,6 @@
 //! Errors in a model, in data or at an evaluation, in the user's own names.
 
-use thiserror::Error;
+use std::fmt;
 
 /// Most characters of a message.
 const MESSAGE: usize = 2000;
@@ -19,22 +19,73 @@ pub fn shortened(text: &str, most: usize) -> String {
     head + &note + &tail
 }
 
-/// An error of this crate. The text names the user's variable and says what to do.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum Error {
+/// What an [`Error`] is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ErrorKind {
     /// The model is incomplete or contradicts itself.
-    #[error("{}", shortened(.0, MESSAGE))]
-    Model(String),
+    Model,
     /// The data do not fit the model or are unusable.
-    #[error("{}", shortened(.0, MESSAGE))]
-    Data(String),
+    Data,
     /// An option contradicts another or is out of range.
-    #[error("{}", shortened(.0, MESSAGE))]
-    Option(String),
+    Option,
     /// A function is not finite at a point.
-    #[error("{}", shortened(.0, MESSAGE))]
-    Evaluation(String),
+    Evaluation,
 }
+
+/// An error of this crate. Its text names the user's variable and says what to do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Error {
+    kind: ErrorKind,
+    text: String,
+    names: Vec<String>,
+}
+
+impl Error {
+    fn new(kind: ErrorKind, text: String) -> Error {
+        Error { kind, text, names: Vec::new() }
+    }
+
+    pub(crate) fn model(text: String) -> Error {
+        Error::new(ErrorKind::Model, text)
+    }
+
+    pub(crate) fn data(text: String) -> Error {
+        Error::new(ErrorKind::Data, text)
+    }
+
+    pub(crate) fn option(text: String) -> Error {
+        Error::new(ErrorKind::Option, text)
+    }
+
+    pub(crate) fn evaluation(text: String) -> Error {
+        Error::new(ErrorKind::Evaluation, text)
+    }
+
+    /// Adds the name of what is wrong.
+    pub(crate) fn about(mut self, name: impl AsRef<str>) -> Error {
+        self.names.push(name.as_ref().to_owned());
+        self
+    }
+
+    /// What it is about.
+    pub fn kind(&self) -> ErrorKind {
+        self.kind
+    }
+
+    /// The user's names for what is wrong: an experiment and its channel, a parameter, an output.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&shortened(&self.text, MESSAGE))
+    }
+}
+
+impl std::error::Error for Error {}
 
 /// " Did you mean 'x'?" for the closest of some names, or nothing where none is close.
 pub fn did_you_mean<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {

@@ -52,7 +52,7 @@ impl Evaluator {
     }
 
     fn check(&self, parameters: &[f64], columns: &[&[f64]]) -> Result<(), Error> {
-        let fail = |text: String| Err(Error::Data(format!("points: {text}")));
+        let fail = |text: String| Err(Error::data(format!("points: {text}")));
         if columns.len() != self.columns() {
             return fail(format!(
                 "{} columns were given, the model takes {}: time, inputs, states",

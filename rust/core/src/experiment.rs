@@ -99,7 +99,7 @@ impl Experiment {
         let inputs = model.input_names();
         let outputs: Vec<&str> = model.outputs.iter().map(|e| e.name.as_str()).collect();
         let channels: Vec<(&str, Vec<f64>)> = channels.into_iter().collect();
-        let fail = |text: String| Error::Data(format!("experiment '{name}': {text}"));
+        let fail = |text: String| Error::data(format!("experiment '{name}': {text}")).about(&name);
         let known = || inputs.iter().chain(&outputs).copied();
         if let Some((other, _)) = channels.iter().find(|c| !known().any(|k| k == c.0)) {
             let hint = did_you_mean(other, known());
@@ -154,7 +154,9 @@ impl Experiment {
         let names = model.input_names();
         let Some(channel) = names.iter().position(|n| *n == input) else {
             let hint = did_you_mean(input, names);
-            return Err(Error::Data(format!("experiment '{}': it has no input '{input}'.{hint}", self.name)));
+            return Err(Error::data(format!("experiment '{}': it has no input '{input}'.{hint}", self.name))
+                .about(&self.name)
+                .about(&input));
         };
         self.signals.resize(names.len().max(self.signals.len()), None);
         let mut signal = self.signal(channel);
@@ -245,10 +247,12 @@ impl Experiment {
         self.check_shapes(inputs, outputs)?;
         let empty = |c: &Vec<f64>| c.iter().all(|v| v.is_nan());
         match outputs.iter().zip(&self.outputs).find(|c| empty(c.1)) {
-            Some((name, _)) => Err(Error::Data(format!(
+            Some((name, _)) => Err(Error::data(format!(
                 "experiment '{}': output '{name}' has no samples (all NaN); take it out of the model",
                 self.name
-            ))),
+            ))
+            .about(&self.name)
+            .about(&name)),
             None => Ok(()),
         }
     }
@@ -267,15 +271,17 @@ impl Experiment {
         for (c, name) in outputs.iter().enumerate() {
             let unmeasured = |e: &Experiment| e.outputs[c].iter().all(|v| v.is_nan());
             if !experiments.is_empty() && experiments.iter().all(unmeasured) {
-                return Err(Error::Data(format!(
+                return Err(Error::data(format!(
                     "output '{name}' has no samples in any experiment (all NaN); take it out of the model"
-                )));
+                ))
+                .about(&name));
             }
         }
         let mut names = HashSet::new();
         match experiments.iter().find(|e| !names.insert(&e.name)) {
             Some(Experiment { name, .. }) => {
-                Err(Error::Data(format!("two experiments are called '{name}'; give each a name of its own")))
+                Err(Error::data(format!("two experiments are called '{name}'; give each a name of its own"))
+                    .about(&name))
             }
             None => Ok(()),
         }
@@ -283,7 +289,8 @@ impl Experiment {
 
     /// Checks a record of which no output need be measured.
     pub(crate) fn check_shapes(&self, inputs: &[&str], outputs: &[&str]) -> Result<(), Error> {
-        let fail = |text: String| Err(Error::Data(format!("experiment '{}': {text}", self.name)));
+        let fail =
+            |text: String| Err(Error::data(format!("experiment '{}': {text}", self.name)).about(&self.name));
         let n = self.t.len();
         if n < 2 {
             return fail(format!("it has {n} samples; at least 2 are needed"));

@@ -23,7 +23,7 @@ const NAMED: usize = 3;
 /// ```
 /// let mut t: Vec<f64> = (0..40).map(|k| 0.04 * k as f64).collect();
 /// t.iter_mut().skip(25).for_each(|t| *t += 30.0);
-/// assert_eq!(phugoid::gaps::gaps(&t), [24]);
+/// assert_eq!(phugoid::internals::gaps::gaps(&t), [24]);
 /// ```
 pub fn gaps(t: &[f64]) -> Vec<usize> {
     let h: Vec<f64> = t.windows(2).map(|w| w[1] - w[0]).collect();

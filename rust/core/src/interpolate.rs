@@ -3,11 +3,10 @@
 //! What an input does between its samples is an assumption about the
 //! experiment, and a wrong one looks like a model error.
 
-use serde::{Deserialize, Serialize};
-
 /// The interpolation of an input between its samples.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "lowercase"))]
 pub enum Interpolation {
     /// Straight lines between the samples.
     Linear,
@@ -51,7 +50,7 @@ const NEAR: usize = 4;
 /// If `t` is empty or its length is not that of `values`.
 ///
 /// ```
-/// use phugoid::interpolate::{Interpolation, interpolate};
+/// use phugoid::internals::interpolate::{Interpolation, interpolate};
 ///
 /// let (t, u) = ([0.0, 1.0, 3.0, 4.0], [0.0, 1.0, 9.0, 16.0]);
 /// assert_eq!(interpolate(Interpolation::Linear, &t, &u, &[2.0]), [5.0]);

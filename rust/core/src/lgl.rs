@@ -17,7 +17,7 @@
 /// `m = 3` Hermite-Simpson (Lobatto IIIA).
 ///
 /// ```
-/// use phugoid::lgl::Lgl;
+/// use phugoid::internals::lgl::Lgl;
 ///
 /// let simpson = Lgl::new(3);
 /// assert_eq!(simpson.nodes, [0.0, 0.5, 1.0]);

@@ -43,7 +43,7 @@
 //! let mut m = Model::new("mass on a spring");
 //! let (x, v) = (m.state("x", "m")?, m.state("v", "m/s")?);
 //! let k = m.parameter(Parameter::new("k", 0.0))?; // stiffness over mass, from 0
-//! let c = m.parameter(Parameter { lower: Some(0.0), ..Parameter::new("c", 0.0) })?; // damping
+//! let c = m.parameter(Parameter::new("c", 0.0).lower(0.0))?; // damping
 //! m.equation("x", v.clone())?;
 //! m.equation("v", -k * &x - c * &v)?;
 //! m.output("x", x, "m")?;
@@ -93,48 +93,68 @@
 #![allow(rustdoc::private_intra_doc_links)]
 
 pub mod collocation;
-pub mod condition;
-pub mod diagnosis;
-pub mod error;
+mod condition;
+mod diagnosis;
+mod error;
 pub mod estimate;
-pub mod evaluator;
-pub mod experiment;
+mod evaluator;
+mod experiment;
 pub mod expr;
 pub mod filter;
-pub mod gaps;
-pub mod initial;
-pub mod integrate;
-pub mod interpolate;
+mod gaps;
+mod initial;
+mod integrate;
+mod interpolate;
 pub mod interrupt;
-pub mod lgl;
+mod lgl;
 pub mod linalg;
-pub mod math;
-pub mod measured;
-pub mod mesh;
+mod math;
+mod measured;
+mod mesh;
 pub mod model;
 pub mod nlp;
 pub mod noise;
+#[cfg(feature = "serde")]
 mod pairs;
-pub mod parameter;
-pub mod problem;
+mod parameter;
+mod problem;
+mod setters;
 pub mod shooting;
 mod simd;
 pub mod simulate;
 pub mod solver;
-pub mod table;
-pub mod tape;
+mod table;
+mod tape;
 mod threads;
-pub mod transform;
+mod transform;
 
-pub use error::Error;
+pub use error::{Error, ErrorKind};
 pub use estimate::{Estimate, Estimation, Fit};
-pub use experiment::Experiment;
+pub use experiment::{Experiment, Signal};
 pub use expr::Expr;
 pub use interpolate::Interpolation;
 pub use mesh::Grid;
 pub use model::{Model, Parameter};
 pub use noise::{Density, Dof, Noise, NoiseModel, Sigma};
 pub use simulate::Simulation;
+pub use table::{Table, TableError};
+
+/// What the Python package and the tests of this crate need beside what is public: it may change in any version.
+#[doc(hidden)]
+pub mod internals {
+    macro_rules! open {
+        ($($name:ident: $($path:ident)::+,)*) => {
+            $(pub mod $name { pub use crate::$($path)::+::*; })*
+        };
+    }
+    #[cfg(feature = "serde")]
+    open! { pool: expr::pool, }
+    open! {
+        diagnosis: diagnosis, error: error, evaluator: evaluator,
+        gaps: gaps, graph: expr::graph, initial: initial, integrate: integrate, interpolate: interpolate, lgl: lgl,
+        math: math, mesh: mesh, operations: expr::ops, problem: problem, tape: tape,
+    }
+}
 
 /// The code in the README.
 #[cfg(doctest)]

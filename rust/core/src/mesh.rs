@@ -22,7 +22,7 @@ impl Grid {
     pub(crate) fn for_each(grids: &[Grid], experiments: usize) -> Result<impl Iterator<Item = &Grid>, Error> {
         let count = grids.len();
         if count != 1 && count != experiments {
-            return Err(Error::Option(format!(
+            return Err(Error::option(format!(
                 "{count} grids for {experiments} experiments; give one, or one each"
             )));
         }
@@ -128,11 +128,11 @@ impl Mesh {
 
     fn between(order: usize, edges: &[f64], t: &[f64]) -> Result<Mesh, Error> {
         if !(2..=64).contains(&order) {
-            return Err(Error::Option(format!("collocation order {order}: choose 2 (trapezoid) to 64")));
+            return Err(Error::option(format!("collocation order {order}: choose 2 (trapezoid) to 64")));
         }
         let segments = edges.len() - 1;
         if segments.saturating_mul(order - 1) > MOST {
-            return Err(Error::Option(format!(
+            return Err(Error::option(format!(
                 "{segments} segments of order {order} have more than {MOST} points in a record; choose fewer, or a \
                  lower order"
             )));
@@ -152,7 +152,7 @@ impl Mesh {
         mesh.place_samples(t);
         // In time order, so that two samples at one point stand side by side.
         if let Some(i) = mesh.sample_points.windows(2).position(|w| w[0] == w[1]) {
-            return Err(Error::Data(format!(
+            return Err(Error::data(format!(
                 "the samples at {} s and {} s are closer than the mesh can tell; drop one of them",
                 t[i],
                 t[i + 1]
@@ -224,13 +224,13 @@ pub(crate) fn edges(grid: &Grid, t: &[f64]) -> Result<Vec<f64>, Error> {
     let (first, last) = (t[0], t[t.len() - 1]);
     match grid {
         Grid::Samples(0) | Grid::Uniform(0) => {
-            Err(Error::Option("the mesh needs at least one segment; choose 1 or more".into()))
+            Err(Error::option("the mesh needs at least one segment; choose 1 or more".into()))
         }
-        Grid::Samples(n) if n.saturating_mul(t.len() - 1) > MOST => Err(Error::Option(format!(
+        Grid::Samples(n) if n.saturating_mul(t.len() - 1) > MOST => Err(Error::option(format!(
             "{n} segments in each of {} intervals between samples: a record has at most {MOST} segments; choose fewer",
             t.len() - 1
         ))),
-        Grid::Uniform(n) if *n > MOST => Err(Error::Option(format!(
+        Grid::Uniform(n) if *n > MOST => Err(Error::option(format!(
             "{n} equal segments: a record has at most {MOST} segments; choose fewer"
         ))),
         Grid::Samples(substeps) => {
@@ -254,12 +254,12 @@ pub(crate) fn edges(grid: &Grid, t: &[f64]) -> Result<Vec<f64>, Error> {
                 && (edges[0] - first).abs() <= SAME * span
                 && (edges[edges.len() - 1] - last).abs() <= SAME * span;
             if !fits {
-                return Err(Error::Option(format!(
+                return Err(Error::option(format!(
                     "segment edges must start at the first sample ({first} s) and end at the last ({last} s)"
                 )));
             }
             if let Some(i) = edges.windows(2).position(|w| w[0].is_nan() || w[1].is_nan() || w[0] >= w[1]) {
-                return Err(Error::Option(format!("segment edges must increase; edge {} does not", i + 1)));
+                return Err(Error::option(format!("segment edges must increase; edge {} does not", i + 1)));
             }
             let mut edges = edges.clone();
             edges[0] = first;

@@ -1,11 +1,12 @@
 //! An unknown parameter.
 
-use serde::{Deserialize, Serialize};
-
+use crate::setters::setters;
 use crate::transform::Transform;
 
 /// An unknown parameter.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Parameter {
     /// Name.
     pub name: String,
@@ -22,18 +23,24 @@ pub struct Parameter {
     /// Whether it is held at its start.
     pub fixed: bool,
     /// Whether each experiment has its own value: biases, wind.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "std::ops::Not::not"))]
     pub local: bool,
     /// The transform between the parameter and the solver's variable.
-    #[serde(default, skip_serializing_if = "is_none")]
+    #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "is_none"))]
     pub transform: Transform,
 }
 
+#[cfg(feature = "serde")]
 fn is_none(transform: &Transform) -> bool {
     *transform == Transform::None
 }
 
 impl Parameter {
+    setters! {
+        fixed: bool, local: bool, transform: Transform;
+        into unit: String, into lower: Option<f64>, into upper: Option<f64>, into prior: Option<(f64, f64)>
+    }
+
     /// A free parameter that starts at a value.
     pub fn new(name: &str, start: f64) -> Self {
         let name = name.to_owned();
@@ -62,7 +69,7 @@ impl Parameter {
             Some(format!("its start {start} lies outside its bounds ({low}, {high}); move one of them"))
         } else if self.transform == Transform::Log && *start <= 0.0 {
             Some(format!(
-                "its start {start} has no logarithm; a parameter with transform \"log\" is positive"
+                "its start {start} has no logarithm; a parameter that is estimated by its logarithm is positive"
             ))
         } else if let Transform::Scale(scale) = self.transform
             && !(scale > 0.0 && scale.is_finite())

@@ -10,8 +10,6 @@
 use std::fmt;
 use std::hash::{Hash, Hasher};
 
-use serde::{Deserialize, Serialize};
-
 /// The reason why a table cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TableError {
@@ -94,16 +92,17 @@ pub enum TableError {
 /// to the bit. Only these are serialised.
 ///
 /// ```
-/// use phugoid::table::Table;
+/// use phugoid::Table;
 ///
 /// let lift = Table::new_1d("CL", &[-0.1, 0.0, 0.1, 0.2], &[-0.4, 0.1, 0.6, 0.9])?;
 /// assert_eq!(lift.eval1(0, 0.1), 0.6);
 /// // Beyond the grid: a line, with the slope at the edge.
 /// assert_eq!(lift.eval1(1, 0.2), lift.eval1(1, 7.0));
-/// # Ok::<(), phugoid::table::TableError>(())
+/// # Ok::<(), phugoid::TableError>(())
 /// ```
-#[derive(Clone, Serialize, Deserialize)]
-#[serde(try_from = "Content", into = "Content")]
+#[derive(Clone)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(try_from = "Content", into = "Content"))]
 pub struct Table {
     name: String,
     axes: Vec<Vec<f64>>,
@@ -116,19 +115,22 @@ pub struct Table {
 }
 
 /// The saved form of a table.
-#[derive(Serialize, Deserialize)]
+#[cfg(feature = "serde")]
+#[derive(serde::Serialize, serde::Deserialize)]
 struct Content {
     name: String,
     axes: Vec<Vec<f64>>,
     values: Vec<f64>,
 }
 
+#[cfg(feature = "serde")]
 impl From<Table> for Content {
     fn from(table: Table) -> Content {
         Content { name: table.name, axes: table.axes, values: table.values }
     }
 }
 
+#[cfg(feature = "serde")]
 impl TryFrom<Content> for Table {
     type Error = TableError;
 

@@ -1,13 +1,12 @@
 //! The transform of a parameter: the solver's variable, of which the parameter is a function.
 
-use serde::{Deserialize, Serialize};
-
 use crate::expr::Op;
 use crate::expr::graph::{Graph, Id};
 
 /// A parameter p as a function of the variable η that the solver moves. All increase with η.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "lowercase"))]
 pub enum Transform {
     /// p = η.
     #[default]

@@ -38,8 +38,8 @@ static ALLOCATOR: Counting = Counting;
 #[test]
 fn no_iteration_allocates_once_the_buffers_are_there() {
     for order in [2, 4] {
-        let (p, xi) = problem(&models::linear(), 241, &Settings { order, threads: 1, ..Settings::default() });
-        let options = Options { tolerance: 1e-300, max_iterations: 9, ..Options::default() };
+        let (p, xi) = problem(&models::linear(), 241, &Settings::default().order(order).threads(1));
+        let options = Options::default().tolerance(1e-300).max_iterations(9);
         // Allocations so far, at each iteration.
         let mut counts: Vec<usize> = Vec::with_capacity(100);
         let solution = solve(&p, &xi, None, &options, &mut |_| {

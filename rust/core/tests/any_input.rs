@@ -3,24 +3,23 @@
 
 use std::time::Duration;
 
-use phugoid::integrate::{Integrator, Steps};
 use phugoid::noise::{Joint, NoiseModel, Scale};
 use phugoid::shooting::Shots;
+use phugoid::shooting::{Integrator, Steps};
 use phugoid::solver::Settings;
 use phugoid::{
     Density, Dof, Estimation, Experiment, Grid, Interpolation, Model, Parameter, Sigma, Simulation,
 };
-use phugoid::{Error, experiment::Signal};
+use phugoid::{Error, Signal};
 use proptest::prelude::*;
 
 /// ẋ = a x + b u(t − τ) + √u, y = x (late), w = x².
 fn model(delays: bool) -> Model {
     let mut m = Model::new("any");
     let (x, u) = (m.state("x", "m").unwrap(), m.input("u", "V").unwrap());
-    let a =
-        m.parameter(Parameter { lower: Some(-5.0), upper: Some(1.0), ..Parameter::new("a", -0.5) }).unwrap();
-    let b = m.parameter(Parameter { local: true, ..Parameter::new("b", 1.0) }).unwrap();
-    let tau = Parameter { lower: Some(0.0), upper: Some(0.5), ..Parameter::new("tau", 0.1) };
+    let a = m.parameter(Parameter::new("a", -0.5).lower(-5.0).upper(1.0)).unwrap();
+    let b = m.parameter(Parameter::new("b", 1.0).local(true)).unwrap();
+    let tau = Parameter::new("tau", 0.1).lower(0.0).upper(0.5);
     let mut push = b * &u;
     if delays {
         let tau = m.parameter(tau).unwrap();
@@ -141,12 +140,8 @@ fn shots() -> impl Strategy<Value = Option<Shots>> {
         1 => (0.01..1.0f64).prop_map(Steps::Length),
         1 => prop_oneof![Just(0.0), Just(-1.0), Just(f64::NAN)].prop_map(Steps::Length),
     ];
-    let one = (grid(), steps).prop_map(|(grid, steps)| Shots {
-        grid: vec![grid],
-        integrator: Integrator::Rk4,
-        steps,
-        ..Shots::default()
-    });
+    let one = (grid(), steps)
+        .prop_map(|(grid, steps)| Shots::default().grid(vec![grid]).integrator(Integrator::Rk4).steps(steps));
     prop_oneof![3 => Just(None), 1 => one.prop_map(Some)]
 }
 
@@ -171,7 +166,7 @@ proptest! {
         tolerance in prop_oneof![9 => Just(1e-4), 1 => number()],
     ) {
         let model = model(delays);
-        let limits = Settings { max_iterations: 15, tolerance, time_limit: Some(Duration::from_secs(5)), ..Settings::default() };
+        let limits = Settings::default().max_iterations(15).tolerance(tolerance).time_limit(Duration::from_secs(5));
         let mut estimation =
             Estimation::new(&model, &records).order(order).grids(grids).threads(1).noise_model(noise).solver(limits);
         if let Some(shots) = shots {
@@ -221,6 +216,7 @@ proptest! {
     }
 
     /// Any text is a model or an error.
+    #[cfg(feature = "serde")]
     #[test]
     fn a_damaged_model_is_refused(cut in 0..3000usize, with in "[ -~]{0,3}", other in prop::option::of(0..3000usize)) {
         let mut m = model(true);

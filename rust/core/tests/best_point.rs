@@ -2,10 +2,10 @@
 
 mod common;
 
+use phugoid::Experiment;
+use phugoid::Interpolation;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::experiment::Experiment;
 use phugoid::expr::Expr;
-use phugoid::interpolate::Interpolation;
 use phugoid::model::{Model, Parameter};
 use phugoid::noise::{Noise, Sigma};
 use phugoid::solver::{Control, Settings as Options, Solution, Status, solve};
@@ -30,7 +30,7 @@ fn problem(start: [f64; 2], outputs: impl Fn(&Expr, &Expr) -> [Expr; 2]) -> (Col
         signals: Vec::new(),
     };
     let noise = Noise::Gaussian(vec![Sigma::Known(1.0); 3]);
-    let settings = Settings { order: 2, threads: 1, ..Settings::default() };
+    let settings = Settings::default().order(2).threads(1);
     let p = Collocation::new(&m, &[e], noise, &settings).unwrap();
     // On its equations from the start.
     let mut xi = start.to_vec();
@@ -72,7 +72,7 @@ fn a_run_that_is_ended_gives_its_best_point_and_not_the_last_on_trust() {
             assert!((whole.xi[0] - 1.0).abs() < 1e-6 && (whole.xi[1] - 1.0).abs() < 1e-6, "{:?}", whole.xi);
         }
         for k in 0..whole.iterations.min(40) {
-            let limited = Options { max_iterations: k, ..Options::default() };
+            let limited = Options::default().max_iterations(k);
             let ends = [
                 (end(&p, &xi, &limited, usize::MAX), Status::IterationLimit),
                 (end(&p, &xi, &Options::default(), k), Status::Interrupted),

@@ -6,9 +6,9 @@ use std::collections::HashSet;
 
 use common::Random;
 use common::models::{self, guess, known_noise, mixed_noise, record};
+use phugoid::Grid;
 use phugoid::collocation::segments_in_chunk;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::check::check_derivatives;
 use phugoid::nlp::{Named, Nlp};
@@ -25,8 +25,7 @@ fn problem(model: &Model, lengths: &[usize], noise: Noise, order: usize, grid: V
         .enumerate()
         .map(|(i, &n)| record(model, &format!("run {i}"), n, i == 0, 10 + i as u64))
         .collect();
-    Collocation::new(model, &records, noise, &Settings { order, grid, threads: 1, ..Settings::default() })
-        .unwrap()
+    Collocation::new(model, &records, noise, &Settings::default().order(order).grid(grid).threads(1)).unwrap()
 }
 
 /// All derivatives, and what must hold of the structures.
@@ -102,7 +101,7 @@ fn edges_and_a_grid_for_each_experiment() {
         let (a, b) = (one.t[0], one.t[10]);
         let edges = vec![a, one.t[3], a + 0.45 * (b - a), a + 0.5 * (b - a), b];
         let grid = vec![Grid::Edges(edges), Grid::Samples(3)];
-        let settings = Settings { order, grid, threads: 1, ..Settings::default() };
+        let settings = Settings::default().order(order).grid(grid).threads(1);
         let problem = Collocation::new(&model, &[one, two], mixed_noise(&model), &settings).unwrap();
         check(&problem, &format!("order {order}"));
     }
@@ -166,7 +165,7 @@ fn the_objective_is_the_likelihood_written_out() {
     let model = models::linear();
     let records = [record(&model, "one", 90, true, 30), record(&model, "two", 20, false, 31)];
     for grid in [Grid::Samples(1), Grid::Uniform(30)] {
-        let settings = Settings { order: 3, grid: vec![grid], threads: 1, ..Settings::default() };
+        let settings = Settings::default().order(3).grid(vec![grid]).threads(1);
         let problem = Collocation::new(&model, &records, mixed_noise(&model), &settings).unwrap();
         let xi = guess(&problem, 5);
         let sigma = problem.posed.noise.sigmas(&xi[problem.posed.n_model_parameters..]);

@@ -4,11 +4,11 @@
 mod common;
 
 use common::newton::solve_defects;
+use phugoid::Experiment;
+use phugoid::Grid;
+use phugoid::Interpolation;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::experiment::Experiment;
 use phugoid::expr::Expr;
-use phugoid::interpolate::Interpolation;
-use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::noise::{Noise, Sigma};
 
@@ -72,7 +72,7 @@ fn errors(known: &Known, order: usize, n: usize, samples: usize) -> (f64, f64) {
         signals: Vec::new(),
     };
     let noise = Noise::Gaussian(vec![Sigma::Known(1.0); n_x]);
-    let settings = Settings { order, grid: vec![Grid::Uniform(n)], threads: 1, ..Settings::default() };
+    let settings = Settings::default().order(order).grid(vec![Grid::Uniform(n)]).threads(1);
     let problem = Collocation::new(&known.model, &[record], noise, &settings).unwrap();
     let mesh = &problem.meshes[0];
     // From the solution: the first point is right, and Newton's method finds the discrete solution next to it.

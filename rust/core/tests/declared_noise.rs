@@ -35,7 +35,7 @@ fn custom() -> Density {
     let good = (-0.5 * &e * &e).exp();
     let wide = (-0.5 * &e * &e / 100.0).exp() / 10.0;
     let log_density = ((1.0 - &share) * good + share * wide).log() - sigma.log();
-    let share = Parameter { lower: Some(1e-3), upper: Some(0.5), ..Parameter::new("share", 0.05) };
+    let share = Parameter::new("share", 0.05).lower(1e-3).upper(0.5);
     Density::Custom(Custom { log_density, parameters: vec![share] })
 }
 
@@ -59,6 +59,7 @@ fn kinds() -> Vec<NoiseModel> {
     ]
 }
 
+#[cfg(feature = "serde")]
 #[test]
 fn noise_is_saved_with_the_model() {
     for noise in kinds() {
@@ -113,7 +114,11 @@ fn contradictions_are_named() {
     model.noise.scales.push(("zz".into(), Scale::Known(1.0)));
     refused(Estimation::new(&model, &runs), &["'zz' is not an output"]);
     assert_eq!(model.noise.joint, Joint::Independent);
+}
 
+#[cfg(feature = "serde")]
+#[test]
+fn damaged_noise_is_refused() {
     let text = level().to_json();
     let with = |noise: &str| {
         let damaged = format!("{},\"noise\":{noise}}}", &text[..text.len() - 1]);

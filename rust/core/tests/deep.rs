@@ -5,8 +5,10 @@ mod common;
 use std::collections::HashMap;
 
 use common::values;
-use phugoid::expr::pool::Pool;
 use phugoid::expr::{Expr, Graph};
+#[cfg(feature = "serde")]
+use phugoid::internals::pool::Pool;
+#[cfg(feature = "serde")]
 use phugoid::model::Model;
 
 const TERMS: usize = 100_000;
@@ -82,6 +84,7 @@ fn printing() {
     });
 }
 
+#[cfg(feature = "serde")]
 #[test]
 fn saving_and_loading() {
     on_a_small_stack(|| {

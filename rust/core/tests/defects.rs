@@ -5,9 +5,9 @@ mod common;
 
 use common::models::{self, guess, known_noise, record};
 use common::values;
+use phugoid::Grid;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::interpolate::{Interpolation, interpolate};
-use phugoid::mesh::Grid;
+use phugoid::internals::interpolate::{Interpolation, interpolate};
 use phugoid::model::Model;
 use phugoid::nlp::{Named, Nlp};
 
@@ -15,7 +15,7 @@ fn check(model: &Model, order: usize, grid: Grid, interpolation: Interpolation) 
     // The first record is longer than a chunk.
     let mut records = [record(model, "one", 90, false, 1), record(model, "two", 8, false, 2)];
     records.iter_mut().for_each(|r| r.interpolation = interpolation);
-    let settings = Settings { order, grid: vec![grid], threads: 1, ..Settings::default() };
+    let settings = Settings::default().order(order).grid(vec![grid]).threads(1);
     let problem = Collocation::new(model, &records, known_noise(model), &settings).unwrap();
     let xi = guess(&problem, 3);
     let mut found = vec![f64::NAN; problem.m()];

@@ -19,7 +19,7 @@ const SIGMA: f64 = 0.05;
 fn lag(gain: Parameter) -> Model {
     let mut m = Model::new("lag");
     let (x, u) = (m.state("x", "m").unwrap(), m.input("u", "V").unwrap());
-    let tau = Parameter { lower: Some(0.01), unit: "s".into(), ..Parameter::new("tau", 0.5) };
+    let tau = Parameter::new("tau", 0.5).lower(0.01).unit("s");
     let (tau, gain) = (m.parameter(tau).unwrap(), m.parameter(gain).unwrap());
     m.equation("x", (gain * u - &x) / tau).unwrap();
     m.output("y", x, "m").unwrap();
@@ -123,8 +123,8 @@ fn a_known_sigma_scales_the_standard_errors() {
 
 #[test]
 fn bounds_hold_and_are_reported() {
-    let bounded = Parameter { upper: Some(1.5), ..Parameter::new("gain", 1.0) };
-    let fixed = Parameter { fixed: true, ..Parameter::new("gain", 1.5) };
+    let bounded = Parameter::new("gain", 1.0).upper(1.5);
+    let fixed = Parameter::new("gain", 1.5).fixed(true);
     let fits = [(bounded, Bound::Upper), (fixed, Bound::Fixed)].map(|(gain, bound)| {
         let model = lag(gain);
         let fit = Estimation::new(&model, &[run(&model, "run", 0.3, 1)]).solve().unwrap();
@@ -159,7 +159,7 @@ fn wrong_names_and_values_give_clear_errors() {
     let known = estimation().noise("y", Sigma::Known(0.1)).start("sigma_y", 0.2);
     assert_error(known.solve(), &["sigma_y is known (0.1)"]);
     assert_error(Estimation::new(&model, &[]).solve(), &["no experiment"]);
-    let settings = Settings { tolerance: 2.0, ..Settings::default() };
+    let settings = Settings::default().tolerance(2.0);
     assert_error(estimation().solver(settings).solve(), &["tolerance 2"]);
 
     let twice = [runs[0].clone(), runs[0].clone()];
@@ -261,7 +261,7 @@ fn a_run_goes_on_from_a_fit() {
 
 #[test]
 fn a_prior_pulls_but_is_no_part_of_the_likelihood() {
-    let tight = Parameter { prior: Some((1.5, 1e-3)), ..Parameter::new("gain", 1.0) };
+    let tight = Parameter::new("gain", 1.0).prior((1.5, 1e-3));
     let model = lag(tight);
     let runs = [run(&model, "run", 0.3, 1)];
     let fit = Estimation::new(&model, &runs).solve().unwrap();

@@ -2,10 +2,10 @@
 
 mod common;
 
+use phugoid::Experiment;
+use phugoid::Interpolation;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::experiment::Experiment;
 use phugoid::expr::{Expr, gt, select};
-use phugoid::interpolate::Interpolation;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::{Named, Nlp, NotFinite};
 use phugoid::noise::{Noise, Sigma};
@@ -30,7 +30,7 @@ fn problem(f: &Expr, g: &Expr) -> Collocation {
         signals: Vec::new(),
     };
     let sigma = Sigma::Unknown { start: 1.0, lower: 1e-3, upper: 1e3 };
-    let settings = Settings { order: 2, ..Settings::default() };
+    let settings = Settings::default().order(2);
     Collocation::new(&model, &[record("first"), record("second")], Noise::Gaussian(vec![sigma]), &settings)
         .unwrap()
 }

@@ -39,7 +39,7 @@ fn solved(p: &Collocation, factor: &mut dyn Factor) -> Vec<u64> {
 
 #[test]
 fn there_is_a_factor_only_of_what_was_factorised() {
-    let (p, xi) = problem(&models::linear(), 61, &Settings { threads: 1, ..Settings::default() });
+    let (p, xi) = problem(&models::linear(), 61, &Settings::default().threads(1));
     let [hessian, _, mut jacobian] = entries(&p, &xi);
     for mut kkt in solvers(&p, &xi) {
         assert!(kkt.factor().is_none());
@@ -56,7 +56,7 @@ fn there_is_a_factor_only_of_what_was_factorised() {
 
 #[test]
 fn another_hessian_leads_to_the_same_bits_as_a_new_factorisation() {
-    let (p, xi) = problem(&models::linear(), 61, &Settings { threads: 1, ..Settings::default() });
+    let (p, xi) = problem(&models::linear(), 61, &Settings::default().threads(1));
     let [hessian, other, jacobian] = entries(&p, &xi);
     let first = Entries { hessian: &hessian, jacobian: &jacobian };
     let second = Entries { hessian: &other, jacobian: &jacobian };

@@ -3,9 +3,9 @@
 mod common;
 
 use common::{Random, models, slope};
-use phugoid::experiment::Experiment;
+use phugoid::Experiment;
+use phugoid::Interpolation;
 use phugoid::filter::{Filter, Lost, Settings};
-use phugoid::interpolate::Interpolation;
 use phugoid::model::{Model, Parameter};
 use phugoid::noise::{Noise, Sigma};
 

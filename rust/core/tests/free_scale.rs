@@ -43,7 +43,7 @@ fn level() -> Variable {
 fn a_free_scale_is_named_with_what_to_fix() {
     let model = tanks(|name, value| Parameter::new(name, 1.4 * value), level());
     let runs = [record(&model)];
-    let shots = Shots { grid: vec![Grid::Uniform(20)], ..Shots::default() };
+    let shots = Shots::default().grid(vec![Grid::Uniform(20)]);
     for estimation in [Estimation::new(&model, &runs), Estimation::new(&model, &runs).shooting(shots)] {
         let fit = estimation.solve().unwrap();
         assert_eq!(fit.status, Status::Unidentifiable, "{fit}");
@@ -59,9 +59,8 @@ fn a_free_scale_is_named_with_what_to_fix() {
 
 #[test]
 fn with_the_scale_fixed_it_converges_to_the_truth() {
-    let start = |name: &str, value: f64| Parameter {
-        fixed: name == "k4",
-        ..Parameter::new(name, if name == "k4" { value } else { 1.4 * value })
+    let start = |name: &str, value: f64| {
+        Parameter::new(name, if name == "k4" { value } else { 1.4 * value }).fixed(name == "k4")
     };
     let model = tanks(start, level());
     let fit = Estimation::new(&model, &[record(&model)]).solve().unwrap();
@@ -73,7 +72,7 @@ fn with_the_scale_fixed_it_converges_to_the_truth() {
 
 #[test]
 fn a_state_starts_as_declared_and_within_its_bounds() {
-    let start = |name: &str, value: f64| Parameter { fixed: true, ..Parameter::new(name, value) };
+    let start = |name: &str, value: f64| Parameter::new(name, value).fixed(true);
     for (declared, expected) in [(Some(2.5), 2.5), (None, 0.1)] {
         let upper = Variable { start: declared, lower: Some(0.1), upper: Some(9.0), ..level() };
         let model = tanks(start, upper);

@@ -5,8 +5,8 @@ mod common;
 
 use common::{Random, Run};
 use phugoid::expr::Graph;
-use phugoid::expr::graph::Id;
-use phugoid::tape::{Inputs, Tape};
+use phugoid::internals::graph::Id;
+use phugoid::internals::tape::{Inputs, Tape};
 
 const N: usize = 64;
 

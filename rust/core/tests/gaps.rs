@@ -1,6 +1,6 @@
 //! Gaps in the sampling of records: found where there are some, warned of by fits.
 
-use phugoid::gaps::{gap_warnings, gaps};
+use phugoid::internals::gaps::{gap_warnings, gaps};
 use phugoid::{Estimation, Experiment, Model, Parameter};
 
 fn even(n: usize) -> Vec<f64> {

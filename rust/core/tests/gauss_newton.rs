@@ -7,21 +7,16 @@ use std::collections::HashMap;
 
 use common::models::{self, guess, known_noise, mixed_noise, record};
 use nalgebra::DMatrix;
+use phugoid::Grid;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::Nlp;
 use phugoid::noise::Noise;
 
 fn problem(model: &Model, noise: Noise, grid: Grid) -> Collocation {
     let records = [record(model, "one", 13, true, 1), record(model, "two", 6, false, 2)];
-    Collocation::new(
-        model,
-        &records,
-        noise,
-        &Settings { order: 3, grid: vec![grid], threads: 1, ..Settings::default() },
-    )
-    .unwrap()
+    Collocation::new(model, &records, noise, &Settings::default().order(3).grid(vec![grid]).threads(1))
+        .unwrap()
 }
 
 /// A full symmetric matrix from the entries of its lower triangle.

@@ -6,9 +6,9 @@ mod common;
 use std::collections::HashMap;
 
 use common::{Run, close, slope, values};
-use phugoid::expr::graph::Id;
 use phugoid::expr::{Expr, Graph, Op, atan2, gt, le, lt, max, min, select};
-use phugoid::tape::{Arguments, Function, LANE_MULTIPLE, Pairs, Workspace};
+use phugoid::internals::graph::Id;
+use phugoid::internals::tape::{Arguments, Function, LANE_MULTIPLE, Pairs, Workspace};
 
 fn x() -> Expr {
     Expr::symbol("x")

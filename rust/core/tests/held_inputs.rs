@@ -5,12 +5,12 @@ mod common;
 use common::newton::solve_defects;
 use nalgebra::{DMatrix, DVector};
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::integrate::Steps;
-use phugoid::interpolate::{derivative, interpolate};
+use phugoid::internals::interpolate::{derivative, interpolate};
 use phugoid::nlp::Nlp;
 use phugoid::nlp::check::check_derivatives;
 use phugoid::noise::Noise;
 use phugoid::shooting::Shots;
+use phugoid::shooting::Steps;
 use phugoid::{Estimation, Experiment, Grid, Interpolation, Model, Parameter, Sigma, Simulation};
 
 /// A lightly damped oscillator, x″ = −a x − b x′ + c u, whose acceleration is measured too: it jumps with u.
@@ -127,7 +127,7 @@ fn collocation_is_exact() {
     let noise = || Noise::Gaussian(vec![Sigma::Known(1.0); 2]);
     for (run, states) in [record(80), record_of_own_jumps()] {
         for grid in [Grid::Samples(1), Grid::Samples(2), Grid::Uniform(7)] {
-            let settings = Settings { order: 9, grid: vec![grid.clone()], ..Settings::default() };
+            let settings = Settings::default().order(9).grid(vec![grid.clone()]);
             let problem = Collocation::new(&model, std::slice::from_ref(&run), noise(), &settings).unwrap();
             let mut xi = vec![0.0; problem.n()];
             xi[..3].copy_from_slice(&TRUTH);
@@ -149,9 +149,9 @@ fn collocation_is_exact() {
 #[test]
 fn estimates_of_exact_data_are_exact() {
     let model = oscillator();
-    let fine = Shots { steps: Steps::Samples(20), ..Shots::default() };
-    let single = Shots { grid: vec![Grid::Uniform(1)], steps: Steps::Length(0.006), ..Shots::default() };
-    let several = Shots { grid: vec![Grid::Uniform(9)], steps: Steps::Number(150), ..Shots::default() };
+    let fine = Shots::default().steps(Steps::Samples(20));
+    let single = Shots::default().grid(vec![Grid::Uniform(1)]).steps(Steps::Length(0.006));
+    let several = Shots::default().grid(vec![Grid::Uniform(9)]).steps(Steps::Number(150));
     for (run, _) in [record(80), record_of_own_jumps()] {
         let estimation = || {
             let estimation = Estimation::new(&model, std::slice::from_ref(&run));
@@ -182,7 +182,7 @@ fn derivatives_are_those_of_differences() {
     let run = Experiment::new(&m, "run", t, [("u", steps(n)), ("x", vec![0.4; n])]).unwrap();
     let run = run.with_interpolation(&m, "u", Interpolation::Hold).unwrap();
     for grid in [Grid::Samples(1), Grid::Uniform(31)] {
-        let settings = Settings { order: 3, grid: vec![grid], threads: 1, ..Settings::default() };
+        let settings = Settings::default().order(3).grid(vec![grid]).threads(1);
         let noise = Noise::Gaussian(vec![Sigma::Known(0.1)]);
         let problem = Collocation::new(&m, std::slice::from_ref(&run), noise, &settings).unwrap();
         let wave = |i: usize, s: f64| (s * (i as f64 + 1.0)).sin();

@@ -1,6 +1,6 @@
 //! Interpolation of inputs between their samples.
 
-use phugoid::interpolate::{Interpolation, interpolate};
+use phugoid::internals::interpolate::{Interpolation, interpolate};
 use proptest::prelude::*;
 
 const BOTH: [Interpolation; 2] = [Interpolation::Linear, Interpolation::Cubic];
@@ -90,6 +90,7 @@ fn nan_times_give_nan_and_no_times_nothing() {
     }
 }
 
+#[cfg(feature = "serde")]
 #[test]
 fn kinds_are_named_in_lower_case() {
     let text = serde_json::to_string(&BOTH).unwrap();

@@ -7,11 +7,11 @@ use common::Random;
 use common::flights::{TRUTH, problem};
 use common::models::{self, guess, mixed_noise, record};
 use nalgebra::{DMatrix, DVector};
+use phugoid::Grid;
 use phugoid::collocation::{Collocation, Settings};
 use phugoid::linalg::arrow::ArrowKkt;
 use phugoid::linalg::sparse::SparseKkt;
 use phugoid::linalg::{Effort, Entries, Factor, KktSolver};
-use phugoid::mesh::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::Nlp;
 use phugoid::solver::state_units;
@@ -25,7 +25,7 @@ struct Case {
 
 fn case(model: &Model, order: usize, grid: Grid, exact: bool) -> Case {
     let records = [record(model, "one", 13, true, 1), record(model, "two", 6, false, 2)];
-    let settings = Settings { order, grid: vec![grid], threads: 1, ..Settings::default() };
+    let settings = Settings::default().order(order).grid(vec![grid]).threads(1);
     let problem = Collocation::new(model, &records, mixed_noise(model), &settings).unwrap();
     let xi = guess(&problem, 3);
     let mut random = Random(7);
@@ -192,7 +192,7 @@ fn covariance_is_the_block_of_the_inverse() {
 #[test]
 fn it_is_as_accurate_where_small_changes_grow_without_limit() {
     // A minute of an aircraft more unstable than most: a change at its start has grown by 10¹⁰⁰ at its end.
-    let settings = Settings { order: 3, threads: 1, ..Settings::default() };
+    let settings = Settings::default().order(3).threads(1);
     let (p, xi) = problem(&models::linear(), 1201, &settings);
     let mut xi = xi;
     xi[..6].copy_from_slice(&TRUTH);

@@ -6,10 +6,10 @@ mod common;
 use common::Random;
 use nalgebra::{DMatrix, DVector};
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::condition::End;
 use phugoid::linalg::arrow::ArrowKkt;
 use phugoid::linalg::sparse::SparseKkt;
 use phugoid::linalg::{Effort, Entries, Factor, KktError, KktSolver, kkt_for};
+use phugoid::model::End;
 use phugoid::nlp::Nlp;
 use phugoid::noise::Noise;
 use phugoid::{Experiment, Expr, Grid, Model, Parameter, Sigma};
@@ -39,7 +39,7 @@ fn problem(conditions: &[(End, &str, f64)], seconds: u32) -> Collocation {
         Experiment::new(&m, name, t.clone(), columns).unwrap()
     };
     let records = [record("one", 0.3), record("two", 1.1)];
-    let settings = Settings { order: 3, grid: vec![Grid::Samples(2)], threads: 1, ..Settings::default() };
+    let settings = Settings::default().order(3).grid(vec![Grid::Samples(2)]).threads(1);
     let noise = Noise::Gaussian(vec![Sigma::Known(0.5), Sigma::Known(0.2)]);
     Collocation::new(&m, &records, noise, &settings).unwrap()
 }

@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::condition::End;
 use phugoid::interrupt::Interrupt;
 use phugoid::linalg::{Effort, Entries, KktError, KktSolver, kkt_for};
+use phugoid::model::End;
 use phugoid::nlp::Nlp;
 use phugoid::noise::Noise;
 use phugoid::{Experiment, Expr, Grid, Model, Parameter, Sigma};
@@ -25,7 +25,7 @@ fn of_length(segments: u32, condition: bool) -> Collocation {
     }
     let t: Vec<f64> = (0..=segments).map(f64::from).collect();
     let run = Experiment::new(&m, "run", t, [("x", vec![1.0; segments as usize + 1])]).unwrap();
-    let settings = Settings { order: 4, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
+    let settings = Settings::default().order(4).grid(vec![Grid::Samples(1)]).threads(1);
     Collocation::new(&m, &[run], Noise::Gaussian(vec![Sigma::Known(1.0)]), &settings).unwrap()
 }
 

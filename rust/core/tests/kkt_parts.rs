@@ -6,7 +6,7 @@ use common::Random;
 use nalgebra::{DMatrix, DVector};
 use phugoid::linalg::arrow::ArrowKkt;
 use phugoid::linalg::{self, Effort, Factor, KktSolver};
-use phugoid::nlp::{Boundary, Chain, Chains, Structure, Tie};
+use phugoid::nlp::{Boundary, Chain, Chains, Structure, Threads, Tie};
 
 /// What a random system is like.
 #[derive(Clone, Debug)]
@@ -398,7 +398,7 @@ fn long_chains_of_parts_merge_and_have_the_same_bits_on_any_threads() {
     let system = system(&kind, 3);
     let mut bits = Vec::new();
     for threads in [1, 4] {
-        let mut arrow = system.arrow().with_threads(threads);
+        let mut arrow = system.arrow().with_threads(Threads::new(threads).unwrap());
         assert!(arrow.groups() >= 18, "{}", arrow.groups());
         arrow.factorize(&system.entries(), Effort::FULL).unwrap();
         assert!(arrow.finish(&no_held(&system), 0.0).is_positive());

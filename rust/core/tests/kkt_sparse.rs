@@ -6,12 +6,12 @@ mod common;
 use common::Random;
 use common::models::{self, guess, known_noise, mixed_noise, record};
 use nalgebra::{DMatrix, DVector};
+use phugoid::Experiment;
+use phugoid::Grid;
+use phugoid::Interpolation;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::experiment::Experiment;
-use phugoid::interpolate::Interpolation;
 use phugoid::linalg::sparse::SparseKkt;
 use phugoid::linalg::{Curvature, Effort, Entries, Factor, KktError, KktSolver};
-use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::{Named, Nlp, Structure};
 use phugoid::noise::{Noise, Sigma};
@@ -734,7 +734,7 @@ fn covariance_is_the_block_of_the_inverse() {
 /// The system of a collocation problem at some point.
 fn collocation(model: &Model, noise: Noise, order: usize, grid: Grid, exact: bool) -> (Collocation, Case) {
     let records = [record(model, "one", 13, true, 1), record(model, "two", 6, false, 2)];
-    let settings = Settings { order, grid: vec![grid], threads: 1, ..Settings::default() };
+    let settings = Settings::default().order(order).grid(vec![grid]).threads(1);
     let problem = Collocation::new(model, &records, noise, &settings).unwrap();
     let case = system(&problem, &guess(&problem, 3), exact);
     (problem, case)
@@ -802,7 +802,7 @@ fn parameters_that_data_cannot_tell_are_named() {
     let mut records = [record(&m, "one", 40, false, 1)];
     records[0].inputs[0].fill(0.0);
     for (order, exact) in [(2, false), (4, false)] {
-        let settings = Settings { order, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
+        let settings = Settings::default().order(order).grid(vec![Grid::Samples(1)]).threads(1);
         let problem = Collocation::new(&m, &records, known_noise(&m), &settings).unwrap();
         let case = system(&problem, &guess(&problem, 3), exact);
         let mut kkt = case.factorized();
@@ -871,7 +871,7 @@ fn large(order: usize, samples: usize) -> Collocation {
         signals: Vec::new(),
     };
     let noise = Noise::Gaussian(vec![Sigma::Unknown { start: 0.5, lower: 1e-3, upper: 1e3 }; 7]);
-    let settings = Settings { order, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
+    let settings = Settings::default().order(order).grid(vec![Grid::Samples(1)]).threads(1);
     Collocation::new(&m, &[record], noise, &settings).unwrap()
 }
 

@@ -2,7 +2,7 @@
 //! the order of the collocation method built on it.
 
 use nalgebra::{DMatrix, DVector};
-use phugoid::lgl::Lgl;
+use phugoid::internals::lgl::Lgl;
 
 fn close(found: f64, expected: f64, tolerance: f64) {
     let error = (found - expected).abs();

@@ -1,7 +1,7 @@
 //! The elementary functions: accuracy against std and against correctly
 //! rounded results of mpmath, and the same bits in every form.
 
-use phugoid::math;
+use phugoid::internals::math;
 use proptest::prelude::*;
 
 /// The functions of one argument: their three forms, std's, and the greatest
@@ -37,11 +37,11 @@ macro_rules! compiled {
         mod wide {
             #[target_feature(enable = "avx2,fma")]
             pub fn avx2(out: &mut [f64], $($a: &[f64]),*) {
-                phugoid::math::$lanes(out, $($a),*);
+                phugoid::internals::math::$lanes(out, $($a),*);
             }
             #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
             pub fn avx512(out: &mut [f64], $($a: &[f64]),*) {
-                phugoid::math::$lanes(out, $($a),*);
+                phugoid::internals::math::$lanes(out, $($a),*);
             }
         }
         fn avx2(out: &mut [f64], $($a: &[f64]),*) {

@@ -1,8 +1,8 @@
 //! A model that is incomplete or contradicts itself says so in the user's names.
 
-use phugoid::error::Error;
 use phugoid::expr::Expr;
 use phugoid::model::{Model, Parameter};
+use phugoid::{Error, ErrorKind};
 
 /// A complete model, to be spoilt.
 fn sound() -> Model {
@@ -17,10 +17,11 @@ fn sound() -> Model {
     m
 }
 
-/// Asserts an [`Error::Model`] whose text holds all of some words.
+/// Asserts an [`ErrorKind::Model`] whose text holds all of some words.
 fn names<T: std::fmt::Debug>(result: Result<T, Error>, words: &[&str]) {
     match result {
-        Err(Error::Model(text)) => {
+        Err(error) if error.kind() == ErrorKind::Model => {
+            let text = error.to_string();
             for word in words {
                 assert!(text.contains(word), "'{word}' is not in: {text}");
             }
@@ -155,7 +156,7 @@ fn names_are_words() {
 #[test]
 fn bounds_and_starts_agree() {
     let with = |start: f64, lower: Option<f64>, upper: Option<f64>| {
-        sound().parameter(Parameter { lower, upper, ..Parameter::new("mass", start) })
+        sound().parameter(Parameter::new("mass", start).lower(lower).upper(upper))
     };
     names(with(-1.0, Some(0.0), None), &["'mass'", "-1", "outside"]);
     names(with(3.0, Some(0.0), Some(2.0)), &["'mass'", "3", "(0, 2)"]);
@@ -169,7 +170,7 @@ fn bounds_and_starts_agree() {
 #[test]
 fn priors_have_a_positive_width() {
     for prior in [(0.0, 0.0), (0.0, -1.0), (0.0, f64::NAN), (f64::INFINITY, 1.0)] {
-        let parameter = Parameter { prior: Some(prior), ..Parameter::new("mass", 1.0) };
+        let parameter = Parameter::new("mass", 1.0).prior(prior);
         names(sound().parameter(parameter), &["'mass'", "prior"]);
     }
 }

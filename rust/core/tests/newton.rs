@@ -6,18 +6,18 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use common::flights::{SIGMA, TRUTH, problem};
 use common::models;
+use phugoid::Grid;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::diagnosis::information;
 use phugoid::expr::Expr;
-use phugoid::initial::{self, Initial};
+use phugoid::internals::diagnosis::information;
+use phugoid::internals::initial::{self, Initial};
 use phugoid::interrupt::{Interrupt, current};
-use phugoid::mesh::Grid;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::{Named, Nlp, NotFinite, Structure};
 use phugoid::solver::{Control, Settings as Options, Solution, Status, solve};
 
 fn settings(order: usize) -> Settings {
-    Settings { order, ..Settings::default() }
+    Settings::default().order(order)
 }
 
 fn run(problem: &Collocation, xi: &[f64], options: &Options) -> Solution {
@@ -28,7 +28,7 @@ fn run(problem: &Collocation, xi: &[f64], options: &Options) -> Solution {
 fn errors(problem: &Collocation, solution: &Solution) -> Vec<f64> {
     let wanted: Vec<usize> = (0..TRUTH.len()).collect();
     let found =
-        information(problem, &solution.xi, &solution.multipliers, &wanted, &[], &mut || true).unwrap();
+        information(problem, &solution.xi, &solution.multipliers, &wanted, &[], &solution.kkt).unwrap();
     let error = |i: usize| (solution.xi[i] - TRUTH[i]) / found.covariance[i * wanted.len() + i].sqrt();
     wanted.iter().map(|&i| error(i)).collect()
 }
@@ -57,8 +57,7 @@ fn it_finds_an_unstable_aircraft_from_zero_at_any_order() {
 #[test]
 fn samples_between_mesh_points_change_nothing_of_that() {
     let grid = vec![Grid::Uniform(70)];
-    let (p, xi) =
-        problem(&models::linear(), 241, &Settings { order: 5, grid, threads: 1, ..Settings::default() });
+    let (p, xi) = problem(&models::linear(), 241, &Settings::default().order(5).grid(grid).threads(1));
     let s = run(&p, &xi, &Options::default());
     assert_eq!(s.status, Status::Converged, "{}", s.message);
     // The input has corners that the mesh does not see.
@@ -84,7 +83,7 @@ fn the_counts_of_a_run() {
 fn the_result_has_the_same_bits_on_any_number_of_threads() {
     let solved: Vec<Solution> = [1, 2, 3, 8]
         .map(|threads| {
-            let (p, xi) = problem(&models::linear(), 4001, &Settings { threads, ..settings(3) });
+            let (p, xi) = problem(&models::linear(), 4001, &settings(3).threads(threads));
             run(&p, &xi, &Options::default())
         })
         .into();
@@ -107,10 +106,10 @@ fn it_goes_on_from_a_solution_at_once() {
 #[test]
 fn limits_and_the_watch_end_a_run_with_its_best_point() {
     let (p, xi) = problem(&models::linear(), 241, &settings(4));
-    let s = run(&p, &xi, &Options { max_iterations: 2, ..Options::default() });
+    let s = run(&p, &xi, &Options::default().max_iterations(2));
     assert_eq!((s.status, s.iterations), (Status::IterationLimit, 2));
     let none = std::time::Duration::ZERO;
-    let s = run(&p, &xi, &Options { time_limit: Some(none), ..Options::default() });
+    let s = run(&p, &xi, &Options::default().time_limit(none));
     assert_eq!((s.status, s.iterations), (Status::TimeLimit, 0));
     let mut seen = 0;
     let s = solve(&p, &xi, None, &Options::default(), &mut |line| {
@@ -138,20 +137,20 @@ fn bounds_hold_and_what_is_at_one_stays_there() {
         run(&p, &xi, &Options::default())
     };
     // Below what the data want, and far from it in between.
-    let bounded = Parameter { lower: Some(-12.0), upper: Some(0.0), ..Parameter::new("Mde", -5.0) };
+    let bounded = Parameter::new("Mde", -5.0).lower(-12.0).upper(0.0);
     let (p, xi) = problem(&with(bounded), 241, &settings(4));
     let s = run(&p, &xi, &Options::default());
     assert_eq!((s.status, s.xi[5]), (Status::Converged, -12.0));
     assert!(s.objective > free.objective);
     // Fixed there, the rest is the same.
-    let fixed = Parameter { fixed: true, ..Parameter::new("Mde", -12.0) };
+    let fixed = Parameter::new("Mde", -12.0).fixed(true);
     let (p, mut xi) = problem(&with(fixed), 241, &settings(4));
     xi[5] = -12.0;
     let other = run(&p, &xi, &Options::default());
     assert_eq!(other.status, Status::Converged);
     assert!((s.objective - other.objective).abs() < 1e-9 * s.objective.abs());
     // Bounds that do not bind do not matter, whatever was held on the way.
-    let wide = Parameter { lower: Some(-14.0), upper: Some(-1.0), ..Parameter::new("Mde", -5.0) };
+    let wide = Parameter::new("Mde", -5.0).lower(-14.0).upper(-1.0);
     let (p, xi) = problem(&with(wide), 241, &settings(4));
     let other = run(&p, &xi, &Options::default());
     assert_eq!(other.status, Status::Converged);
@@ -223,7 +222,7 @@ fn a_hopeless_model_ends_within_its_limits() {
     let mut xi: Vec<f64> = p.posed.parameters.iter().map(|p| p.start).collect();
     xi.resize(p.n(), 0.7);
     for gauss_newton in [true, false] {
-        let s = run(&p, &xi, &Options { gauss_newton, max_iterations: 60, ..Options::default() });
+        let s = run(&p, &xi, &Options::default().gauss_newton(gauss_newton).max_iterations(60));
         assert_ne!(s.status, Status::Converged);
         assert!(s.iterations <= 60 && !s.message.is_empty());
         assert!(s.xi.iter().all(|x| x.is_finite()));

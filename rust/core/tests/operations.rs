@@ -6,9 +6,9 @@ mod common;
 use std::collections::HashMap;
 
 use common::{Random, Run, close, slope, ulps, values};
-use phugoid::expr::graph::Id;
-use phugoid::expr::ops::{Entry, TABLE};
 use phugoid::expr::{Expr, Graph, Op};
+use phugoid::internals::graph::Id;
+use phugoid::internals::operations::{Entry, TABLE};
 
 const N: usize = 104; // more than a block, and no multiple of it
 const NAMES: [&str; 3] = ["a", "b", "c"];

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use common::Random;
 use phugoid::estimate::{Beginning, Bound, Problem, Solver};
-use phugoid::initial::{Initial, solve};
+use phugoid::internals::initial::{Initial, solve};
 use phugoid::interrupt::Interrupt;
 use phugoid::nlp::NotFinite;
 use phugoid::solver::{Control, Iteration, Settings, Solution, Status};
@@ -31,7 +31,7 @@ fn late(tau: Parameter) -> Model {
 }
 
 fn unbounded() -> Model {
-    late(Parameter { lower: Some(-0.5), upper: Some(2.0), ..Parameter::new("tau", 0.0) })
+    late(Parameter::new("tau", 0.0).lower(-0.5).upper(2.0))
 }
 
 fn record(model: &Model, seed: u64) -> Experiment {
@@ -76,7 +76,7 @@ fn passes_over_delays_share_the_iterations() {
     let runs = [record(&model, 1)];
     let whole = Estimation::new(&model, &runs).solve().unwrap();
     let most = whole.iterations / 2;
-    let settings = Settings { max_iterations: most, ..Settings::default() };
+    let settings = Settings::default().max_iterations(most);
     let fit = Estimation::new(&model, &runs).solver(settings).solve().unwrap();
     assert!(
         fit.iterations <= most && fit.status != Status::Converged
@@ -90,7 +90,7 @@ fn passes_over_delays_share_the_iterations() {
 
 #[test]
 fn a_delay_at_its_bound_is_said_to_be_there() {
-    let model = late(Parameter { lower: Some(0.0), upper: Some(0.1), ..Parameter::new("tau", 0.05) });
+    let model = late(Parameter::new("tau", 0.05).lower(0.0).upper(0.1));
     let fit = Estimation::new(&model, &[record(&unbounded(), 1)]).solve().unwrap();
     assert_eq!((fit.status, fit["tau"].bound), (Status::Converged, Some(Bound::Upper)));
     assert_eq!(fit["tau"].bounds, (0.0, 0.1));
@@ -108,7 +108,7 @@ impl Solver for Counted {
         watch: &mut dyn FnMut(&Iteration) -> Control,
     ) -> Result<Solution, NotFinite> {
         self.0.fetch_add(1, Ordering::Relaxed);
-        let settings = Settings { max_iterations: from.max_iterations, ..Settings::default() };
+        let settings = Settings::default().max_iterations(from.max_iterations);
         let initial = if from.known && from.multipliers.is_none() { Initial::Places } else { Initial::Start };
         let multipliers = from.multipliers.map(|m| &m.constraints[..]);
         solve(problem.transcribed(), from.xi, multipliers, initial, &settings, watch)
@@ -171,4 +171,13 @@ fn an_interrupted_run_has_standard_errors_unless_these_are_stopped_too() {
     let fit = interrupted(Some(stopped));
     assert!(fit["k"].std_error.is_nan());
     assert!(fit.warnings[0].starts_with("interrupted: there are no standard errors"), "{:?}", fit.warnings);
+}
+
+#[path = "../examples/own_solver.rs"]
+#[allow(dead_code)]
+mod example;
+
+#[test]
+fn the_example_agrees_with_the_solver_of_the_crate() {
+    example::main().unwrap();
 }

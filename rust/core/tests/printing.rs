@@ -3,8 +3,8 @@
 mod common;
 
 use common::{close, parse, values};
-use phugoid::expr::ops::TABLE;
 use phugoid::expr::{Expr, Op, lt, select};
+use phugoid::internals::operations::TABLE;
 
 fn symbols() -> [Expr; 3] {
     ["a", "b", "c"].map(Expr::symbol)

@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use common::trees::{self, NAMES, error_bound};
 use common::{Random, Run, parse, slope, values};
-use phugoid::expr::graph::Id;
 use phugoid::expr::{Expr, Graph};
+use phugoid::internals::graph::Id;
 use proptest::prelude::*;
 
 const N: usize = 24;

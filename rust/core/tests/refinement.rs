@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use common::Random;
 use phugoid::estimate::{Beginning, Problem, Solver, Transcription};
+use phugoid::model::{End, Transform};
 use phugoid::nlp::NotFinite;
 use phugoid::solver::{Control, Iteration, Settings, Solution, Status, solve};
-use phugoid::transform::Transform;
 use phugoid::{Estimation, Experiment, Fit, Grid, Model, Parameter, Sigma, Simulation};
 
 /// Van der Pol's oscillator, both states measured.
@@ -77,12 +77,12 @@ impl Solver for Late {
 fn a_mesh_that_was_not_checked_is_no_refined_one() {
     let (m, run) = oscillator();
     let runs = [run];
-    let settings = Settings { time_limit: Some(Duration::from_millis(1400)), ..Settings::default() };
+    let settings = Settings::default().time_limit(Some(Duration::from_millis(1400)));
     let estimation = Estimation::new(&m, &runs).solver(settings).own_solver(&Late).refine(0.5);
     let ended = estimation.solve().unwrap();
     assert_eq!(ended.status, Status::TimeLimit);
     assert!(ended.message.contains("fine enough") && ended.refinement.is_none(), "{}", ended.message);
-    let settings = Settings { time_limit: None, ..Settings::default() };
+    let settings = Settings::default();
     assert_eq!(estimation.solver(settings).own_solver(&Late).solve().unwrap().status, Status::Converged);
 }
 
@@ -138,15 +138,15 @@ fn kinks_are_smoothed_and_what_that_leaves_in_error_is_told() {
 fn fast(measured_late: bool) -> (Model, Experiment) {
     let mut m = Model::new("fast");
     let (x, y) = (m.state("x", "").unwrap(), m.state("y", "").unwrap());
-    let log = |name: &str, start| Parameter { transform: Transform::Log, ..Parameter::new(name, start) };
+    let log = |name: &str, start| Parameter::new(name, start).transform(Transform::Log);
     let (a, b) = (m.parameter(log("a", 1.0)).unwrap(), m.parameter(log("b", 1.0)).unwrap());
     m.equation("x", -(a * (&x * &x - &y))).unwrap();
     m.equation("y", -(b * &y)).unwrap();
-    m.condition(phugoid::condition::End::Initial, "x", phugoid::Expr::from(3.0)).unwrap();
-    m.condition(phugoid::condition::End::Initial, "y", phugoid::Expr::from(1.0)).unwrap();
+    m.condition(End::Initial, "x", phugoid::Expr::from(3.0)).unwrap();
+    m.condition(End::Initial, "y", phugoid::Expr::from(1.0)).unwrap();
     m.output("x", x, "").unwrap();
     if measured_late {
-        let late = m.parameter(Parameter { fixed: true, ..Parameter::new("late", 0.01) }).unwrap();
+        let late = m.parameter(Parameter::new("late", 0.01).fixed(true)).unwrap();
         m.sensor_delay("x", &late).unwrap();
     }
     let t = vec![0.0, 0.02, 0.05, 0.5, 1.0, 2.0, 4.0, 6.0, 10.0];

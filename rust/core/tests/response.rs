@@ -5,11 +5,11 @@ mod common;
 use common::models::{known_noise, linear, record};
 use common::newton::solve_defects;
 use nalgebra::{DMatrix, DVector};
+use phugoid::Experiment;
+use phugoid::Grid;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::condition::End;
-use phugoid::diagnosis::{Forward, Linearisation, Outputs, Place, Response};
-use phugoid::experiment::Experiment;
-use phugoid::mesh::Grid;
+use phugoid::internals::diagnosis::{Forward, Linearisation, Outputs, Place, Response};
+use phugoid::model::End;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::Nlp;
 
@@ -33,7 +33,7 @@ fn pendulum() -> Model {
 }
 
 fn posed(model: &Model, records: &[Experiment], order: usize, grid: Grid) -> Collocation {
-    let settings = Settings { order, grid: vec![grid], threads: 1, ..Settings::default() };
+    let settings = Settings::default().order(order).grid(vec![grid]).threads(1);
     Collocation::new(model, records, known_noise(model), &settings).unwrap()
 }
 

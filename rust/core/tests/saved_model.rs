@@ -1,8 +1,10 @@
 //! A model saved by Python evaluates to the same bits here. The file is made by tools/saved_model.py, and
 //! tests/test_saved_model.py sees to it that it is what Python makes today.
 
+#![cfg(feature = "serde")]
+
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::evaluator::Evaluator;
+use phugoid::internals::evaluator::Evaluator;
 use phugoid::nlp::Nlp;
 use phugoid::noise::Noise;
 use phugoid::{Experiment, Grid, Interpolation, Model, Sigma};
@@ -63,7 +65,7 @@ fn problem(saved: &Value) -> Collocation {
         &model(saved),
         &experiments,
         noise,
-        &Settings { order, grid, threads: 0, ..Settings::default() },
+        &Settings::default().order(order).grid(grid).threads(0),
     )
     .unwrap()
 }

@@ -1,10 +1,10 @@
 //! Models that are not linear in their parameters: which parameters these are, and starts far from the optimum.
 
 use phugoid::expr::Expr;
+use phugoid::model::Transform;
 use phugoid::model::{Model, Parameter};
 use phugoid::nlp::{Named, Separable};
 use phugoid::solver::Status;
-use phugoid::transform::Transform;
 use phugoid::{Estimation, Experiment, Sigma};
 
 /// A state that is forced by `force(parameters, u)`, measured with its rate.

@@ -2,9 +2,9 @@
 
 use std::collections::HashMap;
 
-use phugoid::expr::graph::{Id, Item};
 use phugoid::expr::{Expr, Graph, Op};
-use phugoid::tape::{Inputs, Tape};
+use phugoid::internals::graph::{Id, Item};
+use phugoid::internals::tape::{Inputs, Tape};
 
 fn symbols() -> [Expr; 3] {
     ["a", "b", "c"].map(Expr::symbol)

@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use common::flights;
 use common::models::linear;
-use phugoid::integrate::{Integrator, Steps};
+use phugoid::Grid;
+use phugoid::internals::problem::Transcribed;
 use phugoid::interrupt::Interrupt;
-use phugoid::mesh::Grid;
 use phugoid::nlp::Nlp;
 use phugoid::noise::{Noise, Sigma};
-use phugoid::problem::Transcribed;
+use phugoid::shooting::{Integrator, Steps};
 use phugoid::shooting::{Shooting, Shots};
 use phugoid::solver::Status;
 use phugoid::{Estimation, Experiment, Model, Parameter};
@@ -33,13 +33,11 @@ fn errors(integrator: Integrator, segments: usize, steps: usize) -> (f64, f64) {
     let t: Vec<f64> = (0..=300).map(|k| 2.0 * (f64::from(k) / 300.0).powf(1.1)).collect();
     let x: Vec<f64> = t.iter().map(|t| 1.0 / (1.0 + t * t)).collect();
     let run = Experiment::new(&model, "run", t, [("y", x.clone())]).unwrap();
-    let settings = Shots {
-        grid: vec![Grid::Uniform(segments)],
-        integrator,
-        steps: Steps::Number(steps / segments),
-        threads: 1,
-        ..Shots::default()
-    };
+    let settings = Shots::default()
+        .grid(vec![Grid::Uniform(segments)])
+        .integrator(integrator)
+        .steps(Steps::Number(steps / segments))
+        .threads(1);
     let noise = Noise::Gaussian(vec![Sigma::Known(1.0)]);
     let problem = Shooting::new(&model, std::slice::from_ref(&run), noise, &settings).unwrap();
     // Nodes on the path that the integration gives: each segment starts where the one before it ended.
@@ -98,7 +96,7 @@ fn a_solution_that_ceases_to_exist() {
     // It leaves to infinity at 0.5 s; fixed steps follow a little longer.
     assert!((0.5..2.0).contains(&time), "{error}");
     // Segments shorter than that are no trouble.
-    let shots = Shots { grid: vec![Grid::Uniform(100)], ..Shots::default() };
+    let shots = Shots::default().grid(vec![Grid::Uniform(100)]);
     let fit = Estimation::new(&m, &runs).shooting(shots).solve().unwrap();
     assert_eq!(fit.status, Status::Converged);
 }
@@ -127,13 +125,8 @@ fn fits_agree_with_collocation() {
     let reference = Estimation::new(&model, &run).order(6).solve().unwrap();
     for (segments, steps) in [(30, Steps::Samples(4)), (7, Steps::Length(0.0025)), (1, Steps::Samples(4))] {
         let grid = vec![Grid::Uniform(segments)];
-        let shots = Shots {
-            grid,
-            steps: steps.clone(),
-            integrator: Integrator::DormandPrince,
-            threads: 1,
-            ..Shots::default()
-        };
+        let shots =
+            Shots::default().grid(grid).steps(steps.clone()).integrator(Integrator::DormandPrince).threads(1);
         let warm = Estimation::new(&model, &run).shooting(shots.clone()).start_from(&reference);
         let cold = Estimation::new(&model, &run).shooting(shots);
         for (how, fit) in [("warm", warm.solve().unwrap()), ("cold", cold.solve().unwrap())] {
@@ -164,13 +157,13 @@ fn wrong_options() {
         Shooting::new(&model, &runs, noise, &settings).map(|_| ()).unwrap_err().to_string()
     };
     for steps in [Steps::Samples(0), Steps::Number(0), Steps::Length(0.0), Steps::Length(f64::NAN)] {
-        let error = build(Shots { steps, ..Shots::default() }, 1);
+        let error = build(Shots::default().steps(steps), 1);
         assert!(error.contains("at least one step of positive length"), "{error}");
     }
     let grid = vec![Grid::Uniform(1); 2];
-    assert!(build(Shots { grid, ..Shots::default() }, 3).contains("2 grids for 3 experiments"));
+    assert!(build(Shots::default().grid(grid), 3).contains("2 grids for 3 experiments"));
     let grid = vec![Grid::Edges(vec![0.0, 1.5])];
-    assert!(build(Shots { grid, ..Shots::default() }, 1).contains("end at the last"));
+    assert!(build(Shots::default().grid(grid), 1).contains("end at the last"));
 }
 
 /// An evaluation asks the interrupt in force, however short its segments are.
@@ -180,7 +173,7 @@ fn an_evaluation_that_is_stopped_ends() {
     let t: Vec<f64> = (0..=40).map(|k| 0.05 * f64::from(k)).collect();
     let y = t.iter().map(|t| 1.0 / (1.0 + t * t)).collect();
     let run = Experiment::new(&model, "run", t, [("y", y)]).unwrap();
-    let settings = Shots { grid: vec![Grid::Uniform(10)], threads: 1, ..Shots::default() };
+    let settings = Shots::default().grid(vec![Grid::Uniform(10)]).threads(1);
     let noise = Noise::Gaussian(vec![Sigma::Known(1.0)]);
     let problem = Shooting::new(&model, std::slice::from_ref(&run), noise, &settings).unwrap();
     let mut xi = vec![-2.0];
@@ -199,7 +192,7 @@ fn the_path_passes_through_the_states_at_the_samples() {
     let y = t.iter().map(|t| 1.0 / (1.0 + t * t)).collect();
     let run = Experiment::new(&model, "run", t.clone(), [("y", y)]).unwrap();
     for (steps, segments) in [(Steps::Samples(1), 1), (Steps::Samples(3), 1), (Steps::Samples(1), 4)] {
-        let settings = Shots { grid: vec![Grid::Uniform(segments)], steps, threads: 1, ..Shots::default() };
+        let settings = Shots::default().grid(vec![Grid::Uniform(segments)]).steps(steps).threads(1);
         let noise = Noise::Gaussian(vec![Sigma::Known(1.0)]);
         let problem = Shooting::new(&model, std::slice::from_ref(&run), noise, &settings).unwrap();
         let mut xi = vec![-2.0];

@@ -6,11 +6,11 @@ use std::collections::HashSet;
 
 use common::Random;
 use common::models::{linear, mixed_noise, nonlinear, record, scalar};
-use phugoid::integrate::{Integrator, Steps};
-use phugoid::mesh::Grid;
+use phugoid::Grid;
 use phugoid::model::Model;
 use phugoid::nlp::Nlp;
 use phugoid::nlp::check::check_derivatives;
+use phugoid::shooting::{Integrator, Steps};
 use phugoid::shooting::{Shooting, Shots};
 
 /// Differences of step 6e-6 are good to 1e-8 or so of the terms that they are taken of.
@@ -51,7 +51,7 @@ fn check(problem: &Shooting, what: &str) {
 }
 
 fn settings(integrator: Integrator, segments: usize, steps: Steps) -> Shots {
-    Shots { grid: vec![Grid::Uniform(segments)], integrator, steps, threads: 1, ..Shots::default() }
+    Shots::default().grid(vec![Grid::Uniform(segments)]).integrator(integrator).steps(steps).threads(1)
 }
 
 /// Steps from sample to sample, and such that samples lie within them.
@@ -78,7 +78,7 @@ fn edges_and_a_grid_for_each_experiment() {
     for steps in [Steps::Samples(2), Steps::Number(4)] {
         for second in [Grid::Samples(1), Grid::Uniform(1)] {
             let grid = vec![Grid::Edges(edges.clone()), second];
-            let settings = Shots { grid, steps: steps.clone(), threads: 1, ..Shots::default() };
+            let settings = Shots::default().grid(grid).steps(steps.clone()).threads(1);
             let records = [one.clone(), two.clone()];
             let problem = Shooting::new(&model, &records, mixed_noise(&model), &settings).unwrap();
             check(&problem, &format!("{steps:?}"));
@@ -88,7 +88,7 @@ fn edges_and_a_grid_for_each_experiment() {
 
 #[test]
 fn parameters_of_each_experiment_and_transformed_ones() {
-    use phugoid::transform::Transform;
+    use phugoid::model::Transform;
     let mut model = nonlinear();
     model.parameters[1].transform = Transform::Log;
     model.parameters[3].local = true;
@@ -115,7 +115,7 @@ fn gauss_newton_is_exact_without_residuals() {
         let mut records = [record(&model, "run", 9, false, 10)];
         let problem = build(&records);
         let xi = guess(&problem, 4);
-        records[0].outputs = phugoid::problem::Transcribed::outputs_at_samples(&problem, &xi, 0);
+        records[0].outputs = phugoid::internals::problem::Transcribed::outputs_at_samples(&problem, &xi, 0);
         let problem = build(&records);
         let size = problem.hessian_structure().len();
         let (mut exact, mut approximate) = (vec![0.0; size], vec![f64::NAN; size]);
@@ -134,7 +134,7 @@ fn any_number_of_threads_gives_the_same_bits() {
     let model = nonlinear();
     let records = [record(&model, "one", 400, true, 1), record(&model, "two", 150, false, 2)];
     let evaluate = |threads: usize| -> Vec<u64> {
-        let settings = Shots { threads, ..settings(Integrator::Rk4, 60, Steps::Number(5)) };
+        let settings = settings(Integrator::Rk4, 60, Steps::Number(5)).threads(threads);
         let p = Shooting::new(&model, &records, mixed_noise(&model), &settings).unwrap();
         let xi = guess(&p, 3);
         let lambda: Vec<f64> = (0..p.m()).map(|i| (0.37 * i as f64).sin()).collect();

@@ -1,14 +1,14 @@
 //! [`Simulation`] against solutions in closed form.
 
-use phugoid::experiment::Signal;
-use phugoid::{Error, Estimation, Experiment, Interpolation, Model, Parameter, Simulation};
+use phugoid::Signal;
+use phugoid::{ErrorKind, Estimation, Experiment, Interpolation, Model, Parameter, Simulation};
 
 /// ẋ = (u − x)/τ, y = x + b.
 fn lag() -> Model {
     let mut m = Model::new("lag");
     let (x, u) = (m.state("x", "m").unwrap(), m.input("u", "V").unwrap());
     let tau = m.parameter(Parameter::new("tau", 1.0)).unwrap();
-    let b = m.parameter(Parameter { local: true, ..Parameter::new("b", 0.0) }).unwrap();
+    let b = m.parameter(Parameter::new("b", 0.0).local(true)).unwrap();
     m.equation("x", (u - &x) / tau).unwrap();
     m.output("y", x + b, "m").unwrap();
     m
@@ -133,7 +133,7 @@ fn where_states_begin() {
     };
     assert_eq!(first(&model), 3.0);
     let tau = phugoid::Expr::symbol("tau");
-    model.condition(phugoid::condition::End::Initial, "x", 2.0 * tau + 0.5).unwrap();
+    model.condition(phugoid::model::End::Initial, "x", 2.0 * tau + 0.5).unwrap();
     assert_eq!(first(&model), 2.5);
 }
 
@@ -158,5 +158,5 @@ fn what_cannot_be_simulated_is_named() {
         &["'u' is a derivative"],
     );
     let missing = Experiment::of_inputs(&model, "run", times(5, 1.0), []).unwrap_err();
-    assert!(matches!(missing, Error::Data(text) if text.contains("no channel 'u'")));
+    assert!(missing.kind() == ErrorKind::Data && missing.to_string().contains("no channel 'u'"));
 }

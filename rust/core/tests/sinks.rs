@@ -1,7 +1,7 @@
 //! A tape with sinks gives what the same tape without them gives.
 
 use phugoid::expr::Graph;
-use phugoid::tape::{Inputs, Operand, Sink, Sinks, Tape, Workspace};
+use phugoid::internals::tape::{Inputs, Operand, Sink, Sinks, Tape, Workspace};
 
 #[test]
 fn sums_and_rows_are_those_of_the_kept_outputs() {

@@ -1,8 +1,9 @@
 //! Interpolation tables: values, smoothness, derivatives, errors.
 
+#[cfg(feature = "serde")]
 use std::collections::HashSet;
 
-use phugoid::table::{Table, TableError};
+use phugoid::{Table, TableError};
 use proptest::prelude::*;
 
 const X: [f64; 6] = [-2.0, -1.5, 0.1, 0.7, 2.0, 3.1];
@@ -250,6 +251,7 @@ fn a_nearly_uniform_axis_is_searched_like_any_other() {
     }
 }
 
+#[cfg(feature = "serde")]
 #[test]
 fn equality_hash_and_file_hold_the_content_only() {
     let (one, two) = (one(), two());
@@ -271,6 +273,7 @@ fn equality_hash_and_file_hold_the_content_only() {
     assert_eq!(HashSet::from([one, other, renamed, two]).len(), 4);
 }
 
+#[cfg(feature = "serde")]
 #[test]
 fn a_damaged_file_is_refused() {
     let text = r#"{"name": "CD", "axes": [[0.0, 0.0]], "values": [1.0, 2.0]}"#;

@@ -3,8 +3,8 @@
 mod common;
 
 use common::models::{guess, mixed_noise, nonlinear, record};
+use phugoid::Grid;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::mesh::Grid;
 use phugoid::nlp::Nlp;
 
 /// Everything that the problem computes at a point, as bits.
@@ -12,7 +12,7 @@ fn evaluate(order: usize, grid: Grid, threads: usize) -> Vec<Vec<u64>> {
     let model = nonlinear();
     // Enough blocks of samples, in two records, that the work is divided.
     let records = [record(&model, "one", 3500, true, 1), record(&model, "two", 900, false, 2)];
-    let settings = Settings { order, grid: vec![grid], threads, ..Settings::default() };
+    let settings = Settings::default().order(order).grid(vec![grid]).threads(threads);
     let p = Collocation::new(&model, &records, mixed_noise(&model), &settings).unwrap();
     let xi = guess(&p, 3);
     let lambda: Vec<f64> = (0..p.m()).map(|i| (0.37 * i as f64).sin()).collect();

@@ -27,8 +27,8 @@ impl PyCollocation {
         threads: usize,
     ) -> PyResult<PyClassInitializer<Self>> {
         let records: Vec<_> = experiments.into_iter().map(experiment).collect::<PyResult<_>>()?;
-        let settings =
-            Settings { order, grid: grids(divisions)?, threads, noise_per_experiment: noise.per_experiment };
+        let settings = Settings::default().order(order).grid(grids(divisions)?).threads(threads);
+        let settings = settings.noise_per_experiment(noise.per_experiment);
         let (model, noise) = (&model.0, noise.noise.clone());
         let problem = py.detach(|| Collocation::new(model, &records, noise, &settings)).map_err(raise)?;
         Ok(PyClassInitializer::from(PyProblem(Transcription::Collocation(

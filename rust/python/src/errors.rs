@@ -1,15 +1,15 @@
 //! Errors of the core as the exceptions of `phugoid.errors`.
 
-use phugoid::error::Error;
+use phugoid::{Error, ErrorKind};
 use pyo3::prelude::*;
 
 /// The Python exception for an error.
 pub fn raise(error: Error) -> PyErr {
-    let class = match error {
-        Error::Model(_) => "ModelError",
-        Error::Data(_) => "DataError",
-        Error::Option(_) => "OptionError",
-        Error::Evaluation(_) => "EvaluationError",
+    let class = match error.kind() {
+        ErrorKind::Model => "ModelError",
+        ErrorKind::Data => "DataError",
+        ErrorKind::Option => "OptionError",
+        _ => "EvaluationError",
     };
     named(class, error.to_string())
 }

@@ -6,10 +6,10 @@ use std::sync::{Arc, Mutex};
 use numpy::{PyArray1, PyReadonlyArray1};
 use phugoid::Estimation;
 use phugoid::estimate::{Beginning, Earlier, Multipliers, Path, Problem, Solver};
-use phugoid::integrate::Integrator;
 use phugoid::interrupt::{Interrupt, current};
 use phugoid::nlp::NotFinite;
 use phugoid::noise::NoiseModel;
+use phugoid::shooting::Integrator;
 use phugoid::shooting::Shots;
 use phugoid::solver::{Control, Evaluations, Iteration, Settings, Solution, Status};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
@@ -147,9 +147,9 @@ impl<R: Send> Solver for OwnSolver<'_, '_, R> {
             Ok(())
         });
         let found = found.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
-        let found = found.ok_or(NotFinite)?;
-        let objective = problem.transcribed().objective(&found.xi).unwrap_or(f64::NAN);
-        Ok(Solution { objective, ..found })
+        let mut found = found.ok_or(NotFinite)?;
+        found.objective = problem.transcribed().objective(&found.xi).unwrap_or(f64::NAN);
+        Ok(found)
     }
 }
 
@@ -161,30 +161,23 @@ fn solution(solved: Solved<'_>) -> PyResult<Solution> {
         Iteration { number, objective: -value, defect, promise, step, trials, shift: 0.0, exact: true }
     };
     let count = |i: usize| counts.get(i).copied().unwrap_or_default();
-    Ok(Solution {
-        xi: vector(xi),
-        multipliers: vector(multipliers),
-        bound_multipliers: Some((vector(low), vector(high))),
-        status: known.ok_or_else(|| PyValueError::new_err(format!("unknown status '{status}'")))?,
-        message,
-        objective: f64::NAN,
-        defect: f64::NAN,
-        iterations,
-        evaluations: Evaluations {
-            objective: count(0),
-            gradient: count(1),
-            constraints: count(2),
-            jacobian: count(3),
-            hessian: count(4),
-            gauss_newton: count(5),
-            factorizations: count(6),
-            solutions: count(7),
-        },
-        flops,
-        time: seconds(Some(time)).unwrap_or_default(),
-        units: Vec::new(),
-        history: history.into_iter().map(one).collect(),
-    })
+    let status = known.ok_or_else(|| PyValueError::new_err(format!("unknown status '{status}'")))?;
+    let mut found = Solution::new(vector(xi), vector(multipliers), status);
+    found.bound_multipliers = Some((vector(low), vector(high)));
+    (found.message, found.iterations, found.flops) = (message, iterations, flops);
+    found.evaluations = Evaluations {
+        objective: count(0),
+        gradient: count(1),
+        constraints: count(2),
+        jacobian: count(3),
+        hessian: count(4),
+        gauss_newton: count(5),
+        factorizations: count(6),
+        solutions: count(7),
+    };
+    found.time = seconds(Some(time)).unwrap_or_default();
+    found.history = history.into_iter().map(one).collect();
+    Ok(found)
 }
 
 /// Estimates the parameters of a model from records, without the interpreter lock. `watch` is called with each line of the
@@ -214,12 +207,13 @@ pub fn estimate(
         .other_ways(options.other_ways)
         .smooth_kinks(options.smooth_kinks);
     if options.solver_given {
-        estimation = estimation.solver(Settings {
-            max_iterations: options.max_iterations,
-            tolerance: options.tolerance,
-            time_limit: seconds(options.time_limit),
-            gauss_newton: options.gauss_newton,
-        });
+        estimation = estimation.solver(
+            Settings::default()
+                .max_iterations(options.max_iterations)
+                .tolerance(options.tolerance)
+                .time_limit(seconds(options.time_limit))
+                .gauss_newton(options.gauss_newton),
+        );
     }
     if let Some(tolerance) = options.refine {
         estimation = estimation.refine(tolerance);
@@ -235,12 +229,9 @@ pub fn estimate(
         let integrator = Integrator::from_name(integrator).ok_or_else(unknown)?;
         let grid = grids(options.grids)?;
         let steps = core_steps(spec)?;
-        estimation = estimation.grid(phugoid::Grid::Samples(1)).shooting(Shots {
-            grid,
-            integrator,
-            steps,
-            ..Shots::default()
-        });
+        estimation = estimation
+            .grid(phugoid::Grid::Samples(1))
+            .shooting(Shots::default().grid(grid).integrator(integrator).steps(steps));
     }
     estimation = estimation.threads(options.threads);
     for (name, start) in starts(options.start) {

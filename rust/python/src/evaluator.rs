@@ -1,8 +1,8 @@
 //! f and g of a model at points.
 
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2};
-use phugoid::error::Error;
-use phugoid::evaluator::Evaluator;
+use phugoid::Error;
+use phugoid::internals::evaluator::Evaluator;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 

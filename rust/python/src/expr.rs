@@ -4,10 +4,10 @@ use std::collections::HashMap;
 use std::f64::consts::{LN_10, PI};
 use std::sync::Arc;
 
-use phugoid::expr::ops::TABLE;
-use phugoid::expr::pool::Pool;
+use phugoid::Table;
 use phugoid::expr::{self, Expr, Lookup, Op};
-use phugoid::table::Table;
+use phugoid::internals::operations::TABLE;
+use phugoid::internals::pool::Pool;
 use pyo3::basic::CompareOp;
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -409,7 +409,7 @@ pub fn lgl(order: usize) -> PyResult<(Vec<f64>, Vec<f64>, Vec<f64>)> {
     if order < 2 {
         return Err(PyValueError::new_err("a Lobatto rule has at least 2 points"));
     }
-    let rule = phugoid::lgl::Lgl::new(order);
+    let rule = phugoid::internals::lgl::Lgl::new(order);
     let c = rule.integration_matrix();
     Ok((rule.nodes, rule.weights, c))
 }
@@ -455,5 +455,5 @@ impl PyTable {
 /// Values of a sampled channel at other times: `kind` is "linear", "cubic" or "hold".
 #[pyfunction]
 pub fn interpolate(kind: &str, t: Vec<f64>, values: Vec<f64>, at: Vec<f64>) -> PyResult<Vec<f64>> {
-    Ok(phugoid::interpolate::interpolate(crate::problem::interpolation(kind)?, &t, &values, &at))
+    Ok(phugoid::internals::interpolate::interpolate(crate::problem::interpolation(kind)?, &t, &values, &at))
 }

@@ -4,10 +4,9 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use phugoid::estimate::{
     Bound as Limit, CollocatedPath, Estimate, Fit, RefinementStep, SmoothingStep, Transcription,
 };
-use phugoid::experiment::{Experiment, Signal};
-use phugoid::mesh::Grid;
 use phugoid::model::{Delays, Model};
 use phugoid::noise::NoiseModel;
+use phugoid::{Experiment, Grid, Signal};
 use pyo3::prelude::*;
 
 use crate::errors::raise;

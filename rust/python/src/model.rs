@@ -1,9 +1,9 @@
 //! Models.
 
-use phugoid::condition::{Condition, End};
+use phugoid::model::Transform;
+use phugoid::model::{Condition, End};
 use phugoid::model::{Delays, LateInput, LateOutput, Model, Parameter, Variable};
 use phugoid::noise::{NoiseModel, Scale};
-use phugoid::transform::Transform;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -91,16 +91,14 @@ impl PyModel {
     ) -> PyResult<PyExpr> {
         let bound = |b: f64| (!b.is_infinite()).then_some(b);
         let transform = if log { Transform::Log } else { scale.map_or(Transform::None, Transform::Scale) };
-        let parameter = Parameter {
-            unit: unit.to_owned(),
-            lower: bound(lower),
-            upper: bound(upper),
-            prior,
-            fixed,
-            local,
-            transform,
-            ..Parameter::new(name, start)
-        };
+        let parameter = Parameter::new(name, start)
+            .unit(unit.to_owned())
+            .lower(bound(lower))
+            .upper(bound(upper))
+            .prior(prior)
+            .fixed(fixed)
+            .local(local)
+            .transform(transform);
         self.0.parameter(parameter).map(PyExpr).map_err(raise)
     }
 

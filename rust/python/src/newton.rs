@@ -1,11 +1,11 @@
 //! The Newton solver.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1};
-use phugoid::diagnosis::{NoInformation, information as information_of};
-use phugoid::initial::{Initial, solve};
+use phugoid::internals::diagnosis::{NoInformation, information as information_of};
+use phugoid::internals::initial::{Initial, solve};
+use phugoid::internals::problem::Transcribed;
 use phugoid::interrupt::Interrupt;
-use phugoid::linalg::KktError;
-use phugoid::problem::Transcribed;
+use phugoid::linalg::{KktChoice, KktError};
 use phugoid::solver::{Control, Iteration, Settings, Solution};
 use pyo3::exceptions::{PyTimeoutError, PyValueError};
 use pyo3::prelude::*;
@@ -132,8 +132,10 @@ pub fn information<'py>(
         return Err(PyValueError::new_err(format!("there is no unknown {i} among {}", nlp.n())));
     }
     let limit = seconds(time_limit);
-    let work =
-        || Interrupt::within(limit).run(|| information_of(nlp, xi, lambda, &wanted, &held, &mut || true));
+    let work = || {
+        Interrupt::within(limit)
+            .run(|| information_of(nlp, xi, lambda, &wanted, &held, &KktChoice::default()))
+    };
     let (found, error) = watched(py, stop.as_ref(), |_| work());
     if let Some(error) = error {
         return Err(error);
@@ -185,7 +187,8 @@ pub fn newton(
     let xi = xi.as_slice()?.to_vec();
     let multipliers = multipliers.map(|m| m.as_slice().map(<[f64]>::to_vec)).transpose()?;
     check_sizes(nlp, &xi, multipliers.as_deref())?;
-    let settings = Settings { max_iterations, tolerance, time_limit: seconds(time_limit), gauss_newton };
+    let settings = Settings::default().max_iterations(max_iterations).tolerance(tolerance);
+    let settings = settings.time_limit(seconds(time_limit)).gauss_newton(gauss_newton);
     let initial = match (regression, wide) {
         (false, _) if paths => Initial::Paths,
         (false, _) => Initial::Start,

@@ -3,14 +3,14 @@
 use std::sync::{Arc, Mutex};
 
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
+use phugoid::Grid;
+use phugoid::Interpolation;
 use phugoid::collocation::Collocation;
-use phugoid::diagnosis::Linearisation;
-use phugoid::experiment::{Experiment, Signal};
-use phugoid::interpolate::Interpolation;
-use phugoid::mesh::Grid;
+use phugoid::internals::diagnosis::Linearisation;
+use phugoid::internals::problem::{Posed, Transcribed};
 use phugoid::nlp::{NotFinite, Structure, check::check_derivatives};
-use phugoid::problem::{Posed, Transcribed};
 use phugoid::shooting::Shooting;
+use phugoid::{Experiment, Signal};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -111,7 +111,7 @@ pub fn experiment((name, t, inputs, outputs, kinds, signals): Record<'_>) -> PyR
 /// Numbers of the intervals between sample times that are gaps: longer than ten times those beside them.
 #[pyfunction]
 pub fn gaps(t: Vec<f64>) -> Vec<usize> {
-    phugoid::gaps::gaps(&t)
+    phugoid::internals::gaps::gaps(&t)
 }
 
 /// Warnings about gaps of records over which inputs of these names move, one for each record.
@@ -119,7 +119,7 @@ pub fn gaps(t: Vec<f64>) -> Vec<usize> {
 pub fn gap_warnings(inputs: Vec<String>, experiments: Vec<Record<'_>>) -> PyResult<Vec<String>> {
     let records: Vec<Experiment> = experiments.into_iter().map(experiment).collect::<PyResult<_>>()?;
     let names: Vec<&str> = inputs.iter().map(String::as_str).collect();
-    Ok(phugoid::gaps::gap_warnings(&names, &records))
+    Ok(phugoid::internals::gaps::gap_warnings(&names, &records))
 }
 
 impl PyProblem {

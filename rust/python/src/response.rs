@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use phugoid::collocation::Collocation;
-use phugoid::diagnosis::{Linearisation, Outputs, Place};
+use phugoid::internals::diagnosis::{Linearisation, Outputs, Place};
 use phugoid::nlp::Nlp;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -94,7 +94,7 @@ pub fn answers<'py>(
     let of = collocation(problem, xi)?;
     let problem = of.0;
     let (n, n_theta) = (problem.layout.n_x, problem.layout.n_theta);
-    let total = |f: fn(&phugoid::mesh::Mesh) -> usize| problem.meshes.iter().map(f).sum::<usize>();
+    let total = |f: fn(&phugoid::internals::mesh::Mesh) -> usize| problem.meshes.iter().map(f).sum::<usize>();
     let [points, mesh_points, samples] =
         [total(|m| m.times.len()), total(|m| m.n_mesh), total(|m| m.sample_points.len())];
     let (k, n_y) = (signals.as_array().nrows(), rows.as_array().ncols());

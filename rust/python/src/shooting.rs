@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use phugoid::integrate::{Integrator, Steps};
+use phugoid::shooting::{Integrator, Steps};
 use phugoid::shooting::{Shooting, Shots};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -46,13 +46,9 @@ impl PyShooting {
         let records: Vec<_> = experiments.into_iter().map(experiment).collect::<PyResult<_>>()?;
         let unknown = || PyValueError::new_err("unknown integrator");
         let integrator = Integrator::from_name(integrator).ok_or_else(unknown)?;
-        let settings = Shots {
-            grid: grids(divisions)?,
-            integrator,
-            steps: core_steps(&steps)?,
-            threads,
-            noise_per_experiment: noise.per_experiment,
-        };
+        let settings =
+            Shots::default().grid(grids(divisions)?).integrator(integrator).steps(core_steps(&steps)?);
+        let settings = settings.threads(threads).noise_per_experiment(noise.per_experiment);
         let (model, noise) = (&model.0, noise.noise.clone());
         let problem = py.detach(|| Shooting::new(model, &records, noise, &settings)).map_err(raise)?;
         Ok(PyClassInitializer::from(PyProblem(Transcription::Shooting(Arc::new(problem))))

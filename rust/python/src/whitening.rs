@@ -1,7 +1,7 @@
 //! Residuals and sensitivities made white.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
-use phugoid::diagnosis::{Predictors, Whitening};
+use phugoid::internals::diagnosis::{Predictors, Whitening};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 

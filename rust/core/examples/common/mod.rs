@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use phugoid::evaluator::Evaluator;
+use phugoid::internals::evaluator::Evaluator;
 use phugoid::{Fit, Model};
 
 /// A record in the folder $PHUGOID_DATA, else in `shared/data` beside the checkout. None ships with the

@@ -8,8 +8,6 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-use rayon::prelude::*;
-
 use crate::condition::End;
 use crate::error::Error;
 use crate::experiment::Experiment;
@@ -23,14 +21,17 @@ use crate::problem::layout::{Layout, Place};
 use crate::problem::objective::{Objective, add};
 use crate::problem::posed::{OfExperiment, Posed};
 use crate::problem::transcribed::Transcribed;
+use crate::setters::setters;
 use crate::tape::Pairs;
 use crate::threads::Threads;
+use crate::threads::prelude::*;
 use chunk::Chunk;
 pub use chunk::segments_in_chunk;
 use defects::Dynamics;
 
 /// The options of a transcription by collocation.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Settings {
     /// Points of a segment, m: 2 is the trapezoid.
     pub order: usize,
@@ -47,6 +48,10 @@ impl Default for Settings {
     fn default() -> Self {
         Settings { order: 4, grid: vec![Grid::Samples(1)], threads: 0, noise_per_experiment: false }
     }
+}
+
+impl Settings {
+    setters! { order: usize, grid: Vec<Grid>, threads: usize, noise_per_experiment: bool; }
 }
 
 /// The collocation problem: −ℓ(θ, x) to be minimised under the defects. It is an [`Nlp`]: any optimiser that
@@ -66,7 +71,7 @@ impl Default for Settings {
 /// let run = Experiment::new(&m, "run", vec![0.0, 1.0, 2.0], [("x", vec![1.0, 3.1, 5.0])])?;
 ///
 /// let noise = Noise::Gaussian(vec![Sigma::Known(0.1)]);
-/// let settings = Settings { order: 2, grid: vec![Grid::Samples(1)], threads: 1, ..Settings::default() };
+/// let settings = Settings::default().order(2).grid(vec![Grid::Samples(1)]).threads(1);
 /// let problem = Collocation::new(&m, &[run], noise, &settings)?;
 /// assert_eq!((problem.n(), problem.m()), (4, 2)); // the slope and x at three points; two defects
 /// assert_eq!(problem.variable_name(2), "x at t = 1 s of 'run'");
@@ -196,7 +201,7 @@ impl Collocation {
     fn place_derivatives(&mut self) {
         let (dynamics, layout, maps) = (&self.dynamics, &self.layout, &self.posed.estimands.maps);
         let (chunks, map) = (&self.chunks, |chunk: &Chunk| &maps[chunk.experiment]);
-        let threads = self.posed.threads();
+        let threads = &self.posed.threads;
         let entries: Vec<usize> = chunks.iter().map(|c| dynamics.jacobian_entries(c)).collect();
         let each = dynamics.hessian_entries();
         let own: Vec<usize> = chunks.iter().map(|c| each * c.n_own()).collect();
@@ -237,7 +242,7 @@ impl Collocation {
     fn jacobian_of_defects(&self) -> Structure {
         let mut structure = Structure::default();
         let entries: Vec<usize> = self.chunks.iter().map(|c| c.jacobian_entries).collect();
-        structure.add_parts(self.posed.threads(), (&entries, 0), |i, part| {
+        structure.add_parts(&self.posed.threads, (&entries, 0), |i, part| {
             let chunk = &self.chunks[i];
             let map = &self.posed.estimands.maps[chunk.experiment];
             self.dynamics.jacobian_structure(chunk, &self.layout, map, part);
@@ -410,8 +415,8 @@ impl Nlp for Collocation {
         self.posed.estimands.transforms.get(i).map_or(f64::INFINITY, |t| t.longest_step())
     }
 
-    fn threads(&self) -> usize {
-        self.posed.pool.as_ref().map_or(0, Threads::number)
+    fn threads(&self) -> Threads {
+        self.posed.threads.clone()
     }
 
     fn profiled(&self) -> Range<usize> {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::SLIGHT;
 use crate::interrupt::current;
-use crate::linalg::{Effort, Entries, KktError, kkt_for};
+use crate::linalg::{Effort, Entries, KktChoice, KktError};
 use crate::nlp::{Nlp, NotFinite};
 use crate::solver::Units;
 
@@ -66,8 +66,6 @@ const KNOWN: f64 = 0.1;
 /// first block, Z a basis of the null space of A: the inverse of the observed information, the states
 /// following their equations. Variables `held` (fixed, at a bound) do not vary.
 ///
-/// `go_on` is asked between its parts, which take long where there are many states.
-///
 /// # Errors
 /// [`NoInformation::NotFinite`] when a derivative is not finite there, [`NoInformation::Singular`] when the constraints
 /// depend on each other, [`NoInformation::Stopped`] when the interrupt stopped it.
@@ -77,9 +75,9 @@ pub fn information(
     lambda: &[f64],
     wanted: &[usize],
     held: &[usize],
-    go_on: &mut dyn FnMut() -> bool,
+    kkt: &KktChoice,
 ) -> Result<Information, NoInformation> {
-    let found = informed(nlp, xi, lambda, wanted, held, go_on);
+    let found = informed(nlp, xi, lambda, wanted, held, kkt);
     // Whatever was found after a stop is none.
     if current().stops() { Err(NoInformation::Stopped) } else { found }
 }
@@ -90,11 +88,10 @@ fn informed(
     lambda: &[f64],
     wanted: &[usize],
     held: &[usize],
-    go_on: &mut dyn FnMut() -> bool,
+    kkt: &KktChoice,
 ) -> Result<Information, NoInformation> {
     let interrupt = current();
-    let mut unless_stopped =
-        || if go_on() && !interrupt.stops() { Ok(()) } else { Err(NoInformation::Stopped) };
+    let unless_stopped = || if interrupt.stops() { Err(NoInformation::Stopped) } else { Ok(()) };
     unless_stopped()?;
     let (n, m, k) = (nlp.n(), nlp.m(), wanted.len());
     let mut hessian = vec![0.0; nlp.hessian_structure().len()];
@@ -106,7 +103,7 @@ fn informed(
     nlp.constraints(xi, &mut c)?;
     unless_stopped()?;
     let units = Units::new(nlp, xi);
-    let mut kkt = kkt_for(nlp, &units.states);
+    let mut kkt = kkt.make(nlp, &units.states);
     let entries = Entries { hessian: &hessian, jacobian: &jacobian };
     let kkt = kkt.factorize(&entries, Effort::FULL).map_err(NoInformation::Singular)?;
     unless_stopped()?;

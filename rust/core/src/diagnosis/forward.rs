@@ -3,14 +3,14 @@
 use std::ops::Deref;
 
 use nalgebra::{DMatrix, Dyn, LU};
-use rayon::prelude::*;
 
 use crate::collocation::Collocation;
 use crate::interrupt::{Interrupt, current};
 use crate::nlp::{Nlp, NotFinite};
 use crate::simd::kernel;
 use crate::solver::state_units;
-use crate::threads::COMMON;
+use crate::threads::Threads;
+use crate::threads::prelude::*;
 
 /// First states may grow by this factor, in units of what the states do: digits that a later projection loses.
 const GROWTH: f64 = 1e6;
@@ -196,7 +196,7 @@ impl<P: Deref<Target = Collocation> + Sync> Forward<P> {
             });
             (0..slopes.len()).map(|c| states.iter().map(|x| x[c]).collect()).collect::<Vec<_>>()
         };
-        COMMON.install(|| slopes.par_chunks(AT_ONCE).flat_map_iter(some).collect())
+        Threads::default().install(|| slopes.par_chunks(AT_ONCE).flat_map_iter(some).collect())
     }
 
     /// Computes the states of a few columns, side by side, [sample · n_x + state]. `slopes` gives those of the points

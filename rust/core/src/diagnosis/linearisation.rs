@@ -3,14 +3,13 @@
 
 use std::ops::Deref;
 
-use rayon::prelude::*;
-
 use super::forward::{AT_ONCE, Forward, Lanes};
 use super::response::Response;
 use crate::collocation::Collocation;
 use crate::interrupt::current;
 use crate::nlp::NotFinite;
-use crate::threads::COMMON;
+use crate::threads::Threads;
+use crate::threads::prelude::*;
 
 /// Derivatives of the outputs by states and parameters at all samples, those of all experiments after each other.
 pub struct Outputs<'a> {
@@ -166,7 +165,7 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
                     }
                 };
                 let pairs = columns.par_chunks_mut(chunks.1).zip(signals.par_chunks(chunks.0));
-                COMMON.install(|| pairs.for_each(some));
+                Threads::default().install(|| pairs.for_each(some));
             }
             Some(Factors::Forward(forward)) => {
                 let forward = &*forward;
@@ -184,7 +183,7 @@ impl<P: Deref<Target = Collocation> + Clone + Sync> Linearisation<P> {
                     put(&at, &states, out);
                 };
                 let pairs = columns.par_chunks_mut(chunks.1).zip(signals.par_chunks(chunks.0));
-                COMMON.install(|| pairs.for_each(some));
+                Threads::default().install(|| pairs.for_each(some));
             }
             Some(Factors::Response(response)) => {
                 let (mut d, mut slopes) = (vec![0.0; layout.n()], vec![0.0; place.slopes.len()]);

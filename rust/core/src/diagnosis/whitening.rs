@@ -3,10 +3,10 @@
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
-use rayon::prelude::*;
 
 use super::passage::{Passage, Predictors};
-use crate::threads::COMMON;
+use crate::threads::Threads;
+use crate::threads::prelude::*;
 
 /// Columns that are worked on together: they stay in the cache.
 const AT_ONCE: usize = 32;
@@ -57,7 +57,7 @@ impl Whitening {
         if self.rows > 0 {
             let pairs = out.par_chunks_mut(self.rows).zip(columns.par_chunks(self.rows));
             let one = |(out, column): (&mut [f64], &[f64])| self.one(column, out);
-            COMMON.install(|| pairs.with_min_len(AT_ONCE).for_each(one));
+            Threads::default().install(|| pairs.with_min_len(AT_ONCE).for_each(one));
         }
         out
     }
@@ -131,7 +131,7 @@ impl Whitening {
                 (along, grams)
             },
         );
-        let found: Vec<_> = COMMON.install(|| found.collect());
+        let found: Vec<_> = Threads::default().install(|| found.collect());
         let (along, grams): (Vec<_>, Vec<_>) = found.into_iter().unzip();
         (along.concat(), grams.concat())
     }

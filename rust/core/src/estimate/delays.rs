@@ -35,15 +35,16 @@ impl Estimation<'_> {
         let model = self.model;
         self.checked_noise()?;
         if self.experiments.is_empty() {
-            return Err(Error::Data("no experiment was given; at least one is needed".into()));
+            return Err(Error::data("no experiment was given; at least one is needed".into()));
         }
         let names = model.delays.parameters();
         let local = |p: &&crate::model::Parameter| p.local && names.contains(&p.name.as_str());
         if let Some(p) = model.parameters.iter().find(local).filter(|_| self.experiments.len() > 1) {
-            return Err(Error::Model(format!(
+            return Err(Error::model(format!(
                 "the delay '{}' is one for all experiments, not of each",
                 p.name
-            )));
+            ))
+            .about(&p.name));
         }
         let values = self.parameters()?;
         let mut base: HashMap<&str, f64> =
@@ -189,12 +190,14 @@ fn moved(
         let own = run.t.iter().map(|t| t - by).zip(z.iter().copied());
         let own: Vec<(f64, f64)> = own.filter(|(t, _)| first <= *t && *t <= last).collect();
         if own.iter().all(|(_, z)| z.is_nan()) {
-            return Err(Error::Data(format!(
+            return Err(Error::data(format!(
                 "experiment '{}', output '{}': no sample is left with a delay of {by} s in a record of {} s",
                 run.name,
                 output.name,
                 last - first
-            )));
+            ))
+            .about(&run.name)
+            .about(&output.name));
         }
         channels.push(own);
     }

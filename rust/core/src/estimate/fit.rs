@@ -79,7 +79,7 @@ pub struct Record {
 ///
 /// let mut m = Model::new("fall");
 /// let (h, v) = (m.state("h", "m")?, m.state("v", "m/s")?);
-/// let g = m.parameter(Parameter { unit: "m/s²".into(), ..Parameter::new("g", 0.0) })?;
+/// let g = m.parameter(Parameter::new("g", 0.0).unit("m/s²"))?;
 /// m.equation("h", v)?;
 /// m.equation("v", -g)?;
 /// m.output("height", h, "")?;

@@ -239,7 +239,7 @@ impl Fit {
         };
         let Transcription::Collocation(settings) = &fit.transcription else {
             let text = "integration error: only collocation has a mesh whose error can be estimated";
-            return Err(Error::Option(text.into()));
+            return Err(Error::option(text.into()));
         };
         let one = |(record, experiment): (&Record, &Experiment)| {
             let (parameters, sigmas) = fit.numbers_of(&record.name);
@@ -374,7 +374,7 @@ impl<'a> Flow<'a> {
         let f = at_points(&self.dynamics, self.path.parameters, &columns);
         let bad = (0..columns[0].len()).find_map(|k| Some((k, f.iter().position(|f| !f[k].is_finite())?)));
         match bad {
-            Some((k, i)) => Err(Error::Evaluation(format!(
+            Some((k, i)) => Err(Error::evaluation(format!(
                 "experiment '{}': the equation of {}' is not finite at t = {} s on the collocation polynomial: the mesh is \
                  too coarse there",
                 self.path.experiment.name,

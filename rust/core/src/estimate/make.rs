@@ -73,7 +73,7 @@ fn assessed(
         if limit.stops() {
             return Err(NoInformation::Stopped);
         }
-        limit.run(|| information(problem, xi, &solution.multipliers, &wanted, &held, &mut || true))
+        limit.run(|| information(problem, xi, &solution.multipliers, &wanted, &held, &solution.kkt))
     });
     match found {
         None => warnings.push(NOT_FEASIBLE.into()),

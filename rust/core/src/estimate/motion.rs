@@ -8,7 +8,7 @@ use super::refine::{in_parts, order_of};
 use super::run::Watch;
 use super::{Earlier, Estimation, Path, Start};
 use crate::condition::End;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::experiment::{Experiment, Signal};
 use crate::mesh::Grid;
 use crate::simulate::Simulation;
@@ -147,7 +147,7 @@ impl Estimation<'_> {
                 pass.solver.max_iterations = pass.solver.max_iterations.min(ITERATIONS);
             }
             let found = match pass.solve_passes(watch) {
-                Err(Error::Evaluation(_)) => break,
+                Err(e) if e.kind() == ErrorKind::Evaluation => break,
                 found => found?,
             };
             iterations += found.iterations;

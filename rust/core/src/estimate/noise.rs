@@ -17,10 +17,10 @@ impl Estimation<'_> {
             let unknown = matches!(self.noise.scale_of(name), None | Some(Scale::Unknown { .. }))
                 && !matches!(self.noise.joint, Joint::Known(_));
             if unknown && !samples.is_empty() && !samples.iter().any(|z| moves(z)) {
-                return Err(Error::Data(format!(
+                return Err(Error::data(format!(
                     "output '{name}' is the same in all samples, so its standard deviation cannot be estimated; \
                      take it out of the model, or give its standard deviation as known"
-                )));
+                )).about(&name));
             }
             Ok(spread(&samples))
         };
@@ -48,7 +48,7 @@ fn check(noise: &NoiseModel, outputs: &[&str]) -> Result<(), Error> {
     for name in noise.scales.iter().map(|n| &n.0).chain(noise.densities.iter().map(|d| &d.0)) {
         if !outputs.contains(&name.as_str()) {
             let hint = did_you_mean(name, outputs.iter().copied());
-            return Err(Error::Model(format!("noise: '{name}' is not an output.{hint}")));
+            return Err(Error::model(format!("noise: '{name}' is not an output.{hint}")).about(&name));
         }
     }
     noise.check()
@@ -107,7 +107,7 @@ pub fn resolved(
 
 /// What is said of single outputs has no place where a covariance says all.
 fn check_joint(noise: &NoiseModel, outputs: &[&str], given: &Given<'_>) -> Result<(), Error> {
-    let fail = |text: String| Err(Error::Model(format!("noise: {text}")));
+    let fail = |text: String| Err(Error::model(format!("noise: {text}")));
     let said = |name: &&&str| noise.density_of(name) != Density::Gaussian;
     match (&noise.joint, outputs.iter().find(said)) {
         (Joint::Independent, _) => Ok(()),
@@ -138,7 +138,7 @@ fn sigmas(
         let sigma = format!("{SIGMA}{name}");
         if let Some(Scale::Known(value)) = said {
             return match given.of(&sigma) {
-                Some(_) => Err(Error::Model(format!(
+                Some(_) => Err(Error::model(format!(
                     "{sigma} is known ({value}) and cannot be given a start as well"
                 ))),
                 None => Ok(Sigma::Known(*value)),
@@ -146,7 +146,7 @@ fn sigmas(
         }
         if let Some(Scale::Expression(expr)) = said {
             return match given.of(&sigma) {
-                Some(_) => Err(Error::Model(format!(
+                Some(_) => Err(Error::model(format!(
                     "{sigma} is given by an expression ({expr}) and cannot be given a start as well"
                 ))),
                 None => Ok(Sigma::Expression(expr.clone())),

@@ -5,7 +5,7 @@ use super::fit::{Fit, Record};
 use super::noise::spread;
 use super::print::short;
 use super::run::Watch;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::interrupt::current;
 use crate::noise::{Joint, NoiseModel, Scale};
 use crate::solver::{Settings, Status};
@@ -55,7 +55,7 @@ impl Estimation<'_> {
             }
             let Some(other) = self.by(way) else { continue };
             let mut other = match other.solve_refined(watch) {
-                Err(Error::Evaluation(_)) => continue,
+                Err(e) if e.kind() == ErrorKind::Evaluation => continue,
                 found => found?,
             };
             other.iterations += fit.iterations;

@@ -207,7 +207,7 @@ impl Estimation<'_> {
         found.map_err(|_| {
             let what = posed.explain(xi);
             let what = what.unwrap_or_else(|| "a function of the model is not finite".into());
-            Error::Evaluation(format!("at the starting point, {what}; give other start values, or bounds"))
+            Error::evaluation(format!("at the starting point, {what}; give other start values, or bounds"))
         })
     }
 

@@ -81,7 +81,8 @@ impl<'a> Given<'a> {
         match self.values.iter().find(|(name, _)| !known.contains(name)) {
             Some((name, _)) => {
                 let hint = did_you_mean(name, known.iter().map(String::as_str));
-                Err(Error::Model(format!("start: '{name}' is no parameter, sigma or state.{hint}")))
+                Err(Error::model(format!("start: '{name}' is no parameter, sigma or state.{hint}"))
+                    .about(&name))
             }
             None => Ok(()),
         }
@@ -89,7 +90,7 @@ impl<'a> Given<'a> {
 
     /// The start of a parameter that is declared to start at a value, with bounds.
     pub(super) fn value(&self, name: &str, declared: f64, bounds: (f64, f64)) -> Result<f64, Error> {
-        let fail = |text: String| Err(Error::Model(format!("start: '{name}' {text}")));
+        let fail = |text: String| Err(Error::model(format!("start: '{name}' {text}")).about(&name));
         match self.of(name) {
             Some(Start::Paths(_)) => fail("is a parameter: give one number".into()),
             Some(Start::Value(v)) if !v.is_finite() => fail(format!("is {v}, not a finite number")),
@@ -121,10 +122,11 @@ impl<'a> Given<'a> {
                 && p.fixed
                 && *v != p.start
             {
-                return Err(Error::Model(format!(
+                return Err(Error::model(format!(
                     "start: '{}' is fixed at {:?} and cannot start at {v:?}",
                     p.name, p.start
-                )));
+                ))
+                .about(&p.name));
             }
             let shared = self.value(&p.name, p.start, bounds)?;
             let shared = if p.fixed { p.start } else { shared };
@@ -165,12 +167,12 @@ impl<'a> Given<'a> {
                     at_times(t, &paths[index])
                 }
                 (Some(_), ..) => {
-                    return Err(Error::Data(format!(
+                    return Err(Error::data(format!(
                         "start: state '{}' takes a finite number, or for each experiment a path of one finite number a \
                          sample ({} for '{name}')",
                         state.name,
                         t.len(),
-                    )));
+                    )).about(&state.name).about(&name));
                 }
                 (None, Some((t, x)), _) => interpolate(Interpolation::Cubic, t, x, times),
                 (None, None, m) => match m.as_ref().map(|m| m.samples(experiment)) {

@@ -4,12 +4,13 @@
 //! another thread or saved. What is equal is found when a model is compiled ([`graph`]), where
 //! derivatives are taken too ([`derive`](mod@derive)).
 
-pub mod derive;
+pub(crate) mod derive;
 mod display;
-pub mod graph;
+pub(crate) mod graph;
 mod operators;
-pub mod ops;
-pub mod pool;
+pub(crate) mod ops;
+#[cfg(feature = "serde")]
+pub(crate) mod pool;
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash, Hasher};

@@ -142,21 +142,22 @@ impl Filter {
         settings: &Settings,
     ) -> Result<Self, Error> {
         if let Some(late) = model.delays.parameters().first() {
-            return Err(Error::Model(format!(
+            return Err(Error::model(format!(
                 "the model '{}' has delays ({late}), which the filter-error method cannot estimate",
                 model.name
-            )));
+            ))
+            .about(&model.name));
         }
         let compiled = model.compile()?;
         let outputs: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         let inputs: Vec<&str> = model.inputs.iter().map(|o| o.name.as_str()).collect();
         if experiments.is_empty() {
-            return Err(Error::Data("no experiment was given; at least one is needed".into()));
+            return Err(Error::data("no experiment was given; at least one is needed".into()));
         }
         Experiment::check_all(experiments, &inputs, &outputs)?;
         noise.check(&outputs)?;
         if !matches!(noise, Noise::Gaussian(_)) {
-            return Err(Error::Option("the filter-error method takes independent Gaussian noise".into()));
+            return Err(Error::option("the filter-error method takes independent Gaussian noise".into()));
         }
         let state_names: Vec<String> = model.states.iter().map(|s| s.name.clone()).collect();
         let noisy = settings.noisy(&state_names)?;

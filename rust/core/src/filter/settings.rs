@@ -19,7 +19,7 @@ pub struct Settings {
 impl Settings {
     /// Numbers of the states that have it, among those of a model.
     pub(super) fn noisy(&self, states: &[String]) -> Result<Vec<usize>, Error> {
-        let fail = |text: String| Err(Error::Option(format!("FilterError: {text}")));
+        let fail = |text: String| Err(Error::option(format!("FilterError: {text}")));
         if self.states.is_empty() {
             return fail("states names no state; name those that process noise drives".into());
         }

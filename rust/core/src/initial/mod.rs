@@ -69,7 +69,7 @@ fn best(
             // A path that leaves the equations may find a way where a consistent one has none, as from one period of an
             // oscillation to another. Not long, where it leads nowhere.
             let most = settings.max_iterations.min(newton.iterations() + LOOSE);
-            let capped = Settings { max_iterations: most, ..settings.clone() };
+            let capped = settings.clone().max_iterations(most);
             ending = challenge(nlp, &mut newton, ending, start, &capped, watch)?;
         }
         return Ok(newton.finish(ending));
@@ -84,7 +84,7 @@ fn best(
     if let Some(rival) = rival {
         // Not long, where it leads nowhere.
         let most = settings.max_iterations.min(3 * newton.iterations() + 10);
-        let capped = Settings { max_iterations: most, ..settings.clone() };
+        let capped = settings.clone().max_iterations(most);
         ending = challenge(nlp, &mut newton, ending, &rival.xi, &capped, watch)?;
     }
     if initial == Initial::Places && is_doubtful(nlp, &newton, ending.status) {
@@ -195,7 +195,7 @@ fn approached<'a>(
     let point = Point::first(&program, &reached)?;
     let best = point.objective;
     let most = newton.iterations() + LAST;
-    let capped = Settings { max_iterations: most.min(settings.max_iterations), ..settings.clone() };
+    let capped = settings.clone().max_iterations(most.min(settings.max_iterations));
     let mut last = Newton::new(program, point, None, &capped);
     last.take_over(newton);
     let ending = last.minimise(watch)?;

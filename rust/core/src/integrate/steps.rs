@@ -48,7 +48,7 @@ impl Track {
             Steps::Length(h) => h > 0.0 && h.is_finite(),
         };
         if !sound {
-            return Err(Error::Option(format!("{steps:?}: at least one step of positive length is needed")));
+            return Err(Error::option(format!("{steps:?}: at least one step of positive length is needed")));
         }
         let edges = edges(grid, t)?;
         let count = match *steps {
@@ -57,11 +57,12 @@ impl Track {
             Steps::Length(h) => (edges[edges.len() - 1] - edges[0]) / h + edges.len() as f64,
         };
         if count > MOST as f64 {
-            return Err(Error::Option(format!(
+            return Err(Error::option(format!(
                 "{steps:?}: experiment '{}' would have {count:.0} steps, at most {MOST} are allowed; choose \
                  fewer or longer ones",
                 experiment.name
-            )));
+            ))
+            .about(&experiment.name));
         }
         let ends = if experiment.any_held() { experiment.jumps() } else { Vec::new() };
         let segment = |w: &[f64]| {

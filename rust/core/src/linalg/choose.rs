@@ -1,10 +1,45 @@
 //! The factorisation that fits a program.
 
+use std::fmt;
+use std::sync::Arc;
+
 use super::arrow::ArrowKkt;
 use super::sparse::SparseKkt;
 use super::{Effort, Entries, Factor, KktError, KktSolver};
 use crate::interrupt::current;
 use crate::nlp::{Chains, Nlp, Structure};
+
+/// Makes the factorisation of a program's Newton systems, given units as [`kkt_for`] takes them.
+type Make = dyn Fn(&dyn Nlp, &[f64]) -> Box<dyn KktSolver> + Send + Sync;
+
+/// The choice of a factorisation: the one that fits a program ([`kkt_for`]), unless the user has another.
+#[derive(Clone, Default)]
+pub struct KktChoice(Option<Arc<Make>>);
+
+impl KktChoice {
+    /// A factorisation of one's own, made for a program and the units of its states.
+    pub fn own(make: impl Fn(&dyn Nlp, &[f64]) -> Box<dyn KktSolver> + Send + Sync + 'static) -> KktChoice {
+        KktChoice(Some(Arc::new(make)))
+    }
+
+    /// Makes it.
+    pub fn make(&self, nlp: &dyn Nlp, units: &[f64]) -> Box<dyn KktSolver> {
+        self.0.as_ref().map_or_else(|| kkt_for(nlp, units), |make| make(nlp, units))
+    }
+}
+
+impl fmt::Debug for KktChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.0.is_some() { "a factorisation of one's own" } else { "the one that fits" })
+    }
+}
+
+impl PartialEq for KktChoice {
+    fn eq(&self, other: &KktChoice) -> bool {
+        self.0.as_ref().map(Arc::as_ptr).map(<*const Make>::cast::<()>)
+            == other.0.as_ref().map(Arc::as_ptr).map(<*const Make>::cast::<()>)
+    }
+}
 
 /// The arrow factorisation where the program has chains, else the sparse one. `units` are those of the
 /// states of a point where there are chains, else a single one or one each variable.

@@ -7,7 +7,7 @@ pub mod sparse;
 use std::fmt;
 
 pub(crate) use arrow::dense::{backward, cholesky, forward};
-pub use choose::kkt_for;
+pub use choose::{KktChoice, kkt_for};
 
 /// The reason why a Newton system was not factorised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -17,9 +17,10 @@ impl Model {
     /// equation; duplicate names, starts outside bounds and other invalid numbers, delays of an unknown
     /// input, and invalid noise.
     pub fn check(&self) -> Result<(), Error> {
-        let fail = |text: String| Err(Error::Model(format!("model '{}': {text}", self.name)));
+        let fail =
+            |text: String| Err(Error::model(format!("model '{}': {text}", self.name)).about(&self.name));
         if self.states.is_empty() {
-            return fail("it has no states; declare them with states(...)".into());
+            return fail("it has no states; declare at least one".into());
         }
         if self.outputs.is_empty() {
             return fail("it has no outputs; declare what is measured with outputs(...)".into());
@@ -107,12 +108,13 @@ impl Model {
             .collect();
         let start = format!("model '{}': the noise of output {output}", self.name);
         if let Some(number) = not_finite(expr) {
-            return Err(Error::Model(format!("{start}: it holds the constant {number}")));
+            return Err(Error::model(format!("{start}: it holds the constant {number}")));
         }
         match expr.symbols().iter().find(|s| !known.contains(&&***s)) {
             Some(symbol) => {
                 let hint = did_you_mean(symbol, known.iter().copied());
-                Err(Error::Model(format!("{start}: symbol '{symbol}' is not declared in this model.{hint}")))
+                Err(Error::model(format!("{start}: symbol '{symbol}' is not declared in this model.{hint}"))
+                    .about(&symbol))
             }
             None => Ok(()),
         }

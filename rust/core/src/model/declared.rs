@@ -17,7 +17,7 @@ impl Model {
             .or_else(|| self.wrong_equations())
             .or_else(|| self.wrong_delays());
         if let Some(text) = found {
-            return Err(Error::Model(format!("model '{}': {text}", self.name)));
+            return Err(Error::model(format!("model '{}': {text}", self.name)).about(&self.name));
         }
         self.noise.check()
     }

@@ -86,7 +86,7 @@ impl Model {
     ///
     /// let mut m = Model::new("pitch");
     /// let (q, de) = (m.state("q", "rad/s")?, m.input("de", "rad")?);
-    /// let tau = m.parameter(Parameter { lower: Some(0.0), upper: Some(0.5), ..Parameter::new("tau", 0.0) })?;
+    /// let tau = m.parameter(Parameter::new("tau", 0.0).lower(0.0).upper(0.5))?;
     /// let de_late = m.delay(&de, &tau, "de_late")?;
     /// m.equation("q", -2.0 * &q - 5.0 * de_late)?;
     /// m.output("q", q, "")?;
@@ -113,7 +113,9 @@ impl Model {
         let known = || self.outputs.iter().map(|o| o.name.as_str());
         if !known().any(|o| o == output) {
             let hint = did_you_mean(output, known());
-            return Err(Error::Model(format!("sensor_delay: '{output}' is not an output.{hint}")));
+            return Err(
+                Error::model(format!("sensor_delay: '{output}' is not an output.{hint}")).about(&output)
+            );
         }
         let place = format!("sensor_delay of {output}");
         let by = self.symbol_of(by, &self.parameter_names(), &place, "a parameter")?;
@@ -125,7 +127,7 @@ impl Model {
     fn symbol_of(&self, expr: &Expr, known: &[&str], place: &str, what: &str) -> Result<String, Error> {
         match expr.as_symbol().filter(|s| known.contains(s)) {
             Some(symbol) => Ok(symbol.to_owned()),
-            None => Err(Error::Model(format!(
+            None => Err(Error::model(format!(
                 "{place}: give the symbol of {what} of this model, not '{}'",
                 expr.brief()
             ))),

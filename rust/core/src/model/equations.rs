@@ -85,7 +85,8 @@ impl WrittenAt<'_> {
         let place = place(source.as_deref());
         model.expect_state(state, &format!("state equation{place}"))?;
         if model.dynamics.iter().any(|e| e.name == state) {
-            return Err(Error::Model(format!("state equation{place}: '{state}' has an equation already")));
+            return Err(Error::model(format!("state equation{place}: '{state}' has an equation already"))
+                .about(&state));
         }
         model.dynamics.push(Equation { name: state.to_owned(), unit: String::new(), expr, source });
         Ok(())
@@ -98,7 +99,8 @@ impl WrittenAt<'_> {
     pub fn output(self, name: &str, expr: Expr, unit: &str) -> Result<(), Error> {
         let WrittenAt { model, source } = self;
         if model.outputs.iter().any(|e| e.name == name) {
-            return Err(Error::Model(format!("output '{name}': there is an output of this name already")));
+            return Err(Error::model(format!("output '{name}': there is an output of this name already"))
+                .about(&name));
         }
         // An output that is a plain state or input has its unit.
         let unit = match expr.as_symbol() {
@@ -121,10 +123,11 @@ impl WrittenAt<'_> {
         let place = place(source.as_deref());
         model.expect_state(state, &format!("condition{place}"))?;
         if model.conditions.iter().any(|c| c.state == state && c.end == end) {
-            return Err(Error::Model(format!("condition{place}: '{state}' has such a condition already")));
+            return Err(Error::model(format!("condition{place}: '{state}' has such a condition already"))
+                .about(&state));
         }
         if model.conditions.len() == model.states.len() {
-            return Err(Error::Model(format!(
+            return Err(Error::model(format!(
                 "condition{place}: {} states have {} conditions already; with more nothing is left to choose",
                 model.states.len(),
                 model.conditions.len()
@@ -141,6 +144,6 @@ impl Model {
             return Ok(());
         }
         let hint = did_you_mean(name, self.states.iter().map(|s| s.name.as_str()));
-        Err(Error::Model(format!("{what}: '{name}' is not a state.{hint}")))
+        Err(Error::model(format!("{what}: '{name}' is not a state.{hint}")).about(&name))
     }
 }

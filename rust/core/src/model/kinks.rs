@@ -66,7 +66,7 @@ impl Model {
         let kinked = self.kinked();
         if widths.len() != kinked.len() || !widths.iter().all(|w| w.is_finite() && *w > 0.0) {
             let n = kinked.len();
-            return Err(Error::Option(format!(
+            return Err(Error::option(format!(
                 "smoothed: give {n} positive widths, one for each kink, not {widths:?}"
             )));
         }

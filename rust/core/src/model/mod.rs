@@ -8,12 +8,13 @@ mod declared;
 mod delays;
 mod equations;
 mod kinks;
+#[cfg(feature = "serde")]
 mod saved;
 mod scaling;
 
-use serde::{Deserialize, Serialize};
-
+pub use crate::condition::{Condition, End};
 pub use crate::parameter::Parameter;
+pub use crate::transform::Transform;
 pub use compiled::Compiled;
 pub(crate) use delays::rates;
 pub use delays::{Delays, LateInput, LateOutput};
@@ -21,7 +22,6 @@ pub use equations::WrittenAt;
 pub use kinks::Kink;
 pub use scaling::Scaling;
 
-use crate::condition::Condition;
 use crate::error::Error;
 use crate::expr::Expr;
 use crate::noise::NoiseModel;
@@ -30,20 +30,21 @@ use crate::noise::NoiseModel;
 pub const TIME: &str = "time";
 
 /// A named variable with its unit; where it starts and its bounds are a state's alone.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Variable {
     /// Name.
     pub name: String,
     /// Unit, as text; empty where unknown.
     pub unit: String,
     /// The start of the path of a state that is not measured; `None` for no declaration.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Option::is_none"))]
     pub start: Option<f64>,
     /// Lower bound of a state; `None` for none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Option::is_none"))]
     pub lower: Option<f64>,
     /// Upper bound of a state; `None` for none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Option::is_none"))]
     pub upper: Option<f64>,
 }
 
@@ -114,8 +115,8 @@ fn valid_name(name: &str) -> bool {
 /// let (w, q) = (m.state("w", "m/s")?, m.state("q", "rad/s")?);
 /// let de = m.input("de", "rad")?;
 /// let zw = m.parameter(Parameter::new("Zw", 0.0))?;
-/// let mw = m.parameter(Parameter { upper: Some(0.0), ..Parameter::new("Mw", -0.1) })?;
-/// let mde = m.parameter(Parameter { prior: Some((-10.0, 5.0)), ..Parameter::new("Mde", -8.0) })?;
+/// let mw = m.parameter(Parameter::new("Mw", -0.1).upper(0.0))?;
+/// let mde = m.parameter(Parameter::new("Mde", -8.0).prior((-10.0, 5.0)))?;
 /// let lift = m.quantity("lift", zw * &w)?; // enters wherever it is used
 /// m.equation("w", &lift + 44.6 * &q)?;
 /// m.equation("q", mw * &w + mde * de)?;
@@ -159,12 +160,13 @@ impl Model {
 
     fn claim(&self, kind: &str, name: &str) -> Result<(), Error> {
         if !valid_name(name) {
-            return Err(Error::Model(format!(
+            return Err(Error::model(format!(
                 "{kind} '{name}': a name starts with a letter and holds letters, digits and underscores only"
-            )));
+            ))
+            .about(&name));
         }
         if name == TIME {
-            return Err(Error::Model(format!("{kind} 'time': this name is the symbol of time (model.time)")));
+            return Err(Error::model(format!("{kind} 'time': this name is the symbol of time (model.time)")));
         }
         let taken = [
             ("state", self.states.iter().any(|v| v.name == name)),
@@ -174,7 +176,8 @@ impl Model {
         ];
         match taken.iter().find(|t| t.1) {
             Some((other, _)) => {
-                Err(Error::Model(format!("{kind} '{name}': there is a {other} of this name already")))
+                Err(Error::model(format!("{kind} '{name}': there is a {other} of this name already"))
+                    .about(&name))
             }
             None => Ok(()),
         }
@@ -192,7 +195,7 @@ impl Model {
         self.claim("state", &state.name)?;
         let name = &state.name;
         if let Some(wrong) = state.wrong() {
-            return Err(Error::Model(format!("state '{name}': {wrong}")));
+            return Err(Error::model(format!("state '{name}': {wrong}")).about(&name));
         }
         let symbol = Expr::symbol(name);
         self.states.push(state);
@@ -211,7 +214,7 @@ impl Model {
         self.claim("parameter", &parameter.name)?;
         let name = &parameter.name;
         if let Some(wrong) = parameter.wrong() {
-            return Err(Error::Model(format!("parameter '{name}': {wrong}")));
+            return Err(Error::model(format!("parameter '{name}': {wrong}")).about(&name));
         }
         let symbol = Expr::symbol(name);
         self.parameters.push(parameter);

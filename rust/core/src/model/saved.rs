@@ -67,19 +67,19 @@ impl SavedDelays {
             let known = |name: &str| model.inputs.iter().any(|v| v.name == name);
             let parameter = model.parameters.iter().any(|p| p.name == by);
             if !(known(&name) && known(&of) && parameter) {
-                return Err(Error::Model(format!(
+                return Err(Error::model(format!(
                     "saved model: the delay of '{of}' by '{by}', called '{name}', is not one of its inputs by one of \
                      its parameters"
-                )));
+                )).about(&of).about(&by).about(&name));
             }
             model.delays.inputs.push(LateInput { name, of, by });
         }
         if let Some(late) = model.delays.inputs.iter().find(|l| model.delays.input(&l.of).is_some()) {
-            return Err(Error::Model(format!(
+            return Err(Error::model(format!(
                 "saved model: '{}' delays '{}', which is a delayed input itself; delay the measured input, by one \
                  parameter for the whole delay",
                 late.name, late.of
-            )));
+            )).about(&late.name).about(&late.of));
         }
         self.outputs.0.iter().try_for_each(|(output, by)| model.sensor_delay(output, &Expr::symbol(by)))
     }
@@ -158,7 +158,7 @@ impl Model {
     /// # Errors
     /// For text that is no saved model, or one of a later version.
     pub fn from_json(text: &str) -> Result<Model, Error> {
-        let fail = |what: String| Error::Model(format!("saved model: {what}"));
+        let fail = |what: String| Error::model(format!("saved model: {what}"));
         let saved: SavedModel = serde_json::from_str(text).map_err(|e| fail(e.to_string()))?;
         if saved.format != FORMAT || saved.version > VERSION {
             let (format, version) = (&saved.format, saved.version);

@@ -8,9 +8,9 @@ pub mod check;
 
 use std::ops::Range;
 
-use rayon::prelude::*;
+use crate::threads::prelude::*;
 
-use crate::threads::Threads;
+pub use crate::threads::Threads;
 
 pub use chains::{Boundary, Chain, Chains, Tie};
 
@@ -166,9 +166,9 @@ pub trait Nlp: Named + Send + Sync {
     fn longest_step(&self, _i: usize) -> f64 {
         f64::INFINITY
     }
-    /// Threads that a solver may use beside; 0 for as many as there are cores.
-    fn threads(&self) -> usize {
-        0
+    /// The threads that it is evaluated on, for the linear algebra of a solver too.
+    fn threads(&self) -> Threads {
+        Threads::default()
     }
     /// Variables for which φ has a closed minimum, the others given: standard deviations.
     fn profiled(&self) -> Range<usize> {

@@ -45,7 +45,7 @@ impl Sigma {
             }
             _ => return Ok(()),
         };
-        Err(Error::Model(wrong))
+        Err(Error::model(wrong))
     }
 
     /// The precision root as a parameter, where it is unknown.

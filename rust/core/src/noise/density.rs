@@ -61,7 +61,8 @@ const NEAR: f64 = 1e-2;
 impl Density {
     pub(super) fn check(&self, output: &str) -> Result<(), Error> {
         let positive = |x: f64| x > 0.0 && x.is_finite();
-        let fail = |text: String| Err(Error::Option(format!("noise of output '{output}': {text}")));
+        let fail =
+            |text: String| Err(Error::option(format!("noise of output '{output}': {text}")).about(&output));
         match self {
             Density::StudentT(Dof::Known(dof)) if !positive(*dof) => {
                 fail(format!("{dof} degrees of freedom; give a positive number"))

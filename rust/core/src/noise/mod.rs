@@ -12,6 +12,7 @@ mod density;
 mod missing;
 mod model;
 mod report;
+#[cfg(feature = "serde")]
 mod saved;
 
 pub use channel::{Channel, Sigma};
@@ -20,6 +21,7 @@ pub use density::{Custom, Density, Dof, RESIDUAL, SCALE};
 pub use missing::{Counts, Missing};
 pub use model::{Joint, NoiseModel, Scale};
 pub use report::Reported;
+#[cfg(feature = "serde")]
 pub(crate) use saved::SavedNoise;
 
 use crate::error::Error;
@@ -72,7 +74,7 @@ impl Noise {
         let channels = self.channels();
         let (n, n_y) = (channels.len(), outputs.len());
         if n != n_y {
-            return Err(Error::Option(format!("noise: {n} standard deviations for {n_y} outputs")));
+            return Err(Error::option(format!("noise: {n} standard deviations for {n_y} outputs")));
         }
         outputs.iter().zip(&channels).try_for_each(|(name, channel)| channel.check(name))
     }

@@ -54,6 +54,7 @@ pub enum Joint {
 ///
 /// let mut m = Model::new("short period");
 /// m.noise = NoiseModel::new().scale("q", Sigma::Known(0.002)).density("az", Density::StudentT(Dof::Known(4.0)));
+/// # #[cfg(feature = "serde")]
 /// assert_eq!(Model::from_json(&m.to_json())?.noise, m.noise);
 /// # Ok::<(), phugoid::Error>(())
 /// ```
@@ -111,7 +112,9 @@ impl NoiseModel {
     /// Names the output at fault.
     pub fn check(&self) -> Result<(), Error> {
         for (output, scale) in &self.scales {
-            let fail = |text: String| Err(Error::Option(format!("noise of output '{output}': {text}")));
+            let fail = |text: String| {
+                Err(Error::option(format!("noise of output '{output}': {text}")).about(&output))
+            };
             let positive = |v: f64| v > 0.0 && v.is_finite();
             match *scale {
                 Scale::Known(value) if !positive(value) => {

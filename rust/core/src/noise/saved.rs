@@ -92,8 +92,8 @@ impl NoiseModel {
     /// For what is no noise of theirs.
     pub fn from_json(text: &str, outputs: &[&str]) -> Result<NoiseModel, Error> {
         let saved: SavedNoise =
-            serde_json::from_str(text).map_err(|e| Error::Model(format!("noise: it cannot be read: {e}")))?;
-        saved.declared(outputs).map_err(Error::Model)
+            serde_json::from_str(text).map_err(|e| Error::model(format!("noise: it cannot be read: {e}")))?;
+        saved.declared(outputs).map_err(Error::model)
     }
 }
 

@@ -37,7 +37,7 @@ impl Objective {
     pub(crate) fn place(&mut self, posed: &Posed, layout: &Layout, structure: &mut Structure) {
         let each = likelihood::hessian_entries(&posed.likelihood);
         let lengths: Vec<usize> = self.samples.iter().map(|samples| each * samples.n).collect();
-        let places = structure.add_parts(posed.threads(), (&lengths, 0), |i, part| {
+        let places = structure.add_parts(&posed.threads, (&lengths, 0), |i, part| {
             let samples = &self.samples[i];
             let map = &posed.estimands.maps[samples.experiment];
             likelihood::hessian_structure(&posed.likelihood, samples, layout, map, part);

@@ -4,11 +4,9 @@ use std::cell::{Cell, RefCell};
 use std::ops::Range;
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
 use super::estimands::Estimands;
 use super::samples::Samples;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::experiment::Experiment;
 use crate::expr::graph::{Graph, Id};
 use crate::interrupt::current;
@@ -16,7 +14,8 @@ use crate::model::{Compiled, Model, Parameter, Variable};
 use crate::nlp::{NotFinite, Reach};
 use crate::noise::{Counts, Missing, Noise, Reported, Sample};
 use crate::tape::{Arguments, Function, Pairs, Tape, Workspace};
-use crate::threads::{COMMON, Threads};
+use crate::threads::Threads;
+use crate::threads::prelude::*;
 use crate::transform::Transform;
 
 /// The common data of all transcriptions: variables that are no states, f, g and ℓ as functions of a point, records.
@@ -47,7 +46,7 @@ pub struct Posed {
     patterns: usize,
     /// Numbers of measurements, of all experiments or of each where each has noise of its own.
     counts: Vec<Counts>,
-    pub(crate) pool: Option<Threads>,
+    pub(crate) threads: Threads,
 }
 
 /// The model as written in the variables, for what else is a function of them.
@@ -111,19 +110,20 @@ impl Posed {
         (threads, noise_per_experiment, pairs): (usize, bool, Pairs),
     ) -> Result<(Self, Written), Error> {
         if let Some(late) = model.delays.parameters().first() {
-            return Err(Error::Model(format!(
-                "the model '{}' has delays ({late}), which move the records: Estimation::solve estimates them; a \
+            return Err(Error::model(format!(
+                "the model '{}' has delays ({late}), which move the records: an estimation estimates them; a \
                  transcription by itself cannot",
                 model.name
-            )));
+            ))
+            .about(&model.name));
         }
-        let pool = (threads > 0).then(|| Threads::new(threads)).transpose()?;
+        let threads = Threads::new(threads)?;
         let mut compiled = model.compile()?;
         compiled.scales = model.scales(&noise, &mut compiled.graph)?;
         let output_names: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         let input_names: Vec<&str> = model.inputs.iter().map(|o| o.name.as_str()).collect();
         if experiments.is_empty() {
-            return Err(Error::Data("no experiment was given; at least one is needed".into()));
+            return Err(Error::data("no experiment was given; at least one is needed".into()));
         }
         Experiment::check_all(experiments, &input_names, &output_names)?;
         noise.check(&output_names)?;
@@ -140,9 +140,9 @@ impl Posed {
         let n_model_parameters = estimands.parameter.iter().filter(|&&p| p < n_model).count();
         let noise_names = noise.variable_names(&output_names);
 
-        let of_model = |error: Error| match error {
-            Error::Model(text) => Error::Model(format!("model '{}': {text}", model.name)),
-            other => other,
+        let of_model = |error: Error| match error.kind() {
+            ErrorKind::Model => Error::model(format!("model '{}': {error}", model.name)).about(&model.name),
+            _ => error,
         };
         // All functions of a point see all parameters, so that θ has one order everywhere.
         let mut graph = compiled.graph.clone();
@@ -200,7 +200,7 @@ impl Posed {
             } else {
                 vec![counts]
             },
-            pool,
+            threads,
         };
         Ok((posed, written))
     }
@@ -279,7 +279,7 @@ impl Posed {
                 items.iter().zip(parts.chunks_exact_mut(step)).map(run).fold(true, |a, b| a & b)
             } else {
                 let pairs = items.par_iter().zip(parts.par_chunks_exact_mut(step));
-                self.install(|| pairs.with_min_len(8).map(run).reduce(|| true, |a, b| a & b))
+                self.install(|| pairs.with_min_len(8).map(run).all(|fine| fine))
             };
             let done = items.iter().zip(parts.chunks_exact(step));
             done.for_each(|(item, part)| collect(of(item), &part[..width]));
@@ -290,17 +290,12 @@ impl Posed {
 
     /// Runs on the problem's own threads where it has some, else on the common ones.
     pub(crate) fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
-        self.threads().install(work)
+        self.threads.install(work)
     }
 
     /// Number of threads.
     pub(crate) fn n_threads(&self) -> usize {
-        self.threads().number()
-    }
-
-    /// Returns the threads that it runs on.
-    pub(crate) fn threads(&self) -> &Threads {
-        self.pool.as_ref().unwrap_or(&COMMON)
+        self.threads.number()
     }
 
     /// Returns for each prior its variable, and the value's distance from the mean in standard deviations with its

@@ -10,8 +10,7 @@ mod shots;
 use std::cell::RefCell;
 use std::sync::{Arc, Mutex};
 
-use rayon::prelude::*;
-
+pub use crate::integrate::{Integrator, Steps};
 pub use shots::Shots;
 
 use crate::condition::End;
@@ -31,6 +30,7 @@ use crate::problem::layout::Layout;
 use crate::problem::objective::Objective;
 use crate::problem::posed::{OfExperiment, Posed};
 use crate::tape::{Pairs, Tape};
+use crate::threads::prelude::*;
 use pieces::Uniforms;
 
 /// Shooting: −ℓ of an integrated path, to be minimised over θ and the states at the *nodes*, where segments start
@@ -41,8 +41,7 @@ use pieces::Uniforms;
 /// Nodes form [`Chains`], which the arrow factorisation serves; a single segment leaves no constraint at all.
 ///
 /// ```
-/// use phugoid::integrate::Steps;
-/// use phugoid::shooting::Shots;
+/// use phugoid::shooting::{Shots, Steps};
 /// use phugoid::{Estimation, Experiment, Grid, Model, Parameter};
 ///
 /// let mut m = Model::new("decay");
@@ -54,7 +53,7 @@ use pieces::Uniforms;
 /// let runs = [Experiment::new(&m, "run", t, [("x", x)])?];
 ///
 /// // Five segments, steps of 0.07 s at most: samples lie within them.
-/// let shots = Shots { grid: vec![Grid::Uniform(5)], steps: Steps::Length(0.07), ..Shots::default() };
+/// let shots = Shots::default().grid(vec![Grid::Uniform(5)]).steps(Steps::Length(0.07));
 /// let fit = Estimation::new(&m, &runs).shooting(shots).solve()?;
 /// assert!((fit["rate"].value - 0.7).abs() < 4.0 * fit["rate"].std_error);
 /// # Ok::<(), phugoid::Error>(())
@@ -210,7 +209,7 @@ impl Shooting {
             self.groups.iter().zip(parts.chunks_exact_mut(step)).map(run).fold(true, |a, b| a & b)
         } else {
             let pairs = self.groups.par_iter().zip(parts.par_chunks_exact_mut(step));
-            self.posed.install(|| pairs.map(run).reduce(|| true, |a, b| a & b))
+            self.posed.install(|| pairs.map(run).all(|fine| fine))
         };
         self.groups.iter().zip(parts.chunks_exact(step)).for_each(|(g, part)| collect(g, &part[..width]));
         if finite { Ok(()) } else { Err(NotFinite) }

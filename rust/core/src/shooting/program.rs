@@ -183,8 +183,8 @@ impl Nlp for Shooting {
         self.chains.as_ref()
     }
 
-    fn threads(&self) -> usize {
-        self.posed.pool.as_ref().map_or(0, Threads::number)
+    fn threads(&self) -> Threads {
+        self.posed.threads.clone()
     }
 
     fn n_parameters(&self) -> usize {

@@ -3,9 +3,11 @@
 use crate::integrate::steps::Steps;
 use crate::integrate::tableau::Integrator;
 use crate::mesh::Grid;
+use crate::setters::setters;
 
 /// The options of a transcription by shooting.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Shots {
     /// Division into segments, one an experiment, or one for all. A single segment is single shooting.
     pub grid: Vec<Grid>,
@@ -17,6 +19,12 @@ pub struct Shots {
     pub threads: usize,
     /// Whether each experiment has noise of its own.
     pub noise_per_experiment: bool,
+}
+
+impl Shots {
+    setters! {
+        grid: Vec<Grid>, integrator: Integrator, steps: Steps, threads: usize, noise_per_experiment: bool;
+    }
 }
 
 impl Default for Shots {

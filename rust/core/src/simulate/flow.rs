@@ -94,10 +94,13 @@ impl<'a> Flow<'a> {
                     continue;
                 }
                 if !outputs[c][k].is_finite() {
-                    return Err(Error::Evaluation(format!(
+                    return Err(Error::evaluation(format!(
                         "experiment '{}': the output '{}' of '{}' is {} at t = {} s",
                         self.run.name, self.model.outputs[c].name, self.model.name, outputs[c][k], t[k]
-                    )));
+                    ))
+                    .about(&self.run.name)
+                    .about(&self.model.outputs[c].name)
+                    .about(&self.model.name));
                 }
             }
         }
@@ -212,7 +215,7 @@ impl<'a> Flow<'a> {
                 }
             },
         };
-        Error::Evaluation(format!("{text}{why}"))
+        Error::evaluation(format!("{text}{why}"))
     }
 
     fn not_finite(&self, t: f64, point: &[f64], slope: &[f64]) -> String {

@@ -115,17 +115,17 @@ impl<'a> Simulation<'a> {
         model.check()?;
         if !(self.tolerance > 0.0 && self.tolerance < 1.0) {
             let tolerance = self.tolerance;
-            return Err(Error::Option(format!("simulate: tolerance {tolerance}: a number between 0 and 1")));
+            return Err(Error::option(format!("simulate: tolerance {tolerance}: a number between 0 and 1")));
         }
         let outputs: Vec<&str> = model.outputs.iter().map(|o| o.name.as_str()).collect();
         run.check_shapes(&model.input_names(), &outputs)?;
         let rate = |s: &Option<Signal>| s.as_ref().is_some_and(|s| s.derivative > 0);
         if let Some((name, _)) = model.input_names().iter().zip(&run.signals).find(|s| rate(s.1)) {
-            return Err(Error::Data(format!(
+            return Err(Error::data(format!(
                 "experiment '{}': input '{name}' is a derivative of its samples, which may jump there; a simulation \
                  takes inputs themselves",
                 run.name
-            )));
+            )).about(&run.name).about(&name));
         }
         let parameters = self.values()?;
         let first = self.first_states(&parameters)?;
@@ -147,11 +147,11 @@ impl<'a> Simulation<'a> {
             });
             if !names().any(|n| n == name) && !of_one && !name.starts_with(SIGMA) {
                 let hint = did_you_mean(name, names());
-                return Err(Error::Model(format!("simulate: '{name}' is no parameter.{hint}")));
+                return Err(Error::model(format!("simulate: '{name}' is no parameter.{hint}")).about(&name));
             }
             if !value.is_finite() {
                 let text = format!("simulate: parameter '{name}' is {value}, not a finite number");
-                return Err(Error::Model(text));
+                return Err(Error::model(text));
             }
         }
         let given = |name: &str| self.parameters.iter().rev().find(|p| p.0 == name).map(|p| p.1);
@@ -166,7 +166,7 @@ impl<'a> Simulation<'a> {
         let missing: Vec<&str> = missing.collect();
         if !missing.is_empty() {
             let missing = missing.join(", ");
-            return Err(Error::Model(format!("simulate: no value was given for {missing}")));
+            return Err(Error::model(format!("simulate: no value was given for {missing}")));
         }
         Ok(found.into_iter().flatten().collect())
     }
@@ -177,12 +177,15 @@ impl<'a> Simulation<'a> {
         for (name, value) in &self.initial {
             if !names().any(|n| n == name) {
                 let hint = did_you_mean(name, names());
-                return Err(Error::Model(format!("simulate: initial '{name}' is no state.{hint}")));
+                return Err(
+                    Error::model(format!("simulate: initial '{name}' is no state.{hint}")).about(&name)
+                );
             }
             if !value.is_finite() {
-                return Err(Error::Model(format!(
+                return Err(Error::model(format!(
                     "simulate: initial '{name}' is {value}, not a finite number"
-                )));
+                ))
+                .about(&name));
             }
         }
         let said = |name: &str| {
@@ -204,7 +207,8 @@ impl<'a> Simulation<'a> {
             numbers.extend(names().map(Arc::from).zip(found.iter().copied()));
             numbers.extend(inputs.iter().map(|(name, v)| (Arc::from(*name), *v)));
             let value = c.expr.substitute(&quantities).evaluate(&numbers).map_err(|symbol| {
-                Error::Model(format!("simulate: the initial condition of {} has no '{symbol}'", c.state))
+                Error::model(format!("simulate: the initial condition of {} has no '{symbol}'", c.state))
+                    .about(&symbol)
             })?;
             let place = names().position(|n| n == c.state).expect("conditions are of states");
             found[place] = value;

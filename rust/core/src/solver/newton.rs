@@ -45,7 +45,7 @@ impl<'a> Newton<'a> {
     ) -> Newton<'a> {
         Newton {
             step: Step::new(&program),
-            system: NewtonSystem::new(&program),
+            system: NewtonSystem::new(&program, &settings.kkt),
             search: LineSearch::new(&program, &point),
             sizes: Sizes::new(&program, &point.xi),
             exact: !settings.gauss_newton || multipliers.is_some(),
@@ -189,6 +189,7 @@ impl<'a> Newton<'a> {
             iterations: self.history.last().map_or(0, |l| l.number),
             flops: self.system.flops(),
             message: ending.message(&self.program, &point),
+            kkt: self.settings.kkt,
             xi: point.xi,
             multipliers,
             bound_multipliers: None,

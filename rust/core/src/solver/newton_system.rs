@@ -7,7 +7,7 @@ use super::iterate::Iterate;
 use super::program::Program;
 use super::promise::Promise;
 use super::step::Step;
-use crate::linalg::{Curvature, Effort, Factor, KktError, KktSolver, kkt_for};
+use crate::linalg::{Curvature, Effort, Factor, KktChoice, KktError, KktSolver};
 use crate::nlp::NotFinite;
 
 /// Why there is no step.
@@ -38,9 +38,9 @@ pub(super) struct NewtonSystem {
 }
 
 impl NewtonSystem {
-    pub fn new(program: &Program<'_>) -> NewtonSystem {
+    pub fn new(program: &Program<'_>, kkt: &KktChoice) -> NewtonSystem {
         NewtonSystem {
-            kkt: kkt_for(program.nlp, &program.units.states),
+            kkt: kkt.make(program.nlp, &program.units.states),
             active: ActiveSet::new(program),
             damping: Damping::new(),
             p: vec![0.0; program.nlp.n()],

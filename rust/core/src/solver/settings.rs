@@ -3,9 +3,12 @@
 use std::time::Duration;
 
 use crate::error::Error;
+use crate::linalg::KktChoice;
+use crate::setters::setters;
 
 /// Options of [`solve`](super::solve).
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Settings {
     /// Most iterations.
     pub max_iterations: usize,
@@ -18,22 +21,34 @@ pub struct Settings {
     /// Whether to go by Gauss-Newton steps first, with standard deviations profiled; else the exact
     /// Hessian from the start.
     pub gauss_newton: bool,
+    /// The factorisation of its Newton systems.
+    pub kkt: KktChoice,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings { max_iterations: 200, tolerance: 1e-4, time_limit: None, gauss_newton: true }
+        Settings {
+            max_iterations: 200,
+            tolerance: 1e-4,
+            time_limit: None,
+            gauss_newton: true,
+            kkt: KktChoice::default(),
+        }
     }
 }
 
 impl Settings {
+    setters! {
+        max_iterations: usize, tolerance: f64, gauss_newton: bool, kkt: KktChoice; into time_limit: Option<Duration>
+    }
+
     /// Checks ranges.
     ///
     /// # Errors
     /// Names the option at fault.
     pub fn check(&self) -> Result<(), Error> {
         if !(self.tolerance > 0.0 && self.tolerance < 1.0) {
-            return Err(Error::Option(format!("tolerance {}: a number between 0 and 1", self.tolerance)));
+            return Err(Error::option(format!("tolerance {}: a number between 0 and 1", self.tolerance)));
         }
         Ok(())
     }

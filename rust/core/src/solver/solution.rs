@@ -9,10 +9,12 @@ use super::program::Program;
 use super::status::Status;
 use super::units::Units;
 use crate::interrupt::current;
+use crate::linalg::KktChoice;
 use crate::nlp::Nlp;
 
 /// Where a run ended.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Solution {
     /// Variables.
     pub xi: Vec<f64>,
@@ -40,9 +42,31 @@ pub struct Solution {
     pub units: Vec<f64>,
     /// The table.
     pub history: Vec<Iteration>,
+    /// The factorisation of Newton systems, for the covariance as well.
+    pub kkt: KktChoice,
 }
 
 impl Solution {
+    /// A point with its multipliers, as a solver of one's own gives it; what else there is to say is put into the fields.
+    pub fn new(xi: Vec<f64>, multipliers: Vec<f64>, status: Status) -> Solution {
+        Solution {
+            xi,
+            multipliers,
+            bound_multipliers: None,
+            status,
+            message: status.hint().to_owned(),
+            objective: f64::NAN,
+            defect: f64::NAN,
+            iterations: 0,
+            evaluations: Evaluations::default(),
+            flops: 0,
+            time: Duration::ZERO,
+            units: Vec::new(),
+            history: Vec::new(),
+            kkt: KktChoice::default(),
+        }
+    }
+
     /// The start, within bounds, of a run that was stopped before its first evaluation; `None` where it was not.
     pub(crate) fn without_a_run(
         nlp: &dyn Nlp,
@@ -79,20 +103,7 @@ impl Solution {
         status: Status,
         units: Vec<f64>,
     ) -> Solution {
-        Solution {
-            xi,
-            multipliers: multipliers.map_or_else(|| vec![0.0; nlp.m()], <[f64]>::to_vec),
-            bound_multipliers: None,
-            status,
-            message: status.hint().to_owned(),
-            objective: f64::NAN,
-            defect: f64::NAN,
-            iterations: 0,
-            evaluations: Evaluations::default(),
-            flops: 0,
-            time: Duration::ZERO,
-            units,
-            history: Vec::new(),
-        }
+        let multipliers = multipliers.map_or_else(|| vec![0.0; nlp.m()], <[f64]>::to_vec);
+        Solution { units, ..Solution::new(xi, multipliers, status) }
     }
 }

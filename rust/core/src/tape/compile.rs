@@ -128,7 +128,7 @@ impl<'a> Compiler<'a> {
                 && !self.slots.contains_key(&id)
             {
                 let text = format!("symbol '{name}' has no value: it is no state, input or parameter");
-                return Err(Error::Model(text));
+                return Err(Error::model(text));
             }
         }
         Ok(())

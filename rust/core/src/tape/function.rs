@@ -286,7 +286,7 @@ fn second_derivatives(graph: &mut Graph, root: Id, variables: &[Id]) -> Result<S
 }
 
 fn too_many(n: usize) -> Error {
-    Error::Model(format!(
+    Error::model(format!(
         "of {n} states and parameters so many act jointly in one equation that there are more than {MOST_ENTRIES} \
          second derivatives; at most 2,047 may: write those that are known as numbers, or describe the same by fewer"
     ))

@@ -1,8 +1,8 @@
 //! Records of the short period in `models::linear`, simulated, with noise.
 
+use phugoid::Experiment;
+use phugoid::Interpolation;
 use phugoid::collocation::{Collocation, Settings};
-use phugoid::experiment::Experiment;
-use phugoid::interpolate::Interpolation;
 use phugoid::model::Model;
 use phugoid::noise::{Noise, Sigma};
 

@@ -11,8 +11,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use phugoid::expr::Graph;
-use phugoid::expr::graph::Id;
-use phugoid::tape::{Inputs, LANE_MULTIPLE, Tape, Workspace};
+use phugoid::internals::graph::Id;
+use phugoid::internals::tape::{Inputs, LANE_MULTIPLE, Tape, Workspace};
 
 /// SplitMix64 (Steele, Lea and Flood, 2014): the same numbers on every machine.
 pub struct Random(pub u64);

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
+use phugoid::Experiment;
+use phugoid::Interpolation;
+use phugoid::Table;
 use phugoid::collocation::Collocation;
-use phugoid::experiment::Experiment;
 use phugoid::expr::{Expr, Lookup, gt, select};
-use phugoid::interpolate::Interpolation;
 use phugoid::model::{Model, Parameter};
 use phugoid::noise::{Noise, Sigma};
-use phugoid::table::Table;
 
 use super::Random;
 
@@ -49,11 +49,10 @@ pub fn nonlinear() -> Model {
     let v = m.state("V", "m/s").unwrap();
     let (alpha, q) = (m.state("alpha", "rad").unwrap(), m.state("q", "rad/s").unwrap());
     let (de, thrust) = (m.input("de", "rad").unwrap(), m.input("thrust", "N").unwrap());
-    let cl0 = m.parameter(Parameter { prior: Some((0.2, 0.05)), ..Parameter::new("CL0", 0.3) }).unwrap();
-    let cla =
-        m.parameter(Parameter { lower: Some(0.0), upper: Some(9.0), ..Parameter::new("CLa", 1.7) }).unwrap();
-    let k = m.parameter(Parameter { fixed: true, ..Parameter::new("k", 0.4) }).unwrap();
-    let cma = m.parameter(Parameter { prior: Some((-0.5, 0.3)), ..Parameter::new("Cma", -0.6) }).unwrap();
+    let cl0 = m.parameter(Parameter::new("CL0", 0.3).prior((0.2, 0.05))).unwrap();
+    let cla = m.parameter(Parameter::new("CLa", 1.7).lower(0.0).upper(9.0)).unwrap();
+    let k = m.parameter(Parameter::new("k", 0.4).fixed(true)).unwrap();
+    let cma = m.parameter(Parameter::new("Cma", -0.6).prior((-0.5, 0.3))).unwrap();
     let cmq = m.parameter(Parameter::new("Cmq", -0.9)).unwrap();
     let bias = m.parameter(Parameter::new("bias", 0.01)).unwrap();
     let cl = &cl0 + &cla * &alpha + lookup(&lift_table(), &[&alpha]);

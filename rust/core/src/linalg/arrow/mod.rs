@@ -67,7 +67,7 @@ use super::{Curvature, Effort, Entries, Factor, KktError, KktSolver, covariance_
 use crate::interrupt::current;
 use crate::nlp::{Chains, Structure};
 use crate::tape::lanes::all_finite;
-use crate::threads::{COMMON, Threads};
+use crate::threads::Threads;
 
 /// Least number of points for which waking other threads pays.
 const PARALLEL_POINTS: usize = 2000;
@@ -113,8 +113,7 @@ pub struct ArrowKkt {
     is_eliminated: bool,
     /// Whether the entries of the last factorisation are kept for that: always where groups are split.
     refining: bool,
-    /// Threads of its own; without these it works on the common ones.
-    pool: Option<Threads>,
+    threads: Threads,
     parallel: bool,
 }
 
@@ -157,27 +156,24 @@ impl ArrowKkt {
             effort: Effort::FULL,
             is_eliminated: false,
             refining: true,
-            pool: None,
+            threads: Threads::default(),
             parallel: sizes.0 >= PARALLEL_POINTS * plan.shape.n,
             plan,
         };
-        let threads = if arrow.parallel { COMMON.number() } else { 1 };
-        arrow.make_room(threads);
+        arrow.make_room();
         Some(arrow)
     }
 
-    /// Works on so many threads; 0 for as many as there are cores. Results are the same.
-    pub fn with_threads(mut self, threads: usize) -> ArrowKkt {
-        self.parallel &= threads != 1;
-        if threads > 1 {
-            // Without a pool of its own the work goes to the common one: slower or faster, not wrong.
-            self.pool = Threads::new(threads).ok();
-            self.make_room(threads);
-        }
+    /// Works on these threads. Results are the same.
+    pub fn with_threads(mut self, threads: Threads) -> ArrowKkt {
+        self.parallel = self.parallel && threads.number() > 1;
+        self.threads = threads;
+        self.make_room();
         self
     }
 
-    fn make_room(&mut self, threads: usize) {
+    fn make_room(&mut self) {
+        let threads = if self.parallel { self.threads.number() } else { 1 };
         self.products = (0..threads).map(|_| Mutex::new(Products::new(&self.plan.shape))).collect();
     }
 
@@ -314,18 +310,13 @@ impl ArrowKkt {
         }
     }
 
-    /// Runs on the threads that were asked for.
+    /// Runs on the threads, where that pays.
     fn on_threads<R: Send>(&mut self, work: impl FnOnce(&mut Self) -> R + Send) -> R {
-        match self.pool.take() {
-            Some(pool) => {
-                let interrupt = current();
-                let result = pool.install(|| interrupt.run(|| work(self)));
-                self.pool = Some(pool);
-                result
-            }
-            None if self.parallel => COMMON.install(|| work(self)),
-            None => work(self),
+        if !self.parallel {
+            return work(self);
         }
+        let (threads, interrupt) = (self.threads.clone(), current());
+        threads.install(|| interrupt.run(|| work(self)))
     }
 
     /// Computes the residual of the solution; returns the largest residual of a constraint relative to its terms.

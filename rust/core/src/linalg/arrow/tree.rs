@@ -3,8 +3,6 @@
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
-use rayon::prelude::*;
-
 use super::form::{Form, Side};
 use super::group::{Context, Group};
 use super::merge::Merge;
@@ -13,6 +11,7 @@ use super::products::Products;
 use super::top::Top;
 use crate::interrupt::current;
 use crate::linalg::KktError;
+use crate::threads::{prelude::*, thread_index};
 
 /// A group, or two merged.
 #[derive(Clone, Copy, Debug)]
@@ -94,12 +93,12 @@ impl Tree {
         let interrupt = current();
         let done = if parallel {
             let work = |g: &mut Group| {
-                let own = rayon::current_thread_index().unwrap_or(0) % room.len();
+                let own = thread_index() % room.len();
                 // Nothing is left in it that matters after a panic.
                 let mut products = room[own].lock().unwrap_or_else(PoisonError::into_inner);
                 g.factorize(context, &mut products, hessian, jacobian, &interrupt)
             };
-            self.groups.par_iter_mut().map(work).reduce(|| Ok(()), Result::and)
+            self.groups.par_iter_mut().map(work).find_first(Result::is_err).unwrap_or(Ok(()))
         } else {
             let products = room[0].get_mut().unwrap_or_else(PoisonError::into_inner);
             let work = |g: &mut Group| g.factorize(context, products, hessian, jacobian, &interrupt);

@@ -27,7 +27,7 @@ impl Covariance {
         if self.known || self.effort(missing) <= MOST_EFFORT {
             return Ok(());
         }
-        Err(Error::Data(format!(
+        Err(Error::data(format!(
             "outputs are missing in {} different combinations, more than noise with an unknown covariance can take in; \
              let samples be missing as a whole (NaN in all outputs) where some outputs are, or take independent noise",
             missing.patterns.len()

@@ -36,7 +36,7 @@ impl Covariance {
     pub fn known(n: usize, matrix: &[f64]) -> Result<Covariance, Error> {
         if matrix.len() != n * n {
             let have = matrix.len();
-            return Err(Error::Option(format!(
+            return Err(Error::option(format!(
                 "noise: a covariance of {n} outputs has {n}² entries, not {have}"
             )));
         }
@@ -44,7 +44,7 @@ impl Covariance {
         let deviations = r.diagonal().map(f64::sqrt);
         if let Some(i) = deviations.iter().position(|s| !(*s > 0.0 && s.is_finite())) {
             let bad = r[(i, i)];
-            return Err(Error::Option(format!(
+            return Err(Error::option(format!(
                 "noise: the variance {bad} of output number {} is not positive",
                 i + 1
             )));
@@ -86,7 +86,7 @@ impl Covariance {
     }
 
     pub(super) fn check(&self, outputs: &[&str]) -> Result<(), Error> {
-        let fail = |text: String| Err(Error::Option(format!("noise: {text}")));
+        let fail = |text: String| Err(Error::option(format!("noise: {text}")));
         if self.n() != outputs.len() {
             return fail(format!("a covariance of {} outputs for {}", self.n(), outputs.len()));
         }

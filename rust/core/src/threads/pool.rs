@@ -1,4 +1,4 @@
-//! The threads that work is done on.
+//! A pool of threads that survives a fork.
 //!
 //! A process made by `fork` inherits a thread pool without its threads, and work given to that pool would never be done.
 //! A pool is therefore used only in the process that made it. Another process makes one of its own, as large, the first
@@ -13,13 +13,60 @@ use crate::error::Error;
 /// Most threads of a pool.
 const MOST: usize = 1024;
 
+/// The threads that the caller works on, a pool of rayon or its global one, unless [`Threads::new`] has started others. Clones
+/// share a pool.
+#[derive(Clone, Debug, Default)]
+pub struct Threads(Option<Arc<Pool>>);
+
 /// The threads of rayon's global pool, one a core unless the caller or `RAYON_NUM_THREADS` says otherwise.
-pub(crate) static COMMON: Threads =
-    Threads { own: None, process: OnceLock::new(), inherited: Mutex::new(None) };
+static COMMON: Pool = Pool { own: None, process: OnceLock::new(), inherited: Mutex::new(None) };
+
+/// The number of this thread among those of its pool.
+pub(crate) fn thread_index() -> usize {
+    rayon::current_thread_index().unwrap_or(0)
+}
+
+impl Threads {
+    /// Starts so many threads; 0 for those that the caller works on.
+    ///
+    /// # Errors
+    /// Where the system has not so many.
+    pub fn new(number: usize) -> Result<Threads, Error> {
+        if number == 0 {
+            return Ok(Threads::default());
+        }
+        let (own, process) = (Some(start(number)?), std::process::id().into());
+        Ok(Threads(Some(Arc::new(Pool { own, process, inherited: Mutex::new(None) }))))
+    }
+
+    fn pool(&self) -> &Pool {
+        self.0.as_deref().unwrap_or(&COMMON)
+    }
+
+    /// Number of threads.
+    pub fn number(&self) -> usize {
+        self.pool().number()
+    }
+
+    /// Does work on these threads. Work that is done on rayon's threads already stays on those, unless this is a pool
+    /// apart from the common one.
+    pub fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        let pool = self.pool();
+        // A process is forked from a thread of the caller, never from one of a pool: whoever is on one can use it.
+        if pool.own.is_none() && rayon::current_thread_index().is_some() {
+            return work();
+        }
+        match (pool.inherits(), &pool.own) {
+            (Some(process), _) => pool.replacement(process).install(work),
+            (None, Some(own)) => own.install(work),
+            (None, None) => work(),
+        }
+    }
+}
 
 /// A thread pool, and the one that takes its place after a fork.
 #[derive(Debug)]
-pub(crate) struct Threads {
+struct Pool {
     /// `None` is rayon's global pool.
     own: Option<ThreadPool>,
     /// The process that the pool works in: the one that used it first.
@@ -28,35 +75,11 @@ pub(crate) struct Threads {
     inherited: Mutex<Option<(u32, Arc<ThreadPool>)>>,
 }
 
-impl Threads {
-    /// Starts so many threads.
-    ///
-    /// # Errors
-    /// Where the system has not so many.
-    pub fn new(number: usize) -> Result<Threads, Error> {
-        let own = start(number)?;
-        Ok(Threads { own: Some(own), process: std::process::id().into(), inherited: Mutex::new(None) })
-    }
-
-    /// Number of threads.
-    pub fn number(&self) -> usize {
+impl Pool {
+    fn number(&self) -> usize {
         // What asks for the number starts rayon's pool.
         self.inherits();
         self.own.as_ref().map_or_else(rayon::current_num_threads, ThreadPool::current_num_threads)
-    }
-
-    /// Does work on these threads. Work that is done on rayon's threads already stays on those, unless this is a pool
-    /// apart from the common one.
-    pub fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
-        // A process is forked from a thread of the caller, never from one of a pool: whoever is on one can use it.
-        if self.own.is_none() && rayon::current_thread_index().is_some() {
-            return work();
-        }
-        match (self.inherits(), &self.own) {
-            (Some(process), _) => self.replacement(process).install(work),
-            (None, Some(own)) => own.install(work),
-            (None, None) => work(),
-        }
     }
 
     /// This process, where the pool belongs to another.
@@ -82,7 +105,7 @@ impl Threads {
     }
 }
 
-impl Drop for Threads {
+impl Drop for Pool {
     /// Does not join threads that no longer exist after a fork, which could wait forever.
     fn drop(&mut self) {
         let here = std::process::id();
@@ -98,10 +121,10 @@ impl Drop for Threads {
 
 fn start(number: usize) -> Result<ThreadPool, Error> {
     if number > MOST {
-        return Err(Error::Option(format!(
+        return Err(Error::option(format!(
             "threads = {number}: at most {MOST}, and no more than cores are of use; 0 is one a core"
         )));
     }
     let pool = ThreadPoolBuilder::new().num_threads(number).build();
-    pool.map_err(|e| Error::Option(format!("{number} threads: {e}")))
+    pool.map_err(|e| Error::option(format!("{number} threads: {e}")))
 }

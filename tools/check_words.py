@@ -17,7 +17,7 @@ from pathlib import Path
 
 # These follow, and then this list goes, with that of D401 in pyproject.toml.
 LATER = re.compile(
-    r"(discrepancy|estimation|multistart|petab|residual_noise|sensitivities|starts)/|"
+    r"(estimation|multistart|petab|residual_noise|sensitivities|starts)/|"
     r"(guess|integration|modelling/delayed)\.py"
 )
 NO_VERBS = {

@@ -60,7 +60,7 @@ def test_without_its_trim_it_is_refused_and_not_left_out(number: int) -> None:
 
 def test_biases_that_cannot_be() -> None:
     third = record(*RECORDS[2])
-    with pytest.raises(ph.OptionError, match="biases are estimated anew in validation records: give validation"):
+    with pytest.raises(ph.OptionError, match="biases are estimated again in validation records: give validation"):
         ph.diagnose(fit(1), biases=["trim"])
     with pytest.raises(ph.ModelError, match="biases: 'trimm' is no parameter of the model. Did you mean 'trim'"):
         ph.diagnose(fit(1), validation=third, biases=["trimm"])

@@ -1,4 +1,4 @@
-"""Finds what a fitted model is missing."""
+"""Find what a fitted model is missing."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def _rings(frequencies: Sequence[float]) -> str:
 
 
 def advice_of(search: Search, result: SearchResult, candidate: Candidate | None, aliases: Sequence[str]) -> str:
-    """Which manoeuvre would tell a candidate from its aliases; "" where there are none, and after Ctrl-C."""
+    """Return which manoeuvre would tell a candidate from its aliases; "" where there are none, and after Ctrl-C."""
     if candidate is None or not aliases:
         return ""
     try:
@@ -149,7 +149,7 @@ def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequenc
 
 
 def ranking_of(search: Search, scan: Scan) -> list[Scored]:
-    """All candidates, each at its best shape."""
+    """Return all candidates, each at its best shape."""
     through = {"base": search.cache.base.own.filter, "clean": scan.clean(), "white": scan.white.filter}
     values = {which: scan.through(filter) for which, filter in through.items()}
     best: dict[str, int] = {}
@@ -190,17 +190,17 @@ def diagnose(
     progress: bool | Callable[[str], None] = False,
     time_limit: float | None = None,
 ) -> DiagnosisResult:
-    """What a fitted model is missing: shows the misfit, names its causes, measures what each gains.
+    """Return what a fitted model is missing: its misfit, the causes, and what each gains.
 
     Every candidate is scored from one linearisation of the fit, the best are fitted, and one is accepted where the gain
-    in likelihood, with noise as coloured as the residuals are, is more than chance gives among so many, and where it
-    predicts data that were held out. Then again, until nothing significant is left.
+    in likelihood, with noise that has the autocorrelation of the residuals, is more than chance gives among so many,
+    and where it predicts data that were held out. Then again, until nothing significant is left.
 
     ``candidates``: those of `candidates` for the model unless given; or terms of your own that are added to these, as
     in ``{"Cm": [alpha*q**2]}``.
     ``validation``: other records of the same vehicle; with only first states and biases free they measure the gain.
     Without any, blocks of the records are left out in turn.
-    ``biases``: names of the parameters that are estimated anew in the validation records, as for `Fit.validate`: trim,
+    ``biases``: names of the parameters that are estimated again in the validation records, as for `Fit.validate`: trim,
     say. None: biases of sensors, and initial values that each experiment has its own of. Parameters of the dynamics
     with a value for each experiment must be among them, for which one another record has is not known.
     ``progress``: True shows what is done; a function is called with it. Ctrl-C ends the search with what was found, and
@@ -323,7 +323,7 @@ def diagnose(
 
 
 def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:
-    """The first scan, and whether it was interrupted: then there is none."""
+    """Return the first scan, and whether it was interrupted: then there is none."""
     try:
         search.cache.try_validation()
         return tuple(ranking_of(search, search.cache.scan(base))), False
@@ -390,7 +390,7 @@ def _biases(fit: FitResult, others: Sequence[Experiment], given: Any) -> tuple[s
     if given is None:
         return None
     if not others:
-        raise OptionError("diagnose: biases are estimated anew in validation records: give validation too")
+        raise OptionError("diagnose: biases are estimated again in validation records: give validation too")
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise OptionError(f"diagnose: biases is a list of names, such as ['b_q'], or () for none, not {given!r}")
     names = fit.model.parameter_names
@@ -429,7 +429,7 @@ def _candidates(fit: FitResult, given: Any, base: Refit) -> list[Candidate]:
 
 
 def _shown(progress: Any) -> Any:
-    """A context that gives what to call with each step."""
+    """Return a context that gives what to call with each step."""
     if callable(progress):
         return nullcontext(progress)
     if not progress:

@@ -69,8 +69,8 @@ class ImprovementResult:
         return self.steps[-1].diagnosis.interrupted
 
     def summary(self) -> str:
-        """A table of the steps: what was added, the part of the misfit that it explains, the RMS of each output on data
-        held out before and after; and what was rejected, with the reason."""
+        """Return a table of the steps: what was added, the part of the misfit that it explains, the RMS of each output
+        on data held out before and after; and what was rejected, with the reason."""
         rows = []
         for i, step in enumerate(self.steps, start=1):
             parts = [f.explained for f in step.diagnosis.findings if f.cause in step.added and np.isfinite(f.explained)]
@@ -100,7 +100,7 @@ class ImprovementResult:
 
 
 def _changes(gain: Gain | None) -> str:
-    """By how much the RMS of each output changes, on data held out where there are any."""
+    """Return by how much the RMS of each output changes, on data held out where there are any."""
     if gain is None:
         return ""
     held = bool(gain.held_out_rms_before)

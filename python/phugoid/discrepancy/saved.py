@@ -21,7 +21,7 @@ _FITS = {1: 2}
 
 
 def save_diagnosis(d: DiagnosisResult, path: str | os.PathLike[str]) -> None:
-    """What `Diagnosis.save` does; see there."""
+    """Write a diagnosis; see `Diagnosis.save`."""
     extension = d.extend() if d.found else None
     payload = {
         "fit": fit_payload(d.fit),
@@ -47,7 +47,7 @@ def save_diagnosis(d: DiagnosisResult, path: str | os.PathLike[str]) -> None:
 
 
 def load_diagnosis(path: str | os.PathLike[str]) -> DiagnosisResult:
-    """Reads what `Diagnosis.save` wrote, in this version or an older one. Raises as `load` does."""
+    """Read what `Diagnosis.save` wrote, in this version or an older one. Raises as `load` does."""
     saved, version = io.load_fit_dict(path, io.DIAGNOSIS)
     with damage(path):
         fit, more = fit_from(saved["fit"], _FITS[version]), saved["extension"]
@@ -114,7 +114,7 @@ _READ: Mapping[str, Callable[[Any], Any]] = {
 
 
 def _made(kind: type[_T], saved: Mapping[str, Any]) -> _T:
-    """From its fields; what a later version may add to them is no reason to fail."""
+    """Return an object from its fields; what a later version may add to them is no reason to fail."""
     read: dict[str, Callable[[Any], Any]] = {
         f.name: _READ.get(f.name, io.to_float if f.type == "float" else _text) for f in fields(kind)
     }

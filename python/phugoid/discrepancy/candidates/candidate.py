@@ -75,7 +75,7 @@ class Candidate(ABC):
 
     @abstractmethod
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
-        """(k, n) signals at the points; k is the number of coefficients, or 1 with unit amplitude."""
+        """Return (k, n) signals at the points; k is the number of coefficients, or 1 with unit amplitude."""
 
     def paths(self, points: Points, start: Mapping[str, float]) -> Mapping[str, _Array]:
         """Return (n,) at the points of each state that `extended` adds, for parameters that start there; nothing where
@@ -88,7 +88,8 @@ class Candidate(ABC):
 
     @abstractmethod
     def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
-        """The model with this effect; its parameters start at the values given by name (coefficients else at 0)."""
+        """Return the model with this effect; its parameters start at the values given by name (coefficients else at
+        0)."""
 
     def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
         """Values of the shape that measurements themselves suggest, whatever the model: output -> samples of each
@@ -141,11 +142,11 @@ class Effect(Candidate):
         return ()
 
     def on(self: _Self, scales: Scales) -> _Self:
-        """The same effect, with centres, widths and grids for a record."""
+        """Return the same effect, with centres, widths and grids for a record."""
         return replace(self, scales=scales)
 
     def worthwhile(self) -> bool:
-        """Whether the record can say anything of it at all."""
+        """Tell whether the record can say anything of it at all."""
         if not all(self.scales.varies(name) for name in self.variables):
             return False
         return len(self.variables) != 1 or self.family not in _SHAPED or self.scales.tells(*self.variables, self.family)
@@ -186,14 +187,14 @@ class ExtensionBuilder:
         self._inputs: dict[str, str] = {}
 
     def parameter(self, name: str, start: float = 0.0, **declared: Any) -> Expr:
-        """One more parameter; a start that was given counts, moved into the bounds."""
+        """Return one more parameter; a start that was given counts, moved into the bounds."""
         low, high = declared.get("bounds", (-np.inf, np.inf))
         value = min(max(float(self.start.get(name, start)), low), high)
         self._parameters[name] = Parameter(value, **declared)
         return Expr.symbol(name)
 
     def state(self, wanted: str, unit: str, right: Callable[[Expr], Any], initial: Any) -> Expr:
-        """One more state with its equation, right-hand side by its symbol, and its value at the first sample."""
+        """Return one more state with its equation, right-hand side by its symbol, and its value at the first sample."""
         name = self._unused(wanted)
         symbol = Expr.symbol(name)
         known: dict[str, Any] = {}  # at the ends of a record quantities have no name
@@ -212,7 +213,7 @@ class ExtensionBuilder:
         return symbols
 
     def late_input(self, of: str, tau: str) -> Expr:
-        """The symbol of an input that is late by a parameter."""
+        """Return the symbol of an input that is late by a parameter."""
         if of in self.delays.inputs:
             raise ModelError(f"{self.effect.name}: the input is late already, by '{self.delays.inputs[of][1]}'")
         name = self._unused(f"{of}_delayed")
@@ -227,7 +228,7 @@ class ExtensionBuilder:
         self.delays = self.delays.with_output(output, tau)
 
     def at(self, place: Place) -> Expr:
-        """The expression at a place; ModelError where the model has no such place."""
+        """Return the expression at a place; ModelError where the model has no such place."""
         key = (place.kind, place.name)
         if key not in self.equations:
             known = [name for kind, name in self.equations if kind == place.kind]
@@ -241,7 +242,7 @@ class ExtensionBuilder:
         self.equations[place.kind, place.name] = Expr(e)
 
     def replace_input(self, name: str, by: Any) -> None:
-        """Puts an expression for an input wherever it stands."""
+        """Put an expression for an input wherever it stands."""
         if name not in self.old.declared_inputs:
             hint = did_you_mean(name, self.old.input_names)
             raise ModelError(f"{self.effect.name}: the model has no input '{name}'.{hint}")
@@ -252,13 +253,13 @@ class ExtensionBuilder:
         self.equations = {key: Expr(e.substitute({name: by})) for key, e in self.equations.items()}
 
     def replace_parameter(self, name: str, by: Any) -> None:
-        """Puts an expression for a parameter wherever it stands."""
+        """Put an expression for a parameter wherever it stands."""
         if not any(name in e.symbols for e in self.equations.values()):
             raise ModelError(f"{self.effect.name}: '{name}' stands in no equation")
         self.equations = {key: Expr(e.substitute({name: by})) for key, e in self.equations.items()}
 
     def model(self) -> Model:
-        """The model as extended."""
+        """Return the model as extended."""
         return self.old._changed(
             parameters=self._parameters,
             equations=self.equations,
@@ -272,7 +273,7 @@ class ExtensionBuilder:
 
 
 def unused(wanted: str, taken: set[str]) -> str:
-    """The name, or with a number that makes it none of those taken; it is taken then."""
+    """Return the name, or with a number that makes it none of those taken; it is taken then."""
     name, number = wanted, 1
     while name in taken:
         number += 1
@@ -290,8 +291,8 @@ def place_range(place: Place, points: Sequence[Points]) -> float:
 
 
 def largest_coefficient(effect: Effect, shape: Mapping[str, float], points: Sequence[Points]) -> float:
-    """The coefficient at which a term's varying part is twice as large as all that stands at its place varies: parts
-    of that size could only be there by cancelling others."""
+    """Return the coefficient at which a term's varying part is twice as large as all that stands at its place varies:
+    parts of that size could only be there by cancelling others."""
     signal = np.concatenate([effect.signals(p, shape) for p in points], axis=1)
     span = float(np.ptp(signal, axis=1).max())
     if span <= 1e-12 * float(np.abs(signal).max()):

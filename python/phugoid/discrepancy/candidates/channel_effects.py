@@ -49,7 +49,7 @@ _SCALE = 0.3
 
 
 def channel(effect: Effect, points: Points) -> _Array:
-    """(N,) the input or output that an effect acts on."""
+    """Return the input or output (N,) that an effect acts on."""
     name, kind = effect.place.name, effect.place.kind
     return of(points.outputs if kind == "output" else points.values, name, points, kind)
 
@@ -77,7 +77,7 @@ class Lag(Effect):
         return (lagged(points.t, it, shape[self.shape_names[0]]) - it)[np.newaxis]
 
     def follower(self, extension: ExtensionBuilder, name: str, it: Expr) -> Expr:
-        """Declares tau and the state that follows."""
+        """Declare tau and the state that follows."""
         (tau_name,) = self.shape_names
         tau = extension.parameter(tau_name, self.shapes[len(self.shapes) // 3][tau_name], **lag_bounds(self.scales))
         unit = extension.old.units.get(self.place.name, "")
@@ -95,7 +95,7 @@ class Delay(Effect):
         return delay_grid(self.scales)
 
     def delay(self, extension: ExtensionBuilder) -> str:
-        """Declares the delay, and gives its name."""
+        """Declare the delay, and return its name."""
         (name,) = self.shape_names
         declared: dict[str, Any] = delay_bounds(self.scales)
         extension.parameter(name, **declared)
@@ -188,7 +188,7 @@ class ClippedSensor(Effect):
         return np.asarray(0.5 * (limit - y + side * distance))[np.newaxis]
 
     def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
-        """The greatest or least value, where samples in a row have it again and again."""
+        """Return the greatest or least value, where samples in a row have it again and again."""
         every = [z[np.isfinite(z)] for z in measured[self.place.name]]
         whole = np.concatenate(every)
         for limit in (whole.max(), whole.min()) if whole.size else ():
@@ -259,7 +259,7 @@ class _Limited(Effect):
     least = 0.0  # physical limit, of the greatest deflection
 
     def _within(self, limit: Any) -> Any:
-        """The distance from the trim, cut off at the limit on either side; corners rounded."""
+        """Return the distance from the trim, cut off at the limit on either side; corners rounded."""
         x = self._distance()
         width = _CORNER * self.scales.span(self.place.name)
         return 0.5 * (smooth_abs(x + limit, width) - smooth_abs(x - limit, width))
@@ -270,7 +270,7 @@ class _Limited(Effect):
         return u - centre if centre else u
 
     def change(self, limit: Any) -> Any:
-        """What is added to the input."""
+        """Return what is added to the input."""
         raise NotImplementedError
 
     def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:

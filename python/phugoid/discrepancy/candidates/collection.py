@@ -84,7 +84,7 @@ class Candidates(Sequence[Candidate]):
         return Candidates([*self._all, *other])
 
     def without(self, *names: str) -> Candidates:
-        """All but some, by name or by pattern: ``without("CL:periodic", "*:lag_*")``.
+        """Return all but some, by name or by pattern: ``without("CL:periodic", "*:lag_*")``.
 
         Raises UnknownName for a name or pattern that fits none.
         """
@@ -92,7 +92,7 @@ class Candidates(Sequence[Candidate]):
         return Candidates(c for c in self._all if c.name not in out)
 
     def only(self, *names: str) -> Candidates:
-        """Some, by name or by pattern: ``only("CL:*", "de:delay")``."""
+        """Return some, by name or by pattern: ``only("CL:*", "de:delay")``."""
         kept = self._matching(names)
         return Candidates(c for c in self._all if c.name in kept)
 
@@ -109,8 +109,8 @@ class Candidates(Sequence[Candidate]):
         return found
 
     def on(self, points: Sequence[Points], trim: Mapping[str, float] | None = None) -> Candidates:
-        """The same with centres, widths and grids for a record; without those of which it can say nothing, since a
-        variable does not vary or (sign forms) does not change sign. Others' candidates stay as they are."""
+        """Return the same with centres, widths and grids for a record; without those of which it can say nothing, since
+        a variable does not vary or (sign forms) does not change sign. Others' candidates stay as they are."""
         if not points:
             raise DataError("candidates: there are no points")
         scales = Scales.of(points, trim)
@@ -223,7 +223,7 @@ def _checked(model: Model, place: Place, key: str, given: Any) -> Expr:
 
 
 def _jump(e: Expr) -> str | None:
-    """The first operation in an expression that jumps; conditions of ``where`` are the user's own affair."""
+    """Return the first operation in an expression that jumps; conditions of ``where`` are the user's own affair."""
     operation, args = e.operation
     if operation in _JUMPS:
         return operation

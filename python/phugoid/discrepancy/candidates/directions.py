@@ -74,7 +74,7 @@ class Directions:
         self._basis = {key: basis[i * self.points.n : (i + 1) * self.points.n] for i, key in enumerate(self._keys)}
 
     def verdicts(self, candidates: Sequence[Candidate]) -> list[Verdict]:
-        """On each of some candidates that have one signal, which depends on no shape."""
+        """Return the verdict on each of some candidates that have one signal, which depends on no shape."""
         found = [Verdict()] * len(candidates)
         groups: dict[tuple[Key, ...], list[tuple[int, _Array]]] = {}
         for i, c in enumerate(candidates):
@@ -102,7 +102,7 @@ class Directions:
         return found
 
     def _blocks(self, candidate: Candidate) -> dict[Key, _Array]:
-        """How a candidate moves the equations: values for each that it moves."""
+        """Return how a candidate moves the equations: values for each that it moves."""
         signal = np.nan_to_num(candidate.signals(self.points, {})[0], posinf=0.0, neginf=0.0)
         if candidate.place.kind == "input":
             slopes = self._slopes.get(candidate.place.name, {})

@@ -31,10 +31,9 @@ from .collection import Candidates, read_terms
 from .directions import Directions
 from .hysteresis import FlexibleMode, Hysteresis, Stribeck
 from .model_structure import ANGLES, ModelStructure, Variable
-from .parameter_drift import ParameterDrift
 from .scales import Scales, output_key, trim_of
 from .stops import EndStop, StateLimit
-from .terms import FORMS, LaggedVariable, Periodic, Rate, Term, where
+from .terms import FORMS, LaggedVariable, ParameterDrift, Periodic, Rate, Term, where
 
 __all__ = ["FAMILIES", "Candidates", "candidates", "trim_of"]
 
@@ -366,7 +365,7 @@ def _on_input(structure: ModelStructure, variable: Variable, scales: Scales, nam
 
 
 def _distinct(own: Sequence[Effect], made: Sequence[Effect], directions: Directions) -> list[Effect]:
-    """Those that say something new, in the order made, the user's own last; of the user's all must be new."""
+    """Return those that say something new, in the order made, the user's own last; of the user's all must be new."""
     ranked = [*own, *sorted(made, key=lambda c: FAMILIES.index(c.family))]
     ranked = [c for c in ranked if c.family in _STATIC]
     dropped: set[int] = set()

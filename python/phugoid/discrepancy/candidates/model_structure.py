@@ -110,14 +110,14 @@ class ModelStructure:
         return bool(symbols & names) or any(self._varies(n) for n in symbols.intersection(self.quantities))
 
     def _is_rate(self, name: str) -> bool:
-        """An angular rate by its unit, or what another state's derivative is by exact kinematics."""
+        """Tell whether a state is an angular rate by its unit, or another state's derivative by exact kinematics."""
         if self.model.units.get(name, "") in ANGULAR_RATES:
             return True
         slopes = [Expr(e.diff(name)).constant for state, e in self._exact.items() if state != name]
         return any(slope for slope in slopes)
 
     def _inputs(self) -> list[Variable]:
-        """Inputs as they stand in the equations: a late one for the plain one where only that is used."""
+        """Return inputs as they stand in the equations: a late one for the plain one where only that is used."""
         late = {name: of for name, (of, _) in self.model.delays.inputs.items()}
         found = []
         for name in self.model.declared_inputs:
@@ -129,12 +129,12 @@ class ModelStructure:
         return found
 
     def used(self, symbol: str) -> bool:
-        """Whether a symbol stands in any equation."""
+        """Tell whether a symbol stands in any equation."""
         groups = (self.quantities, self.dynamics, self.outputs)
         return any(symbol in e.symbols for group in groups for e in group.values())
 
     def expression(self, place: Place) -> Expr:
-        """What stands at a place."""
+        """Return what stands at a place."""
         groups = {"quantity": self.quantities, "equation": self.dynamics, "output": self.outputs}
         return groups[place.kind][place.name]
 

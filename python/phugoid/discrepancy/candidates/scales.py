@@ -49,8 +49,9 @@ _CROSSES = 0.05
 
 
 def trim_of(points: Sequence[Points]) -> dict[str, float]:
-    """Where to centre powers of each state, input and quantity: its median over all records, or 0 where it hovers
-    about zero. Rounded to a tenth of the leading digit of its standard deviation, so that equations can be read."""
+    """Return where to centre powers of each state, input and quantity: its median over all records, or 0 where it
+    hovers about zero. Rounded to a tenth of the leading digit of its standard deviation, so that equations can be
+    read."""
     found = {}
     for name in _names(points):
         values = np.concatenate([p.values[name] for p in points])
@@ -116,7 +117,7 @@ class Scales:
         )
 
     def centre(self, name: str) -> float:
-        """Where powers of a variable are centred."""
+        """Return where powers of a variable are centred."""
         return self.trim.get(name, 0.0)
 
     def span(self, name: str) -> float:
@@ -130,20 +131,20 @@ class Scales:
         return max(self.high[name] - self.centre(name), self.centre(name) - self.low[name])
 
     def varies(self, name: str) -> bool:
-        """Whether a variable varies, as far as is known."""
+        """Tell whether a variable varies, as far as is known."""
         if name not in self.low:
             return True
         low, high = self.low[name], self.high[name]
         return high - low > _CONSTANT * max(abs(low), abs(high))
 
     def tells(self, name: str, family: str) -> bool:
-        """Whether a variable takes values enough to tell a function of it, of one of the families, from a constant and
-        a linear part: any function of two levels is such a sum, and any odd function of three that lie evenly."""
+        """Tell whether a variable takes values enough to tell a function of it, of one of the families, from a constant
+        and a linear part: any function of two levels is such a sum, and any odd function of three that lie evenly."""
         levels = self.levels.get(name, 0)
         return not levels or levels > 3 or (levels == 3 and family in ("square", "absolute"))
 
     def crosses(self, name: str) -> bool:
-        """Whether a variable changes sign, as far as is known."""
+        """Tell whether a variable changes sign, as far as is known."""
         if name not in self.low:
             return True
         return min(self.high[name], -self.low[name]) > _CROSSES * (self.high[name] - self.low[name])
@@ -172,49 +173,52 @@ _FINEST = 200_000
 
 
 def _longest_delay(duration: float, interval: float) -> float:
-    """A record shorter than 20 of them tells a delay from nothing; a sampling so slow that 0.3 s is less than three
-    intervals belongs to a slower system."""
+    """Return the longest delay that is looked for. A record shorter than 20 of them does not tell it; a sampling so
+    slow that 0.3 s is less than three intervals belongs to a slower system."""
     return min(max(_DELAY, 3.0 * interval), duration / 20.0)
 
 
 def longest_delay(points: Sequence[Points]) -> float:
-    """The longest physical delay, s."""
+    """Return the longest physical delay, s."""
     scales = Scales.of(points)
     return _longest_delay(scales.duration, scales.interval)
 
 
 def longest_lag(points: Sequence[Points]) -> float:
-    """The longest physical time constant, s: a slower lag does not settle within the record, it is a drift."""
+    """Return the longest physical time constant, s: a slower lag does not settle within the record, it is a drift."""
     return Scales.of(points).duration / 5.0
 
 
 def delay_grid(scales: Scales) -> _Array:
-    """From a quarter of an interval to a little beyond what is physical, so that surrogates are seen as such."""
+    """Return delays from a quarter of an interval to a little beyond what is physical, so that surrogates are seen as
+    such."""
     longest = 1.5 * _longest_delay(scales.duration, scales.interval)
     return np.geomspace(min(0.25 * scales.interval, 0.5 * longest), longest, 8)
 
 
 def delay_bounds(scales: Scales) -> dict[str, Any]:
-    """Declaration of a delay: wide, a lead is no delay but may be what fits best; some of the record must be left."""
+    """Return the declaration of a delay: wide, a lead is no delay but may be what fits best; some of the record must be
+    left."""
     return {"bounds": (-0.25 * scales.duration, 0.25 * scales.duration), "unit": "s"}
 
 
 def lag_grid(scales: Scales) -> _Array:
-    """From half an interval to a fifth of the record, but no more than 5 s, by factors of 2 or less."""
+    """Return time constants from half an interval to a fifth of the record, but no more than 5 s, by factors of 2 or
+    less."""
     longest = min(scales.duration / 5.0, max(5.0, 20.0 * scales.interval))
     shortest = min(0.5 * scales.interval, 0.1 * longest)
     return np.geomspace(shortest, longest, int(np.ceil(np.log(longest / shortest) / np.log(2.0))) + 1)
 
 
 def lag_bounds(scales: Scales) -> dict[str, Any]:
-    """Declaration of a time constant. Its bounds keep the equation from dividing by zero, and are else wide: whether
-    a value is physical is another question."""
+    """Return the declaration of a time constant. Its bounds keep the equation from dividing by zero, and are else wide:
+    whether a value is physical is another question."""
     return {"bounds": (0.05 * scales.interval, 2.0 * scales.duration), "unit": "s"}
 
 
 def frequency_grid(scales: Scales) -> _Array:
-    """From one cycle a record to a quarter of the sampling rate, rad/s, in steps of pi/T, two a line width, so that no
-    line falls between; no more than some 200 of them, the lowest."""
+    """Return frequencies from one cycle a record to a quarter of the sampling rate, rad/s, in steps of pi/T, two a line
+    width, so that no line falls between; no more than some 200 of them, the lowest."""
     step = np.pi / scales.duration
     count = int(0.5 * np.pi / scales.interval / step) - 1
     return np.asarray(step * np.arange(2, 2 + min(max(count, 1), _FREQUENCIES)))
@@ -227,7 +231,7 @@ def mode_grid(scales: Scales) -> _Array:
 
 
 def of(group: Mapping[str, _Array], name: str, points: Points, what: str) -> _Array:
-    """A time history by name; DataError where the points have none."""
+    """Return a time history by name; DataError where the points have none."""
     try:
         return group[name]
     except KeyError:
@@ -235,14 +239,15 @@ def of(group: Mapping[str, _Array], name: str, points: Points, what: str) -> _Ar
 
 
 def evaluated(e: Expr, points: Points) -> _Array:
-    """(n,) values of an expression in states, inputs, quantities and time."""
+    """Return (n,) values of an expression in states, inputs, quantities and time."""
     names = [name for name in e.symbols if name != "time"]
     columns = [points.t, *(of(points.values, name, points, "state, input or quantity") for name in names)]
     return np.asarray(CompiledExpressions([e], inputs=names)(np.zeros(0), np.vstack(columns))[0])
 
 
 def lagged(t: _Array, u: _Array, tau: float) -> _Array:
-    """(n,) solution z of tau z' + z = u, z = u at first; exact for u linear between the (n,) times, which increase.
+    """Return (n,) solution z of tau z' + z = u, z = u at first; exact for u linear between the (n,) times, which
+    increase.
 
     Within an interval z - u + tau u' decays as exp(-t/tau); the recursion is solved as a bidiagonal system.
     """
@@ -259,8 +264,8 @@ def lagged(t: _Array, u: _Array, tau: float) -> _Array:
 
 
 def second_order(t: _Array, u: _Array, w: float, damping: float) -> tuple[_Array, _Array]:
-    """(n,) solution z of z'' = w^2 (u - z) - 2 damping w z', at rest at first, and z'; for u linear between equally
-    spaced times, as many as such a motion needs."""
+    """Return (n,) solution z of z'' = w^2 (u - z) - 2 damping w z', at rest at first, and z'; for u linear between
+    equally spaced times, as many as such a motion needs."""
     from scipy.signal import cont2discrete, lfilter
 
     count = min(max(2 * t.size, int(np.ceil((t[-1] - t[0]) * w / 0.2))), _FINEST) + 1
@@ -271,12 +276,12 @@ def second_order(t: _Array, u: _Array, w: float, damping: float) -> tuple[_Array
 
 
 def late(t: _Array, u: _Array, tau: float) -> _Array:
-    """(n,) u(t - tau) for u linear between its times and constant beyond them."""
+    """Return (n,) u(t - tau) for u linear between its times and constant beyond them."""
     return np.interp(t - tau, t, u)
 
 
 def late_smooth(t: _Array, y: _Array, rate: _Array, tau: float) -> _Array:
-    """(n,) y(t - tau) by cubic Hermite interpolation; NaN where that lies outside the record."""
+    """Return (n,) y(t - tau) by cubic Hermite interpolation; NaN where that lies outside the record."""
     from scipy.interpolate import CubicHermiteSpline
 
     return np.asarray(CubicHermiteSpline(t, y, rate, extrapolate=False)(t - tau))

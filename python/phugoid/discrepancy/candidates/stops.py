@@ -83,7 +83,7 @@ class StateLimit(_StateEffect):
     """A store that is full, or empty: beyond the limit its rate is 0 where it would go further (an overflow)."""
 
     def _change(self, rate: Expr, limit: Any, side: float) -> Expr:
-        """What is added to the rate."""
+        """Return what is added to the rate."""
         x = Expr.symbol(self._x)
         onward = side * rate
         outward = 0.5 * (onward + smooth_abs(onward, _RATE * self.scales.span(rate_key(self._x))))
@@ -104,7 +104,7 @@ class StateLimit(_StateEffect):
         return {self._x: side * np.minimum(side * states[self._x], side * start[name])}
 
     def suggested(self, measured: Mapping[str, Sequence[_Array]]) -> Mapping[str, float] | None:
-        """The upper or lower end of a measured state, where its samples crowd there."""
+        """Return the upper or lower end of a measured state, where its samples crowd there."""
         for name, every in measured.items():
             if name != self._x:
                 continue
@@ -131,7 +131,7 @@ class StateLimit(_StateEffect):
 
 
 def _full(t: _Array, x: _Array, rate: _Array, limit: float) -> _Array:
-    """(n,) 1 where a store that fills at a rate is at its limit and would go on, 0 elsewhere."""
+    """Return (n,) 1 where a store that fills at a rate is at its limit and would go on, 0 elsewhere."""
     full, now = np.zeros(t.size), min(float(x[0]), limit)
     for k, step in enumerate((np.diff(t) * 0.5 * (rate[1:] + rate[:-1])).tolist()):
         now += step

@@ -1,4 +1,5 @@
-"""Terms times a coefficient in a quantity, a state equation or an output: expressions, lagged and periodic ones."""
+"""Terms times a coefficient in a quantity, a state equation or an output: expressions, lagged and periodic ones; and
+parameters that drift."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from ...sensitivities.trajectory import Place, Points
 from .candidate import Effect, ExtensionBuilder, largest_coefficient, place_range
 from .scales import Scales, evaluated, frequency_grid, lag_bounds, lag_grid, lagged, longest_lag, of
 
-__all__ = ["FORMS", "LaggedVariable", "Periodic", "Rate", "Term", "tabulated", "where"]
+__all__ = ["FORMS", "LaggedVariable", "ParameterDrift", "Periodic", "Rate", "Term", "tabulated", "where"]
 
 _Array = NDArray[np.float64]
 
@@ -83,7 +84,7 @@ FORMS: Mapping[str, Form] = {
 
 
 def where(place: Place) -> str:
-    """A place in words."""
+    """Return a place in words."""
     if place.kind == "output":
         return f"the measurement of {place.name}"
     return f"{place.name}'" if place.kind == "equation" else place.name
@@ -151,7 +152,7 @@ class Term(Effect):
 
 
 def tabulated(place: Place, variable: str, nodes: _Array, values: _Array, scales: Scales) -> Term:
-    """A function of one variable by its values at equally spaced nodes, joined by a cubic spline.
+    """Return a function of one variable by its values at equally spaced nodes, joined by a cubic spline.
 
     Beyond them it goes on with its mean slope, which is what it makes up for in a linear term of the model.
     """
@@ -179,7 +180,7 @@ class Rate(Effect):
 
     @staticmethod
     def of(place: Place, shown: str, state: str, coefficient: str, scales: Scales) -> Rate:
-        """For the output of that place, and what to call it, and a state."""
+        """Return the candidate for the output of that place, what to call it, and a state."""
         name, words = f"{shown}:{state}'", f"has a part that goes with the derivative of {state} (a lever arm)"
         return Rate(name, place, f"{where(place)} {words}", "rate", scales, (coefficient,), variables=(state,))
 
@@ -268,3 +269,29 @@ class Periodic(Effect):
         lowest, highest = 6.0 * np.pi / scales.duration, 0.5 * np.pi / scales.interval
         a, b = self.coefficients
         return {a: (-largest, largest), b: (-largest, largest), self.shape_names[0]: (lowest, highest)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ParameterDrift(Effect):
+    """The parameter p becomes p + d (t - tm) / T, with the middle tm of the record and its length T: d is its change
+    over the record. That is another in another record."""
+
+    transferable = False
+
+    def _share(self, t: Expr) -> Expr:
+        return Expr((t - (self.scales.begin + 0.5 * self.scales.duration)) / self.scales.duration)
+
+    def signals(self, points: Points, shape: Mapping[str, float]) -> _Array:
+        middle = self.scales.begin + 0.5 * self.scales.duration
+        return ((points.t - middle) / self.scales.duration)[np.newaxis]
+
+    def extended(self, model: Model, start: Mapping[str, float] | None = None) -> Model:
+        extension = ExtensionBuilder(model, self, start)
+        d = extension.parameter(self.coefficients[0], unit=model.units.get(self.place.name, ""))
+        extension.replace_parameter(
+            self.place.name, Expr.symbol(self.place.name) + d * self._share(Expr.symbol("time"))
+        )
+        return extension.model()
+
+    def physical(self, points: Sequence[Points]) -> Mapping[str, tuple[float, float]]:
+        return {self.coefficients[0]: (-np.inf, np.inf)}

@@ -65,7 +65,7 @@ class Advice:
     length: float
 
     def __str__(self) -> str:
-        """ "" where no manoeuvre could be flown."""
+        """Return the advice in words; "" where no manoeuvre could be flown."""
         sentences = [str(t) for t in self.manoeuvres]
         if self.alike and self.tried:
             sentences.append(
@@ -77,12 +77,13 @@ class Advice:
 
 
 def discrimination_advice(final: Refit, rivals: Sequence[Refit]) -> str:
-    """`advised` in words; "" where no manoeuvre could be flown."""
+    """Return `advised` in words; "" where no manoeuvre could be flown."""
     return str(advised(final, rivals))
 
 
 def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
-    """The manoeuvre that would tell the cause in ``final`` best from another one in its place, in each of ``rivals``.
+    """Return the manoeuvre that would tell the cause in ``final`` best from another one in its place, in each of
+    ``rivals``.
 
     Manoeuvres of each control that moved in the records are tried, the other inputs held, from the state in which the
     first record begins. Those that leave the envelope of the records before they are over are not flown: what the

@@ -44,11 +44,11 @@ class RivalAdjustment:
         self._inverse = np.where(values > _NOTHING * values[-1], 1.0 / np.maximum(values, 1e-300), 0.0)
 
     def whitened(self, difference: _Array) -> _Array:
-        """A difference (n_y, N) of outputs in units of the noise, (n_rows,)."""
+        """Return a difference (n_y, N) of outputs in units of the noise, (n_rows,)."""
         return self._filter(difference[self._present])
 
     def step(self, whitened: _Array, at: _Array) -> _Array:
-        """(k,) units by which to move from ``at`` (k,), so that the least is left of the difference."""
+        """Return (k,) units by which to move from ``at`` (k,), so that the least is left of the difference."""
         slope = (self._columns @ whitened - self._tied**2 * at) / self._size
         return np.asarray((self._vectors @ (self._inverse * (self._vectors.T @ slope))) / self._size)
 
@@ -64,7 +64,7 @@ class RivalAdjustment:
 
 
 def rows_of(present: _Mask) -> RowStructure:
-    """How rows of equally spaced samples hang together, those of one output after those of another."""
+    """Return how rows of equally spaced samples hang together, those of one output after those of another."""
     table = np.full(present.shape, -1)
     table[present] = np.arange(int(present.sum()))
     ends = np.cumsum([0, *present.sum(axis=1)]).tolist()
@@ -152,7 +152,7 @@ class CandidateManoeuvres:
         return listed
 
     def _inputs(self, manoeuvres: Sequence[Manoeuvre]) -> _Array:
-        """(M, n_u, N)."""
+        """Return the inputs (M, n_u, N)."""
         names = self.final.fit.model.input_names
         u = np.tile(self.trim[:, None], (len(manoeuvres), 1, self.t.size))
         for i, m in enumerate(manoeuvres):
@@ -160,7 +160,7 @@ class CandidateManoeuvres:
         return u
 
     def _within(self, y: _Array, x: _Array) -> NDArray[np.intp]:
-        """(M,) samples until the vehicle leaves the envelope."""
+        """Return (M,) samples until the vehicle leaves the envelope."""
         fit, model = self.final.fit, self.final.fit.model
         limits = [
             np.array([max(_reach(getattr(r, kind)[n]) for r in fit.records) for n in names])
@@ -176,14 +176,14 @@ class CandidateManoeuvres:
         return np.where(inside.all(axis=1), inside.shape[1], np.argmin(inside, axis=1))
 
     def record(self, i: int) -> Experiment:
-        """Times and inputs of a manoeuvre."""
+        """Return times and inputs of a manoeuvre."""
         n = int(self.ends[i])
         names = self.final.fit.model.input_names
         inputs = {name: u[:n] for name, u in zip(names, self.inputs[i], strict=True)}
         return Experiment(self.t[:n], inputs, name=str(self.manoeuvres[i]))
 
     def gains(self, rival: Refit, least: float) -> _Array:
-        """(M,) expected gains in log-likelihood over a rival from data of each manoeuvre; 0 where it is below
+        """Return (M,) expected gains in log-likelihood over a rival from data of each manoeuvre; 0 where it is below
         ``least``, NaN where the rival has no solution.
 
         The rival takes a few steps with the derivatives at its estimates towards the outputs of the cause: what then
@@ -230,8 +230,8 @@ class CandidateManoeuvres:
         return found
 
     def _present(self, i: int, late: _Array) -> NDArray[np.bool_]:
-        """(n_y, N) samples of a manoeuvre. What a late sensor (``late``, s) shows first was before the record, and what
-        an early one shows last comes after it."""
+        """Return (n_y, N) samples of a manoeuvre. What a late sensor (``late``, s) shows first was before the record,
+        and what an early one shows last comes after it."""
         present = np.zeros((len(self.every), self.t.size), dtype=bool)
         for row, every in enumerate(self.every):
             begin, lost = (
@@ -243,13 +243,13 @@ class CandidateManoeuvres:
 
 
 def _reach(v: _Array) -> float:
-    """How far a series goes from where it begins; a late sensor shows nothing at first."""
+    """Return how far a series goes from where it begins; a late sensor shows nothing at first."""
     v = v[np.isfinite(v)]
     return float(np.abs(v - v[0]).max()) if v.size else 0.0
 
 
 def _spacing(data: Sequence[Experiment], name: str, step: float) -> int:
-    """Steps between samples of an output."""
+    """Return steps between samples of an output."""
     for e in data:
         t = e.t[np.isfinite(e.output(name))]
         if t.size > 1:

@@ -40,7 +40,7 @@ class BatchSimulation:
         self.steps = self._needed(values, first, trim, sizes)
 
     def _needed(self, values: _Array, first: _Array, trim: _Array, sizes: _Array) -> int:
-        """Steps in an interval."""
+        """Return steps in an interval."""
         columns = np.empty((self._states.stop, 2 * first.size))
         columns[0] = self.t[0]
         for row, name in enumerate(self._inputs, start=1):
@@ -57,7 +57,7 @@ class BatchSimulation:
         return max(1, min(int(np.ceil(fastest / _STEP)), _REASON), int(np.ceil(fastest / _STABLE)))
 
     def _place(self, name: str) -> int:
-        """Of the input, or of that which this one is late of, among the inputs of the model."""
+        """Return the index of the input, or of that which this one is late of, among the inputs of the model."""
         of, _ = self.model.delays.inputs.get(name, (name, ""))
         return self.model.input_names.index(of)
 
@@ -65,8 +65,9 @@ class BatchSimulation:
         return np.asarray(self._evaluator.dynamics(self._none, columns))
 
     def outputs(self, values: _Array, first: _Array, inputs: _Array, which: _Indices) -> tuple[_Array, _Array]:
-        """Outputs (L, n_y, N) and states (L, n_x, N) for parameters (L, n_p), first states (L, n_x), and ``which`` (L,)
-        of inputs (M, n_u, N), linear between samples. Where a lane grows without limit they are not finite."""
+        """Return outputs (L, n_y, N) and states (L, n_x, N) for parameters (L, n_p), first states (L, n_x), and
+        ``which`` (L,) of inputs (M, n_u, N), linear between samples. Where a lane grows without limit they are not
+        finite."""
         n, lanes = self.t.size, which.size
         y = np.empty((lanes, len(self.model.output_names), n))
         x = np.empty((lanes, first.shape[1], n))
@@ -120,7 +121,7 @@ class BatchSimulation:
     def _signal(
         self, name: str, values: _Array, inputs: _Array, which: _Indices, fine: _Array
     ) -> tuple[_Array, _Indices]:
-        """An input at fine times (n, k), and which of the k a lane has."""
+        """Return an input at fine times (n, k), and which of the k a lane has."""
         source = inputs[:, self._place(name)]
         _, tau = self.model.delays.inputs.get(name, (name, ""))
         late = values[:, self.model.parameter_names.index(tau)] if tau else np.zeros(which.size)
@@ -129,7 +130,7 @@ class BatchSimulation:
         return np.ascontiguousarray(table.T), lane.ravel()
 
     def _measured(self, y: _Array, values: _Array) -> _Array:
-        """Outputs (L, n_y, N) of those after each step where a sensor is late."""
+        """Return outputs (L, n_y, N) of those after each step where a sensor is late."""
         late = self.model.delays.outputs
         if not late:
             return y
@@ -207,9 +208,9 @@ class ManoeuvreResponse:
     def simulate(
         self, inputs: _Array, moves: _Array | None = None, which: NDArray[np.intp] | None = None
     ) -> tuple[_Array, _Array]:
-        """Outputs (L, n_y, N) and states (L, n_x, N) with parameters and first states ``moves`` (L, k) units from the
-        estimates, and ``which`` (L,) of the inputs (M, n_u, N), unless given each of them; not finite where there is no
-        solution."""
+        """Return outputs (L, n_y, N) and states (L, n_x, N) with parameters and first states ``moves`` (L, k) units
+        from the estimates, and ``which`` (L,) of the inputs (M, n_u, N), unless given each of them; not finite where
+        there is no solution."""
         which = np.arange(inputs.shape[0]) if which is None else which
         moves = np.zeros((which.size, self.units.size)) if moves is None else moves
         values = np.tile(self._values, (which.size, 1))
@@ -241,7 +242,7 @@ class ManoeuvreResponse:
         return first
 
     def tangents(self, inputs: _Array) -> _Array:
-        """(M, k, n_y, N) changes of the outputs with each free parameter and first state, by its unit."""
+        """Return (M, k, n_y, N) changes of the outputs with each free parameter and first state, by its unit."""
         n, k = inputs.shape[0], self.units.size
         moves = np.vstack([np.zeros(k), np.diag(self._small)])
         y, _ = self.simulate(inputs, np.tile(moves, (n, 1)), np.repeat(np.arange(n), k + 1))

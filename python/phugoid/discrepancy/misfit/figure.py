@@ -110,7 +110,7 @@ def _heading(c: ChannelMisfit) -> str:
 
 
 def _most_telling(c: ChannelMisfit, records: Sequence[Record]) -> list[Record]:
-    """All experiments, or of many those with the largest residuals, in their order."""
+    """Return all experiments, or of many those with the largest residuals, in their order."""
     if len(records) <= _EXPERIMENTS:
         return list(records)
 
@@ -123,7 +123,7 @@ def _most_telling(c: ChannelMisfit, records: Sequence[Record]) -> list[Record]:
 
 
 def _draw_time(axis: Axes, c: ChannelMisfit, record: Record, *, first: bool, room: int) -> None:
-    """``room``: for so many letters of the experiment's name, 0 where there is but one."""
+    """Draw the time histories; ``room`` is for so many letters of the experiment's name, 0 where there is but one."""
     r: Any = residual_of(record, c.name)
     if np.isfinite(c.noise):
         axis.axhspan(-2.0 * c.noise, 2.0 * c.noise, color=BAND, linewidth=0.0)

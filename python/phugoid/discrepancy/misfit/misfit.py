@@ -146,7 +146,7 @@ class ChannelMisfit:
         return bool(self.coloured or self.biased or self.spans or self.tones or self.regime or self.follows)
 
     def summary(self) -> str:
-        """One sentence."""
+        """Return one sentence."""
         return channel_phrases(self)
 
 
@@ -177,7 +177,7 @@ class Misfit:
         return any(c.structured for c in self.channels.values())
 
     def summary(self) -> str:
-        """A line for each channel, the worst first, and what could not be told."""
+        """Return a line for each channel, the worst first, and what could not be told."""
         lines = [self.channels[name].summary() for name in self.worst]
         notes = list(dict.fromkeys(note for name in self.worst for note in self.channels[name].notes))
         if not self.fit.converged:
@@ -185,7 +185,7 @@ class Misfit:
         return "\n".join([*lines, *(f"Note: {note}." for note in notes)])
 
     def plot(self, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
-        """The figure of the channels given, or of the three worst; see `misfit_figure`."""
+        """Return the figure of the channels given, or of the three worst; see `misfit_figure`."""
         from .figure import misfit_figure
 
         return misfit_figure(self, self.fit, channels)
@@ -215,7 +215,8 @@ class Misfit:
 
 
 def misfit(fit: FitResult) -> Misfit:
-    """What a fitted model gets wrong, from its residuals; with process noise (`FilterError`), from its innovations.
+    """Return what a fitted model gets wrong, from its residuals; with process noise (`FilterError`), from its
+    innovations.
 
     Records with gaps, of several rates and of any number are taken; what is too short gets fewer answers, and
     ``notes`` says so.
@@ -240,7 +241,7 @@ def misfit(fit: FitResult) -> Misfit:
 
 
 def _with_resolution(channel: ChannelMisfit, step: float) -> ChannelMisfit:
-    """The same with the resolution of its sensor, and a note where the residuals are no larger."""
+    """Return the same with the resolution of its sensor, and a note where the residuals are no larger."""
     channel = replace(channel, resolution=step)
     if not channel.within_resolution:
         return channel
@@ -317,7 +318,7 @@ def _on_outliers(name: str, every: Sequence[Series]) -> str:
 
 
 def _noise(colour: Autoregression, series: Sequence[Series], rms: float, own_rms: float) -> float:
-    """Of white residuals all is noise, but for the degrees of freedom."""
+    """Return the standard deviation of the noise; of white residuals all is noise, but for the degrees of freedom."""
     if colour.order == 0:
         return rms
     noise = min(rms, colour.deviation([s.segment.on_grid(s.r) for s in series]) * rms / own_rms)

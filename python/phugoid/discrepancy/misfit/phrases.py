@@ -24,7 +24,7 @@ _MUCH = 0.3  # of the power of the residuals
 
 
 def channel_phrases(c: Any) -> str:
-    """One sentence on a `ChannelMisfit`: its size, and what stands out, or that nothing does."""
+    """Return one sentence on a `ChannelMisfit`: its size, and what stands out, or that nothing does."""
     if c.rms == 0.0:
         return f"{c.name}: {what_stands_out(c)}"
     size = f"{c.name}: residual {with_unit(c.rms, c.unit)}"
@@ -32,7 +32,7 @@ def channel_phrases(c: Any) -> str:
 
 
 def what_stands_out(c: Any) -> str:
-    """The same without name and size."""
+    """Return the same without name and size."""
     if c.rms == 0.0:
         return "no residual, matched exactly"
     if math.isnan(c.ratio):
@@ -70,7 +70,7 @@ def _times(c: Any) -> str:
 
 
 def _perhaps(c: Any) -> list[str]:
-    """The regime with the most of the residuals' power, where that is much, but slow noise might have it too."""
+    """Return the regime with the most of the residuals' power, where that is much, but slow noise might have it too."""
     most = c.telling
     if most is None or most.share < _MUCH:
         return []
@@ -78,7 +78,7 @@ def _perhaps(c: Any) -> list[str]:
 
 
 def time_phrase(c: Any) -> str:
-    """When the residuals are strongest."""
+    """Return when the residuals are strongest."""
     several = len(c.running) > 1
     first = c.spans[0]
     where = f" of '{first.experiment}'" if several else ""
@@ -131,7 +131,7 @@ def _frequencies(c: Any) -> list[str]:
 
 
 def number(value: float, digits: int = 2) -> str:
-    """As an engineer writes it: 0.28, 3.1, 120, 2.3e-05."""
+    """Return a number as an engineer writes it: 0.28, 3.1, 120, 2.3e-05."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
     if 10.0**digits <= abs(value) < 1e5:
@@ -140,18 +140,18 @@ def number(value: float, digits: int = 2) -> str:
 
 
 def percent(share: float) -> str:
-    """A share of 0 to 1; 100 % is said of a whole only."""
+    """Return a share of 0 to 1; 100 % is said of a whole only."""
     return "over 99 %" if 0.995 <= share < 1.0 else f"{100.0 * share:.0f} %"
 
 
 def _interval(begin: float, end: float) -> tuple[str, str]:
-    """Both ends with as many decimals as tell them apart."""
+    """Return both ends with as many decimals as tell them apart."""
     digits = max(0, 1 - math.floor(math.log10(max(end - begin, 1e-9))))
     return f"{begin:.{digits}f}", f"{end:.{digits}f}"
 
 
 def per_second(unit: str) -> str:
-    """The unit of a derivative.
+    """Return the unit of a derivative.
 
     >>> per_second("rad"), per_second("rad/s"), per_second("")
     ('rad/s', 'rad/s²', '1/s')

@@ -20,7 +20,7 @@ _SHORTEST = 10  # samples of a window
 _WINDOWS = 40  # that a record is divided into
 _CLIP = 2.5  # robust standard deviations
 _NEIGHBOURS = 5  # samples whose median an outlier does not move
-_MOST = 5  # spans that are told of
+_MOST = 5  # spans that are reported
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Running:
 
 
 def spans_of(series: Sequence[Series], alpha: float) -> tuple[dict[str, Running], float, list[Span]]:
-    """Running RMS by experiment, its usual level, and the spans that stand out, the strongest first.
+    """Return the running RMS by experiment, its usual level, and the spans that stand out, the strongest first.
 
     A window stands out where its mean square exceeds the median of all windows by more than the F-distribution allows,
     at ``alpha`` for all windows together. Coloured residuals swing as one: a window of w samples counts as
@@ -92,7 +92,7 @@ def spans_of(series: Sequence[Series], alpha: float) -> tuple[dict[str, Running]
 
 
 def _moving_mean(x: _Array, width: int) -> _Array:
-    """(n,) mean over the samples within half a width of each, fewer at the ends."""
+    """Return (n,) mean over the samples within half a width of each, fewer at the ends."""
     total = np.concatenate([[0.0], np.cumsum(x)])
     middle = np.arange(x.size)
     # Windows at the ends stay as wide, and lean inwards: a narrow one would stand out by chance.
@@ -112,7 +112,7 @@ def _clipped(series: Sequence[Series]) -> dict[str, _Array]:
 
 
 def _clumping(clipped: Mapping[str, _Array], width: int) -> float:
-    """1 + 2 sum rho_k^2 within a window."""
+    """Return 1 + 2 sum rho_k^2 within a window."""
     # Bursts are no colour.
     every = np.abs(np.concatenate(list(clipped.values())))
     limit = _CLIP * float(np.median(every)) / 0.6745 or math.inf
@@ -197,7 +197,8 @@ class Dependence:
 def regimes_of(
     series: Sequence[Series], colour: Autoregression, memory: CorrelatedNoise, rms: float, alpha: float
 ) -> list[Regime]:
-    """One for each variable, the least likely chance first; ``memory`` is that of the residuals, ``rms`` their size."""
+    """Return a regime for each variable, the least likely chance first; ``memory`` is that of the residuals, ``rms``
+    their size."""
     from scipy.special import stdtr
 
     names = [name for name in _shared(series) if name != "time"]  # when, say spans
@@ -235,7 +236,7 @@ def regimes_of(
 
 
 def correlations_of(series: Sequence[Series], colour: Autoregression, memory: CorrelatedNoise) -> list[Dependence]:
-    """One for each variable, the least likely chance first."""
+    """Return a correlation for each variable, the least likely chance first."""
     names = _shared(series)
     r = np.concatenate([s.r for s in series])
     n = r.size

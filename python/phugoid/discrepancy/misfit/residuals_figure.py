@@ -49,7 +49,7 @@ _MANY = 0.05  # of the samples
 def plot_residuals(
     fit: FitResult, record: int | str = 0, channels: Sequence[str] | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
-    """For each output of an experiment: residuals over time, their autocorrelation and their power spectrum.
+    """Plot, for each output of an experiment, residuals over time, their autocorrelation and their power spectrum.
 
     Time: measured minus model in the output's unit, with the band of ±2σ of the fit's noise. Autocorrelation: about
     zero, over lags in s, with the band that holds 95 % of white residuals, ±1.96/√n. Spectrum: one-sided power density

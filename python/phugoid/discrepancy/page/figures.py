@@ -54,8 +54,8 @@ _RIVALS = 3
 
 
 def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axes]]:
-    """What findings explain of the misfit in free simulation of data held out, with 95 % intervals; rivals beneath, and
-    beside it by how much the mean square of each output falls.
+    """Return what findings explain of the misfit in free simulation of data held out, with 95 % intervals; rivals
+    beneath, and beside it by how much the mean square of each output falls.
 
     Named causes are dark, minor findings and surrogates pale. Returns the figure and the axes by ``"explained"`` and
     ``"outputs"``. Raises DataError where no finding has a part that it explains.
@@ -109,7 +109,8 @@ def explained_figure(findings: Sequence[Finding]) -> tuple[Figure, dict[str, Axe
 
 
 def curve_figure(finding: Finding) -> tuple[Figure, dict[str, Axes]]:
-    """What a disturbance or an unknown function adds to its place, with a band of 95 %, over time or over its variable.
+    """Return what a disturbance or an unknown function adds to its place, with a band of 95 %, over time or over its
+    variable.
 
     Returns the figure and the axes by ``"curve"``. Raises DataError for a finding without a curve.
     """

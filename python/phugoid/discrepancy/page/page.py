@@ -20,11 +20,11 @@ __all__ = ["report"]
 
 _SHOWN = 3  # channels with a figure
 _RANKED = 20  # candidates in the table
-_GROWN = 0.05  # of the RMS, by which residuals on held-out data may grow without being told of
+_GROWN = 0.05  # of the RMS, by which residuals on held-out data may grow without being reported
 
 
 def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
-    """Writes a diagnosis as one HTML page: images inside, no script, no link; for screen, phone and print.
+    """Write a diagnosis as one HTML page: images inside, no script, no link; for screen, phone and print.
 
     What was wrong, the cause and its rivals, the evidence, the new equation, the gain, what is left open, and which
     data and versions it comes from.
@@ -68,7 +68,7 @@ def report(diagnosis: DiagnosisResult, path: str | os.PathLike[str]) -> None:
 
 
 def _explained(diagnosis: DiagnosisResult) -> Any:
-    """The figure that tells the verdict; None where no finding has a part of the misfit that it explains."""
+    """Return the figure that tells the verdict; None where no finding has a part of the misfit that it explains."""
     if not any(f.explained == f.explained for f in diagnosis.findings):
         return None
     return picture(explained_figure(diagnosis.findings)[0])
@@ -176,7 +176,7 @@ def _gain(diagnosis: DiagnosisResult, extension: ExtensionResult) -> dict[str, A
 
 
 def _open(diagnosis: Any) -> list[str]:
-    """What these data do not tell, in sentences."""
+    """Return what these data do not tell, in sentences."""
     findings = diagnosis.findings
     texts = [line for f in findings if not f.cause for line in finding_lines(f)]
     surrogates = [f.cause for f in findings if f.status == "surrogate" and f.cause]
@@ -198,7 +198,7 @@ def _has(model: Model, name: str) -> bool:
 
 
 def _estimate(e: Any) -> str:
-    """With as many digits as its error tells of."""
+    """Return an estimate with as many digits as its error allows."""
     return repr(Estimate("", e.value, e.std_error)).removeprefix(" = ")
 
 

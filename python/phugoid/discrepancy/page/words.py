@@ -28,7 +28,7 @@ def outcome(diagnosis: DiagnosisResult) -> Outcome:
 
 
 def headline(diagnosis: DiagnosisResult) -> str:
-    """The outcome in one sentence."""
+    """Return the outcome in one sentence."""
     findings, verdict = diagnosis.findings, diagnosis.verdict
     named = [f for f in findings if f.status == "named"]
     if not findings and diagnosis.interrupted:
@@ -76,7 +76,7 @@ def _remaining(diagnosis: DiagnosisResult) -> str:
 
 
 def alias_set(finding: Finding) -> str:
-    """The cause, or what it is one of."""
+    """Return the cause, or what it is one of."""
     if not finding.cause:
         return "a cause not established"
     if not finding.aliases:
@@ -99,7 +99,7 @@ def value_of(finding: Finding) -> str:
 
 
 def _ends(low: float, high: float) -> tuple[str, str]:
-    """Both ends with as many digits as tell them apart."""
+    """Return both ends with as many digits as tell them apart."""
     largest = max(abs(low), abs(high))
     digits = 3
     if high > low:
@@ -117,7 +117,7 @@ def _wave(finding: Finding) -> str:
 
 
 def _estimated(finding: Finding) -> list[str]:
-    """What its parameters were estimated to be."""
+    """Return what its parameters were estimated to be."""
     wave, value = _wave(finding), value_of(finding)
     if wave:
         return [wave]
@@ -132,7 +132,7 @@ def _estimated(finding: Finding) -> list[str]:
 
 
 def with_sign(value: float) -> str:
-    """A gain, to what can be told of it; "-" where there is none."""
+    """Return a gain to the digits that are known; "-" where there is none."""
     return f"{value:+.1f}" if math.isfinite(value) else "-"
 
 
@@ -176,7 +176,7 @@ def finding_lines(finding: Finding) -> list[str]:
 
 
 def _explained(finding: Finding) -> str:
-    """What a finding explains in free simulation."""
+    """Return what a finding explains in free simulation."""
     low, high = finding.explained_interval
     text = f"Explains {_share(finding.explained)} of the misfit in free simulation of data held out"
     if math.isfinite(low) and math.isfinite(high):
@@ -188,12 +188,13 @@ def _explained(finding: Finding) -> str:
 
 
 def _share(part: float) -> str:
-    """A part that may be negative or next to nothing, or exceed 1: the noise that is left out is an estimate."""
+    """Return a part in words. It may be negative or next to nothing, or exceed 1: the noise that is left out is an
+    estimate."""
     return percent(min(part, 1.0)) if part >= 0.995 else f"{number(100.0 * part, 2)} %"
 
 
 def diagnosis_summary(diagnosis: DiagnosisResult) -> str:
-    """What was found, the evidence, and what is left open, for the terminal."""
+    """Return what was found, the evidence, and what is left open, for the terminal."""
     parts = [f"{diagnosis.fit.model.name}: diagnosis ({diagnosis.seconds:.1f} s)", _filled(headline(diagnosis), "")]
     for i, finding in enumerate(diagnosis.findings, start=1):
         head = f"{i}. {alias_set(finding)}"
@@ -210,7 +211,7 @@ def diagnosis_summary(diagnosis: DiagnosisResult) -> str:
 
 
 def _nearest(diagnosis: DiagnosisResult) -> str:
-    """How near the best candidate came."""
+    """Return how near the best candidate came."""
     best = max(diagnosis.ranking, key=lambda s: s.statistic)
     text = (
         f"Of {len(diagnosis.ranking)} candidates the nearest is {best.name}, with {best.statistic:.1f} of the "

@@ -140,7 +140,7 @@ class Confirmation:
         return explained is not None and explained.significant and explained.part > self._assessment.settings.minor
 
     def _behind(self, current: Refit, tries: Sequence[Refit]) -> Collection[tuple[str, ...]]:
-        """The names of refits that simulate held-out data clearly worse than the best of them does."""
+        """Return the names of refits that simulate held-out data clearly worse than the best of them does."""
         parts = {t: e.part for t in tries if (e := self._assessment.explained(current, t)) is not None}
         if not parts:
             return set()
@@ -174,8 +174,8 @@ class Confirmation:
         return min(found, key=lambda r: (complexity(r.beside(others)[0]), -r.own.merit), default=at)
 
     def ringing(self, current: Refit) -> Found | None:
-        """A misfit that noise as coloured as the residuals would swallow: they ring, and candidates that explain them
-        by noise that does not halve them on validation data."""
+        """Return a misfit that noise with the autocorrelation of the residuals would hide: they ring, and candidates
+        that explain them with noise that does not ring halve them on validation data."""
         ringing, assess = self._cache.ringing(current), self._assessment
         if ringing is None or not self._cache.validation:
             return None

@@ -57,8 +57,8 @@ def with_proposals(search: Search, listed: Callable[[Refit], Sequence[Candidate]
 
 
 def with_recorded_input(search: Search) -> tuple[RecordedInput | None, bool]:
-    """An input that acts otherwise than it is recorded and explains more so than what an actuator may do to it; and
-    whether the comparison was interrupted."""
+    """Return an input that acts otherwise than it is recorded and explains more so than what an actuator may do to it;
+    and whether the comparison was interrupted."""
     cache = search.cache
     try:
         cache.watch("comparing inputs that are held between samples, smooth there, or recorded with noise")
@@ -80,8 +80,8 @@ def with_recorded_input(search: Search) -> tuple[RecordedInput | None, bool]:
 
 
 def with_record_changes(search: Search, result: SearchResult) -> tuple[Search, SearchResult, list[RecordChange], bool]:
-    """The search once more with what differs from record to record, where that is likelier than what was found; what
-    that is; and whether it was interrupted."""
+    """Return the search once more with what differs from record to record, where that is likelier than what was found;
+    what that is; and whether it was interrupted."""
     cache = search.cache
     try:
         cache.watch("comparing parameters and offsets that differ from record to record")
@@ -101,7 +101,7 @@ def with_record_changes(search: Search, result: SearchResult) -> tuple[Search, S
 
 
 def with_changes(extension: ExtensionResult, before: Search, changes: Sequence[RecordChange]) -> ExtensionResult:
-    """An extension whose gain is over the model without what differs from record to record."""
+    """Return an extension whose gain is over the model without what differs from record to record."""
     base, gain = before.cache.base, extension.gain
     old = before.extension(base).gain
     white = extension.fit.log_likelihood - base.fit.log_likelihood
@@ -120,8 +120,8 @@ def with_changes(extension: ExtensionResult, before: Search, changes: Sequence[R
 def with_inputs_as_sampled(
     search: Search, result: SearchResult
 ) -> tuple[Search, SearchResult, SampledInputs | None, bool]:
-    """The search once more with inputs between samples as the outputs tell, where these say that they jumped there;
-    what that was; and whether it was interrupted."""
+    """Return the search once more with inputs between samples as the outputs tell, where these say that they jumped
+    there; what that was; and whether it was interrupted."""
     cache, full = search.cache, result.full
     least = full.merit - search.chances(full) + RemainderSettings().margin
     try:
@@ -145,7 +145,7 @@ def with_inputs_as_sampled(
 
 
 def with_remainder(search: Search, result: SearchResult) -> tuple[SearchResult, Remainder | None, bool]:
-    """What is left beside the terms of a search, which fall where they stand in for it; and whether that was
+    """Return what is left beside the terms of a search, which fall where they stand in for it; and whether that was
     interrupted."""
     try:
         remainder = remainder_of(search, result)
@@ -167,7 +167,7 @@ def with_remainder(search: Search, result: SearchResult) -> tuple[SearchResult, 
 
 
 def words_of_inputs(between: Sequence[RecordedInput], sampled: SampledInputs | None) -> list[str]:
-    """What was found of inputs between their samples, in words, but for those that are findings."""
+    """Return what was found of inputs between their samples, in words, but for those that are findings."""
     notes = [
         f"{b.name} is smooth between its samples: all else was sought with cubic splines through them in place of "
         f"straight lines (interpolation={{'{b.name}': 'cubic'}})."

@@ -104,7 +104,8 @@ class Disturbances:
         self._best: dict[tuple[tuple[str, ...], bool], list[Disturbance]] = {}
 
     def ranked(self, at: Refit, white: bool = False) -> list[Disturbance]:
-        """All hypotheses beside the terms of a refit, the likeliest first; none where there are too many samples.
+        """Return all hypotheses beside the terms of a refit, the likeliest first; none where there are too many
+        samples.
 
         ``white``: the residuals are; they may still hold white noise of a state or an input, and nothing else is asked.
         """
@@ -165,8 +166,8 @@ def _histories(
     near: Disturbance | None = None,
     times: Sequence[float] = _CORRELATION,
 ) -> list[Disturbance]:
-    """A random time history at a place, the likeliest first: of several correlation times; or, where one with wider
-    knots is known, as quick as that and quicker."""
+    """Return a random time history at a place, the likeliest first: of several correlation times; or, where one with
+    wider knots is known, as quick as that and quicker."""
     check_time()
     knots, step = _knots(linear.points, count)
     answers = linear.answers(place, _signals(linear.points, knots))
@@ -190,7 +191,7 @@ def _histories(
 
 
 def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | None:
-    """The shortest span that holds most of a time history, where it is short, as an event."""
+    """Return the shortest span that holds most of a time history, where it is short, as an event."""
     energy = of.values**2
     total, n = float(energy.sum()), energy.size
     sums = np.concatenate([[0.0], np.cumsum(energy)])
@@ -215,8 +216,8 @@ def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | 
 def functions(
     at: Refit, place: Place, variables: Sequence[str], bends: Sequence[float] = BENDS[:1]
 ) -> list[Disturbance]:
-    """Smooth random functions of variables at a place, beside noise that is white or as coloured as the residuals of
-    the refit are: whichever is likelier with it."""
+    """Smooth random functions of variables at a place, beside noise that is white or has the autocorrelation of the
+    residuals of the refit: whichever is likelier with it."""
     linear = at.linear
     noises = noises_of(at)
     found = []
@@ -244,8 +245,8 @@ def functions(
 
 
 def noises_of(at: Refit) -> list[tuple[Filter | None, _Array, int]]:
-    """The noise of the sensors beside random effects: white, or as coloured as the residuals of a refit are. Each with
-    variances to begin with and the number of its parameters beside these."""
+    """Return the noise of the sensors beside random effects: white, or with the autocorrelation of the residuals of a
+    refit. Each with variances to begin with and the number of its parameters beside these."""
     linear = at.linear
     white = Whitening.of(linear.residuals, linear.structure)
     powers = np.array([channel.power for channel in white.channels])
@@ -257,7 +258,7 @@ def noises_of(at: Refit) -> list[tuple[Filter | None, _Array, int]]:
 
 
 def disturbance_at(linear: Linearised, of: Disturbance) -> float:
-    """The log-likelihood of other records with a disturbance of the same kind, place and variances there."""
+    """Return the log-likelihood of other records with a disturbance of the same kind, place and variances there."""
     knots, _ = _knots(linear.points, 0, of.step)
     answers = linear.answers(of.place, _signals(linear.points, knots))
     effects = RandomEffects(linear, answers).with_correlation(_exponential(knots, of.correlation / of.step))
@@ -273,7 +274,7 @@ def _knots(points: Sequence[Points], count: int, step: float = 0.0) -> tuple[lis
 
 
 def _signals(points: Sequence[Points], knots: Sequence[_Array]) -> list[_Array]:
-    """(k, n) broken lines of all knots along each record: zero in the others."""
+    """Return broken lines (k, n) of all knots along each record: zero in the others."""
     ends = np.cumsum([0, *(k.size for k in knots)])
     found = []
     for e, p in enumerate(points):
@@ -284,7 +285,8 @@ def _signals(points: Sequence[Points], knots: Sequence[_Array]) -> list[_Array]:
 
 
 def _exponential(knots: Sequence[_Array], tau: float) -> _Array | None:
-    """(k, k) correlation of a first-order process with a correlation time of ``tau`` knots; None for white noise."""
+    """Return the correlation (k, k) of a first-order process with a correlation time of ``tau`` knots; None for white
+    noise."""
     if not tau:
         return None
     out = np.zeros((sum(k.size for k in knots),) * 2)

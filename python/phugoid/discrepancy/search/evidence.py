@@ -89,7 +89,8 @@ class Assessment:
         self._held: dict[tuple[Refit, Refit], HeldOut] = {}
 
     def weigh(self, base: Refit, more: Refit, candidate: Candidate) -> Evidence:
-        """The evidence for what ``more`` has and ``base`` has not: a candidate, with others that came in its place."""
+        """Return the evidence for what ``more`` has and ``base`` has not: a candidate, with others that came in its
+        place."""
         gain, threshold = self.gain(base, more), self.needed(more, candidate)
         clear = self.settings.clear * threshold
         if gain <= threshold:
@@ -153,8 +154,8 @@ class Assessment:
         return HeldOut(-np.inf, 0.0, -np.inf) if mine is None else gain_on_other_data(others, mine)
 
     def explained(self, base: Refit, more: Refit) -> Explained | None:
-        """The part of the misfit that a model explains more of than another, in free simulation of held-out data; None
-        where it cannot be fitted to them."""
+        """Return the part of the misfit that a model explains more of than another, in free simulation of held-out
+        data; None where it cannot be fitted to them."""
         return self.compared(base, base, more)
 
     def is_worse(self, base: Refit, one: Refit, other: Refit) -> bool:
@@ -172,8 +173,8 @@ class Assessment:
         return explained is not None and not (explained.significant and explained.part >= self.settings.minor)
 
     def compared(self, base: Refit, one: Refit, other: Refit) -> Explained | None:
-        """What another model explains that one does not, by blocks of the records beside the terms of a base where
-        there are no other data."""
+        """Return what another model explains that one does not, by blocks of the records beside the terms of a base
+        where there are no other data."""
         new = [*one.beside(base.candidates), *other.beside(base.candidates)]
         on = self._cache.on_validation
         root, elsewhere = self._cache.diagnosed or (self._cache.base, on(self._cache.base))

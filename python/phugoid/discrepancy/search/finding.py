@@ -34,15 +34,15 @@ class Scored:
     explanation     in plain words.
     estimate        one-step estimates of its coefficients and shape by name, in the model's units; empty where the
                     parameters already there can do all that it does.
-    statistic       expected gain in TWICE the log-likelihood, noise as coloured as the residuals of the fit are. Below
-                    `Diagnosis.threshold` it may well be chance.
-    ranking         the same, noise as coloured as the residuals are without the best few terms: what
+    statistic       expected gain in TWICE the log-likelihood, for noise with the autocorrelation of the fit's
+                    residuals. Below `Diagnosis.threshold` it may well be chance.
+    ranking         the same, for the autocorrelation of the residuals without the best few terms: what
                     `Diagnosis.ranking` is sorted by. (A strong effect colours the residuals, and so hides in the
                     first noise.)
     white           the same, noise taken as white: too much, wherever residuals are coloured.
     distinct        part of its effect on the outputs that the parameters there cannot imitate, 0 to 1. Where it is
                     small, they would change much with this candidate added.
-    remark          what to beware of, in words, or "".
+    remark          a caution, in words, or "".
     """
 
     name: str
@@ -67,9 +67,9 @@ class Finding:
                    stands in for something else; "unexplained": the residuals hold more than noise, and no candidate
                    predicts it.
     coefficient, std_error, interval   of its first parameter, in ``unit``; the interval is of 95 %. NaN where
-                   unexplained. Standard errors are those for noise as coloured as the residuals.
+                   unexplained. Standard errors are those for noise with the autocorrelation of the residuals.
     parameters     all its parameters: name in the extended model -> (value, standard error).
-    gain           in log-likelihood (once, not twice), noise as coloured as the residuals, over the model with all
+    gain           in log-likelihood (once, not twice), for that noise, over the model with all
                    other findings but this.
     held_out_gain  the same on data held out: the validation records, else blocks of the fit's own, predicted from the
                    others. Below zero the finding is not to be relied on. NaN where the search was interrupted.
@@ -121,7 +121,7 @@ class Finding:
         return {
             "cause": self.cause or "not established",
             "status": self.status,
-            "not told from": ", ".join(self.aliases),
+            "not distinguished from": ", ".join(self.aliases),
             "estimate": estimate if math.isfinite(self.coefficient) else "",
             "explains": f"{cells['explains']} %" if cells["explains"] else "",
             "gain": cells["gain"],
@@ -173,7 +173,7 @@ class Gain:
         return after[channel] / before[channel] - 1.0
 
     def summary(self) -> str:
-        """A table for the terminal."""
+        """Return a table for the terminal."""
         heads, rows = self._table()
         lines = [
             f"log-likelihood  {self.log_likelihood:+.1f} (residuals taken as white)",
@@ -264,7 +264,7 @@ class DiagnosisResult:
         "unexplained"  residuals with structure, and no cause that is named: at least a finding that says so, or an
                        output of which 5 % of the residuals' power, or more, is more than white noise.
         "surrogate", "minor"   findings of that status only, and residuals without more structure than that.
-        "nothing"      residuals that pass for white noise, as far as these data tell.
+        "nothing"      residuals that are not significantly coloured, as far as these data tell.
         """
         statuses = {f.status for f in self.findings}
         if "named" in statuses:

@@ -73,7 +73,7 @@ class Simulated:
 
     @staticmethod
     def of(linear: Linearised, residuals: _Array | None = None) -> Simulated:
-        """The residuals of a fit, or others of the same rows."""
+        """Return the residuals of a fit, or others of the same rows."""
         errors = np.full(linear.n_measured, np.nan)
         output, block = (np.zeros(linear.n_measured, dtype=np.intp) for _ in range(2))
         at = linear.measured_rows
@@ -88,7 +88,7 @@ class Simulated:
         return Simulated(linear.model.output_names, errors, output, block)
 
     def explained(self, without: Simulated, misfit: Misfitting) -> Explained:
-        """What the terms that this model has and another has not explain of a misfit."""
+        """Return what the terms that this model has and another has not explain of a misfit."""
         whole = misfit.errors
         there = np.isfinite(self.errors) & np.isfinite(without.errors) & np.isfinite(whole)
         output, block = self.output[there], self.block[there]
@@ -123,7 +123,7 @@ class Misfitting:
 
     @staticmethod
     def of(linear: Linearised, simulated: Simulated | None = None) -> Misfitting:
-        """The misfit of a fit; or of errors simulated with it, beside the same noise."""
+        """Return the misfit of a fit; or of errors simulated with it, beside the same noise."""
         simulated = simulated or Simulated.of(linear)
         noise = [
             # Below the resolution of an encoder there is nothing to explain.

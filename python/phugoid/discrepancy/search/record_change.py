@@ -42,7 +42,7 @@ _FALSE_ALARM, _MARGIN = 0.01, 8.0
 _PART, _EACH, _MINOR = 0.8, 0.2, AssessmentSettings.minor
 # Places by how likely something differs there from record to record, where two explain the same.
 _ORDER = ("parameter", "output", "input", "equation")
-# Log-likelihood by which two are not told apart.
+# Log-likelihood by which two are not distinguished.
 _ALIKE = 2.0
 _ITERATIONS = 60
 # Of an option's effect on the outputs: below it parameters that are there can do the same.
@@ -253,7 +253,7 @@ def _left(columns: _Array, r: _Array) -> float:
 
 
 def _each(linear: Linearised) -> list[_Array]:
-    """(n, points) for each record: 1 in the row of its number."""
+    """Return (n, points) for each record: 1 in the row of its number."""
     n = len(linear.points)
     found = []
     for e, p in enumerate(linear.points):
@@ -264,8 +264,8 @@ def _each(linear: Linearised) -> list[_Array]:
 
 
 def _with(at: Refit, option: _Difference, each: bool = True) -> Refit | None:
-    """The fit with a difference, or with the same value for all; None where the solver does not come to an end, or the
-    data do not tell it."""
+    """Return the fit with a difference, or with the same value for all; None where the solver does not come to an end,
+    or the data do not tell it."""
     fit = at.fit
     try:
         model = option.in_model(fit.model, each)
@@ -283,7 +283,7 @@ def _with(at: Refit, option: _Difference, each: bool = True) -> Refit | None:
 
 
 def _explained(of: Refit, before: Refit, after: Refit) -> Explained:
-    """The part of the misfit of a fit that one explains and another does not, in the records themselves."""
+    """Return the part of the misfit of a fit that one explains and another does not, in the records themselves."""
     return Simulated.of(after.linear).explained(Simulated.of(before.linear), Misfitting.of(of.linear))
 
 

@@ -88,12 +88,12 @@ class Refit:
         return tuple(c.name for c in self.candidates)
 
     def beside(self, others: Collection[Candidate]) -> list[Candidate]:
-        """Its candidates beside others; by name, for one candidate may be centred in several ways."""
+        """Return the candidates beside others; by name, for one candidate may be centred in several ways."""
         names = {c.name for c in others}
         return [c for c in self.candidates if c.name not in names]
 
     def inflation(self, candidate: Candidate) -> float:
-        """By how much the evidence for a candidate is less than the filter has it."""
+        """Return the factor by which the evidence for a candidate is less than the filter has it."""
         return max(self.own.inflation(name) for name in candidate.parameters)
 
     def parameters(self, candidate: Candidate) -> dict[str, tuple[float, float]]:
@@ -114,8 +114,8 @@ def refit(
     points: Sequence[Points] = (),
     patient: bool = False,
 ) -> Refit | None:
-    """The base model with candidates, fitted from the values in ``starts`` and a fit nearby; new states from what the
-    candidates say of them at ``points``.
+    """Return the base model with candidates, fitted from the values in ``starts`` and a fit nearby; new states from
+    what the candidates say of them at ``points``.
 
     None where there is no such model or the solver does not come to an end.
     """
@@ -146,8 +146,8 @@ def refit(
 
 
 def fitted_to(at: Refit, data: Sequence[Experiment]) -> Refit | None:
-    """The same model estimated from other records, such as those with inputs that are held; None where the solver does
-    not come to an end."""
+    """Return the same model estimated from other records, such as those with inputs that are held; None where the
+    solver does not come to an end."""
     fit = at.fit
     try:
         found = estimate(
@@ -166,8 +166,8 @@ def fitted_to(at: Refit, data: Sequence[Experiment]) -> Refit | None:
 def _with_paths(
     near: FitResult, candidates: Sequence[Candidate], points: Sequence[Points], starts: Mapping[str, float]
 ) -> FitResult:
-    """A start with paths of the states that candidates add, where it has none of them, and of others as they let them
-    be."""
+    """Return a start with paths of the states that candidates add, where it has none of them, and of others as they let
+    them be."""
     records = []
     for record, p in zip(near.records, points, strict=False):
         states = dict(record.mesh_states)
@@ -180,7 +180,7 @@ def _with_paths(
 
 
 def started_from(near: FitResult, names: Collection[str]) -> FitResult:
-    """A fit as a start: its path, and of its parameters those of the noise and those in ``names``."""
+    """Return a fit as a start: its path, and of its parameters those of the noise and those in ``names``."""
     kept = {*names} | near.noise_parameters
     return replace(near, parameters=Estimates(e for n, e in near.parameters.items() if n.partition("[")[0] in kept))
 
@@ -263,7 +263,7 @@ def predicted_blocks(
 
 
 def blocks_of(linear: Linearised) -> NDArray[np.intp]:
-    """The block of each row."""
+    """Return the block of each row."""
     block = np.empty(linear.n_rows, dtype=np.intp)
     for line in linear.rows:
         for e, rows in enumerate(line):
@@ -280,7 +280,7 @@ def on_other_data(
     free: Sequence[str] | None = None,
     as_fitted: bool = False,
 ) -> Linearised:
-    """A refit's model on other data, linearised: first states and ``free`` parameters (biases unless given) are
+    """Return a refit's model on other data, linearised: first states and ``free`` parameters (biases unless given) are
     estimated, all else is as fitted.
 
     ``near`` is another model's, whose path is a start. Disturbances and drifts, which another record does not share,

@@ -41,7 +41,7 @@ _WORKERS = 4
 class RefitCache:
     """What is known of sets of candidates at a base fit.
 
-    ``validation`` is data for held-out gains. ``biases`` are the parameters of the base that are estimated anew there;
+    ``validation`` is data for held-out gains. ``biases`` are the parameters of the base that are estimated again there;
     None: those of sensors. ``watch`` is called with what is done. ``diagnosed``: the model that was diagnosed, and
     the same on the validation data, where the base is that on mended records.
     """
@@ -71,11 +71,11 @@ class RefitCache:
         return sum(len(c.shapes) for c in self.candidates)
 
     def refit(self, candidates: Sequence[Candidate], near: FitResult | None = None) -> Refit | None:
-        """The refit of a set."""
+        """Return the refit of a set."""
         return self.refits([candidates], near)[0]
 
     def refits(self, sets: Sequence[Sequence[Candidate]], near: FitResult | None = None) -> list[Refit | None]:
-        """The refits of several sets, side by side."""
+        """Return the refits of several sets, side by side."""
         check_time()
         keys = [frozenset(c.name for c in candidates) for candidates in sets]
         new = {key: candidates for key, candidates in zip(keys, sets, strict=True) if key not in self._refits}
@@ -108,7 +108,7 @@ class RefitCache:
     def _likeliest(
         self, candidates: Sequence[Candidate], starts: Mapping[str, float], near: FitResult | None
     ) -> Refit | None:
-        """The likeliest refit of a set from several starts of candidates that need them and are new."""
+        """Return the likeliest refit of a set from several starts of candidates that need them and are new."""
         known = near.parameters if near else {}
         points = self.base.linear.points
         shares = {c.name: max((scan.share(c.name) for scan in self._scans.values()), default=1.0) for c in candidates}
@@ -145,7 +145,7 @@ class RefitCache:
         return max((r for r in ends if r is not None), key=lambda r: r.fit.log_likelihood, default=None)
 
     def scan(self, at: Refit) -> Scan:
-        """The scan of all others at a set."""
+        """Return the scan of all others at a set."""
         key = frozenset(at.names)
         for other, scan in self._scans.items():
             if other != key:
@@ -157,12 +157,12 @@ class RefitCache:
         return self._scans[key]
 
     def with_one_more(self, others: Sequence[Candidate]) -> list[Refit]:
-        """The refits that are known of some candidates and one more."""
+        """Return the refits that are known of some candidates and one more."""
         base = frozenset(c.name for c in others)
         return [r for key, r in self._refits.items() if r and len(key) == len(base) + 1 and key > base]
 
     def ringing(self, at: Refit) -> Ringing | None:
-        """What rings in the residuals of a set at lightly damped modes of the base; None where nothing does."""
+        """Return what rings in the residuals of a set at lightly damped modes of the base; None where nothing does."""
         key = frozenset(at.names)
         if key not in self._ringing:
             filter = at.own.filter
@@ -179,8 +179,8 @@ class RefitCache:
             self.on_validation(self.base)
 
     def on_validation(self, at: Refit, near: Linearised | None = None, known: bool = False) -> Linearised | None:
-        """The refit's model on the validation data, linearised, from another's path there; None without such data, and
-        where it cannot be fitted to them. With ``known`` only what was worked out before."""
+        """Return the refit's model on the validation data, linearised, from another's path there; None without such
+        data, and where it cannot be fitted to them. With ``known`` only what was worked out before."""
         if not self.validation or (known and frozenset(at.names) not in self._others):
             return None
         key = frozenset(at.names)
@@ -209,14 +209,14 @@ class RefitCache:
         return self._as_fitted[key]
 
     def _free(self, at: Refit) -> Sequence[str] | None:
-        """What is estimated anew on other data: of the base what was asked for, and biases that were found."""
+        """Return what is estimated again on other data: of the base what was asked for, and biases that were found."""
         if self.biases is None:
             return None
         base = self.base.fit.model.parameter_names
         return [*self.biases, *(n for n in freed_by_default(at.fit.model) if n not in base)]
 
     def remember(self, candidate: Candidate, shape: Mapping[str, float], amplitude: _Array) -> None:
-        """Where a refit starts."""
+        """Return where a refit starts."""
         self._starts[candidate.name] = {
             **dict(zip(candidate.coefficients, amplitude.tolist(), strict=False)),
             **shape,

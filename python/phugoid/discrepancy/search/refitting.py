@@ -42,8 +42,8 @@ class Refitting:
         return [t for t in self._cache.refits([[*at.candidates, c] for c in chosen], at.fit) if t is not None]
 
     def settled(self, at: Refit, rejected: Collection[str] = ()) -> Refit:
-        """With terms replaced by better ones where there are any, until nothing changes; without those that are no
-        longer significant."""
+        """Return a refit with terms replaced by better ones where there are any, until nothing changes; without those
+        that are no longer significant."""
         for _ in range(self.settings.rounds):
             following = next((r for r in self._better(at, rejected) if r is not at), at)
             if following is at:
@@ -52,7 +52,7 @@ class Refitting:
         return at
 
     def _better(self, at: Refit, rejected: Collection[str]) -> Iterator[Refit]:
-        """For each term the best with another one, or with none, in its place; the last term first."""
+        """Yield, for each term, the best refit with another one, or with none, in its place; the last term first."""
         assess = self._assessment
         for candidate in reversed(at.candidates):
             others = [c for c in at.candidates if c is not candidate]

@@ -107,8 +107,8 @@ class _Option:
 
 
 def remainder_of(search: Search, result: SearchResult, settings: RemainderSettings | None = None) -> Remainder | None:
-    """What is left beside the terms that a search found, or in place of them; None where that is coloured noise of the
-    sensors or nothing."""
+    """Return what is left beside the terms that a search found, or in place of them; None where that is coloured noise
+    of the sensors or nothing."""
     s = settings or RemainderSettings()
     full, base = result.full, search.cache.base
     known = Disturbances(base.fit.model)
@@ -145,7 +145,8 @@ def _rivals(of: _Option, options: Sequence[_Option], s: RemainderSettings) -> di
 def _function(
     search: Search, result: SearchResult, options: Sequence[_Option], known: Disturbances, s: RemainderSettings
 ) -> Remainder | None:
-    """An unknown function in place of terms that are near to it, or several of which are needed to stand for it."""
+    """Return an unknown function in place of terms that are near to it, or several of which are needed to stand for
+    it."""
     full, final = result.full, result.final
     others = [o.merit - full.merit for o in options if o.disturbance is not None and o.disturbance.kind != "function"]
     least = max([s.margin, *others])
@@ -187,7 +188,8 @@ def _function(
 def _likeliest_place(
     search: Search, full: Refit, terms: Sequence[Candidate], variable: str, known: Disturbances
 ) -> list[Place]:
-    """The likeliest place for a function of a variable that replaces terms; empty where these cannot be left out."""
+    """Return the likeliest place for a function of a variable that replaces terms; empty where these cannot be left
+    out."""
     without = search.cache.refit([c for c in full.candidates if c not in terms], full.fit)
     found = functions_of(without, known.known, (variable,)) if without is not None else []
     return [max(found, key=lambda h: h.merit).place] if found else []
@@ -227,8 +229,8 @@ def _options(at: Refit, known: Disturbances, s: RemainderSettings, white: bool =
 
 
 def _filtered(at: Refit, of: Disturbance, s: RemainderSettings) -> FitResult | None:
-    """The fit by the filter-error method with process noise on the state of a disturbance; first states are parameters,
-    so that without noise the likelihood is that of output error."""
+    """Return the fit by the filter-error method with process noise on the state of a disturbance; first states are
+    parameters, so that without noise the likelihood is that of output error."""
     check_time()
     model = at.fit.model
     if model.delays or any(p.per_experiment for p in model.declared_parameters.values()):
@@ -243,8 +245,8 @@ def _filtered(at: Refit, of: Disturbance, s: RemainderSettings) -> FitResult | N
 
 
 def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s: RemainderSettings) -> Remainder | None:
-    """A hypothesis that data held out do not speak against, and that predicts them better than the terms in whose place
-    it is; None else."""
+    """Return a hypothesis that data held out do not speak against, and that predicts them better than the terms in
+    whose place it is; None else."""
     d = option.disturbance
     if d is None:
         return None
@@ -265,7 +267,7 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
 
 
 def _share(search: Search, at: Refit, of: Disturbance) -> float:
-    """The part of the misfit of the model diagnosed that a disturbance takes up, in the records themselves."""
+    """Return the part of the misfit of the model diagnosed that a disturbance takes up, in the records themselves."""
     left, linear = Simulated.of(at.linear, of.marginal.residuals), search.cache.base.linear
     return left.explained(Simulated.of(at.linear), Misfitting.of(linear)).part
 

@@ -165,7 +165,7 @@ def _explanation(r: Remainder) -> str:
 
 
 def _shape(d: Disturbance) -> str:
-    """The values of a function at its ends and in the middle, in words."""
+    """Return the values of a function at its ends and in the middle, in words."""
     picked = [0, d.knots.size // 4, d.knots.size // 2, 3 * d.knots.size // 4, d.knots.size - 1]
     pairs = [f"{number(float(d.values[i]), 3)} at {number(float(d.knots[i]), 3)}" for i in picked]
     return f"{', '.join(pairs[:-1])} and {pairs[-1]}"

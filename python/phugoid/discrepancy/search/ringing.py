@@ -77,7 +77,7 @@ def light_modes(fit: FitResult) -> _Complex:
 
 
 def ringing_of(filter: Whitening, residuals: _Array, linear: Linearised, modes: _Complex) -> Ringing | None:
-    """What is ringing in a model of the noise in residuals (n_rows,), or None."""
+    """Return what is ringing in a model of the noise in residuals (n_rows,), or None."""
     channels: list[Autoregression] = []
     found: set[float] = set()
     for channel, line in zip(filter.channels, filter.rows.segments, strict=True):
@@ -121,8 +121,8 @@ def _damped(a: _Array, step: float, modes: Sequence[complex]) -> tuple[_Array, s
 
 
 def _predicting(a: _Array) -> Autoregression:
-    """The model with coefficients (p,), of innovations of size 1, with its predictors from fewer samples, by Levinson's
-    recursion backwards."""
+    """Return the model with coefficients (p,), of innovations of size 1, with its predictors from fewer samples, by
+    Levinson's recursion backwards."""
     predictors, powers = [a], [1.0]
     while a.size:
         k, rest = a[-1], a[:-1]

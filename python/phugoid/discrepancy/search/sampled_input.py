@@ -111,7 +111,7 @@ def sampled_inputs(at: Refit) -> SampledInputs | None:
 
 
 def _intervals(data: Sequence[Experiment], names: Sequence[str]) -> _Intervals | None:
-    """The intervals in which inputs jump; None where there are none."""
+    """Return the intervals in which inputs jump; None where there are none."""
     found: dict[str, list[_Array]] = {}
     for name in names:
         if any(e.interpolation_of(name) != "linear" or e.signal(name) is not None for e in data):
@@ -130,7 +130,7 @@ def _intervals(data: Sequence[Experiment], names: Sequence[str]) -> _Intervals |
 
 
 def _jumps(u: _Array) -> _Array:
-    """(n - 1,) by how much an input changes between two samples, out of line with the samples on both sides."""
+    """Return (n - 1,) by how much an input changes between two samples, out of line with the samples on both sides."""
     bent = np.abs(np.diff(u, 2, prepend=u[:1], append=u[-1:]))
     return np.minimum(np.minimum(bent[:-1], bent[1:]), np.abs(np.diff(u)))
 
@@ -140,7 +140,8 @@ def _halfway(e: Experiment, k: _Indices) -> _Array:
 
 
 def _finer(e: Experiment, own: Mapping[str, _Indices]) -> Experiment:
-    """The same record, with samples of inputs halfway through intervals, on the line, and a mesh that has them."""
+    """Return the same record, with samples of inputs halfway through intervals, on the line, and a mesh that has
+    them."""
     signals = dict(e._signals_of())
     for name, k in own.items():
         if k.size:
@@ -157,7 +158,8 @@ def _sizes(e: Experiment, own: Mapping[str, _Indices]) -> dict[str, _Array]:
 
 
 def _answers(linear: Linearised, data: Sequence[Experiment], intervals: _Intervals) -> _Array:
-    """(k, n_rows) answers of the outputs to inputs halfway through intervals, each in units of the jump there."""
+    """Return (k, n_rows) answers of the outputs to inputs halfway through intervals, each in units of the jump
+    there."""
     found = []
     for name in intervals[0]:
         counts = [own[name].size for own in intervals]

@@ -51,7 +51,7 @@ class Groups:
             self._squares.append((squares[which, None] + np.arange(size * size)).reshape(-1, size, size))
 
     def grams(self, squares: _Array) -> _Grams:
-        """From one after the other."""
+        """Return the grams from products one after the other."""
         return [squares[at] for at in self._squares]
 
     def put(self, grams: _Grams, group: int, gram: _Array) -> None:
@@ -62,14 +62,15 @@ class Groups:
                 own[at[0]] = gram
 
     def squares(self, grams: _Grams) -> _Array:
-        """(k,) of the columns."""
+        """Return the squares (k,) of the columns."""
         out = np.empty(sum(self.sizes))
         for (_, columns), gram in zip(self._members, grams, strict=True):
             out[columns] = np.diagonal(gram, axis1=1, axis2=2)
         return out
 
     def without(self, grams: _Grams, along: _Array) -> _Grams:
-        """Those of what is left of the columns beside orthonormal vectors, along which they have parts (k, m)."""
+        """Return the grams of what is left of the columns beside orthonormal vectors, along which they have parts (k,
+        m)."""
         parts = [along[columns] for _, columns in self._members]
         return [gram - p @ p.transpose(0, 2, 1) for gram, p in zip(grams, parts, strict=True)]
 
@@ -87,8 +88,8 @@ class Groups:
         return explained, coefficients
 
     def cosines(self, grams: _Grams, along: _Array) -> _Array:
-        """(groups,) cosines of the angles between groups and a space, along whose orthonormal basis the columns have
-        parts (k, m): how far the smaller lies within the other."""
+        """Return (groups,) cosines of the angles between groups and a space, along whose orthonormal basis the columns
+        have parts (k, m): how far the smaller lies within the other."""
         out = np.empty(len(self.sizes))
         for (which, columns), gram in zip(self._members, grams, strict=True):
             inner = _root(gram).transpose(0, 2, 1) @ along[columns]
@@ -97,7 +98,7 @@ class Groups:
 
 
 def _root(gram: _Array) -> _Array:
-    """(..., n, n) such that columns times it are orthonormal, or nothing where they are rounding."""
+    """Return a matrix (..., n, n) such that columns times it are orthonormal, or nothing where they are rounding."""
     squares = np.diagonal(gram, axis1=1, axis2=2)
     unit = np.where(squares > _LEAST_SQUARE, 1.0 / np.sqrt(np.maximum(squares, _LEAST_SQUARE)), 0.0)
     values, vectors = np.linalg.eigh(gram * unit[:, :, None] * unit[:, None, :])
@@ -192,13 +193,13 @@ class Scan:
         return self._columns
 
     def _lengths(self, columns: _Array) -> _Array:
-        """(k,) of columns in units of the noise; 1 of those that are zero."""
+        """Return lengths (k,) of columns in units of the noise; 1 of those that are zero."""
         scale = self.linear.scale()
         lengths = np.array([np.linalg.norm(column / scale) for column in columns])
         return np.where((lengths > 0) & np.isfinite(lengths), lengths, 1.0)
 
     def _without_tangents(self, columns: _Array) -> _Array:
-        """Takes it out of columns, and gives what it was: (k, tangents) along the white basis."""
+        """Take out of columns what tangents can imitate, and return that: (k, tangents) along the white basis."""
         scale, basis = self.linear.scale()[:, None], self.white.basis
         taken, put = basis / scale, (basis * scale).T
         along = np.empty((columns.shape[0], basis.shape[1]))
@@ -209,8 +210,8 @@ class Scan:
         return along
 
     def share(self, name: str) -> float:
-        """The part of the residuals' power, taken as white, that a candidate explains to first order at its best shape;
-        0 of one that has no effect of its own."""
+        """Return the part of the residuals' power, taken as white, that a candidate explains to first order at its best
+        shape; 0 of one that has no effect of its own."""
         if not self._shares:
             values = self.through(self.white.filter).values / max(self.linear.n_rows, 1)
             for (candidate, _), value in zip(self.effects, values.tolist(), strict=True):
@@ -218,7 +219,7 @@ class Scan:
         return self._shares.get(name, 0.0)
 
     def forget(self) -> None:
-        """Drops columns that take much space: they can be made again."""
+        """Drop columns that take much space: they can be made again."""
         if self._columns is not None and self._columns.size > _LARGE:
             self._columns = None
 
@@ -257,18 +258,20 @@ class Scan:
         return seen.beside(self.columns[self.groups.slices[effect]])
 
     def basis(self, statistics: Statistics, effect: int) -> _Array:
-        """(n_rows, k) orthonormal, of an effect's columns, whitened, without what tangents can imitate."""
+        """Return an orthonormal basis (n_rows, k) of an effect's columns, whitened, without what tangents can
+        imitate."""
         columns = self._beside(statistics.seen, effect).T
         if columns.shape[1] == 1:
             return np.asarray(columns / max(float(np.linalg.norm(columns)), 1e-300))
         return np.asarray(np.linalg.qr(columns)[0])
 
     def cosines(self, statistics: Statistics, basis: _Array) -> _Array:
-        """(effects,) of the angles between all effects and that of a basis: the smaller within the other."""
+        """Return the cosines (effects,) of the angles between all effects and that of a basis: the smaller within the
+        other."""
         return self.groups.cosines(statistics.grams, self._along(statistics.seen, basis.T)[0])
 
     def clean(self) -> Whitening:
-        """The filter of the residuals without the few terms that explain most of them, taken as white.
+        """Return the filter of the residuals without the few terms that explain most of them, taken as white.
 
         Slow effects hide in a noise model that was made with them.
         """
@@ -279,11 +282,12 @@ class Scan:
         return self._clean
 
     def different(self, statistics: Statistics, count: int) -> list[int]:
-        """The effect that explains most, the one that explains most of what is left, and so on."""
+        """Return the effect that explains most, the one that explains most of what is left, and so on."""
         return self._greedy(statistics, count)[0]
 
     def _greedy(self, statistics: Statistics, count: int) -> tuple[list[int], _Array]:
-        """Takes out of the errors what explains most of them, one effect after the other: which, and what is left."""
+        """Take out of the errors what explains most of them, one effect after the other; return which, and what is
+        left."""
         errors, parts, grams = statistics.seen.errors.copy(), statistics.parts, statistics.grams
         taken: list[int] = []
         found = np.empty((errors.size, 0))
@@ -300,6 +304,6 @@ class Scan:
 
 
 def _white(linear: Linearised) -> Whitening:
-    """The noise as the fit has it: white."""
+    """Return the noise as the fit has it: white."""
     channels = [Autoregression((np.empty(0),), np.array([sigma**2])) for sigma in linear.sigmas]
     return Whitening(channels, linear.structure)

@@ -112,7 +112,7 @@ class Screen:
         return self._alike(scan, scan.through(filter), candidate)
 
     def functions(self, at: Refit, variable: str, filter: Filter, count: int) -> list[Candidate]:
-        """The best candidates through a filter that are functions of a variable, however alike they act."""
+        """Return the best candidates through a filter that are functions of a variable, however alike they act."""
         scan = self._cache.scan(at)
         statistics = scan.through(filter)
         found: dict[str, Candidate] = {}
@@ -129,8 +129,8 @@ class Screen:
         return list(found.values())
 
     def lasting(self, at: Refit, filter: Filter, count: int) -> list[Candidate]:
-        """The best candidates through a filter, of those that another record has too: the phase of a disturbance is for
-        no other data to tell."""
+        """Return the best candidates through a filter, of those that another record has too: the phase of a disturbance
+        is for no other data to tell."""
         scan = self._cache.scan(at)
         lasting = np.array([c.transferable for c, _ in scan.effects])
         return self._best(scan, scan.through(filter), count, lasting)
@@ -141,7 +141,7 @@ class Screen:
     def _best(
         self, scan: Scan, statistics: Statistics, count: int, among: NDArray[np.bool_] | None = None
     ) -> list[Candidate]:
-        """The best candidates, one of each group that has the same effect on the outputs."""
+        """Return the best candidates, one of each group that has the same effect on the outputs."""
         chosen: list[tuple[Candidate, _Array]] = []
         # Of two that act alike that with fewer unknowns comes first.
         margins = statistics.values - self._thresholds(scan)
@@ -179,7 +179,7 @@ class Screen:
 
 
 def _whole(scan: Scan, statistics: Statistics, candidate: Candidate) -> int:
-    """Of a candidate whose shape is all that is unknown: the one that gains most as it stands.
+    """Return, of a candidate whose shape is all that is unknown, the effect that gains most as it stands.
 
     With an amplitude c a delay of 0.2 s may pass for one of 0.2 c s. At c the gain is v, at 1 it is v (2 c - 1) / c^2.
     """
@@ -192,7 +192,7 @@ def _whole(scan: Scan, statistics: Statistics, candidate: Candidate) -> int:
 
 
 def _cosine(a: _Array, b: _Array) -> float:
-    """Of the angle between the spaces of two bases: the smaller within the other."""
+    """Return the cosine of the angle between the spaces of two bases: the smaller within the other."""
     if a.shape[1] == b.shape[1] == 1:
         return abs(float(a[:, 0] @ b[:, 0]))
     return float(np.linalg.svd(a.T @ b, compute_uv=False).min())

@@ -231,8 +231,8 @@ class Search:
         return explained is None or explained.part < self.assessment.settings.minor
 
     def extension(self, final: Refit, known: bool = False) -> ExtensionResult:
-        """The model with all terms that were found, its fit, and the gain over the base model. With ``known`` nothing
-        more is fitted to validation data."""
+        """Return the model with all terms that were found, its fit, and the gain over the base model. With ``known``
+        nothing more is fitted to validation data."""
         base, assess = self.cache.base, self.assessment
         more = len(final.fit.model.parameter_names) - len(base.fit.model.parameter_names)
         white = final.fit.log_likelihood - base.fit.log_likelihood

@@ -71,7 +71,7 @@ def short_segments(base: Refit) -> Refit | None:
 
 
 def _fitted(base: Refit, most: int) -> tuple[Refit | None, int]:
-    """The model of a fit estimated from segments of its records, and the number of their samples."""
+    """Return the model of a fit estimated from segments of its records, and the number of their samples."""
     fit, records = base.fit, dataset(base.fit)
     own = [n for n, p in fit.model.declared_parameters.items() if p.per_experiment]
     samples = sum(e.n for e in records)

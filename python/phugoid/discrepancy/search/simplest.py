@@ -54,7 +54,7 @@ def plausibility(candidate: Candidate, model: Model) -> tuple[int, int, str]:
 
 def is_equal(one: Refit, other: Refit) -> bool:
     """Tell whether two refits are one and the same but for rounding: by the likelihood of white noise, and by that of
-    noise as coloured as the residuals of the first."""
+    noise with the autocorrelation of the residuals of the first."""
     if abs(one.fit.log_likelihood - other.fit.log_likelihood) > _SAME:
         return False
     filter = one.own.filter

@@ -60,8 +60,8 @@ class UnknownFunction:
 
 
 def terms_of(at: Refit, place: Place, variable: str) -> list[Candidate]:
-    """The terms of a refit that a function of a variable stands for: functions of it anywhere, for a quantity and the
-    equation that it is in are the same place, and linear ones at the place itself."""
+    """Return the terms of a refit that a function of a variable stands for: functions of it anywhere, for a quantity
+    and the equation that it is in are the same place, and linear ones at the place itself."""
 
     def is_part(c: Candidate) -> bool:
         if not isinstance(c, Effect) or not {*c.variables} <= {variable}:
@@ -149,7 +149,7 @@ def formula(search: Search, of: UnknownFunction) -> Refit | None:
 
 
 def _settled(search: Search, without: Refit, place: Place, variable: str) -> tuple[Refit | None, Disturbance]:
-    """The likeliest refit with the function, None where there is none, and its curve."""
+    """Return the likeliest refit with the function, None where there is none, and its curve."""
     first = _likeliest(without, place, variable)
     nodes = np.linspace(first.knots[0], first.knots[-1], _NODES)
     values = np.interp(nodes, first.knots, first.values)

@@ -13,7 +13,7 @@ from . import _core
 from .data.experiment import Experiment
 from .errors import DataError
 from .modelling.model import Model
-from .noise.kinds import PerExperiment
+from .noise.densities import PerExperiment
 from .noise.noise import Noise
 from .parameters import Estimates
 from .records import Record

@@ -35,7 +35,7 @@ from .records import Record
 from .report import report
 from .saving.fit_file import save
 from .simulate import simulate
-from .starts.outcome import Outcome
+from .starts.starts import Outcome
 from .summary import fit_html, fit_summary
 from .tolerance import Tolerance
 from .uncertainty.bands import Bands, prediction_bands

@@ -15,14 +15,13 @@ from ..errors import ModelError, OptionError
 from ..fit_result import FitResult
 from ..guess import parameter_start, spread, start_values
 from ..integration import coarse_mesh_warning
-from ..interrupts import interrupts
 from ..modelling.model import Model
 from ..noise.noise import Gaussian, Noise, not_noise
 from ..process_noise.fit import better, doubtful, filter_error
 from ..process_noise.variables import split
 from ..regression.equation_error import EquationError
 from ..solvers import HINTS, Ipopt, Iteration, Newton
-from ..solvers.limits import Deadline
+from ..solvers.limits import Deadline, interrupts
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription

@@ -1,4 +1,4 @@
-"""Arguments and results of declarations: names with units, states, symbols, and the line of the declaration."""
+"""What is declared in a model: states, and delays of inputs and outputs."""
 
 from __future__ import annotations
 
@@ -6,14 +6,69 @@ import math
 import os
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn
+
+import numpy as np
 
 from .._core import Expr
 from ..errors import ModelError
 from ..parameters import Parameter
 
-__all__ = ["Declared", "State", "check_units", "read_names", "source_line"]
+__all__ = ["Declared", "Delays", "State", "at_delays", "check_units", "read_names", "source_line"]
+
+
+@dataclass(frozen=True)
+class Delays:
+    """inputs: name of the late input -> (the input, the parameter); outputs: name -> the parameter.
+
+    settled: bases have settled when they move by less than this part of the standard error; passes: how often they may
+    move until then.
+    """
+
+    inputs: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    outputs: Mapping[str, str] = field(default_factory=dict)
+    settled: float = 1e-4
+    passes: int = 30
+
+    def __bool__(self) -> bool:
+        return bool(self.inputs or self.outputs)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters that are delays (s), each once."""
+        return tuple(dict.fromkeys([*(tau for _, tau in self.inputs.values()), *self.outputs.values()]))
+
+    @property
+    def spec(self) -> tuple[list[tuple[str, str, str]], list[tuple[str, str]]]:
+        """As the core takes them."""
+        return [(late, of, tau) for late, (of, tau) in self.inputs.items()], list(self.outputs.items())
+
+    def with_input(self, late: str, of: str, tau: str) -> Delays:
+        """Add one more delayed input."""
+        return replace(self, inputs={**self.inputs, late: (of, tau)})
+
+    def with_output(self, output: str, tau: str) -> Delays:
+        """Add one more delayed output."""
+        return replace(self, outputs={**self.outputs, output: tau})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the delays for JSON; empty where nothing is delayed."""
+        if not self:
+            return {}
+        return {"inputs": {late: list(pair) for late, pair in self.inputs.items()}, "outputs": dict(self.outputs)}
+
+    @staticmethod
+    def from_dict(saved: Mapping[str, Any]) -> Delays:
+        """Read what `to_dict` wrote."""
+        inputs = {late: (of, tau) for late, (of, tau) in saved.get("inputs", {}).items()}
+        return Delays(inputs, dict(saved.get("outputs", {})))
+
+
+def at_delays(model: Any, base: Mapping[str, float], reach: float = np.inf) -> Any:
+    """Return the model without delays, for data that were shifted by ``base`` (s): parameters are the same."""
+    return model._around(model._core.at_delays(model.delays.spec, list(base.items()), reach), Delays())
+
 
 _PACKAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "")
 

@@ -11,13 +11,12 @@ from typing import Any
 from .. import _core
 from .._core import Expr
 from ..errors import DataError, ModelError, did_you_mean, listing, refuse_attribute
-from ..noise.kinds import noise_from_dict, stated_noise
+from ..noise.densities import noise_from_dict, stated_noise
 from ..noise.noise import Gaussian, Noise, Sigma
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
-from .declared import Declared, State, check_units, read_names, source_line
-from .delayed import Delays, at_delays
-from .rebuilt import Key, added_parameters, changed, changed_parameters, declare_parameter, equations_of
+from .compiled import Key, added_parameters, changed, changed_parameters, declare_parameter, equations_of
+from .declared import Declared, Delays, State, at_delays, check_units, read_names, source_line
 
 __all__ = ["Model"]
 

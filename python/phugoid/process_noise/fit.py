@@ -24,8 +24,7 @@ from ..solvers.limits import Deadline, TimeUp
 from ..solvers.quasi_newton import Minimum, bounded_step, minimise
 from ..transcription.filter_error import FilterError
 from .result import make_filter_fit
-from .separate import Separated
-from .variables import Objective, intensity_start, split
+from .variables import Objective, Separated, intensity_start, split
 
 __all__ = ["better", "doubtful", "filter_error"]
 

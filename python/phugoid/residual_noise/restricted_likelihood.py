@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .autoregression import Autoregression, burg
-from .uniform_segments import UniformSegment
+from .series import UniformSegment
 from .whitening import RowStructure, Whitening
 
 __all__ = ["GridColumns", "Links", "cross_correlations", "restricted_autoregressions", "shared_covariance"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from .autoregression import Autoregression, burg
-from .uniform_segments import UniformSegment
+from .series import UniformSegment
 
 __all__ = ["Filter", "MultivariateWhitening", "RowStructure", "Whitening"]
 

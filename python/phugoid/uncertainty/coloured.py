@@ -22,7 +22,7 @@ from ..residual_noise.restricted_likelihood import (
     restricted_autoregressions,
     shared_covariance,
 )
-from ..residual_noise.uniform_segments import output_segments
+from ..residual_noise.series import output_segments
 from ..sensitivities.tangents import Tangents
 
 __all__ = ["Coloured", "Colouring", "coloured"]

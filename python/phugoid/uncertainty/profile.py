@@ -17,7 +17,7 @@ from ..fit_result import FitResult
 from ..parameters import text_table
 from ..solvers.limits import limited
 from ..starts.collect import common_to, run_all
-from ..starts.outcome import Outcome
+from ..starts.starts import Outcome
 from .coloured import coloured as corrected
 from .profile_search import End, Side, Sides
 

@@ -22,8 +22,7 @@ from ..solvers import Newton
 from ..solvers.limits import limited
 from ..tolerance import Tolerance, tolerances_by_output
 from ..transcription.filter_error import FilterError
-from .biases import freed_by_default
-from .frozen_model import estimates_of, freeze_model, freeze_noise, mesh_for
+from .frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
 from .result import Validation
 
 __all__ = ["re_estimated", "shared", "validate"]

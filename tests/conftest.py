@@ -1,4 +1,8 @@
-"""What several files share: figures without a window, a folder with a model and data files, published records."""
+"""What several files share: figures without a window, models and records, and the size of campaigns.
+
+Campaigns repeat one test over many cases. By default some of their cases run, spread evenly over the list; with
+``PHUGOID_FULL=1``, as in `make test-all`, all of them do.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,39 @@ from pathlib import Path
 import pytest
 
 os.environ["MPLBACKEND"] = "Agg"
+# Before numpy is imported: each of several processes would start threads for all cores, which wait for each other in
+# loops and take ten times the time.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+FULL = os.environ.get("PHUGOID_FULL", "") not in ("", "0")
+
+# How many cases of a campaign run by default. Each number keeps cases of all kinds that the campaign has.
+CAMPAIGNS = {
+    # One for each kind of effect: aerodynamic, control, state, sensor, friction, stiffness, disturbance, two together.
+    "test_diagnose.py::test_what_is_hidden_is_found": 8,
+    "test_diagnose.py::test_nothing_is_found_where_nothing_is_hidden": 4,
+    "test_situations.py::test_what_is_wrong_is_named_and_nothing_else": 8,
+    "test_situations.py::test_nothing_is_found_where_nothing_is_wrong": 3,
+    "test_situations.py::test_a_fit_of_a_model_that_misses_much_converges": 2,
+    "test_situations.py::test_coloured_noise_of_sensors_is_no_disturbance": 2,
+    "test_situations.py::test_a_term_that_no_library_has_is_shown_as_a_function": 2,
+}
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the cases of campaigns that run in full size only, unless a case is asked for by its name."""
+    if FULL or any("[" in argument for argument in config.invocation_params.args):
+        return
+    left_out: list[pytest.Item] = []
+    for name, wanted in CAMPAIGNS.items():
+        cases = [item for item in items if item.nodeid.partition("[")[0].endswith(name)]
+        if len(cases) > wanted:
+            kept = {round(k * (len(cases) - 1) / (wanted - 1)) for k in range(wanted)}
+            left_out += [item for k, item in enumerate(cases) if k not in kept]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
 
 
 @pytest.fixture(autouse=True)
@@ -18,6 +55,12 @@ def _close() -> Iterator[None]:
     yield
     if "matplotlib.pyplot" in sys.modules:
         sys.modules["matplotlib.pyplot"].close("all")
+
+
+@pytest.fixture(scope="session")
+def full_size() -> bool:
+    """Whether campaigns run in full size."""
+    return FULL
 
 
 @pytest.fixture

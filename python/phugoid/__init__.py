@@ -61,7 +61,7 @@ from .functions import (
     tanh,
     where,
 )
-from .match import match
+from .match import Tolerance, match
 from .modelling.declared import State
 from .modelling.model import Model
 from .multistart.multistart import multistart
@@ -75,7 +75,6 @@ from .regression.equation_error import equation_error
 from .result import Fit
 from .simulate import simulate
 from .solvers import Ipopt, Newton
-from .tolerance import Tolerance
 from .transcription.collocation import Collocation
 from .transcription.filter_error import FilterError
 from .transcription.shooting import MultipleShooting, SingleShooting

@@ -18,9 +18,8 @@ from ..api import load_fit
 from ..errors import OptionError
 from ..result import Diagnosis, Fit
 from ..validation.result import Validation
-from .estimation import Estimation
 from .model_file import load_source
-from .options import DataArgument, JsonOption, ModelArgument, PlotOption, Reading, ReportOption, tolerances
+from .options import DataArgument, Estimation, JsonOption, ModelArgument, PlotOption, Reading, ReportOption, tolerances
 from .results import (
     INTERRUPTED,
     NOT_CONVERGED,

@@ -1,4 +1,10 @@
-"""Orthogonal multisines, and the power spectrum of inputs beside the modes of a system."""
+"""Orthogonal multisines, and the power spectrum of inputs beside the modes of a system.
+
+u(t) = sum over k of A_k sin(2 pi k t/T + phi_k), with whole k, so that each input fills the period T with whole cycles;
+two inputs with different harmonics are orthogonal over T, so their effects can be separated although they act together.
+(E. A. Morelli, Flight test maneuvers for efficient aerodynamic modeling, J. Aircraft 49(6), 2012. Start of the phases:
+M. R. Schroeder, Synthesis of low-peak-factor signals, IEEE Trans. Inf. Theory 16, 1970.)
+"""
 
 from __future__ import annotations
 

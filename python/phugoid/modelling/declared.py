@@ -1,4 +1,12 @@
-"""What is declared in a model: states, and delays of inputs and outputs."""
+"""What is declared in a model: states, and delays of inputs and outputs.
+
+A delay moves a signal along its samples, so the structure of the problem would change with it. Instead signals are
+moved by a base tau0, and what is left, d = tau - tau0, enters by Taylor's series: u(t - tau) = u0 - d u0' + d**2 u0''/2
+with the derivatives of the interpolated input; at a sensor the state is x - d f + d**2 f'/2, with f the right-hand side
+of the equations. First and second derivatives with respect to tau are exact at d = 0. The problem is solved, the base
+moved to the estimate, and so on until nothing is left: there the optimum, and the standard errors, are those of the
+delayed model itself.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Records that a planned manoeuvre is predicted to give, with measured conditions that it does not state."""
+"""Records that a planned manoeuvre is predicted to give, with measured conditions that it does not state.
+
+The record is fitted, without noise, from the very parameters that it was made with; there the Hessian of the
+log-likelihood is the Fisher information, which `parameter_sensitivities` gives with the initial states free.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Variables of an estimation with process noise, and parameters of single experiments replaced by shared ones."""
+"""Variables of an estimation with process noise, and parameters of single experiments replaced by shared ones.
+
+A parameter p of which each experiment has its own becomes the quantity p = s1 p1 + s2 p2 + ..., with an input s_i that
+is 1 in experiment i and 0 elsewhere. The fit is the same; it costs derivatives that are zero, so transcriptions that
+can do without do so.
+"""
 
 from __future__ import annotations
 

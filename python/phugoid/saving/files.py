@@ -1,4 +1,13 @@
-"""Files of saved results: JSON, or HDF5 with its arrays as data sets."""
+"""Files of saved results: JSON, or HDF5 for much data; with a format name and a version, written whole or not at all.
+
+JSON has no NaN and no infinity: they are written as null and as ``"inf"`` or ``"-inf"``, which `to_float` and
+`to_array` read back. Floats keep every bit.
+
+In HDF5 every array is a dataset with its unit, and the rest is the same JSON, in the dataset ``document``. There an
+array is ``{"hdf5 dataset": "/records/0/outputs/q"}``. The file is made and read in memory: HDF5's own library ends the
+process where a disk is full, and may do so where bytes are damaged. After its last byte stands a line with the
+checksum of all before it, which HDF5 passes over; files of earlier releases have none.
+"""
 
 from __future__ import annotations
 

@@ -25,7 +25,12 @@ from .result import Fit
 from .solvers.limits import limited
 from .summary import corrected as with_coloured_errors
 
-__all__ = ["VanePlaces", "compare_places"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Reconstruction", "VanePlaces", "compare_places", "reconstruct"]
+
 
 _Array = NDArray[np.float64]
 
@@ -142,12 +147,6 @@ def _log_densities(fit: Fit) -> list[_Array] | None:
 def _name(channel: str) -> str:
     return f"x_{channel}_vane"
 
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-__all__ = ["Reconstruction", "reconstruct"]
 
 _SUFFIX = "_true"
 

@@ -14,7 +14,21 @@ from .._core import Expr
 from ..errors import ModelError, listing
 from ..parameters import Parameter
 
-__all__ = ["Key", "added_parameters", "changed", "changed_parameters", "declare_parameter", "equations_of", "rebuilt"]
+if TYPE_CHECKING:
+    from .model import Model
+
+__all__ = [
+    "CompiledExpressions",
+    "CompiledModel",
+    "Key",
+    "added_parameters",
+    "changed",
+    "changed_parameters",
+    "declare_parameter",
+    "equations_of",
+    "rebuilt",
+]
+
 
 Key = tuple[str, str]
 
@@ -115,11 +129,6 @@ def changed(
         core.output(name, e, "", None)
     return core
 
-
-if TYPE_CHECKING:
-    from .model import Model
-
-__all__ = ["CompiledExpressions", "CompiledModel"]
 
 _Array = NDArray[np.float64]
 

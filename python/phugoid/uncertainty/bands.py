@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Bands", "prediction_bands"]
 
+
 _Array: TypeAlias = NDArray[np.float64]
 
 
@@ -198,10 +199,6 @@ def _opened(fit: FitResult, found: FitResult, held: Mapping[str, float]) -> FitR
         inner, model=model, parameters=Estimates(estimates), solution=replace(inner.solution, xi=xi), _moved=None
     )
 
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Columns of panels, and the height of each in inches.
 _BAND_COLUMNS, _BAND_HEIGHT = 2, 1.8

@@ -24,12 +24,11 @@ from ..transcription.filter_error import FilterError
 from .filtered import of_fit
 from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length
 
-__all__ = ["ProcessNoiseResampler"]
-
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-__all__ = ["Bootstrap", "bootstrap"]
+__all__ = ["Bootstrap", "ProcessNoiseResampler", "bootstrap"]
+
 
 _Array: TypeAlias = NDArray[np.float64]
 Kind: TypeAlias = Literal["parametric", "coloured", "block"]

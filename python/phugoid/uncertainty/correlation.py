@@ -16,7 +16,12 @@ from ..fit_result import FitResult
 from ..notebook import bullets, notebook_page, table
 from ..parameters import correlation_matrix, text_table
 
-__all__ = ["Correlation", "WeakDirection", "correlation"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Correlation", "WeakDirection", "correlation", "plot_correlation"]
+
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -151,13 +156,6 @@ def _weak(names: Sequence[str], values: _Array, deviation: _Array, correlation: 
         steps = steps * np.sign(steps[kept[0]])
         found.append(WeakDirection({names[i]: float(steps[i]) for i in kept}, index))
     return found
-
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-__all__ = ["plot_correlation"]
 
 
 # Inches: the margins, the largest cell, and the bar of colours with its gap.

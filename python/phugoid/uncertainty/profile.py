@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Profile", "Profiles", "profile"]
 
+
 _Array: TypeAlias = NDArray[np.float64]
 
 # Log-likelihood by which another optimum is better.
@@ -226,10 +227,6 @@ def _chosen(fit: FitResult, names: Any) -> list[str]:
         raise OptionError(f"profile: '{name}' is no parameter of the fit.{listing(str(name), free)}")
     return list(dict.fromkeys(asked))
 
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Columns of panels, and the height of each in inches.
 _COLUMNS, _HEIGHT = 3, 1.95

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import ByName
 from .notebook import channels_table, notebook_page
 from .tabular import record_dataset, record_frame
 
@@ -21,6 +22,15 @@ if TYPE_CHECKING:
 __all__ = ["Record", "repeated_outputs"]
 
 _Array = NDArray[np.float64]
+
+
+# What the values of each group belong to, for the message on an unknown name.
+_GROUPS = {
+    "inputs": "input",
+    **dict.fromkeys(("outputs", "residuals", "innovations", "innovation_std"), "output"),
+    **dict.fromkeys(("states", "mesh_states", "state_std", "predicted_states"), "state"),
+    "measured": "measured output",
+}
 
 
 def _no_times() -> _Array:
@@ -73,6 +83,10 @@ class Record:
     innovations: Mapping[str, _Array] = field(default_factory=dict)
     innovation_std: Mapping[str, _Array] = field(default_factory=dict)
     predicted_states: Mapping[str, _Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for group, what in _GROUPS.items():
+            object.__setattr__(self, group, ByName(what, getattr(self, group)))
 
     @property
     def n(self) -> int:

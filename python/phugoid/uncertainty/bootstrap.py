@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Integral
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import DataError, OptionError
 from ..estimation.estimate import estimate
+from ..figures.style import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
 from ..parameters import Estimates, text_table
 from ..solvers.limits import limited
@@ -27,12 +28,17 @@ from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 __all__ = ["Bootstrap", "ProcessNoiseResampler", "bootstrap"]
 
 
 _Array: TypeAlias = NDArray[np.float64]
 Kind: TypeAlias = Literal["parametric", "coloured", "block"]
 
+# Columns of panels, and the height of each in inches.
+_COLUMNS, _HEIGHT = 3, 1.6
 _KINDS = ("parametric", "coloured", "block")
 
 
@@ -121,11 +127,57 @@ class Bootstrap:
         heads = ["parameter", "estimate", "Cramér-Rao", "bootstrap", f"{100 * level:g} % from", "to", "unit"]
         return "\n".join([*lines, "", text_table(heads, rows, "lrrrrrl"), *(f"\nWarning: {w}" for w in self.warnings)])
 
+    def plot(self, names: Sequence[str] | None = None, level: float = 0.95) -> tuple[Figure, dict[str, Axes]]:
+        """Plot one panel for each parameter: a histogram of the estimates of all runs, the normal distribution of the
+        Cramér-Rao standard error (dashed), the estimate, and the percentile interval at a confidence level (dotted).
+
+        ``names`` chooses parameters; by default all that were estimated. Returns the figure and its axes by name.
+        Raises UnknownName for a name that is no parameter, OptionError where fewer than two runs converged.
+        """
+        if len(self.estimates) < 2:
+            raise OptionError(f"bootstrap: {len(self.estimates)} runs converged: a distribution needs two or more")
+        shown = [n for n, e in self.parameters.items() if not e.fixed] if names is None else list(names)
+        return _plot(self, [self.parameters[n].name for n in shown], self.intervals(level))
+
     def __str__(self) -> str:
         return self.summary()
 
     def __repr__(self) -> str:
         return f"<Bootstrap ({self.kind}): {self.status}, {len(self.estimates)} of {self.n} runs converged>"
+
+
+def _plot(
+    found: Bootstrap, names: Sequence[str], intervals: Mapping[str, tuple[float, float]]
+) -> tuple[Figure, dict[str, Axes]]:
+    import matplotlib.pyplot as plt
+    from matplotlib import rc_context
+
+    columns = min(_COLUMNS, max(len(names), 1))
+    rows = math.ceil(len(names) / columns)
+    with rc_context(STYLE):
+        figure, grid = plt.subplots(rows, columns, figsize=(WIDTH, _HEIGHT * rows + 0.4), squeeze=False)
+        axes: dict[str, Axes] = dict(zip(names, grid.ravel(), strict=False))
+        for axis in grid.ravel()[len(names) :]:
+            axis.set_visible(False)
+        for name, axis in axes.items():
+            e, drawn = found.parameters[name], found.estimates[:, found.names.index(name)]
+            axis.hist(drawn, bins="auto", density=True, color=BAND, label="bootstrap")
+            if math.isfinite(e.std_error) and e.std_error > 0.0:
+                at = np.linspace(e.value - 3.5 * e.std_error, e.value + 3.5 * e.std_error, 200)
+                density = np.exp(-0.5 * ((at - e.value) / e.std_error) ** 2) / (e.std_error * math.sqrt(2.0 * math.pi))
+                axis.plot(at, density, "--", color=ORANGE, linewidth=1.1, label="standard error")
+            axis.axvline(e.value, color=MEASURED, linewidth=1.0, label="estimate")
+            for end in intervals[name]:
+                axis.axvline(end, color=GREY, linewidth=0.8, linestyle=":")
+            axis.set_yticks([])
+            axis.locator_params(axis="x", nbins=4)
+            axis.tick_params(labelsize=7)
+            axis.set_xlabel(plain(labelled(name, {name: e.unit})))
+        if names:
+            handles, labels = axes[names[0]].get_legend_handles_labels()
+            figure.legend(handles, labels, loc="upper right", ncols=3, frameon=False, fontsize=8)
+        figure.tight_layout(rect=(0, 0, 1, 1 - 0.28 / figure.get_figheight()))
+    return figure, axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -22,8 +22,8 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 
 FULL = os.environ.get("PHUGOID_FULL", "") not in ("", "0")
 
-# How many cases of a campaign run by default, spread evenly over its list; or the parameter of which each value runs once.
-# Every kind of case that a campaign has is kept.
+# How many cases of a campaign run by default, spread evenly over its list; or the parameter of which each value runs
+# once. Every kind of case that a campaign has is kept.
 CAMPAIGNS: dict[str, int | str] = {
     # One for each kind of effect: aerodynamic, control, state, sensor, friction, stiffness, disturbance, two together.
     "test_diagnose.py::test_what_is_hidden_is_found": 8,
@@ -48,7 +48,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if isinstance(wanted, str):
             first: dict[Any, int] = {}
             for k, item in enumerate(cases):
-                first.setdefault(item.callspec.params[wanted], k)  # type: ignore[attr-defined]
+                first.setdefault(item.callspec.params.get(wanted, k), k)  # type: ignore[attr-defined]
             kept = {*first.values()}
         elif len(cases) > wanted:
             kept = {round(k * (len(cases) - 1) / (wanted - 1)) for k in range(wanted)}

@@ -26,7 +26,7 @@ __all__ = [
     "changed_parameters",
     "declare_parameter",
     "equations_of",
-    "rebuilt",
+    "separated",
 ]
 
 
@@ -103,6 +103,26 @@ def rebuilt(
     for end, state, e, source in old.conditions:
         core.condition(end, state, change((end, state), e), source)
     return core
+
+
+def separated(old: _core.Model, local: Sequence[str], count: int) -> _core.Model:
+    """Return a model in which each parameter p of ``local`` is a quantity, the sum over ``count`` experiments of a
+    parameter ``p__i`` times an input ``experiment__i``."""
+
+    def declare(core: _core.Model, declared: Any) -> None:
+        name, unit, start, low, high, prior, fixed, _, log, scale = declared
+
+        def shared(name: str) -> Expr:
+            return core.parameter(name, unit, start, low, high, prior, fixed, False, log, scale)
+
+        if name not in local:
+            shared(name)
+            return
+        own = (shared(f"{name}__{i}") * Expr.symbol(f"experiment__{i}") for i in range(count))
+        core.quantity(name, Expr(sum(own, Expr(0.0))), None)
+
+    switches = [(f"experiment__{i}", "") for i in range(count)]
+    return rebuilt(old, [*old.inputs, *switches], declare)
 
 
 def changed(

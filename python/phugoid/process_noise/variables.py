@@ -16,12 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from .._core import Expr
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..errors import ModelError, OptionError
 from ..fit_result import FitResult
-from ..modelling.compiled import rebuilt
 from ..modelling.model import Model
 from ..parameters import Estimates
 from ..solvers.limits import Deadline, TimeUp
@@ -38,25 +36,8 @@ class Separated:
         local = [name for name, p in model.declared_parameters.items() if p.per_experiment]
         numbers = range(len(experiments))
         self.names = {f"{name}__{i}": f"{name}[{experiments[i].name}]" for name in local for i in numbers}
-        self.model = self._model(local, len(experiments))
+        self.model = model._separated(local, len(experiments))
         self.experiments = [self._experiment(e, i) for i, e in enumerate(experiments)]
-
-    def _model(self, local: Sequence[str], count: int) -> Model:
-        def declare(core: _core.Model, declared: Any) -> None:
-            name, unit, start, low, high, prior, fixed, _, log, scale = declared
-
-            def shared(name: str) -> Expr:
-                return core.parameter(name, unit, start, low, high, prior, fixed, False, log, scale)
-
-            if name not in local:
-                shared(name)
-                return
-            own = (shared(f"{name}__{i}") * Expr.symbol(f"experiment__{i}") for i in range(count))
-            core.quantity(name, Expr(sum(own, Expr(0.0))), None)
-
-        switches = [(f"experiment__{i}", "") for i in range(count)]
-        old = self.original._core
-        return self.original._around(rebuilt(old, [*old.inputs, *switches], declare), self.original.delays)
 
     def _experiment(self, e: Experiment, number: int) -> Experiment:
         switches = {f"experiment__{i}": np.full(e.n, float(i == number)) for i in range(len(self.records))}

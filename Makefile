@@ -19,15 +19,20 @@ export MPLBACKEND := Agg
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: help test test-rust test-python demo bench docs lint format develop clean
+.PHONY: help test test-all test-rust test-python demo bench docs lint format develop clean
 
 help:
 	@echo "make test     all tests, Rust and Python       make demo     examples/demo.py, results in out/"
+	@echo "make test-all the same, campaigns in full size"
 	@echo "make lint     what CI checks besides tests     make bench    benchmarks against other packages"
 	@echo "make format   formats Rust and Python          make develop  installs the package for editing"
 	@echo "make docs     the documentation, in out/docs   make clean    removes .venv, target and out"
 
 test: test-rust test-python
+
+# Long campaigns, of which `make test` runs a part of the cases, are run with all of them.
+test-all: export PHUGOID_FULL := 1
+test-all: test
 
 # The bindings crate has no tests of its own: the Python tests are.
 test-rust:

@@ -1,4 +1,8 @@
-"""What several files share: figures without a window, a folder with a model and data files, published records."""
+"""What several files share: figures without a window, models and records, and the size of campaigns.
+
+Campaigns repeat one test over many cases. By default some of their cases run, spread evenly over the list; with
+``PHUGOID_FULL=1``, as in `make test-all`, all of them do.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,59 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 os.environ["MPLBACKEND"] = "Agg"
+# Before numpy is imported: each of several processes would start threads for all cores, which wait for each other in
+# loops and take ten times the time.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+FULL = os.environ.get("PHUGOID_FULL", "") not in ("", "0")
+
+# How many cases of a campaign run by default, spread evenly over its list; or the parameter of which each value runs
+# once. Every kind of case that a campaign has is kept.
+CAMPAIGNS: dict[str, int | str] = {
+    # One for each kind of effect: aerodynamic, control, state, sensor, friction, stiffness, disturbance, two together.
+    "test_diagnose.py::test_what_is_hidden_is_found": 8,
+    "test_diagnose.py::test_nothing_is_found_where_nothing_is_hidden": 4,
+    "test_situations.py::test_what_is_wrong_is_named_and_nothing_else": "what",
+    "test_situations.py::test_a_fit_of_a_model_that_misses_much_converges": 2,
+    "test_situations.py::test_a_term_that_no_library_has_is_shown_as_a_function": 2,
+    "test_ringing.py::test_hardening_and_softening_are_named": 3,
+    "test_ringing.py::test_sensor_noise_is_nothing": 2,
+    "test_ringing.py::test_no_term_is_named_where_the_mass_is_shaken": 3,
+    "test_joint.py::test_turbulence_is_no_missing_physics": 2,
+    "test_petab.py::test_published_points_have_their_published_likelihood_and_are_kept": 3,
+    # In full size only. A constant force is named on a simulated cart too, in test_free_simulation.py, and the vane on
+    # one of the two records.
+    "test_real_records.py::test_the_force_on_a_real_cart_is_named": 0,
+    "test_diagnose_data.py::test_attas_without_the_vane_in_both_records_together": 0,
+}
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the cases of campaigns that run in full size only, unless a case is asked for by its name."""
+    if FULL or any("[" in argument for argument in config.invocation_params.args):
+        return
+    left_out: list[pytest.Item] = []
+    for name, wanted in CAMPAIGNS.items():
+        cases = [item for item in items if item.nodeid.partition("[")[0].endswith(name)]
+        if isinstance(wanted, str):
+            first: dict[Any, int] = {}
+            for k, item in enumerate(cases):
+                first.setdefault(item.callspec.params.get(wanted, k), k)  # type: ignore[attr-defined]
+            kept = {*first.values()}
+        elif len(cases) > wanted:
+            kept = {round(k * (len(cases) - 1) / (wanted - 1)) for k in range(wanted)}
+        else:
+            continue
+        left_out += [item for k, item in enumerate(cases) if k not in kept]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
 
 
 @pytest.fixture(autouse=True)
@@ -18,6 +71,12 @@ def _close() -> Iterator[None]:
     yield
     if "matplotlib.pyplot" in sys.modules:
         sys.modules["matplotlib.pyplot"].close("all")
+
+
+@pytest.fixture(scope="session")
+def full_size() -> bool:
+    """Whether campaigns run in full size."""
+    return FULL
 
 
 @pytest.fixture

@@ -217,3 +217,16 @@ def test_bad_input(white: ph.Fit) -> None:
     filtered = ph.estimate(model(), measured(80, (0.0, 0.0), 0), transcription=ph.FilterError(states=("v",)))
     with pytest.raises(ph.errors.OptionError, match="process noise.*innovations are white"):
         filtered.bootstrap(2, "block")
+
+
+def test_the_figure_shows_the_distribution_of_each_parameter() -> None:
+    fit = ph.estimate(model(), measured(200, (0.0, 0.0), 3))
+    found = fit.bootstrap(12)
+    figure, axes = found.plot()
+    assert list(axes) == list(found.names)
+    low, high = found.intervals()["k"]
+    lines = [line.get_xdata()[0] for line in axes["k"].lines]
+    assert {fit.parameters["k"].value, low, high} <= {*lines}
+    assert axes["k"].patches and [*found.plot(["c"])[1]] == ["c"]
+    with pytest.raises(ph.errors.UnknownName, match="there is no parameter 'z'"):
+        found.plot(["z"])

@@ -13,7 +13,7 @@ import pytest
 from cli_case import TRUTH, run
 
 import phugoid as ph
-from phugoid.cli import estimation
+from phugoid.solvers.solution import Progress
 
 
 def test_fit_prints_what_the_library_says(here: Path) -> None:
@@ -83,12 +83,12 @@ def test_a_fit_saved_as_hdf5_is_gone_on_from(here: Path) -> None:
 
 
 def test_interruption_prints_the_best_point(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Interrupting(estimation.Progress):
+    class Interrupting(Progress):
         def __call__(self, line: ph.results.Iteration) -> None:
             if line.number == 1:
                 raise KeyboardInterrupt
 
-    monkeypatch.setattr("phugoid.progress.Progress.__call__", Interrupting.__call__)
+    monkeypatch.setattr("phugoid.solvers.solution.Progress.__call__", Interrupting.__call__)
     done = run("fit", "model.py", "run1.csv", "--save", "fit.json")
     assert done.exit_code == 130 and "interrupted" in done.stdout and ph.load("fit.json").status == "interrupted"
 

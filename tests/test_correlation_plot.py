@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from phugoid.errors import DataError, UnknownName
-from phugoid.figures.correlation import plot_correlation
 from phugoid.parameters import Estimate, Estimates
+from phugoid.uncertainty.correlation import plot_correlation
 
 
 def fit(n: int, *, fixed: int | None = None, seed: int = 0) -> Any:

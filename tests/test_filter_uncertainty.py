@@ -81,7 +81,7 @@ def test_bootstrap_draws_process_noise_anew(fit: ph.Fit) -> None:
 
 def test_bootstrap_of_draws_with_the_statistics_of_the_model(fit: ph.Fit) -> None:
     """Many draws about one input: the variance of the state at the end is that of the equations."""
-    from phugoid.uncertainty.process_noise_bootstrap import ProcessNoiseResampler
+    from phugoid.uncertainty.bootstrap import ProcessNoiseResampler
 
     drawn = ProcessNoiseResampler.of(fit)
     random = np.random.default_rng(0)

@@ -18,7 +18,7 @@ from test_linear_fit import system
 import phugoid as ph
 from phugoid.solvers import limits
 from phugoid.starts import workers
-from phugoid.starts.outcome import Problem
+from phugoid.starts.starts import Problem
 
 
 @pytest.fixture

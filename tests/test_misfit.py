@@ -22,7 +22,7 @@ import phugoid as ph
 from phugoid.discrepancy.misfit.misfit import ChannelMisfit, misfit
 from phugoid.discrepancy.page.figures import misfit_figure
 from phugoid.errors import DataError, UnknownName
-from phugoid.modelling.rebuilt import rebuilt
+from phugoid.modelling.compiled import rebuilt
 from phugoid.records import Record
 from phugoid.residual_noise.autoregression import burg
 from phugoid.residual_noise.spectrum import spectrum_of
@@ -338,7 +338,7 @@ def test_of_process_noise_innovations_are_looked_at() -> None:
 
 
 def test_bands_need_more_than_chance() -> None:
-    from phugoid.residual_noise.residual_series import channel_series
+    from phugoid.residual_noise.series import channel_series
 
     said = [spectrum_of(channel_series([record(az=white(seed))], "az"), 1e-3).bands for seed in range(40)]
     assert sum(map(bool, said)) <= 1

@@ -181,3 +181,8 @@ def test_what_cannot_be_right_is_refused() -> None:
         with pytest.raises(kind) as error:
             call()
         assert message in str(error.value), str(error.value)
+
+
+def test_the_summary_is_the_table() -> None:
+    modes = table_of(np.array([-0.1 + 2j, -0.1 - 2j, -0.5]))
+    assert modes.summary() == str(modes) and "0.318708" in modes.summary()

@@ -15,7 +15,7 @@ import pytest
 
 from phugoid.data.read import read
 from phugoid.errors import DataError
-from phugoid.saving import json_file as io
+from phugoid.saving import files as io
 
 NAN = float("nan")
 

@@ -14,7 +14,7 @@ import phugoid as ph
 from phugoid import _core
 from phugoid.discrepancy.discrimination.candidate_manoeuvres import CandidateManoeuvres
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.modelling.delayed import at_delays
+from phugoid.modelling.declared import at_delays
 from phugoid.sensitivities.collocated import collocated
 
 T = np.arange(0.0, 12.0, 0.05)

@@ -12,7 +12,7 @@ import pytest
 
 import phugoid as ph
 from phugoid import DataError, MissingDependency
-from phugoid.saving import json_file as io
+from phugoid.saving import files as io
 
 VERSION_1 = Path(__file__).parent / "data" / "fit_version_1.json"
 needs_h5py = pytest.mark.skipif(find_spec("h5py") is None, reason="HDF5 needs h5py")

@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal
 
 import phugoid as ph
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.residual_noise.resolution import resolution_of
+from phugoid.residual_noise.series import resolution_of
 from phugoid.residual_noise.whitening import Whitening
 from phugoid.sensitivities.collocated import collocated
 from phugoid.sensitivities.random_effects import RandomEffects, at_knots

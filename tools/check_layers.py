@@ -22,8 +22,8 @@ RUST = [
 
 PYTHON = [
     "_core", "errors", "notebook", "writing", "tabular", "functions", "parameters", "noise", "modelling", "data",
-    "transcription", "initialisation", "solvers", "interrupts", "progress", "records", "refinement", "smoothing",
-    "fit_result", "tolerance", "match", "repeated_outputs", "figures", "regression", "integration", "process_noise",
+    "transcription", "initialisation", "solvers", "records", "refinement", "smoothing",
+    "fit_result", "match", "figures", "regression", "integration", "process_noise",
     "estimation", "simulate", "linear", "manoeuvres", "models", "export", "saving", "residual_noise", "sensitivities",
     "validation", "pages", "discrepancy", "planning", "starts", "uncertainty", "summary", "report", "result",
     "api", "multistart", "reconstruction", "petab", "results", "design", "cli", "__init__", "__main__",

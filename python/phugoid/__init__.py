@@ -61,22 +61,20 @@ from .functions import (
     tanh,
     where,
 )
-from .match import match
+from .match import Tolerance, match
 from .modelling.declared import State
 from .modelling.model import Model
 from .multistart.multistart import multistart
-from .noise.densities import Density, Huber, Laplace, StudentT
-from .noise.kinds import PerExperiment, PerOutput
+from .noise.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from .noise.noise import Gaussian, Sigma
 from .parameters import Parameter
 from .petab.problem import read_petab
-from .reconstruction.reconstruct import reconstruct
+from .reconstruction import reconstruct
 from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
 from .regression.equation_error import equation_error
 from .result import Fit
 from .simulate import simulate
 from .solvers import Ipopt, Newton
-from .tolerance import Tolerance
 from .transcription.collocation import Collocation
 from .transcription.filter_error import FilterError
 from .transcription.shooting import MultipleShooting, SingleShooting

@@ -13,8 +13,8 @@ from .discrepancy.improve import improve as _improve
 from .discrepancy.saved import load_diagnosis
 from .estimation.estimate import estimate as _estimate
 from .result import Diagnosis, Fit, Improvement
+from .saving import files as io
 from .saving import fit_file
-from .saving import json_file as io
 
 __all__ = ["diagnose", "estimate", "improve", "load", "load_fit"]
 

@@ -5,10 +5,11 @@ Each subclass is also the built-in exception that a reader would expect, so ``ex
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
-from typing import Any
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any, NoReturn, TypeVar
 
 __all__ = [
+    "ByName",
     "DataError",
     "EvaluationError",
     "MissingDependency",
@@ -101,6 +102,26 @@ def listing(name: str, available: Collection[str]) -> str:
     " Did you mean 'q'? There are: q, alpha."
     """
     return f"{did_you_mean(name, available)} There are: {', '.join(available) or 'none'}."
+
+
+_T = TypeVar("_T")
+
+
+class ByName(dict[str, _T]):
+    """A dictionary whose KeyError for an unknown name says which names there are.
+
+    >>> ByName("output", {"q": 1, "alpha": 2})["alfa"]
+    Traceback (most recent call last):
+        ...
+    phugoid.errors.UnknownName: there is no output 'alfa'. Did you mean 'alpha'? There are: q, alpha.
+    """
+
+    def __init__(self, what: str, values: Mapping[str, _T]) -> None:
+        super().__init__(values)
+        self._what = what
+
+    def __missing__(self, name: object) -> NoReturn:
+        raise UnknownName(f"there is no {self._what} '{name}'.{listing(str(name), self)}")
 
 
 def refuse_attribute(instance: Any, kind: type, name: str, value: Any) -> None:

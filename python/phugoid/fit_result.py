@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from . import _core
 from .data.experiment import Experiment
-from .errors import DataError
+from .errors import ByName, DataError
 from .modelling.model import Model
-from .noise.kinds import PerExperiment
+from .noise.densities import PerExperiment
 from .noise.noise import Noise
 from .parameters import Estimates
 from .records import Record
@@ -66,6 +66,9 @@ class FitResult:
     # With delays: the fit of the model without delays to data shifted by them. Where kinks were smoothed:
     # that of the smooth model.
     _moved: FitResult | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "initial_states", ByName("experiment", self.initial_states))
 
     @property
     def converged(self) -> bool:

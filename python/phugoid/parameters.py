@@ -246,6 +246,11 @@ def derived(estimates: Estimates, covariance: NDArray[np.float64], expressions: 
     held = [i for i, p in enumerate(estimates.values()) if p.fixed or p.bounds_active]
     found = []
     for name, expression in expressions.items():
+        if isinstance(expression, str):
+            raise ModelError(
+                f"derived '{name}': '{expression}' is text: give an expression of the symbols of the model's "
+                "parameters, such as a / b"
+            )
         e = Expr(expression)
         for symbol in e.symbols:
             if symbol not in values:

@@ -12,7 +12,6 @@ from .discrepancy.misfit.residuals_figure import plot_residuals
 from .errors import DataError, OptionError
 from .figures import fit as plot
 from .figures.convergence import plot_convergence
-from .figures.correlation import plot_correlation
 from .figures.parameters import plot_parameters
 from .fit_result import FitResult
 from .match import Match, match
@@ -20,7 +19,7 @@ from .pages.mathml import equation
 from .pages.page import PageTable, Picture, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .summary import corrected
-from .uncertainty.correlation import correlation
+from .uncertainty.correlation import correlation, plot_correlation
 from .validation.result import Validation
 from .writing import PAGES, check_folder, check_suffix, write
 

@@ -24,24 +24,23 @@ from .discrepancy.saved import save_diagnosis
 from .discrepancy.search.finding import DiagnosisResult, ExtensionResult
 from .export import export_c, export_fmu
 from .figures.convergence import plot_convergence
-from .figures.correlation import plot_correlation
 from .figures.fit import plot_fit
 from .figures.parameters import plot_parameters
 from .fit_result import FitResult
 from .integration import IntegrationError, integration_error
+from .match import Tolerance
 from .notebook import Html, bullets, notebook_page, paragraph, table
 from .parameters import Estimates, derived
 from .records import Record
 from .report import report
 from .saving.fit_file import save
 from .simulate import simulate
-from .starts.outcome import Outcome
+from .starts.starts import Outcome
 from .summary import fit_html, fit_summary
-from .tolerance import Tolerance
 from .uncertainty.bands import Bands, prediction_bands
 from .uncertainty.bootstrap import Bootstrap, bootstrap
 from .uncertainty.coloured import Coloured, coloured
-from .uncertainty.correlation import Correlation, correlation
+from .uncertainty.correlation import Correlation, correlation, plot_correlation
 from .uncertainty.profile import Profiles, profile
 from .validation.result import Validation
 from .validation.validate import validate

@@ -15,8 +15,7 @@ from .multistart.result import Multistart
 from .parameters import Estimate
 from .petab.problem import PetabProblem
 from .planning.plan import Excursion, Plan, Plans
-from .reconstruction.reconstruct import Reconstruction
-from .reconstruction.vane_places import VanePlaces
+from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
 from .refinement import Refinement
 from .regression.equation_error import EquationError
@@ -24,7 +23,7 @@ from .result import Diagnosis, Extension, Improvement
 from .sensitivities.trajectory import Place, Points
 from .smoothing import Smoothing
 from .solvers import Iteration
-from .starts.outcome import Outcome
+from .starts.starts import Outcome
 from .uncertainty.bands import Bands
 from .uncertainty.bootstrap import Bootstrap
 from .uncertainty.coloured import Coloured

@@ -11,7 +11,7 @@ from many import T, outcome, run, sine
 import phugoid as ph
 from phugoid import Experiment, Model
 from phugoid.multistart.optima import group
-from phugoid.multistart.remarks import at_bounds, below_best, local_optima
+from phugoid.multistart.result import at_bounds, below_best, local_optima
 from phugoid.results import Multistart
 
 

@@ -7,13 +7,11 @@ from typing import Annotated
 import typer
 
 from .. import _core
-from .diagnose import diagnose
 from .example import example
-from .fit import fit
-from .guard import command
+from .fit import diagnose, fit, validate
 from .petab import petab
+from .results import command
 from .simulate import simulate
-from .validate import validate
 
 __all__ = ["app", "main"]
 

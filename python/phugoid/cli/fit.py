@@ -1,25 +1,39 @@
-"""``phugoid fit``: estimates a model's parameters from data files."""
+"""The commands that end in a fit: ``phugoid fit``, ``validate`` and ``diagnose``."""
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from ..result import Fit
+from ..api import diagnose as find_missing
+from ..api import load_fit
+from ..errors import OptionError
+from ..result import Diagnosis, Fit
 from ..validation.result import Validation
-from .estimation import Estimation
-from .guard import INTERRUPTED, NOT_CONVERGED
 from .model_file import load_source
-from .options import DataArgument, JsonOption, ModelArgument, PlotOption, Reading, ReportOption
-from .results import check_saved, check_targets, finish, fit_facts, save_figures, saved
+from .options import DataArgument, Estimation, JsonOption, ModelArgument, PlotOption, Reading, ReportOption, tolerances
+from .results import (
+    INTERRUPTED,
+    NOT_CONVERGED,
+    check_saved,
+    check_targets,
+    emit_json,
+    finish,
+    fit_facts,
+    match_facts,
+    save_figures,
+    saved,
+)
 
-__all__ = ["code_of", "fit", "write_report"]
+__all__ = ["code_of", "diagnose", "fit", "validate", "write_report"]
 
 
 def fit(
@@ -75,3 +89,178 @@ def code_of(result: Fit) -> int:
     if result.status == "interrupted":
         return INTERRUPTED
     return 0 if result.converged else NOT_CONVERGED
+
+
+def validate(
+    model: Annotated[
+        str,
+        typer.Argument(
+            help="A saved fit (.json, .h5); or a model, which is fitted to the first data file.", metavar="MODEL"
+        ),
+    ],
+    data: DataArgument,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tolerance",
+            help="Greatest deviation of an output in its unit, as a part of what is measured (5%), or the greater of "
+            "both (1.5/5%).",
+            metavar="OUTPUT=VALUE",
+        ),
+    ] = None,
+    *,
+    how: Estimation,
+    reading: Reading,
+    plot: PlotOption = None,
+    report: ReportOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Validate a fitted model on other records: only initial states and sensor biases are re-estimated."""
+    check_targets([plot], report=report)
+    limits = tolerances(tolerance)
+    source = load_source(model)
+    if isinstance(source, Fit):
+        how.check_unused(model)
+        fit, others = source, list(data)
+    else:
+        if len(data) < 2:
+            raise OptionError(
+                f"{model} is a model: give a data file to fit it to, and others to validate it on; or a saved fit"
+            )
+        fit = how.run(source, reading.read(data[:1]))
+        others = list(data[1:])
+    if not fit.converged:
+        if json:
+            emit_json("validate", {**fit_facts(fit), "validation": None})
+        else:
+            print(f"{fit.summary()}\n\nThere is nothing to validate: the fit has not converged.")
+        return code_of(fit)
+    result = fit.validate(reading.read(others), tolerances=limits or None)
+    page = partial(write_report, fit, files=[model.rpartition(":")[0] or model, *data], validation=result)
+    writers: list[Callable[[], list[Path]]] = [partial(save_figures, result, plot), saved(page, report)]
+    finish("validate", result, partial(_validation_facts, fit, result) if json else None, writers)
+    return 0 if result.converged else NOT_CONVERGED
+
+
+def _validation_facts(fit: Fit, result: Validation) -> dict[str, Any]:
+    inside = {n: m.inside for n, m in result.matches.items() if math.isfinite(m.inside)}
+    return {
+        "fit": fit_facts(fit),
+        "status": result.status,
+        "converged": result.converged,
+        "log_likelihood": result.log_likelihood,
+        "chi_square": result.chi_square,
+        "degrees_of_freedom": result.degrees_of_freedom,
+        "matches": match_facts(result.matches),
+        "tolerances": {n: vars(each) for n, each in result.tolerances.items()},
+        "inside_tolerance": inside,
+        "freed": {n: {"value": e.value, "std_error": e.std_error} for n, e in result.freed.items()},
+        "warnings": list(result.warnings),
+    }
+
+
+def diagnose(
+    model: ModelArgument,
+    data: Annotated[
+        list[Path] | None, typer.Argument(help="Data files; none where MODEL is a saved fit.", metavar="DATA...")
+    ] = None,
+    fit: Annotated[Path | None, typer.Option("--fit", help="A saved fit of the model to start from.")] = None,
+    validation: Annotated[
+        list[Path] | None, typer.Option("--validation", help="Another record, to measure the gain on.")
+    ] = None,
+    *,
+    how: Estimation,
+    reading: Reading,
+    save: Annotated[
+        Path | None, typer.Option("--save", help="Writes the diagnosis, for phugoid.load: .json, or .h5 (HDF5).")
+    ] = None,
+    report: ReportOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Name what a model misses: shows the misfit, its cause among some 250 candidates, and the gain.
+
+    Exit code 1: the fit has not converged, or the residuals have structure and no cause is named.
+    """
+    check_saved(save, "diagnosis")
+    check_targets((), [save], report)
+    base = _base(model, reading, data or [], fit, how)
+    others = reading.read(validation) if validation else None
+    if base.status not in ("converged", "acceptable"):
+        if json:
+            emit_json("diagnose", {"fit": fit_facts(base), "findings": None})
+        else:
+            print(f"{base.summary()}\n\nThere is nothing to diagnose: a diagnosis needs a converged fit.")
+        return code_of(base) or NOT_CONVERGED
+    with _steps() as watch:
+        found = find_missing(base, validation=others, progress=watch)
+    writers = [saved(found.save, save), saved(found.report, report)]
+    finish("diagnose", found, partial(_diagnosis_facts, found) if json else None, writers)
+    return _code(found)
+
+
+def _base(model: str, reading: Reading, data: list[Path], saved: Path | None, how: Estimation) -> Fit:
+    """Return the fit to diagnose: the saved one where no data are given, else one estimated from the data, with a saved
+    fit as start."""
+    source = load_source(model)
+    before = load_fit(saved) if saved is not None else source if isinstance(source, Fit) else None
+    if not data:
+        if isinstance(source, Fit) and saved is None:
+            how.check_unused(model)
+            return source
+        raise OptionError(f"{model} is a model: give data files to fit it to")
+    described = source.model if isinstance(source, Fit) else source
+    return how.run(described, reading.read(data), before)
+
+
+@contextmanager
+def _steps() -> Iterator[Callable[[str], None]]:
+    """Yield a function to call with each step: it updates a status line on a terminal, or prints a line to stderr
+    elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda text: print(f"diagnose: {text}", file=sys.stderr)
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("diagnose") as status:
+        yield status.update
+
+
+def _code(found: Diagnosis) -> int:
+    if found.interrupted:
+        return INTERRUPTED
+    return NOT_CONVERGED if found.verdict == "unexplained" else 0
+
+
+def _diagnosis_facts(found: Diagnosis) -> dict[str, Any]:
+    kept = (
+        "cause",
+        "aliases",
+        "status",
+        "coefficient",
+        "std_error",
+        "interval",
+        "unit",
+        "parameters",
+        "gain",
+        "held_out_gain",
+        "explained",
+        "explained_interval",
+        "explained_outputs",
+        "rivals_explained",
+        "threshold",
+        "explanation",
+        "advice",
+        "ringing",
+    )
+    ranking = [{"name": s.name, "statistic": s.statistic, "ranking": s.ranking} for s in found.ranking[:20]]
+    return {
+        "fit": fit_facts(found.fit),
+        "found": found.found,
+        "verdict": found.verdict,
+        "findings": [{key: getattr(f, key) for key in kept} for f in found.findings],
+        "ranking": ranking,
+        "threshold": found.threshold,
+        "interrupted": found.interrupted,
+        "notes": list(found.notes),
+        "seconds": found.seconds,
+    }

@@ -15,7 +15,7 @@ from ..api import load_fit
 from ..errors import DataError, ModelError, did_you_mean, listing
 from ..modelling.model import Model
 from ..result import Fit
-from ..saving.json_file import DIAGNOSIS, FORMAT, SUFFIXES
+from ..saving.files import DIAGNOSIS, FORMAT, SUFFIXES
 
 __all__ = ["load_model", "load_source"]
 

@@ -14,9 +14,8 @@ from ..errors import EvaluationError, OptionError
 from ..multistart.multistart import multistart
 from ..petab.problem import PetabProblem, read_petab
 from ..solvers import Newton
-from .guard import INTERRUPTED, NOT_CONVERGED
 from .options import JsonOption
-from .results import check_targets, emit_json
+from .results import INTERRUPTED, NOT_CONVERGED, check_targets, emit_json
 
 __all__ = ["petab"]
 

@@ -17,7 +17,7 @@ from ..match import match
 from ..modelling.model import Model
 from ..records import Record
 from ..result import Fit
-from ..saving.json_file import SUFFIXES
+from ..saving.files import SUFFIXES
 from ..simulate import simulate as integrate
 from ..writing import write
 from .model_file import load_source

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import DataError, listing, refuse_attribute
+from ..errors import ByName, DataError, listing, refuse_attribute
 from ..notebook import bullets, channels_table, notebook_page
 from ..tabular import experiment_dataset, experiment_frame
 from . import checked
@@ -105,17 +105,17 @@ class Experiment(Preprocessing):
     @property
     def inputs(self) -> Mapping[str, FloatArray]:
         """The channels given as inputs: name -> (N,), read-only."""
-        return MappingProxyType(self._inputs)
+        return MappingProxyType(ByName("input", self._inputs))
 
     @property
     def outputs(self) -> Mapping[str, FloatArray]:
         """The channels given as outputs: name -> (N,), read-only; NaN where a sample is missing."""
-        return MappingProxyType(self._outputs)
+        return MappingProxyType(ByName("output", self._outputs))
 
     @property
     def channels(self) -> Mapping[str, FloatArray]:
         """The columns that may serve as inputs or outputs: name -> (N,), read-only."""
-        return MappingProxyType(self._channels)
+        return MappingProxyType(ByName("channel", self._channels))
 
     @property
     def units(self) -> Mapping[str, str]:

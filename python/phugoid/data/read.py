@@ -283,8 +283,9 @@ def read(
     convert    True brings each column whose unit is known to SI. Times whose unit is given become seconds in any case.
 
     Channels with time stamps of their own keep them, see `multirate`; ``inputs`` and ``outputs`` must then be given.
-    In a text table, lines that begin with ``#`` or ``%`` are comments, and empty cells, ``NaN`` and ``NA`` are missing
-    samples.
+    In a text table, lines that begin with ``#`` or ``%`` are comments, lines with fewer cells before the header are
+    passed over, and empty cells, ``NaN`` and ``NA`` are missing samples. Times may be dates with times of ISO 8601,
+    such as ``2024-05-31T12:00:00.25Z``: time runs in s from the first.
 
     Raises DataError with the line and the column for a cell that is no number, with the line for a row that
     has too many or too few cells, with the names there are for an unknown column, with the units for those

@@ -13,9 +13,8 @@ import numpy as np
 from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, PhugoidError, did_you_mean
 from ..fit_result import FitResult
-from ..interrupts import interrupts
 from ..sensitivities.collocated import collocated
-from ..solvers.limits import check_time, limited
+from ..solvers.limits import check_time, interrupts, limited
 from ..transcription.filter_error import FilterError
 from ..validation.validate import shared
 from .candidates.candidate import Candidate

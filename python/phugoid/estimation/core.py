@@ -15,9 +15,9 @@ from ..errors import EvaluationError
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.noise import Noise
-from ..progress import Progress
 from ..regression.equation_error import EquationError
 from ..solvers import Ipopt, Iteration, Newton, Solution
+from ..solvers.solution import Progress
 from ..transcription.collocation import Collocation, records_of
 from ..transcription.shooting import Transcription, step_spec
 

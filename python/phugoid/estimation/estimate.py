@@ -14,14 +14,13 @@ from ..data.units import check_units
 from ..errors import ModelError, OptionError
 from ..fit_result import FitResult
 from ..initialisation import start_values
-from ..interrupts import interrupts
 from ..modelling.model import Model
 from ..noise.noise import Noise, not_noise
 from ..process_noise.fit import better, doubtful, filter_error
 from ..process_noise.variables import split
 from ..regression.equation_error import EquationError
 from ..solvers import HINTS, Ipopt, Iteration, Newton
-from ..solvers.limits import Deadline
+from ..solvers.limits import Deadline, interrupts
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription

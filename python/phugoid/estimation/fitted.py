@@ -11,15 +11,14 @@ from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..fit_result import FitResult
 from ..match import no_match, r_squared
-from ..modelling.delayed import Delays
+from ..modelling.declared import Delays
 from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
-from ..noise.kinds import PerExperiment
+from ..noise.densities import PerExperiment
 from ..noise.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
-from ..records import Record
+from ..records import Record, repeated_outputs
 from ..refinement import Refinement, Step
-from ..repeated_outputs import repeated_outputs
 from ..smoothing import Smoothing, SmoothingStep
 from ..solvers import Iteration, Solution
 from ..solvers.newton import COUNTED

@@ -20,9 +20,8 @@ from ..errors import DataError, MissingDependency, OptionError
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..writing import write
-from .contents import Contents, contents_of, identifier
 from .graph import number
-from .writer import Code, source
+from .writer import Code, Contents, contents_of, identifier, source
 
 __all__ = ["export_fmu"]
 

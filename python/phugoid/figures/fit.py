@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from ..data.interpolation import kind_of
 from ..errors import DataError, UnknownName, did_you_mean
 from ..fit_result import FitResult
-from ..match import match
+from ..match import Tolerance, match, tolerances_by_output
 from ..records import Record
-from ..tolerance import Tolerance, tolerances_by_output
 from .style import (
     BAND,
     INPUT,

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..solvers.limits import check_time
-from .hankel import triangle
 from .modal_regression import ModalRegression, rows
 from .modal_response import Answers
-from .sampled import Sampled
+from .sampled import Sampled, triangle
 
 __all__ = ["ModalBlocks", "best_places"]
 

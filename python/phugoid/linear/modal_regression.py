@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
-from .hankel import rows_at_once, triangle
 from .modal_response import Answers
-from .sampled import Sampled
+from .sampled import Sampled, rows_at_once, triangle
 from .state_space import StateSpace
 
 __all__ = ["Layout", "ModalRegression", "identified", "path", "regression", "rows", "samples_of"]

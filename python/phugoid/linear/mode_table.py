@@ -88,7 +88,8 @@ class Modes(Sequence[Mode]):
     def __iter__(self) -> Iterator[Mode]:
         return iter(self.modes)
 
-    def __str__(self) -> str:
+    def summary(self) -> str:
+        """Return a table: natural frequency, damping ratio, time constant and eigenvalue of each mode."""
         rows = [
             [
                 _cell(m.frequency) if m.oscillates else "",
@@ -99,6 +100,9 @@ class Modes(Sequence[Mode]):
             for m in self.modes
         ]
         return text_table(["frequency, Hz", "damping ratio", "time constant, s", "eigenvalue, 1/s"], rows, "lllr")
+
+    def __str__(self) -> str:
+        return self.summary()
 
     def __repr__(self) -> str:
         pairs = sum(m.oscillates for m in self.modes)

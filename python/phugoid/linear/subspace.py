@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
-from .hankel import Observability, observability
 from .modal_regression import ModalRegression, identified, regression
-from .sampled import Sampled, chosen_outputs
+from .sampled import Observability, Sampled, chosen_outputs, observability
 from .state_space import StateSpace, modal_parts
 
 __all__ = ["subspace"]

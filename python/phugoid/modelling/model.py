@@ -11,13 +11,20 @@ from typing import Any
 from .. import _core
 from .._core import Expr
 from ..errors import DataError, ModelError, did_you_mean, listing, refuse_attribute
-from ..noise.kinds import noise_from_dict, stated_noise
+from ..noise.densities import noise_from_dict, stated_noise
 from ..noise.noise import Gaussian, Noise, Sigma
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
-from .declared import Declared, State, check_units, read_names, source_line
-from .delayed import Delays
-from .rebuilt import Key, added_parameters, changed, changed_parameters, declare_parameter, equations_of
+from .compiled import (
+    Key,
+    added_parameters,
+    changed,
+    changed_parameters,
+    declare_parameter,
+    equations_of,
+    separated,
+)
+from .declared import Declared, Delays, State, check_units, read_names, source_line
 
 __all__ = ["Model"]
 
@@ -469,6 +476,10 @@ class Model:
         model = type(self).__new__(type(self))
         model._core, model._delays, model._condition_names = core, delays, self._condition_names
         return model._with_noise(self._noise)
+
+    def _separated(self, local: Sequence[str], count: int) -> Model:
+        """Return the model with parameters of single experiments as quantities; see `separated`."""
+        return self._around(separated(self._core, local, count), self._delays)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write `to_json` to a file; raise DataError where that is impossible."""

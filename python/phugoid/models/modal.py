@@ -13,7 +13,7 @@ from ..errors import OptionError
 from ..linear.state_space import ModalParts, StateSpace, as_state_space, modal_parts
 from ..modelling.model import Model
 from ..parameters import Parameter
-from .common import add_feedthrough, add_outputs, channels_of, counted
+from .general import add_feedthrough, add_outputs, channels_of, counted
 
 __all__ = ["modal"]
 

@@ -19,9 +19,8 @@ import numpy as np
 
 from .. import _core
 from ..errors import DataError
-from ..saving import json_file as io
-from ..starts.outcome import Outcome, Problem
-from ..starts.starts import Given, Uniform
+from ..saving import files as io
+from ..starts.starts import Given, Outcome, Problem, Uniform
 from ..transcription.filter_error import FilterError
 from ..writing import sealed, unsealed
 

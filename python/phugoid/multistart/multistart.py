@@ -15,8 +15,7 @@ from ..modelling.model import Model
 from ..noise.noise import Noise, not_noise
 from ..solvers.limits import limited
 from ..starts.collect import Watch, check_progress, collect
-from ..starts.outcome import Problem
-from ..starts.starts import Draw, Range, given, plain, uniform
+from ..starts.starts import Draw, Problem, Range, given, plain, uniform
 from ..transcription.collocation import Collocation
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
 from .result import Multistart

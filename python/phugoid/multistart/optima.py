@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..figures.style import GREY, INPUT, MEASURED, ORANGE, PURPLE, RULE, STATE, STYLE, WIDTH, figure_of, headline
-from ..starts.outcome import Outcome
+from ..starts.starts import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,8 +1,10 @@
-"""What came of many starts: which optima there are, and how many starts reached them."""
+"""The result of many starts: their outcomes, grouped by the optimum that they reached, with remarks on local ones."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -11,19 +13,18 @@ import numpy as np
 
 from ..errors import EvaluationError, MissingDependency, OptionError, PhugoidError
 from ..fit_result import FitResult
-from ..parameters import text_table
+from ..parameters import Parameter, text_table
 from ..result import Fit
-from ..starts.outcome import Outcome, Problem
+from ..starts.starts import Outcome, Problem
 from ..summary import _duration
 from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, plot_waterfall, same
-from .remarks import at_bounds, below_best, local_optima
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Multistart"]
+__all__ = ["Multistart", "at_bounds", "below_best", "local_optima"]
 
 
 # A summary shows so many optima, so many of them with parameters, and so many numbers of starts that failed.
@@ -265,3 +266,48 @@ class Multistart:
 
     def __str__(self) -> str:
         return self.summary()
+
+
+# A value is at a bound within this part of its size, as for a single fit.
+_THERE = 1e-6
+
+
+def below_best(outcome: Outcome, optima: Sequence[Optimum], starts: int) -> str:
+    """Return what to say of an end at an optimum that is not the best one known; "" for all other ends."""
+    if not optima or not outcome.at_optimum:
+        return ""
+    gap = optima[0].log_likelihood - outcome.log_likelihood
+    if gap <= LOG_LIKELIHOOD:
+        return ""
+    count = sum(o.count for o in optima if optima[0].log_likelihood - o.log_likelihood <= LOG_LIKELIHOOD)
+    return (
+        f"this optimum is local: {count} of {starts} starts reached one whose log-likelihood is higher by {gap:.4g}, "
+        f"such as start {optima[0].index}"
+    )
+
+
+def local_optima(optima: Sequence[Optimum], starts: int) -> str:
+    """Return how many optima below the best one the starts reached, and with what share; "" where there is none."""
+    others = [o for o in optima if optima[0].log_likelihood - o.log_likelihood > LOG_LIKELIHOOD]
+    if not others:
+        return ""
+    count = sum(o.count for o in others)
+    gap = optima[0].log_likelihood - others[0].log_likelihood
+    are = "local optimum is" if len(others) == 1 else "local optima are"
+    return (
+        f"{len(others)} other {are} known, where {count} of {starts} starts ({100 * count / starts:.3g} %) ended; "
+        f"log-likelihood lower by {gap:.4g}{'' if len(others) == 1 else ' or more'}"
+    )
+
+
+def at_bounds(values: Mapping[str, float], declared: Mapping[str, Parameter]) -> str:
+    """Return all parameters whose values are at a bound, each with the bound; "" where there is none."""
+    found = []
+    for name, value in values.items():
+        parameter = declared.get(name)
+        if parameter is None or parameter.fixed:
+            continue
+        for side, bound in zip(("lower", "upper"), parameter.bounds, strict=True):
+            if math.isfinite(bound) and abs(value - bound) <= _THERE * max(abs(value), abs(bound)):
+                found.append(f"{name} ({side})")
+    return ", ".join(found)

@@ -1,4 +1,4 @@
-"""A model of ours from the parts of a PEtab problem."""
+"""Assemble the model and the records of a PEtab problem."""
 
 from __future__ import annotations
 
@@ -7,18 +7,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .._core import Expr
-from ..errors import ModelError
+from ..data.experiment import Experiment
+from ..data.interpolation import Interpolation
+from ..errors import EvaluationError, ModelError
 from ..modelling.model import Model
-from ..noise.kinds import PerOutput
+from ..noise.densities import PerOutput
 from ..noise.noise import Gaussian
 from ..parameters import Parameter
-from .conditions import Conditions
-from .formulas import TIME, Formulas, substituted
-from .measurements import Measurements, Output
-from .sbml import SbmlModel
+from ..simulate import simulate
+from .measurements import Conditions, Measurements, Output, Phase
+from .sbml import TIME, Formulas, SbmlModel, Switch, substituted
 
-__all__ = ["NamedValues", "declared_parameters", "model_of", "prior_outputs"]
+__all__ = ["NamedValues", "Records", "declared_parameters", "model_of", "prior_outputs"]
 
 
 @dataclass
@@ -150,3 +154,121 @@ def model_of(
     m.noise(PerOutput(densities, scales) if densities else Gaussian(scales))
     m.check()
     return m
+
+
+_Array = NDArray[np.float64]
+# The mesh of a rest before a record, in parts of its duration: from the fastest motion to the slowest.
+_REST = np.concatenate([[0.0], np.logspace(-9.0, 0.0, 55)])
+# A model is at rest where no state moves by more than this part of its size, while time goes on tenfold.
+_STILL = 1e-7
+_LONGEST = 1e12
+
+
+@dataclass(frozen=True)
+class Records:
+    """Makes experiments; ``nominal`` are values at which a steady state is looked for."""
+
+    model: Model
+    values: NamedValues
+    formulas: Formulas
+    measured: Measurements
+    nominal: Mapping[str, float]
+
+    def experiment(self, phase: Phase) -> Experiment:
+        """Return the experiment of a phase: its samples, signals, and the steady state before it."""
+        samples = self.measured.samples[phase]
+        steps = {s.name: self._step(s, phase) for s in self.formulas.switches.values()}
+        times = {0.0, *(t for own in samples.values() for t, _ in own)}
+        end = max(t for t in times if math.isfinite(t))
+        times |= {t for t, _ in steps.values() if 0.0 < t < end}
+        if not end > 0.0:
+            times.add(1.0)
+        final = 0.0
+        if math.inf in times:
+            times.remove(math.inf)
+            begun = self._made(phase, np.array(sorted(times)), steps, {})
+            final = self._rest(begun, phase, steps)
+            times |= set(float(t) for t in max(times) + final * _REST[1:])
+        t = np.array(sorted(times))
+        last = float(t[-1])
+        found = self._made(phase, t, steps, {n: [(min(s, last), z) for s, z in own] for n, own in samples.items()})
+        if phase.before is None:
+            return found
+        before = self._made(phase, np.array([-1.0, 0.0]), steps, {}, True)
+        duration = self._rest(before, phase, steps)
+        rest = np.concatenate([duration * (_REST[:-1] - 1.0), t])
+        return self._made(phase, rest, steps, {n: list(own) for n, own in samples.items()})
+
+    def _made(
+        self,
+        phase: Phase,
+        t: _Array,
+        steps: Mapping[str, tuple[float, int]],
+        samples: Mapping[str, list[tuple[float, float]]],
+        before: bool = False,
+    ) -> Experiment:
+        inputs: dict[str, _Array] = {}
+        for name, by_condition in self.values.conditions.signals.items():
+            during, rest = by_condition[phase.during], by_condition[phase.before or phase.during]
+            inputs[name] = np.where((t < 0.0) | before, rest, during)
+        for name, (at, direction) in steps.items():
+            reached = np.maximum(t, 0.0) >= at - 1e-12 * max(1.0, abs(at)) if math.isfinite(at) else at < 0.0
+            inputs[name] = np.full(t.size, 1.0) * (reached if direction > 0 else ~np.asarray(reached))
+        held = set(inputs)
+        for name, column in self.measured.columns.get(phase, {}).items():
+            filled = np.full(t.size, float(np.median([v for _, v in column])))
+            for at, value in column:
+                filled[int(np.argmin(np.abs(t - min(at, t[-1]))))] = value
+            inputs[name] = filled
+        outputs = {n: np.full(t.size, np.nan) for n in samples}
+        for name, own in samples.items():
+            for at, value in own:
+                outputs[name][int(np.argmin(np.abs(t - at)))] = value
+        wanted = {n: inputs.get(n, np.ones(t.size)) for n in self.model.input_names}
+        kinds: dict[str, Interpolation] = {n: "hold" if n in held else "linear" for n in wanted}
+        return Experiment(t, wanted, outputs, name=phase.name, interpolation=kinds or "linear")
+
+    def _step(self, switch: Switch, phase: Phase) -> tuple[float, int]:
+        """Return the time at which a switch changes, and whether it goes on (1) or off (-1)."""
+        difference = self.values.constants(switch.difference)
+        numbers = {n: by[phase.during] for n, by in self.values.conditions.signals.items()}
+        difference = substituted(difference, numbers)
+        if others := set(difference.symbols) - {TIME}:
+            raise ModelError(
+                f"PEtab: not supported: whether {switch.difference} is {switch.kind} depends on "
+                f"{', '.join(sorted(others))}, which is estimated or changes in time"
+            )
+        if switch.kind != "positive":
+            equal = abs(difference.evaluate({})) < 1e-12
+            return (-math.inf if equal == (switch.kind == "equal") else math.inf), 1
+        at = [difference.evaluate({TIME: t} if difference.symbols else {}) for t in (0.0, 1.0, 2.0)]
+        slope = at[1] - at[0]
+        if abs(at[2] - at[1] - slope) > 1e-9 * (abs(slope) + abs(at[0])):
+            raise ModelError(f"PEtab: not supported: a condition that is not linear in time ({switch.difference})")
+        if slope == 0.0:
+            return (-math.inf, 1) if at[0] > 0.0 else (math.inf, 1)
+        return -at[0] / slope, 1 if slope > 0.0 else -1
+
+    def _rest(self, experiment: Experiment, phase: Phase, steps: Mapping[str, tuple[float, int]]) -> float:
+        """Return a duration after which the model, at its nominal parameters, has long been at rest."""
+        duration = 1.0
+        while duration < _LONGEST:
+            t = experiment.t[-1] + np.array([0.0, 1.0, 10.0]) * duration
+            longer = self._held_on(experiment, np.concatenate([experiment.t[:-1], t]))
+            try:
+                record = simulate(self.model, self.nominal, longer, rtol=1e-8, time_limit=20.0)
+            except EvaluationError as error:
+                raise EvaluationError(f"PEtab: the steady state of {phase.name} was not reached: {error}") from error
+            states = np.array(list(record.states.values()))
+            size = np.abs(states).max(axis=1) + 1e-300
+            if (np.abs(states[:, -1] - states[:, -2]) <= _STILL * size).all():
+                return 10.0 * duration
+            duration *= 4.0
+        raise EvaluationError(f"PEtab: the model does not come to rest in the condition {phase.name}")
+
+    def _held_on(self, experiment: Experiment, t: _Array) -> Experiment:
+        """Return the signals of an experiment over other times, constant at their last values."""
+        place = np.clip(np.searchsorted(experiment.t, t, side="right") - 1, 0, experiment.n - 1)
+        inputs = {n: experiment.input(n)[place] for n in self.model.input_names}
+        kinds: dict[str, Interpolation] = dict.fromkeys(inputs, "hold")
+        return Experiment(t, inputs, name=experiment.name, interpolation=kinds or "linear")

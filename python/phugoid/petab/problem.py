@@ -20,12 +20,9 @@ from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..simulate import simulate
 from ..writing import write
-from .assembly import NamedValues, declared_parameters, model_of, prior_outputs
-from .conditions import Conditions, Phase
-from .formulas import Formulas, petab_library
-from .measurements import Measurements
-from .records import Records
-from .sbml import SbmlModel
+from .assembly import NamedValues, Records, declared_parameters, model_of, prior_outputs
+from .measurements import Conditions, Measurements, Phase
+from .sbml import Formulas, SbmlModel, petab_library
 
 __all__ = ["PetabProblem", "read_petab"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..data.experiment import Experiment
 from ..errors import EvaluationError, OptionError
 from ..fit_result import FitResult
-from ..manoeuvres.grid import number
+from ..manoeuvres.steps import number
 from ..modelling.model import Model
 from ..solvers.limits import check_time, limited
 from .design_evaluation import plan

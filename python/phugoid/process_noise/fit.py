@@ -18,14 +18,13 @@ from ..fit_result import FitResult
 from ..initialisation import check_names, parameter_start, spread, state_start
 from ..modelling.model import Model
 from ..noise.noise import Gaussian, Noise
-from ..progress import Progress
 from ..solvers import Iteration
 from ..solvers.limits import Deadline, TimeUp
 from ..solvers.quasi_newton import Minimum, bounded_step, minimise
+from ..solvers.solution import Progress
 from ..transcription.filter_error import FilterError
 from .result import make_filter_fit
-from .separate import Separated
-from .variables import Objective, intensity_start, split
+from .variables import Objective, Separated, intensity_start, split
 
 __all__ = ["better", "doubtful", "filter_error"]
 

@@ -15,8 +15,7 @@ from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.noise import Noise
 from ..parameters import Estimate, Estimates
-from ..records import Record
-from ..repeated_outputs import repeated_outputs
+from ..records import Record, repeated_outputs
 from ..solvers import HINTS
 from ..solvers.limits import Deadline
 from ..solvers.quasi_newton import Minimum

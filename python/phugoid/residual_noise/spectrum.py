@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from .residual_series import Series
+from .series import Series
 
 __all__ = ["Band", "Spectrum", "Tone", "spectrum_of", "tones_of"]
 

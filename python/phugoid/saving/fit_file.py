@@ -19,7 +19,7 @@ from ..data.experiment import Experiment, Signal, completed
 from ..errors import DataError, PhugoidError
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..noise.kinds import noise_from_dict
+from ..noise.densities import noise_from_dict
 from ..parameters import Estimate, Estimates
 from ..records import Record
 from ..refinement import Refinement
@@ -27,7 +27,7 @@ from ..smoothing import Smoothing
 from ..solvers import Iteration, Solution
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription, from_dict, to_dict
-from . import json_file as io
+from . import files as io
 from .content import check_fit
 
 __all__ = ["damage", "fit_from", "fit_payload", "fit_unit", "load", "save"]

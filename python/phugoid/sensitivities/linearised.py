@@ -17,13 +17,12 @@ from ..data.interpolation import interpolated
 from ..errors import EvaluationError, OptionError
 from ..fit_result import FitResult
 from ..initialisation import spread
-from ..residual_noise.uniform_segments import uniform_segments
+from ..residual_noise.series import uniform_segments
 from ..residual_noise.whitening import RowStructure
 from ..solvers.limits import check_time, time_is_up
 from ..transcription.collocation import Collocation
 from .collocated import dataset
-from .derivatives import Derivatives
-from .trajectory import AddedTerm, Place, Points
+from .trajectory import AddedTerm, Derivatives, Place, Points
 
 __all__ = ["Linearised"]
 

@@ -12,8 +12,7 @@ from .. import _core
 from .._core import Expr
 from ..errors import EvaluationError
 from ..fit_result import FitResult
-from ..noise.densities import Density, Huber, Laplace, StudentT
-from ..noise.kinds import PerExperiment, PerOutput
+from ..noise.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from ..noise.noise import Gaussian, Noise
 from .collocated import collocated_for
 from .linearised import Linearised

@@ -13,10 +13,16 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..errors import EvaluationError, OptionError
-from .cyipopt_module import load_cyipopt
-from .ipopt_callbacks import STATUS, Callbacks, interruptible
+from .ipopt_callbacks import (
+    STATUS,
+    Callbacks,
+    Scaling,
+    interruptible,
+    load_cyipopt,
+    scale_from_curvature,
+    scale_from_data,
+)
 from .limits import Deadline, check_limits
-from .scaling import Scaling, scale_from_curvature, scale_from_data
 from .solution import HINTS, Iteration, Solution
 
 __all__ = ["Ipopt"]

@@ -1,10 +1,12 @@
-"""Limits of solvers as the user gives them, and deadlines."""
+"""Limits of solvers as the user gives them, deadlines, and deferred Ctrl-C."""
 
 from __future__ import annotations
 
 import math
+import signal
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from numbers import Integral, Real
@@ -12,7 +14,40 @@ from typing import Any
 
 from ..errors import OptionError
 
-__all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "limited", "shielded", "time_is_up"]
+__all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "interrupts", "limited", "shielded", "time_is_up"]
+
+# Number of presses that are counted; one more raises KeyboardInterrupt, for a user who needs no result at all.
+_COUNTED = 2
+
+
+@contextmanager
+def interrupts() -> Iterator[Callable[[], int]]:
+    """Defer Ctrl-C within the context; yield a function that returns how often it was pressed. The third one raises.
+
+    In another thread than the main one, and where someone has a handler of their own, nothing is changed, and nothing
+    counted.
+    """
+    count = 0
+
+    def pressed() -> int:
+        return count
+
+    def on_interrupt(number: int, frame: Any) -> None:
+        nonlocal count
+        count += 1
+        if count >= _COUNTED:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield pressed
+        return
+    signal.signal(signal.SIGINT, on_interrupt)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 # The completion of a result may take so much longer, in s and as a part of the limit.
 _GRACE, _GRACE_PART = 0.015, 0.03

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..errors import OptionError
 from ..fit_result import FitResult
-from ..interrupts import interrupts
 from ..sensitivities.collocated import dataset
 from ..solvers import Newton
-from ..solvers.limits import Deadline
+from ..solvers.limits import Deadline, interrupts
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription
-from .outcome import Outcome, Problem
+from .starts import Outcome, Problem
 
 if TYPE_CHECKING:
     from .workers import Crew

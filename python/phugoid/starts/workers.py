@@ -21,9 +21,8 @@ from itertools import chain
 from typing import Any
 
 from ..errors import OptionError
-from ..interrupts import interrupts
-from ..solvers.limits import Deadline, check_time
-from .outcome import Outcome, Problem
+from ..solvers.limits import Deadline, check_time, interrupts
+from .starts import Outcome, Problem
 
 __all__ = ["Crew"]
 

@@ -1,10 +1,10 @@
-"""The bootstrap: estimates from resampled data (Efron & Tibshirani 1993)."""
+"""Bootstrap: the estimation repeated on data simulated from the fit, which gives the distribution of the estimates."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Integral
@@ -15,24 +15,30 @@ from numpy.typing import NDArray
 
 from ..errors import DataError, OptionError
 from ..estimation.estimate import estimate
+from ..figures.style import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
 from ..parameters import Estimates, text_table
 from ..solvers.limits import limited
 from ..starts.collect import common_to, run_all
-from ..starts.outcome import Outcome, Problem
-from ..starts.starts import stream
+from ..starts.starts import Outcome, Problem, stream
 from ..transcription.filter_error import FilterError
-from .process_noise_bootstrap import ProcessNoiseResampler
+from .filtered import of_fit
 from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-__all__ = ["Bootstrap", "bootstrap"]
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Bootstrap", "ProcessNoiseResampler", "bootstrap"]
+
 
 _Array: TypeAlias = NDArray[np.float64]
 Kind: TypeAlias = Literal["parametric", "coloured", "block"]
 
+# Columns of panels, and the height of each in inches.
+_COLUMNS, _HEIGHT = 3, 1.6
 _KINDS = ("parametric", "coloured", "block")
 
 
@@ -121,11 +127,57 @@ class Bootstrap:
         heads = ["parameter", "estimate", "Cramér-Rao", "bootstrap", f"{100 * level:g} % from", "to", "unit"]
         return "\n".join([*lines, "", text_table(heads, rows, "lrrrrrl"), *(f"\nWarning: {w}" for w in self.warnings)])
 
+    def plot(self, names: Sequence[str] | None = None, level: float = 0.95) -> tuple[Figure, dict[str, Axes]]:
+        """Plot one panel for each parameter: a histogram of the estimates of all runs, the normal distribution of the
+        Cramér-Rao standard error (dashed), the estimate, and the percentile interval at a confidence level (dotted).
+
+        ``names`` chooses parameters; by default all that were estimated. Returns the figure and its axes by name.
+        Raises UnknownName for a name that is no parameter, OptionError where fewer than two runs converged.
+        """
+        if len(self.estimates) < 2:
+            raise OptionError(f"bootstrap: {len(self.estimates)} runs converged: a distribution needs two or more")
+        shown = [n for n, e in self.parameters.items() if not e.fixed] if names is None else list(names)
+        return _plot(self, [self.parameters[n].name for n in shown], self.intervals(level))
+
     def __str__(self) -> str:
         return self.summary()
 
     def __repr__(self) -> str:
         return f"<Bootstrap ({self.kind}): {self.status}, {len(self.estimates)} of {self.n} runs converged>"
+
+
+def _plot(
+    found: Bootstrap, names: Sequence[str], intervals: Mapping[str, tuple[float, float]]
+) -> tuple[Figure, dict[str, Axes]]:
+    import matplotlib.pyplot as plt
+    from matplotlib import rc_context
+
+    columns = min(_COLUMNS, max(len(names), 1))
+    rows = math.ceil(len(names) / columns)
+    with rc_context(STYLE):
+        figure, grid = plt.subplots(rows, columns, figsize=(WIDTH, _HEIGHT * rows + 0.4), squeeze=False)
+        axes: dict[str, Axes] = dict(zip(names, grid.ravel(), strict=False))
+        for axis in grid.ravel()[len(names) :]:
+            axis.set_visible(False)
+        for name, axis in axes.items():
+            e, drawn = found.parameters[name], found.estimates[:, found.names.index(name)]
+            axis.hist(drawn, bins="auto", density=True, color=BAND, label="bootstrap")
+            if math.isfinite(e.std_error) and e.std_error > 0.0:
+                at = np.linspace(e.value - 3.5 * e.std_error, e.value + 3.5 * e.std_error, 200)
+                density = np.exp(-0.5 * ((at - e.value) / e.std_error) ** 2) / (e.std_error * math.sqrt(2.0 * math.pi))
+                axis.plot(at, density, "--", color=ORANGE, linewidth=1.1, label="standard error")
+            axis.axvline(e.value, color=MEASURED, linewidth=1.0, label="estimate")
+            for end in intervals[name]:
+                axis.axvline(end, color=GREY, linewidth=0.8, linestyle=":")
+            axis.set_yticks([])
+            axis.locator_params(axis="x", nbins=4)
+            axis.tick_params(labelsize=7)
+            axis.set_xlabel(plain(labelled(name, {name: e.unit})))
+        if names:
+            handles, labels = axes[names[0]].get_legend_handles_labels()
+            figure.legend(handles, labels, loc="upper right", ncols=3, frameon=False, fontsize=8)
+        figure.tight_layout(rect=(0, 0, 1, 1 - 0.28 / figure.get_figheight()))
+    return figure, axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -224,3 +276,64 @@ def bootstrap(
 
 def _whole(value: Any, least: int) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
+
+
+# Number of draws that are tried, and the largest range of their motion as a multiple of the recorded one.
+_TRIED, _FAR = 5, 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessNoiseResampler(Resampler):
+    """Simulates the model with the recorded inputs and drawn process noise, and adds drawn sensor noise.
+
+    First states are those of the fit, and drawn where they have a prior.
+    """
+
+    fit: FitResult | None = None
+
+    @classmethod
+    def of(cls, fit: FitResult) -> ProcessNoiseResampler:
+        """Return the resampler of a fit; raise OptionError where other noise would carry the vehicle far away."""
+        found = cls(**cls.parts(fit), fit=fit)
+        far = float(np.median([found._reach(stream(0, i)) for i in range(_TRIED)]))
+        if not far < _FAR:
+            raise OptionError(
+                f"bootstrap: with other process noise the motion goes {far:.2g} times as far as in the record: its "
+                "inputs were responses of a pilot or a controller to the actual noise, and an unstable vehicle "
+                "needs responses to the drawn noise. Use profile"
+            )
+        return found
+
+    def draw(self, random: np.random.Generator) -> list[dict[str, _Array]]:
+        """Return the outputs of all experiments."""
+        assert self.fit is not None
+        likelihood, _ = of_fit(self.fit)
+        options, problem, names = likelihood.options, likelihood.problem, self.fit.model.output_names
+        assert isinstance(options, FilterError)
+        first = []
+        for record in self.fit.records:
+            for name in self.fit.model.state_names:
+                prior = (options.initial or {}).get(name)
+                first.append(random.normal(*prior) if prior else record.states[name][0])
+        intervals = sum(t.size - 1 for t in self.times)
+        noises = random.standard_normal(intervals * problem.noises)
+        found = problem.simulate(likelihood.theta(likelihood.values), np.array(first), noises)
+        known = self.fit.noise.known_sigmas(names)
+        sigma = [known[n] if n in known else self.fit.parameters[f"sigma_{n}"].value for n in names]
+        return [
+            {
+                n: np.where(there[n], y + s * random.standard_normal(y.size), np.nan)
+                for n, y, s in zip(names, outputs, sigma, strict=True)
+            }
+            for (_, outputs), there in zip(found, self.there, strict=True)
+        ]
+
+    def _reach(self, random: np.random.Generator) -> float:
+        """Return the range of a drawn motion as a multiple of the recorded one, in the output where it is greatest."""
+        ratios = [0.0]
+        for drawn, model, there in zip(self.draw(random), self.model, self.there, strict=True):
+            for name, y in drawn.items():
+                here = there[name]
+                if here.any() and np.ptp(model[name][here]) > 0.0:
+                    ratios.append(float(np.ptp(y[here]) / np.ptp(model[name][here])))
+        return float(np.max(ratios))

@@ -15,14 +15,14 @@ from ..fit_result import FitResult
 from ..notebook import notebook_page, table
 from ..parameters import Estimates, plus_minus, text_table
 from ..residual_noise.autoregression import Autoregression
-from ..residual_noise.restricted_likelihood import (
+from ..residual_noise.series import output_segments
+from ..residual_noise.whitening import (
     GridColumns,
     Links,
     cross_correlations,
     restricted_autoregressions,
     shared_covariance,
 )
-from ..residual_noise.uniform_segments import output_segments
 from ..sensitivities.tangents import Tangents
 
 __all__ = ["Coloured", "Colouring", "coloured"]

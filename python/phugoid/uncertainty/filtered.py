@@ -14,8 +14,7 @@ from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..process_noise.separate import Separated
-from ..process_noise.variables import Objective
+from ..process_noise.variables import Objective, Separated
 from ..records import Record
 from ..sensitivities.collocated import dataset
 from ..transcription.filter_error import FilterError

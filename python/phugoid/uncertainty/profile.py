@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError, UnknownName, did_you_mean, listing
+from ..figures.style import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
 from ..parameters import text_table
 from ..solvers.limits import limited
 from ..starts.collect import common_to, run_all
-from ..starts.outcome import Outcome
+from ..starts.starts import Outcome
 from .coloured import coloured as corrected
 from .profile_search import End, Side, Sides
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Profile", "Profiles", "profile"]
+
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -138,7 +140,7 @@ class Profiles(Mapping[str, Profile]):
 
         Returns the figure and its axes by name. Raises UnknownName for a name without a profile.
         """
-        from .figures import plot_profiles
+        from .profile import plot_profiles
 
         return plot_profiles([self[name] for name in (names or self.profiles)], self.level)
 
@@ -224,3 +226,73 @@ def _chosen(fit: FitResult, names: Any) -> list[str]:
             raise OptionError(f"profile: '{name}' is fixed")
         raise OptionError(f"profile: '{name}' is no parameter of the fit.{listing(str(name), free)}")
     return list(dict.fromkeys(asked))
+
+
+# Columns of panels, and the height of each in inches.
+_COLUMNS, _HEIGHT = 3, 1.95
+# Shown length of an infinite interval, in halves of a finite one.
+_BEYOND = 4.0
+
+
+def plot_profiles(profiles: Sequence[Profile], level: float) -> tuple[Figure, dict[str, Axes]]:
+    """Plot one panel for each parameter: the drop of log-likelihood, the parabola of the Cramér-Rao standard error
+    (dashed), the threshold and the interval."""
+    import matplotlib.pyplot as plt
+    from matplotlib import rc_context
+    from matplotlib.lines import Line2D
+
+    columns = min(_COLUMNS, max(len(profiles), 1))
+    rows = math.ceil(len(profiles) / columns)
+    with rc_context(STYLE):
+        figure, grid = plt.subplots(
+            rows, columns, figsize=(max(WIDTH * columns / _COLUMNS + 0.3, 3.9), _HEIGHT * rows + 0.4), squeeze=False
+        )
+        panels = list(grid.ravel())
+        axes = {p.name: axis for p, axis in zip(profiles, panels, strict=False)}
+        for axis in panels[len(profiles) :]:
+            axis.set_visible(False)
+        for i, p in enumerate(profiles):
+            _draw_profile(axes[p.name], p)
+            if i % columns == 0:
+                axes[p.name].set_ylabel("Δ log-likelihood")
+        handles = [
+            Line2D([], [], color=MEASURED, marker="o", markersize=3, label="profile"),
+            Line2D([], [], color=ORANGE, linestyle="--", label="standard error"),
+            Line2D([], [], color=GREY, linewidth=0.8, label=f"{100 * level:g} %"),
+        ]
+        height = figure.get_figheight()
+        figure.legend(handles=handles, loc="upper right", ncols=3, frameon=False, fontsize=8)
+        figure.tight_layout(rect=(0, 0, 1, 1 - 0.28 / height))
+    return figure, axes
+
+
+def _draw_profile(axis: Any, p: Profile) -> None:
+    at, roots = p.values, np.sign(p.values - p.value) * np.sqrt(2.0 * np.maximum(p.drops, 0.0))
+    reach = 1.35 * math.sqrt(2.0 * p.threshold)
+    shown = np.abs(roots) <= 2.0 * reach
+    at, roots = at[shown], roots[shown]
+    if at.size > 1:
+        # Roots are nearly straight, so what lies between the points is known.
+        from scipy.interpolate import PchipInterpolator
+
+        half = [abs(e - p.value) for e in p.interval if math.isfinite(e)] or [2.0 * p.std_error]
+        beyond = _BEYOND * max(half) if math.isfinite(max(half)) else math.inf
+        low = p.interval[0] if math.isfinite(p.interval[0]) else max(float(at[0]), p.value - beyond)
+        high = p.interval[1] if math.isfinite(p.interval[1]) else min(float(at[-1]), p.value + beyond)
+        fine = np.linspace(max(at[0], low - half[0]), min(at[-1], high + half[-1]), 200)
+        smooth = PchipInterpolator(at, roots)(fine)
+        axis.plot(fine, -0.5 * smooth**2, color=MEASURED, linewidth=1.3)
+        margin = 0.12 * (high - low)
+        axis.set_xlim(low - margin, high + margin)
+    axis.plot(at, -0.5 * roots**2, "o", color=MEASURED, markersize=3)
+    if math.isfinite(p.std_error):
+        wide = np.linspace(axis.get_xlim()[0], axis.get_xlim()[1], 200)
+        axis.plot(wide, -0.5 * ((wide - p.value) / p.std_error) ** 2, "--", color=ORANGE, linewidth=1.1, zorder=1)
+    axis.axhline(-p.threshold, color=GREY, linewidth=0.8, zorder=0)
+    for end in p.interval:
+        if math.isfinite(end):
+            axis.plot([end, end], [-p.threshold, -2.0 * p.threshold], color=GREY, linewidth=0.8, zorder=0)
+    axis.set_ylim(-1.6 * p.threshold, 0.12 * p.threshold)
+    axis.locator_params(axis="x", nbins=4)
+    axis.tick_params(labelsize=7)
+    axis.set_xlabel(plain(labelled(p.name, {p.name: p.unit})))

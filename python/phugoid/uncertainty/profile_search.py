@@ -14,9 +14,9 @@ from ..estimation.estimate import estimate
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..parameters import Estimates, Parameter
-from ..process_noise.separate import Separated
+from ..process_noise.variables import Separated
 from ..solvers.limits import check_time
-from ..starts.outcome import Outcome, Problem
+from ..starts.starts import Outcome, Problem
 
 __all__ = ["End", "Side", "Sides"]
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from .._core import Expr
 from ..errors import OptionError
 from ..fit_result import FitResult
-from ..noise.densities import Density, Huber, Laplace, StudentT
-from ..noise.kinds import PerExperiment, PerOutput
+from ..noise.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from ..noise.noise import Gaussian, Noise
 from ..sensitivities.collocated import dataset
 from ..sensitivities.tangents import Tangents, noise_values

@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ..figures import fit as plot
-from ..match import Match
+from ..match import Match, Tolerance
 from ..modelling.model import Model
 from ..noise.noise import Noise
 from ..parameters import Estimates, estimates_table, text_table
 from ..records import Record
-from ..tolerance import Tolerance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,15 +15,13 @@ from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult
 from ..initialisation import measured_states
-from ..match import Match, chi_square, chi_square_warning, match
+from ..match import Match, Tolerance, chi_square, chi_square_warning, match, tolerances_by_output
 from ..modelling.model import Model
 from ..records import Record
 from ..solvers import Newton
 from ..solvers.limits import limited
-from ..tolerance import Tolerance, tolerances_by_output
 from ..transcription.filter_error import FilterError
-from .biases import freed_by_default
-from .frozen_model import estimates_of, freeze_model, freeze_noise, mesh_for
+from .frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
 from .result import Validation
 
 __all__ = ["re_estimated", "shared", "validate"]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import DataError
 from ..experiment import FloatArray
@@ -25,8 +26,9 @@ def read_text(path: Path, columns: Sequence[str] | None, delimiter: str | None) 
     columns    names of all columns in order, in place of a header.
     delimiter  None: found out from the file.
 
-    Lines that begin with ``#`` or ``%`` are comments. DataError names the line of a row that has too many or too few
-    cells, and the line and the column of a cell that is no number.
+    Lines that begin with ``#`` or ``%`` are comments, and lines with fewer cells before the header are passed over. A
+    column of dates with times (ISO 8601) is one of ``datetime64``. DataError names the line of a row that has too many
+    or too few cells, and the line and the column of a cell that is no number.
     """
     table = _parse(path, columns, delimiter)
     parts = zip(table.names, table.units, table.headers, strict=True)
@@ -47,6 +49,13 @@ class _Table:
 
 
 _MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
+# Numbers that stand for missing samples in many files; a column whose other values come near them may mean them.
+_FILLED, _NEAR = (-9999.0, -99999.0), 0.5
+# A date and a time of ISO 8601, with seconds and an offset from UTC where they are given.
+_DATE = re.compile(
+    r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?)"  # date and time
+    r"(?:Z|([+-])(\d\d):?(\d\d))?"  # offset
+)
 
 
 def _parse(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> _Table:
@@ -61,8 +70,10 @@ def _parse(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> 
             content.append((number, line))
     if not content:
         raise DataError(f"{file}: is empty")
-    # The third line is surely data: a header and a row of units may stand before it.
-    split = _splitter(file, delimiter, content[min(2, len(content) - 1)][1])
+    # A line in the middle is surely data: a preamble, a header and a row of units may stand before it.
+    split = _splitter(file, delimiter, content[max(len(content) // 2, min(2, len(content) - 1))][1])
+    if columns is None:
+        content = content[_header_at(content, split) :]
     first = split(_join_unit(content[0][1]))
     if columns is not None:
         if isinstance(columns, str):
@@ -96,6 +107,21 @@ def _parse(path: Path, columns: Sequence[str] | None, delimiter: str | None) -> 
         if names.count(name) > 1:
             raise DataError(f"{file}: two columns are called '{name}'; name all columns with columns=[...]")
     return _Table(file, headers, names, units, lines, rows)
+
+
+def _header_at(content: Sequence[tuple[int, str]], split: Callable[[str], list[str]]) -> int:
+    """Return the number of the line that is the header: the first with as many cells as the last, where all before have
+    fewer and it holds text alone; otherwise 0."""
+    wide = len(split(content[-1][1]))
+    for k, (_, line) in enumerate(content):
+        cells = split(_join_unit(line))
+        if len(cells) == wide:
+            # A row of units beneath a header that lacks a name is no header.
+            named = all(_is_text(cell) and cell[0] not in "[(" for cell in cells if cell)
+            return k if named and any(cells) else 0
+        if len(cells) > wide:
+            return 0
+    return 0
 
 
 def _text(path: Path) -> str:
@@ -152,7 +178,7 @@ def _join_unit(header: str) -> str:
 
 
 def _is_text(cell: str) -> bool:
-    if cell.lower() in _MISSING:
+    if cell.lower() in _MISSING or _DATE.fullmatch(cell):
         return False
     try:
         float(cell)
@@ -161,12 +187,14 @@ def _is_text(cell: str) -> bool:
     return False
 
 
-def _numbers(table: _Table, j: int, name: str) -> FloatArray:
+def _numbers(table: _Table, j: int, name: str) -> NDArray[Any]:
     cells = [row[j] for row in table.rows]
     try:
-        return np.fromiter(map(float, cells), dtype=np.float64, count=len(cells))
+        return _filled(table, name, np.fromiter(map(float, cells), dtype=np.float64, count=len(cells)))
     except ValueError:
         pass
+    if any(map(_DATE.fullmatch, cells)):
+        return np.array([_moment(table, i, name, cell) for i, cell in enumerate(cells)])
     values = np.empty(len(cells))
     for i, cell in enumerate(cells):
         try:
@@ -183,4 +211,37 @@ def _numbers(table: _Table, j: int, name: str) -> FloatArray:
                 "leave a missing sample empty or NaN, or leave the column out by naming inputs=[...] and "
                 "outputs=[...]"
             ) from None
+    return _filled(table, name, values)
+
+
+def _moment(table: _Table, i: int, name: str, cell: str) -> np.datetime64:
+    """Return a date with its time in UTC; raise DataError for a cell that is neither that nor missing."""
+    found = _DATE.fullmatch(cell)
+    if found is None and cell.lower() in _MISSING:
+        return np.datetime64("NaT", "ns")
+    try:
+        if found is None:
+            raise ValueError
+        day, clock, sign, hours, minutes = found.groups()
+        moment = np.datetime64(f"{day}T{clock.replace(',', '.')}", "ns")
+    except ValueError:
+        raise DataError(
+            f"{table.file}, line {table.lines[i]}, column '{name}': '{cell}' is no date with its time, as other cells "
+            "of the column are (2024-05-31T12:00:00.25)"
+        ) from None
+    offset = np.timedelta64(int(hours) * 60 + int(minutes), "m") if sign else np.timedelta64(0, "m")
+    return moment + offset if sign == "-" else moment - offset
+
+
+def _filled(table: _Table, name: str, values: FloatArray) -> FloatArray:
+    """Return the values; raise DataError where some are numbers that stand for missing samples in many files."""
+    for number in _FILLED:
+        there = values == number
+        if there.any() and not (np.abs(values[~there]) > _NEAR * abs(number)).any():
+            first = table.lines[int(np.flatnonzero(there)[0])]
+            raise DataError(
+                f"{table.file}, line {first}, column '{name}': {number:g}, in {int(there.sum())} samples, stands for a "
+                "missing sample in many files, and no other value comes near it: leave these cells empty, or give "
+                f"ph.read(pandas.read_csv(..., na_values=[{number:g}]))"
+            )
     return values

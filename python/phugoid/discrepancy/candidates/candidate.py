@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ..._core import Expr
 from ...errors import ModelError, did_you_mean
+from ...modelling.compiled import Key
 from ...modelling.model import Model
-from ...modelling.rebuilt import Key
 from ...parameters import Parameter
 from ...sensitivities.trajectory import Place, Points
 from .scales import Scales, of

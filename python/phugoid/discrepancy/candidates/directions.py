@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from ..._core import Expr
 from ...errors import ModelError
-from ...modelling.compiled import CompiledModel
+from ...modelling.compiled import CompiledModel, Key
 from ...modelling.model import Model
-from ...modelling.rebuilt import Key
 from ...sensitivities.trajectory import Points
 from .candidate import Candidate
 from .scales import Scales

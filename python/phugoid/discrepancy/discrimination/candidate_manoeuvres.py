@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...manoeuvres.steps import PATTERNS, multistep, sweep
 from ...manoeuvres.steps import step as step_input
-from ...residual_noise.uniform_segments import uniform_segments
+from ...residual_noise.series import uniform_segments
 from ...residual_noise.whitening import Filter, RowStructure
 from ...sensitivities.collocated import dataset
 from ..misfit.phrases import number, with_unit

@@ -25,7 +25,7 @@ from ...figures.style import (
 )
 from ...fit_result import FitResult
 from ...records import Record
-from ...residual_noise.residual_series import residual_of
+from ...residual_noise.series import residual_of
 from .misfit import ChannelMisfit, Misfit
 from .phrases import number, per_second
 

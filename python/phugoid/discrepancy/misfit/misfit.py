@@ -14,8 +14,7 @@ from ...errors import DataError
 from ...fit_result import FitResult
 from ...notebook import Html, bullets, notebook_page, sparkline, table
 from ...residual_noise.autoregression import Autoregression, CorrelatedNoise, burg
-from ...residual_noise.residual_series import Series, autocorrelation_of, channel_series, same_rate
-from ...residual_noise.resolution import WITHIN, resolution_of
+from ...residual_noise.series import WITHIN, Series, autocorrelation_of, channel_series, resolution_of, same_rate
 from ...residual_noise.spectrum import Spectrum, Tone, spectrum_of, tones_of
 from .phrases import channel_phrases, number, what_stands_out
 from .regimes import Dependence, Regime, Running, Span, correlations_of, regimes_of, spans_of

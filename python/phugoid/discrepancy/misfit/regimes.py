@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...residual_noise.autoregression import Autoregression, CorrelatedNoise
-from ...residual_noise.residual_series import Series
+from ...residual_noise.series import Series
 
 __all__ = ["Bin", "Dependence", "Regime", "Running", "Span", "correlations_of", "regimes_of", "spans_of"]
 

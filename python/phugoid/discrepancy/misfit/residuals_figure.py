@@ -27,7 +27,7 @@ from ...figures.style import (
 )
 from ...fit_result import FitResult
 from ...records import Record
-from ...residual_noise.residual_series import Series, autocorrelation_of, channel_series
+from ...residual_noise.series import Series, autocorrelation_of, channel_series
 from ...residual_noise.spectrum import spectrum_of
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from ...residual_noise.resolution import WITHIN, resolution_of
+from ...residual_noise.series import WITHIN, resolution_of
 from ...residual_noise.whitening import Whitening
 from ..candidates.candidate import Candidate
 from .free_run import Explained, Misfitting, Simulated

@@ -22,8 +22,7 @@ from ...sensitivities.trajectory import Points
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening
 from ...solvers import Newton
 from ...solvers.limits import check_time
-from ...validation.biases import freed_by_default
-from ...validation.frozen_model import estimates_of, freeze_model, freeze_noise, mesh_for
+from ...validation.frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
 from ..candidates.candidate import Candidate
 
 __all__ = [

@@ -22,8 +22,7 @@ from ...sensitivities.trajectory import Place
 from ...sensitivities.whitened import Whitened
 from ...solvers.limits import Deadline, check_time
 from ...transcription.filter_error import FilterError
-from ...validation.biases import freed_by_default
-from ...validation.frozen_model import freeze_model, freeze_noise
+from ...validation.frozen_model import freed_by_default, freeze_model, freeze_noise
 from ..candidates.candidate import Candidate, Effect, is_function
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of
 from .evidence import is_structured

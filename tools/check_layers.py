@@ -13,9 +13,9 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "interrupt", "lgl", "interpolate", "table", "error", "threads", "pairs", "expr", "tape",
-    "setters", "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment", "gaps",
-    "measured", "mesh",
+    "math", "simd", "interrupt", "dense", "setters", "lgl", "interpolate", "table", "error", "threads", "pairs",
+    "expr", "tape", "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment",
+    "gaps", "measured", "mesh",
     "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver", "initial", "diagnosis",
     "simulate", "estimate",
 ]

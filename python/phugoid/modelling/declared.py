@@ -17,8 +17,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn
 
-import numpy as np
-
 from .._core import Expr
 from ..errors import ModelError
 from ..parameters import Parameter

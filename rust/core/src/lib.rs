@@ -94,6 +94,7 @@
 
 pub mod collocation;
 mod condition;
+mod dense;
 mod diagnosis;
 mod error;
 pub mod estimate;
@@ -150,7 +151,7 @@ pub mod internals {
     #[cfg(feature = "serde")]
     open! { pool: expr::pool, }
     open! {
-        diagnosis: diagnosis, error: error, evaluator: evaluator,
+        dense: dense, diagnosis: diagnosis, error: error, evaluator: evaluator,
         gaps: gaps, graph: expr::graph, initial: initial, integrate: integrate, interpolate: interpolate, lgl: lgl,
         math: math, mesh: mesh, operations: expr::ops, problem: problem, tape: tape,
     }

@@ -1,7 +1,5 @@
 //! Covariance of the estimates, and their distance from the optimum, from one factorisation.
 
-use std::fmt;
-
 use super::SLIGHT;
 use crate::interrupt::current;
 use crate::linalg::{Effort, Entries, KktChoice, KktError};
@@ -24,24 +22,17 @@ pub struct Information {
 }
 
 /// The reason why there is no information.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoInformation {
     /// A derivative is not finite there.
+    #[error("a derivative of the model is not finite")]
     NotFinite,
     /// The Newton system cannot be factorised: constraints that depend on each other, above all.
+    #[error(transparent)]
     Singular(KktError),
     /// The interrupt stopped it.
+    #[error("there was no time left")]
     Stopped,
-}
-
-impl fmt::Display for NoInformation {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            NoInformation::NotFinite => f.write_str("a derivative of the model is not finite"),
-            NoInformation::Singular(error) => error.fmt(f),
-            NoInformation::Stopped => f.write_str("there was no time left"),
-        }
-    }
 }
 
 impl From<NotFinite> for NoInformation {

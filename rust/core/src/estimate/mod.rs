@@ -158,7 +158,8 @@ impl<'a> Estimation<'a> {
     /// Single or multiple shooting in place of collocation. No regression precedes it unless asked for: between
     /// nodes far apart, the states as measured say little.
     pub fn shooting(mut self, settings: Shots) -> Self {
-        self.shots = Some(settings);
+        let threads = if settings.threads == 0 { self.transcription.threads } else { settings.threads };
+        self.shots = Some(settings.threads(threads));
         self
     }
 

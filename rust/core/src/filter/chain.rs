@@ -12,8 +12,9 @@
 
 use crate::interrupt::{Turns, current};
 
-use super::dense::{
-    add_transposed_product, cholesky, dot, inverse, log_det, product, product_transposed, solve, symmetrise,
+use crate::dense::{
+    add_transposed_product, cholesky, dot, inverse, log_det, product, product_transposed, rounding, solve,
+    symmetrise,
 };
 
 /// Matrices of a chain of N samples, n states and m noises an interval, one after the other.
@@ -135,7 +136,7 @@ impl Chain {
                 s[i * m..(i + 1) * m].copy_from_slice(&row[n..]);
                 s[i * m + i] += 1.0;
             }
-            cholesky(s, m).map_err(|_| Fault::Noise)?;
+            cholesky(s, m, rounding).map_err(|_| Fault::Noise)?;
             solve(s, gain, m, n);
             // Tᵀ H T (Joseph's form): what is a sum of squares cannot lose its definiteness to rounding.
             let t = self.closed(gain);
@@ -148,7 +149,7 @@ impl Chain {
             symmetrise(p, n);
         }
         f.first = f.p[..nn].to_vec();
-        cholesky(&mut f.first, n).map_err(Fault::First)?;
+        cholesky(&mut f.first, n, rounding).map_err(Fault::First)?;
         Ok(f)
     }
 
@@ -166,7 +167,7 @@ impl Chain {
         for &(i, si) in &random {
             block.extend(random.iter().map(|&(j, sj)| si * f.p[i * self.n + j] * sj));
         }
-        cholesky(&mut block, random.len()).map_err(|j| Fault::First(random[j].0))?;
+        cholesky(&mut block, random.len(), rounding).map_err(|j| Fault::First(random[j].0))?;
         Ok(block)
     }
 

@@ -4,8 +4,8 @@
 //! the first state as estimated; one with a prior starts at the prior. Its innovations are white where the model is
 //! right, which the residuals of a smoothed path are not.
 
-use super::dense::{cholesky, dot, product, product_transposed, solve, symmetrise};
 use super::path::{At, Found, Lost};
+use crate::dense::{cholesky, dot, product, product_transposed, rounding, solve, symmetrise};
 use crate::interrupt::current;
 
 /// Innovations, the states predicted with them, and the standard deviations of both.
@@ -66,7 +66,7 @@ pub(super) fn innovations(at: &At<'_>, found: &Found) -> Result<Innovations, Los
             out.values[i].push(if there { innovation[i] / root[i] } else { f64::NAN });
             out.deviations[i].push(if there { s[i * n_y + i].sqrt() / root[i] } else { f64::NAN });
         }
-        if k + 1 == samples || cholesky(&mut s, n_y).is_err() {
+        if k + 1 == samples || cholesky(&mut s, n_y, rounding).is_err() {
             continue;
         }
         // Correction: K = −P Cᵀ S⁻¹ for r falls as x grows.

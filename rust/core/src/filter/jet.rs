@@ -8,8 +8,8 @@
 //! ends in Φ, Φ_z and s = Σ_ab W_ab ∂²Φ/∂z_a∂z_b, and one reverse sweep through its Runge-Kutta steps gives the
 //! gradient of any weighted sum of the three.
 
-use super::dense::{lower, place};
 use super::noises::{Driven, LANES};
+use crate::dense::{lower, place};
 use crate::error::Error;
 use crate::expr::derive::Sparse;
 use crate::expr::graph::{Graph, Id};

@@ -40,7 +40,6 @@
 
 mod block;
 mod chain;
-mod dense;
 mod flow;
 mod innovations;
 mod jet;
@@ -59,7 +58,7 @@ use crate::interrupt::current;
 use crate::model::Model;
 use crate::noise::Noise;
 
-use dense::add_transposed_product;
+use crate::dense::add_transposed_product;
 use flow::{Beside, Flow};
 pub use innovations::Innovations;
 use jet::{Gradients, Jets};

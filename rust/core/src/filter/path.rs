@@ -3,9 +3,9 @@
 use std::cell::RefCell;
 
 use super::chain::{Chain, Factor, Fault};
-use super::dense::{add_transposed_product, dot};
 use super::flow::{Beside, Flow, Linear};
 use super::sample::{Costs, Samples};
+use crate::dense::{add_transposed_product, dot};
 use crate::integrate::flow::Memory;
 use crate::integrate::group::Group;
 use crate::interrupt::{Interrupt, current};
@@ -57,17 +57,23 @@ pub(super) struct Found {
 }
 
 /// The reason why no path was found.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum Lost {
     /// A function is not finite on the way.
+    #[error("a function is not finite on the way")]
     NotFinite,
     /// This first state is not determined by the data.
+    #[error("the data do not determine the first state number {0}")]
     First(usize),
     /// The most probable path is no proper maximum.
+    #[error("the most probable path is no proper maximum")]
     Curvature,
     /// No further progress, or too many iterations.
+    #[error("the search for the most probable path made no further progress")]
     Stuck,
     /// The interrupt in force ended the search.
+    #[error("the search for the most probable path was stopped")]
     Stopped,
 }
 

@@ -2,7 +2,7 @@
 //! third that the gradient of ln det needs.
 
 use super::block::{Loaded, blocks, compile, data_columns};
-use super::dense::{lower, place};
+use crate::dense::{lower, place};
 use crate::error::Error;
 use crate::experiment::Experiment;
 use crate::expr::graph::Id;

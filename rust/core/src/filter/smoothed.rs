@@ -1,9 +1,9 @@
 //! The path given all data, and paths with other noises.
 
-use super::dense::dot;
 use super::innovations::{Innovations, innovations};
 use super::path::Path;
 use super::{Filter, Lost};
+use crate::dense::dot;
 
 /// The states of one record given all data and the parameters.
 #[derive(Clone, Debug, Default)]

@@ -6,7 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::normal::Normal;
-use crate::linalg::{backward, cholesky, forward};
+use crate::dense::{backward, cholesky, forward};
 use crate::nlp::{Reach, Separable};
 use crate::solver::{Point, Program};
 
@@ -64,7 +64,7 @@ impl Equations {
             (0..=i).for_each(|j| l[i * n + j] = self.a[(i, j)]);
             l[i * n + i] += RIDGE + damping(i);
         }
-        cholesky(&mut l, n, 0.0).ok()?;
+        cholesky(&mut l, n, |_| 0.0).ok()?;
         let mut step = self.b.component_mul(&self.scale);
         forward(&l, n, step.as_mut_slice());
         backward(&l, n, step.as_mut_slice());

@@ -4,46 +4,32 @@ pub mod arrow;
 mod choose;
 pub mod sparse;
 
-use std::fmt;
-
-pub(crate) use arrow::dense::{backward, cholesky, forward};
 pub use choose::{KktChoice, kkt_for};
 
 /// The reason why a Newton system was not factorised.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum KktError {
     /// A constraint depends on others.
+    #[error("constraint {row} depends on others")]
     Dependent {
         /// The constraint.
         row: usize,
     },
     /// The boundary conditions determine more than the states at the ends of a chain, which is all that
     /// this factorisation lets them determine.
+    #[error("the boundary conditions determine more than the states at the ends")]
     Boundary,
     /// An entry of H or A, or a number on the way, is not finite.
+    #[error("the Newton system is not finite")]
     NotFinite,
     /// The factorisation would be very costly, and was to be quick: [`Effort::hurry`].
+    #[error("the Newton system is too costly to factorise")]
     TooCostly,
     /// The run was stopped meanwhile.
+    #[error("the factorisation was stopped")]
     Stopped,
 }
-
-impl fmt::Display for KktError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            KktError::Dependent { row } => write!(f, "constraint {row} depends on others"),
-            KktError::Boundary => {
-                f.write_str("the boundary conditions determine more than the states at the ends")
-            }
-            KktError::NotFinite => f.write_str("the Newton system is not finite"),
-            KktError::TooCostly => f.write_str("the Newton system is too costly to factorise"),
-            KktError::Stopped => f.write_str("the factorisation was stopped"),
-        }
-    }
-}
-
-impl std::error::Error for KktError {}
 
 /// The curvature of the Lagrangian along the constraints: of the *reduced* Hessian ZᵀHZ, Z a basis of
 /// the null space of A.

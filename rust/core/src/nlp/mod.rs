@@ -96,7 +96,8 @@ impl Part<'_> {
 
 /// A function was not finite: in a line search a reason to step less, at the start an error.
 /// [`Named::explain`] says what happened.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a function is not finite")]
 pub struct NotFinite;
 
 /// Limits on profiled variables: in terms of the standard deviations that they represent.

@@ -19,6 +19,8 @@ pub(super) struct Iterate {
     pub gradient: Vec<f64>,
     pub jacobian: Vec<f64>,
     pub hessian: Vec<f64>,
+    /// How often it has moved.
+    moves: u64,
     /// Scratch: standard deviations.
     profile: Vec<f64>,
 }
@@ -31,6 +33,7 @@ impl Iterate {
             gradient: vec![0.0; nlp.n()],
             jacobian: vec![0.0; nlp.jacobian_structure().len()],
             hessian: vec![0.0; nlp.hessian_structure().len()],
+            moves: 0,
             profile: vec![0.0; nlp.profiled().len()],
             point,
         }
@@ -52,12 +55,18 @@ impl Iterate {
         program.gauss_newton(&self.point.xi, &mut self.hessian)
     }
 
+    /// How often it has moved: what was computed at the same number is still right.
+    pub fn moves(&self) -> u64 {
+        self.moves
+    }
+
     pub fn entries(&self) -> Entries<'_> {
         Entries { hessian: &self.hessian, jacobian: &self.jacobian }
     }
 
     /// Goes to a trial point, which is so much of a step away; what it was becomes the trial point.
     pub fn accept(&mut self, trial: &mut Point, alpha: f64, step: &Step) {
+        self.moves += 1;
         std::mem::swap(&mut self.point, trial);
         for (l, next) in self.multipliers.iter_mut().zip(&step.multipliers) {
             *l += alpha * (next - *l);
@@ -66,6 +75,7 @@ impl Iterate {
 
     /// Takes over a point and its multipliers.
     pub fn set(&mut self, point: &Point, multipliers: &[f64]) {
+        self.moves += 1;
         self.point.copy(point);
         self.multipliers.copy_from_slice(multipliers);
     }
@@ -78,6 +88,7 @@ impl Iterate {
         if roots.is_empty() {
             return true;
         }
+        self.moves += 1;
         let xi = &mut self.point.xi;
         if program.gradient(xi, &mut self.gradient).is_err() || program.interrupt.stops() {
             return false;

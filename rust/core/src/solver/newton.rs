@@ -214,7 +214,6 @@ fn newton_step<'s>(
     sizes: &mut Sizes,
     (exact, hurry): (bool, bool),
 ) -> Result<(Factored<'s>, Promise), NoStep> {
-    iterate.evaluate(program)?;
     let mut factored = system.factorise(program, iterate, exact, hurry)?;
     sizes.measure(program, iterate);
     let promise = factored.step(program, iterate, step);

@@ -32,6 +32,9 @@ pub(super) struct NewtonSystem {
     kkt: Box<dyn KktSolver>,
     active: ActiveSet,
     damping: Damping,
+    /// Which matrix the factor is of: the moves of the iterate, whether the exact Hessian was asked for, and whether it is
+    /// that.
+    factorised: Option<(u64, bool, bool)>,
     /// Scratch: right-hand sides.
     p: Vec<f64>,
     q: Vec<f64>,
@@ -43,6 +46,7 @@ impl NewtonSystem {
             kkt: kkt.make(program.nlp, &program.units.states),
             active: ActiveSet::new(program),
             damping: Damping::new(),
+            factorised: None,
             p: vec![0.0; program.nlp.n()],
             q: vec![0.0; program.nlp.m()],
         }
@@ -52,7 +56,7 @@ impl NewtonSystem {
         self.kkt.flops()
     }
 
-    /// Factorises the system at the iterate with the exact Hessian, if that is positive along the constraints, else
+    /// Evaluates derivatives at the iterate, and factorises the system there with the exact Hessian, if that is positive along the constraints, else
     /// with that of Gauss and Newton, shifted until it is.
     pub fn factorise(
         &mut self,
@@ -61,19 +65,15 @@ impl NewtonSystem {
         exact: bool,
         hurry: bool,
     ) -> Result<Factored<'_>, NoStep> {
-        let NewtonSystem { kkt, active, damping, p, q } = self;
-        let is_exact = exact && iterate.exact_hessian(program).is_ok();
-        if !is_exact {
-            iterate.gauss_newton(program)?;
-        }
-        program.count(|e| e.factorizations += 1);
-        let effort = Effort { refine: exact, hurry };
-        let factor = kkt.factorize(&iterate.entries(), effort).map_err(NoStep::Singular)?;
+        let is_exact = self.eliminate(program, iterate, exact, hurry)?;
+        let NewtonSystem { kkt, active, damping, factorised, p, q } = self;
+        let factor = kkt.factor().expect("it is eliminated");
         active.begin(program, iterate, if exact { 0..0 } else { program.nlp.profiled() });
         let mut system = Factored { factor, active, damping, p, q, is_exact };
         let mut found = system.finish();
         if is_exact && !(found.is_positive() || system.is_nearly_positive()) {
             // Far from the end after all, or on a ridge.
+            *factorised = None;
             iterate.gauss_newton(program)?;
             program.count(|e| e.factorizations += 1);
             system.factor.replace_hessian(&iterate.entries()).map_err(NoStep::Singular)?;
@@ -84,6 +84,33 @@ impl NewtonSystem {
             system.regularise(found)?;
         }
         Ok(system)
+    }
+
+    /// Eliminates at the iterate, unless the last factor is of the same matrix, as after a step that failed and is damped
+    /// more; whether the Hessian is the exact one.
+    fn eliminate(
+        &mut self,
+        program: &Program<'_>,
+        iterate: &mut Iterate,
+        exact: bool,
+        hurry: bool,
+    ) -> Result<bool, NoStep> {
+        if let Some((moves, asked, is_exact)) = self.factorised
+            && (moves, asked) == (iterate.moves(), exact)
+        {
+            return Ok(is_exact);
+        }
+        self.factorised = None;
+        iterate.evaluate(program)?;
+        let is_exact = exact && iterate.exact_hessian(program).is_ok();
+        if !is_exact {
+            iterate.gauss_newton(program)?;
+        }
+        program.count(|e| e.factorizations += 1);
+        let effort = Effort { refine: exact, hurry };
+        self.kkt.factorize(&iterate.entries(), effort).map_err(NoStep::Singular)?;
+        self.factorised = Some((iterate.moves(), exact, is_exact));
+        Ok(is_exact)
     }
 }
 

@@ -9,6 +9,7 @@
 use std::ops::Range;
 
 use super::program::Program;
+use crate::dense::eliminate;
 
 /// Defects below this part of the unit of their state are none.
 const SATISFIED: f64 = 1e-8;
@@ -169,7 +170,7 @@ impl Restoration {
                 let to = &mut self.right[r * width..][..width];
                 to.iter_mut().zip(from).for_each(|(t, z)| *t -= jacobian[entry] * z);
             }
-            if !solve_dense(&mut self.matrix, &mut self.right, width) {
+            if !eliminate(&mut self.matrix, &mut self.right, width) {
                 return false;
             }
             for (&column, from) in block.columns.iter().zip(self.right.chunks_exact(width)) {
@@ -187,7 +188,7 @@ impl Restoration {
             block.fill(jacobian, &mut self.matrix, true);
             self.right.clear();
             self.right.extend(block.columns.iter().map(|&i| -self.d[i]));
-            if !solve_dense(&mut self.matrix, &mut self.right, 1) {
+            if !eliminate(&mut self.matrix, &mut self.right, 1) {
                 return false;
             }
             block.rows.iter().zip(&self.right).for_each(|(&row, l)| out[row] = *l);
@@ -348,7 +349,7 @@ impl Restoration {
         for &(entry, r, column) in &block.others {
             self.right[r] -= self.jacobian[entry] * self.d[column];
         }
-        if !solve_dense(&mut self.matrix, &mut self.right, 1) {
+        if !eliminate(&mut self.matrix, &mut self.right, 1) {
             return false;
         }
         block.columns.iter().zip(&self.right).for_each(|(&i, x)| self.d[i] = *x);
@@ -362,45 +363,4 @@ fn defect_of(program: &Program<'_>, block: &Block, c: &[f64], xi: &[f64]) -> f64
         c[row].abs() / (SATISFIED * program.units.of(row)).max(ROUNDING * xi[column].abs())
     };
     block.rows.iter().zip(&block.columns).map(one).fold(0.0, f64::max)
-}
-
-/// Solves A X = B by elimination with row exchanges, A and B row-major, B with so many columns; X replaces B. Whether A is
-/// regular.
-fn solve_dense(a: &mut [f64], b: &mut [f64], width: usize) -> bool {
-    let n = b.len() / width.max(1);
-    for k in 0..n {
-        let mut pivot = k;
-        for i in k + 1..n {
-            if a[i * n + k].abs() > a[pivot * n + k].abs() {
-                pivot = i;
-            }
-        }
-        let size = a[pivot * n + k].abs();
-        if !(size > 0.0 && size.is_finite()) {
-            return false;
-        }
-        if pivot != k {
-            (k..n).for_each(|j| a.swap(pivot * n + j, k * n + j));
-            (0..width).for_each(|j| b.swap(pivot * width + j, k * width + j));
-        }
-        let (above, below) = a.split_at_mut((k + 1) * n);
-        let (b_above, b_below) = b.split_at_mut((k + 1) * width);
-        let (row, b_row) = (&above[k * n..], &b_above[k * width..]);
-        for (to, b_to) in below.chunks_exact_mut(n).zip(b_below.chunks_exact_mut(width)) {
-            let part = to[k] / row[k];
-            if part != 0.0 {
-                to[k + 1..].iter_mut().zip(&row[k + 1..]).for_each(|(t, r)| *t -= part * r);
-                b_to.iter_mut().zip(b_row).for_each(|(t, r)| *t -= part * r);
-            }
-        }
-    }
-    for k in (0..n).rev() {
-        let (above, below) = b.split_at_mut((k + 1) * width);
-        let to = &mut above[k * width..];
-        for (from, x) in a[k * n + k + 1..(k + 1) * n].iter().zip(below.chunks_exact(width)) {
-            to.iter_mut().zip(x).for_each(|(t, x)| *t -= from * x);
-        }
-        to.iter_mut().for_each(|t| *t /= a[k * n + k]);
-    }
-    b.iter().all(|x| x.is_finite())
 }

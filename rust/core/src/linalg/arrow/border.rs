@@ -15,7 +15,7 @@ use std::time::Duration;
 use nalgebra::{DMatrix, Dyn, SymmetricEigen};
 
 use super::deferred::Deferred;
-use super::dense::{backward, cholesky, forward};
+use crate::dense::{backward, cholesky, forward};
 use crate::interrupt::current;
 use crate::linalg::Curvature;
 
@@ -52,7 +52,7 @@ impl Border {
         self.deferred.turn(constraints, &self.scale, held);
         self.fill(s, held, shift);
         let b = of.len() - self.deferred.met();
-        if cholesky(&mut self.l, b, TINY).is_ok() {
+        if cholesky(&mut self.l, b, |_| TINY).is_ok() {
             return Curvature::default();
         }
         if current().stops() {

@@ -1,6 +1,6 @@
 //! Constraints of the border: how a basis of their null space turns its matrix.
 
-use super::dense::{dot_of, triangularise};
+use crate::dense::{dot_of, triangularise};
 
 /// A constraint that others, and variables that are held, leave less than this part of its own determines nothing.
 const NOTHING: f64 = 1e-13;

@@ -14,12 +14,12 @@
 use std::ops::Range;
 
 use super::chain::ChainPlan;
-use super::dense::axpy;
 use super::form::{Form, Side};
 use super::piece::{Along, Piece};
 use super::products::Products;
 use super::run::Run;
 use super::shape::Shape;
+use super::vectors::axpy;
 use crate::interrupt::Interrupt;
 use crate::linalg::KktError;
 use crate::simd::kernel;

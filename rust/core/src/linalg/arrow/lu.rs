@@ -1,6 +1,6 @@
 //! LU with row exchanges of the square of a segment, its ties along.
 
-use super::dense::axpy;
+use super::vectors::axpy;
 
 #[inline(always)]
 fn larger(x: f64, i: usize, best: &mut usize, size: &mut f64) {

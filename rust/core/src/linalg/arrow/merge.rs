@@ -5,9 +5,9 @@
 //! well conditioned whenever the boundary value problem is, however unstable its initial value problem
 //! (S. J. Wright, "Stable parallel algorithms for two-point boundary value problems", 1992).
 
-use super::dense::triangularise;
 use super::form::{Form, Side};
 use super::shape::Shape;
+use crate::dense::triangularise;
 
 /// Two forms merged into one.
 #[derive(Clone, Debug)]

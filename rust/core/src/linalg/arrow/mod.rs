@@ -33,7 +33,6 @@ mod border;
 mod chain;
 mod covariance;
 mod deferred;
-pub(crate) mod dense;
 mod forest;
 mod form;
 mod group;
@@ -51,12 +50,12 @@ mod run;
 mod shape;
 mod top;
 mod tree;
+mod vectors;
 mod work;
 
 use std::sync::Mutex;
 
 use border::Border;
-use dense::dot_of;
 use forest::Forest;
 use group::Context;
 use plan::Plan;
@@ -64,6 +63,7 @@ use products::Products;
 use tree::add;
 
 use super::{Curvature, Effort, Entries, Factor, KktError, KktSolver, covariance_by_solving};
+use crate::dense::dot_of;
 use crate::interrupt::current;
 use crate::nlp::{Chains, Structure};
 use crate::tape::lanes::all_finite;

@@ -3,10 +3,10 @@
 use std::ops::Range;
 
 use super::chain::ChainPlan;
-use super::dense::{axpy, copy_rows, dot, for_vectors, sum_rows};
 use super::lu::{eliminate, solve, solve_transposed};
 use super::part::{Part, PartPlan};
 use super::shape::Shape;
+use super::vectors::{axpy, copy_rows, dot, for_vectors, sum_rows};
 
 /// A part of a group, with all that its elimination keeps.
 #[derive(Clone, Debug)]

@@ -4,11 +4,11 @@
 //! H and K are lists of what is not zero. Z and H Z are collected until they fill the nearest caches;
 //! then products of slim matrices add them all, their blocks in registers.
 
-use super::dense::{axpy, for_vectors};
 use super::part::Part;
 use super::piece::Piece;
 use super::run::Run;
 use super::shape::Shape;
+use super::vectors::{axpy, for_vectors};
 
 /// Rows of a part that are collected: two matrices of as many rows of some 30 columns stay in the first cache.
 const ROWS: usize = 64;

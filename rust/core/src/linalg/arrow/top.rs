@@ -12,9 +12,9 @@
 use nalgebra::DMatrix;
 
 use super::border::{TINY, directions, scale_of};
-use super::dense::{backward, cholesky, forward, triangularise};
 use super::form::{Form, Side};
 use super::shape::Shape;
+use crate::dense::{backward, cholesky, forward, triangularise};
 use crate::linalg::{Curvature, KktError};
 
 /// A constraint is deferred where the ends meet it with changes that are as many times as large, or larger: the reduced
@@ -276,7 +276,7 @@ impl Top {
             }
             self.l[i * n + i] += shift;
         }
-        if cholesky(&mut self.l, n, TINY).is_err() {
+        if cholesky(&mut self.l, n, |_| TINY).is_err() {
             let mut before = vec![0.0; n * n];
             for i in 0..n {
                 for j in 0..n {

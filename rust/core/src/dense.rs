@@ -1,0 +1,306 @@
+//! Dense matrices in slices, row by row: products, orthogonal elimination, Cholesky's factorisation and its solutions.
+//!
+//! Most are small, the states of a point or the parameters of a model, and there are many. Up to 8 rows a factorisation by loops
+//! takes two thirds to all of the time that faer needs, and no memory. From [`LARGE`] rows on faer takes half the time, and a tenth
+//! for 512 (`benches/dense.rs`). Solutions take about the same time up to 100 rows, where the loops need no change of layout.
+
+use std::cell::RefCell;
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::{LltError, cholesky_in_place, cholesky_in_place_scratch};
+use faer::prelude::{ReborrowMut, default};
+use faer::{MatMut, MatRef, Par};
+
+use crate::interrupt::current;
+
+/// Rows from which a matrix is factorised by faer.
+const LARGE: usize = 24;
+
+/// Σ a·b over rows of any length, in a fixed order. Outside of kernels a fused product would be a call.
+pub fn dot_of(a: &[f64], b: &[f64]) -> f64 {
+    let mut sum = [0.0; 8];
+    let (a, b) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    for (a, b) in a.0.iter().zip(b.0) {
+        for l in 0..8 {
+            sum[l] += a[l] * b[l];
+        }
+    }
+    let tail: f64 = a.1.iter().zip(b.1).map(|(a, b)| a * b).sum();
+    sum.iter().sum::<f64>() + tail
+}
+
+/// Householder's QR of the first `k` columns of a (rows × columns); the reflections are applied to the
+/// other columns, and to `q` (rows × rows) if given, which then becomes Qᵀ q. R stands in the upper
+/// triangle, zeros below it.
+pub fn triangularise(a: &mut [f64], rows: usize, columns: usize, k: usize, q: Option<&mut [f64]>) {
+    let mut q = q;
+    let mut v = [0.0; 64];
+    let mut long = Vec::new(); // for more than 32 states only
+    let v: &mut [f64] = if rows <= v.len() {
+        &mut v[..rows]
+    } else {
+        long.resize(rows, 0.0);
+        &mut long
+    };
+    for j in 0..k {
+        for (i, v) in v.iter_mut().enumerate().skip(j) {
+            *v = a[i * columns + j];
+        }
+        let norm = v[j..].iter().map(|x| x * x).sum::<f64>().sqrt();
+        if norm == 0.0 {
+            continue;
+        }
+        let head = if v[j] > 0.0 { -norm } else { norm };
+        v[j] -= head;
+        let square: f64 = v[j..].iter().map(|x| x * x).sum();
+        let reflect = |a: &mut [f64], stride: usize, first: usize| {
+            for c in first..stride {
+                let along: f64 = (j..rows).map(|i| v[i] * a[i * stride + c]).sum();
+                let factor = 2.0 * along / square;
+                (j..rows).for_each(|i| a[i * stride + c] -= factor * v[i]);
+            }
+        };
+        reflect(a, columns, j + 1);
+        if let Some(q) = q.as_deref_mut() {
+            reflect(q, rows, 0);
+        }
+        a[j * columns + j] = head;
+        (j + 1..rows).for_each(|i| a[i * columns + j] = 0.0);
+    }
+}
+
+/// Cholesky's factor L of a symmetric matrix, in its lower triangle; the index at which a pivot falls to the least that is
+/// allowed for this diagonal entry, or below, or at which the interrupt in force stops it.
+pub fn cholesky(a: &mut [f64], n: usize, least: impl Fn(f64) -> f64) -> Result<(), usize> {
+    if n >= LARGE {
+        return if current().stops() { Err(0) } else { by_faer(a, n, least) };
+    }
+    by_loops(a, n, least)
+}
+
+/// As [`cholesky`], in loops of its own whatever the size.
+pub fn by_loops(a: &mut [f64], n: usize, least: impl Fn(f64) -> f64) -> Result<(), usize> {
+    for j in 0..n {
+        let (above, rest) = a.split_at_mut(j * n);
+        let row = &mut rest[..n];
+        for k in 0..j {
+            let sum = dot(&row[..k], &above[k * n..k * n + k]);
+            row[k] = (row[k] - sum) / above[k * n + k];
+        }
+        let pivot = row[j] - dot(&row[..j], &row[..j]);
+        if pivot.is_nan() || pivot <= least(row[j]) {
+            return Err(j);
+        }
+        row[j] = pivot.sqrt();
+    }
+    Ok(())
+}
+
+/// The least pivot that is more than rounding leaves of a diagonal entry.
+pub fn rounding(diagonal: f64) -> f64 {
+    1e-15 * diagonal.abs()
+}
+
+/// The memory that faer needs, kept by each thread: to factorise again allocates nothing.
+#[derive(Default)]
+struct Scratch {
+    columns: Vec<f64>,
+    diagonal: Vec<f64>,
+    size: usize,
+    memory: Option<MemBuffer>,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+fn by_faer(a: &mut [f64], n: usize, least: impl Fn(f64) -> f64) -> Result<(), usize> {
+    SCRATCH.with_borrow_mut(|scratch| {
+        if scratch.size < n {
+            let needed = cholesky_in_place_scratch::<f64>(n, Par::Seq, default());
+            (scratch.memory, scratch.size) = (Some(MemBuffer::new(needed)), n);
+        }
+        let Scratch { columns, diagonal, memory, .. } = scratch;
+        let stack = MemStack::new(memory.as_mut().expect("just made"));
+        // faer reads the lower triangle by columns.
+        columns.clear();
+        columns.resize(n * n, 0.0);
+        let mut matrix = MatMut::from_column_major_slice_mut(columns, n, n);
+        matrix.copy_from_triangular_lower(MatRef::from_row_major_slice(&a[..n * n], n, n));
+        diagonal.clear();
+        diagonal.extend((0..n).map(|i| a[i * n + i]));
+        let done = cholesky_in_place(matrix.rb_mut(), default(), Par::Seq, stack, default());
+        let reached = match done {
+            Ok(_) => n,
+            Err(LltError::NonPositivePivot { index }) => index,
+        };
+        // The first small pivot, where the factor is defined.
+        let small = |i: &usize| {
+            let pivot = columns[i * n + i].powi(2);
+            pivot.is_nan() || pivot <= least(diagonal[*i])
+        };
+        if let Some(i) = (0..reached).find(small).or((reached < n).then_some(reached)) {
+            return Err(i);
+        }
+        let factor = MatRef::from_column_major_slice(columns, n, n);
+        MatMut::from_row_major_slice_mut(&mut a[..n * n], n, n).copy_from_triangular_lower(factor);
+        Ok(())
+    })
+}
+
+/// Solves L x = b in place.
+pub fn forward(l: &[f64], n: usize, b: &mut [f64]) {
+    for i in 0..n {
+        let sum: f64 = l[i * n..i * n + i].iter().zip(&b[..i]).map(|(x, y)| x * y).sum();
+        b[i] = (b[i] - sum) / l[i * n + i];
+    }
+}
+
+/// Solves Lᵀ x = b in place.
+pub fn backward(l: &[f64], n: usize, b: &mut [f64]) {
+    for i in (0..n).rev() {
+        b[i] /= l[i * n + i];
+        for k in 0..i {
+            b[k] -= l[i * n + k] * b[i];
+        }
+    }
+}
+
+/// out = a b, with a (m, k) and b (k, n).
+pub fn product(out: &mut [f64], a: &[f64], b: &[f64], [m, k, n]: [usize; 3]) {
+    out[..m * n].fill(0.0);
+    for i in 0..m {
+        for l in 0..k {
+            let factor = a[i * k + l];
+            for (o, b) in out[i * n..(i + 1) * n].iter_mut().zip(&b[l * n..(l + 1) * n]) {
+                *o += factor * b;
+            }
+        }
+    }
+}
+
+/// out += aᵀ b, with a (k, m) and b (k, n).
+pub fn add_transposed_product(out: &mut [f64], a: &[f64], b: &[f64], [m, k, n]: [usize; 3]) {
+    for l in 0..k {
+        for i in 0..m {
+            let factor = a[l * m + i];
+            for (o, b) in out[i * n..(i + 1) * n].iter_mut().zip(&b[l * n..(l + 1) * n]) {
+                *o += factor * b;
+            }
+        }
+    }
+}
+
+/// out = a bᵀ, with a (m, k) and b (n, k).
+pub fn product_transposed(out: &mut [f64], a: &[f64], b: &[f64], [m, k, n]: [usize; 3]) {
+    for i in 0..m {
+        for j in 0..n {
+            out[i * n + j] = dot(&a[i * k..(i + 1) * k], &b[j * k..(j + 1) * k]);
+        }
+    }
+}
+
+/// The inner product.
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Makes a square matrix symmetric, which rounding has made it not quite.
+pub fn symmetrise(a: &mut [f64], n: usize) {
+    for i in 0..n {
+        for j in 0..i {
+            let mean = 0.5 * (a[i * n + j] + a[j * n + i]);
+            (a[i * n + j], a[j * n + i]) = (mean, mean);
+        }
+    }
+}
+
+/// Solves C Cᵀ X = B in place, B (n, columns).
+pub fn solve(c: &[f64], b: &mut [f64], n: usize, columns: usize) {
+    for i in 0..n {
+        for j in 0..i {
+            let factor = c[i * n + j];
+            let (above, row) = b.split_at_mut(i * columns);
+            subtract(&mut row[..columns], factor, &above[j * columns..(j + 1) * columns]);
+        }
+        b[i * columns..(i + 1) * columns].iter_mut().for_each(|v| *v /= c[i * n + i]);
+    }
+    for i in (0..n).rev() {
+        for j in i + 1..n {
+            let factor = c[j * n + i];
+            let (above, below) = b.split_at_mut(j * columns);
+            subtract(&mut above[i * columns..(i + 1) * columns], factor, &below[..columns]);
+        }
+        b[i * columns..(i + 1) * columns].iter_mut().for_each(|v| *v /= c[i * n + i]);
+    }
+}
+
+fn subtract(row: &mut [f64], factor: f64, other: &[f64]) {
+    row.iter_mut().zip(other).for_each(|(r, o)| *r -= factor * o);
+}
+
+/// The inverse of C Cᵀ.
+pub fn inverse(c: &[f64], n: usize) -> Vec<f64> {
+    let mut out = vec![0.0; n * n];
+    (0..n).for_each(|i| out[i * n + i] = 1.0);
+    solve(c, &mut out, n, n);
+    symmetrise(&mut out, n);
+    out
+}
+
+/// ln det C Cᵀ.
+pub fn log_det(c: &[f64], n: usize) -> f64 {
+    (0..n).map(|i| 2.0 * c[i * n + i].ln()).sum()
+}
+
+/// Place of an entry of a symmetric matrix among those of its lower triangle.
+pub fn place(i: usize, j: usize) -> usize {
+    let (row, column) = (i.max(j), i.min(j));
+    row * (row + 1) / 2 + column
+}
+
+/// The lower triangle of a matrix, row by row.
+pub fn lower(w: &[f64], n: usize) -> impl Iterator<Item = f64> + '_ {
+    (0..n).flat_map(move |i| w[i * n..=i * n + i].iter().copied())
+}
+
+/// Solves A X = B by elimination with row exchanges, A and B row-major, B with so many columns; X replaces B. Whether A is
+/// regular.
+pub fn eliminate(a: &mut [f64], b: &mut [f64], width: usize) -> bool {
+    let n = b.len() / width.max(1);
+    for k in 0..n {
+        let mut pivot = k;
+        for i in k + 1..n {
+            if a[i * n + k].abs() > a[pivot * n + k].abs() {
+                pivot = i;
+            }
+        }
+        let size = a[pivot * n + k].abs();
+        if !(size > 0.0 && size.is_finite()) {
+            return false;
+        }
+        if pivot != k {
+            (k..n).for_each(|j| a.swap(pivot * n + j, k * n + j));
+            (0..width).for_each(|j| b.swap(pivot * width + j, k * width + j));
+        }
+        let (above, below) = a.split_at_mut((k + 1) * n);
+        let (b_above, b_below) = b.split_at_mut((k + 1) * width);
+        let (row, b_row) = (&above[k * n..], &b_above[k * width..]);
+        for (to, b_to) in below.chunks_exact_mut(n).zip(b_below.chunks_exact_mut(width)) {
+            let part = to[k] / row[k];
+            if part != 0.0 {
+                to[k + 1..].iter_mut().zip(&row[k + 1..]).for_each(|(t, r)| *t -= part * r);
+                b_to.iter_mut().zip(b_row).for_each(|(t, r)| *t -= part * r);
+            }
+        }
+    }
+    for k in (0..n).rev() {
+        let (above, below) = b.split_at_mut((k + 1) * width);
+        let to = &mut above[k * width..];
+        for (from, x) in a[k * n + k + 1..(k + 1) * n].iter().zip(below.chunks_exact(width)) {
+            to.iter_mut().zip(x).for_each(|(t, x)| *t -= from * x);
+        }
+        to.iter_mut().for_each(|t| *t /= a[k * n + k]);
+    }
+    b.iter().all(|x| x.is_finite())
+}

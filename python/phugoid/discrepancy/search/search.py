@@ -17,7 +17,7 @@ from .refit import HeldOut, Refit
 from .refit_cache import RefitCache
 from .refitting import Refitting, RefittingSettings
 from .screen import Screen, ScreenSettings
-from .simplest import is_equal, plausibility
+from .simplest import complexity, is_equal, plausibility
 
 __all__ = ["Search", "SearchResult", "SearchSettings"]
 
@@ -186,7 +186,9 @@ class Search:
                     continue
                 (new,) = r.beside(others)
                 own = plausibility(new, self.cache.base.fit.model)
-                if own >= rank or not is_physical(r, new) or not is_equal(at, r):
+                # With more unknowns it would be as likely by being able to be many things.
+                richer = len(new.parameters) > len(candidate.parameters) or complexity(new) > complexity(candidate)
+                if own >= rank or richer or not is_physical(r, new) or not is_equal(at, r):
                     continue
                 if self.assessment.is_named(r, new, self.confirmation.explained(r, new)):
                     best, rank = r, own

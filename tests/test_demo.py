@@ -3,36 +3,11 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import Any
 
 import demo
 import hfb320
-import missing_physics
 import pytest
 import show_progress
-
-import phugoid as ph
-
-
-def test_without_the_record_it_finds_what_it_hid(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    candidates = ph.candidates(hfb320.model()).only(*missing_physics.HIDDEN, "Cm:alpha^2")
-    whole = ph.diagnose
-
-    def quick(*args: Any, **options: Any) -> ph.results.Diagnosis:
-        return whole(*args, **options, candidates=candidates)
-
-    monkeypatch.setattr(ph, "diagnose", quick)
-    monkeypatch.setattr(demo, "find", lambda _: None)
-    monkeypatch.setattr(sys, "argv", ["demo.py", "--out", str(tmp_path)])
-    demo.main()
-    printed = capsys.readouterr().out
-    assert "4 of 4: extension by de:delay, alpha:scale" in printed and "held out before" in printed
-    for name in ("hfb320.html", "hfb320_missing.html"):
-        assert str(tmp_path / name) in printed and (tmp_path / name).stat().st_size > 50_000
-    assert ph.load(tmp_path / "hfb320.json").converged
 
 
 @pytest.mark.skipif(demo.find(hfb320.RECORD) is None, reason=f"{hfb320.RECORD} is not there (see README)")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import demo
 import hfb320
 import missing_physics
 import pytest
@@ -65,3 +66,24 @@ def test_without_the_record_it_says_so(
     with pytest.raises(SystemExit):
         missing_physics.main()
     assert "PHUGOID_DATA" in capsys.readouterr().err
+
+
+def test_the_demonstration_finds_what_it_hid(
+    walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without the flight record `make demo` fits and diagnoses the same two manoeuvres."""
+
+    def again(fit: ph.Fit, *, validation: ph.Experiment, progress: bool) -> ph.results.Diagnosis:
+        assert progress and fit.log_likelihood == walk.fit.log_likelihood
+        assert (validation.outputs["q"] == missing_physics.twins()[1].outputs["q"]).all()
+        return walk.diagnosis
+
+    monkeypatch.setattr(ph, "diagnose", again)
+    monkeypatch.setattr(demo, "find", lambda _: None)
+    monkeypatch.setattr(sys, "argv", ["demo.py", "--out", str(tmp_path)])
+    demo.main()
+    printed = capsys.readouterr().out
+    assert "4 of 4: extension by de:delay, alpha:scale" in printed and "held out before" in printed
+    for name in ("hfb320.html", "hfb320_missing.html"):
+        assert str(tmp_path / name) in printed and (tmp_path / name).stat().st_size > 50_000
+    assert ph.load(tmp_path / "hfb320.json").converged

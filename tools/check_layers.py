@@ -13,10 +13,10 @@ from pathlib import Path
 
 # fmt: off
 RUST = [
-    "math", "simd", "interrupt", "dense", "setters", "lgl", "interpolate", "table", "error", "threads", "pairs", "expr", "tape",
-    "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment", "gaps", "mesh",
-    "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver", "initial", "diagnosis",
-    "estimate", "simulate",
+    "math", "simd", "interrupt", "dense", "setters", "lgl", "interpolate", "table", "error", "threads", "pairs",
+    "expr", "tape", "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment",
+    "gaps", "mesh", "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver", "initial",
+    "diagnosis", "estimate", "simulate",
 ]
 
 PYTHON = [

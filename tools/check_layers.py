@@ -15,9 +15,8 @@ from pathlib import Path
 RUST = [
     "math", "simd", "interrupt", "dense", "setters", "lgl", "interpolate", "table", "error", "threads", "pairs",
     "expr", "tape", "transform", "parameter", "nlp", "noise", "condition", "model", "evaluator", "experiment",
-    "gaps", "measured", "mesh",
-    "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver", "initial", "diagnosis",
-    "simulate", "estimate",
+    "gaps", "measured", "mesh", "integrate", "problem", "collocation", "shooting", "filter", "linalg", "solver",
+    "initial", "diagnosis", "simulate", "estimate",
 ]
 
 PYTHON = [

@@ -63,7 +63,8 @@ impl Factor for Dense {
             return Err(KktError::NotFinite);
         }
         let [h, a] = &self.structures;
-        (self.h.fill(0.0), self.a.fill(0.0));
+        self.h.fill(0.0);
+        self.a.fill(0.0);
         for ((&r, &c), v) in h.rows.iter().zip(&h.columns).zip(entries.hessian) {
             self.h[(r as usize, c as usize)] += v;
             if r != c {

@@ -2,7 +2,8 @@
 //!
 //! Most are small, the states of a point or the parameters of a model, and there are many. Up to 8 rows a factorisation by loops
 //! takes two thirds to all of the time that faer needs, and no memory. From [`LARGE`] rows on faer takes half the time, and a tenth
-//! for 512 (`benches/dense.rs`). Solutions take about the same time up to 100 rows, where the loops need no change of layout.
+//! for 512 (`benches/dense.rs`). Solutions by faer take half to all of the time of the loops, which are kept for small matrices since
+//! they need no change of layout.
 
 use std::cell::RefCell;
 

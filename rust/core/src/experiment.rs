@@ -99,7 +99,7 @@ impl Experiment {
         let inputs = model.input_names();
         let outputs: Vec<&str> = model.outputs.iter().map(|e| e.name.as_str()).collect();
         let channels: Vec<(&str, Vec<f64>)> = channels.into_iter().collect();
-        let fail = |text: String| Error::data(format!("experiment '{name}': {text}")).about(&name);
+        let fail = |text: String| Error::data(format!("experiment '{name}': {text}")).about(name);
         let known = || inputs.iter().chain(&outputs).copied();
         if let Some((other, _)) = channels.iter().find(|c| !known().any(|k| k == c.0)) {
             let hint = did_you_mean(other, known());
@@ -156,7 +156,7 @@ impl Experiment {
             let hint = did_you_mean(input, names);
             return Err(Error::data(format!("experiment '{}': it has no input '{input}'.{hint}", self.name))
                 .about(&self.name)
-                .about(&input));
+                .about(input));
         };
         self.signals.resize(names.len().max(self.signals.len()), None);
         let mut signal = self.signal(channel);
@@ -252,7 +252,7 @@ impl Experiment {
                 self.name
             ))
             .about(&self.name)
-            .about(&name)),
+            .about(name)),
             None => Ok(()),
         }
     }
@@ -274,14 +274,14 @@ impl Experiment {
                 return Err(Error::data(format!(
                     "output '{name}' has no samples in any experiment (all NaN); take it out of the model"
                 ))
-                .about(&name));
+                .about(name));
             }
         }
         let mut names = HashSet::new();
         match experiments.iter().find(|e| !names.insert(&e.name)) {
             Some(Experiment { name, .. }) => {
                 Err(Error::data(format!("two experiments are called '{name}'; give each a name of its own"))
-                    .about(&name))
+                    .about(name))
             }
             None => Ok(()),
         }

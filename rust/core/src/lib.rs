@@ -62,32 +62,38 @@
 //! # Ok::<(), phugoid::Error>(())
 //! ```
 //!
-//! `examples/hfb320.rs` and `examples/unstable_aircraft.rs` estimate aircraft from real records.
+//! `examples/hfb320.rs` and `examples/unstable_aircraft.rs` estimate aircraft from real records, and `examples/own_solver.rs` puts
+//! a solver and a factorisation of its own into an estimation.
 //!
 //! # Modules
 //!
-//! They are a straight line from a model to a fit; each uses only those before it.
+//! They are a straight line from a model to a fit; each uses only those before it. Names of private modules are those of files.
 //!
 //! | | |
 //! |---|---|
-//! | [`math`], [`lgl`], [`interpolate`], [`table`] | elementary functions with the same bits everywhere, Lobatto nodes and integration matrix, inputs between samples, smooth interpolation tables |
-//! | [`error`] | what can be wrong, in the user's names |
+//! | `math`, `lgl`, `interpolate`, `table`, `dense` | elementary functions with the same bits everywhere, Lobatto nodes and integration matrix, inputs between samples, smooth interpolation tables, dense matrices |
+//! | `error`, [`interrupt`], `threads` | what can be wrong, in the user's names; early ends of work; the threads that it is done on |
 //! | [`expr`] | symbolic expressions: operators, exact derivatives, printing, saving |
-//! | [`tape`] | expressions compiled to run over blocks of points |
+//! | `tape` | expressions compiled to run over blocks of points |
 //! | [`nlp`] | the seam to solvers: a nonlinear program with names |
-//! | [`parameter`], [`noise`] | unknowns; the density of the noise |
-//! | [`model`], [`evaluator`] | states, inputs, parameters, equations, delays; f and g at points |
-//! | [`experiment`], [`gaps`], [`measured`], [`mesh`] | records, gaps in their sampling, states that outputs measure, segments and their points |
-//! | [`integrate`] | Runge-Kutta steps with their exact derivatives |
-//! | [`problem`] | what transcriptions share: variables, functions, likelihood |
+//! | `parameter`, [`noise`] | unknowns; the density of the noise |
+//! | [`model`], `evaluator` | states, inputs, parameters, equations, delays; f and g at points |
+//! | `experiment`, `gaps`, `measured`, `mesh` | records, gaps in their sampling, states that outputs measure, segments and their points |
+//! | `integrate` | Runge-Kutta steps with their exact derivatives |
+//! | `problem` | what transcriptions share: variables, functions, likelihood |
 //! | [`collocation`], [`shooting`] | from all these to the nonlinear program of collocation, or of single or multiple shooting |
 //! | [`filter`] | process noise: the marginal likelihood of the filter-error method |
 //! | [`linalg`] | the seam to linear algebra: Newton systems; the factorisation of an arrow, and a sparse one |
 //! | [`solver`] | Gauss-Newton, then Newton |
-//! | [`initial`] | what goes before: a regression, other places to start from |
-//! | [`diagnosis`] | covariance, and what the data leave open |
+//! | `initial` | what goes before: a regression, other places to start from |
+//! | `diagnosis` | covariance, and what the data leave open |
 //! | [`simulate`] | what a model says for given parameters |
 //! | [`estimate`] | all of it in one call |
+//!
+//! # Features
+//!
+//! `parallel` (default): work on several threads; results are the same without. `serde` (default): models, noise and tables are saved
+//! as JSON and read.
 #![warn(missing_docs)]
 // Documentation names private items too, for those who read on in the source.
 #![allow(rustdoc::private_intra_doc_links)]

@@ -56,6 +56,14 @@ fn errors(integrator: Integrator, segments: usize, steps: usize) -> (f64, f64) {
 
 /// The error at the end falls with the order of the method, that within steps with no more than that of the cubic, 4.
 #[test]
+fn threads_are_kept_whatever_is_said_first() {
+    let model = common::models::linear();
+    let estimation = Estimation::new(&model, &[]);
+    let (first, last) = (estimation.clone().threads(3), estimation.shooting(Shots::default()));
+    assert_eq!(format!("{:?}", first.shooting(Shots::default())), format!("{:?}", last.threads(3)));
+}
+
+#[test]
 fn integrators_converge_with_their_order() {
     for integrator in Integrator::ALL {
         for segments in [1, 4] {

@@ -126,8 +126,14 @@ impl Collocation {
         noise: Noise,
         settings: &Settings,
     ) -> Result<Self, Error> {
-        let options = (settings.threads, settings.noise_per_experiment, Pairs::Summed);
-        let (posed, written) = Posed::new(model, experiments, noise, options)?;
+        let (posed, written) = Posed::new(
+            model,
+            experiments,
+            noise,
+            settings.threads,
+            settings.noise_per_experiment,
+            Pairs::Summed,
+        )?;
         let meshes = meshes(experiments, settings)?;
         let layout = Layout::new(posed.parameters.len(), model.states.len(), &meshes);
         let ends = |mesh: &Mesh| (mesh.n_mesh - 1, [mesh.times[0], mesh.times[mesh.n_mesh - 1]]);

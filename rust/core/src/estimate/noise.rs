@@ -20,7 +20,7 @@ impl Estimation<'_> {
                 return Err(Error::data(format!(
                     "output '{name}' is the same in all samples, so its standard deviation cannot be estimated; \
                      take it out of the model, or give its standard deviation as known"
-                )).about(&name));
+                )).about(name));
             }
             Ok(spread(&samples))
         };
@@ -48,7 +48,7 @@ fn check(noise: &NoiseModel, outputs: &[&str]) -> Result<(), Error> {
     for name in noise.scales.iter().map(|n| &n.0).chain(noise.densities.iter().map(|d| &d.0)) {
         if !outputs.contains(&name.as_str()) {
             let hint = did_you_mean(name, outputs.iter().copied());
-            return Err(Error::model(format!("noise: '{name}' is not an output.{hint}")).about(&name));
+            return Err(Error::model(format!("noise: '{name}' is not an output.{hint}")).about(name));
         }
     }
     noise.check()

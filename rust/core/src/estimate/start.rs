@@ -82,7 +82,7 @@ impl<'a> Given<'a> {
             Some((name, _)) => {
                 let hint = did_you_mean(name, known.iter().map(String::as_str));
                 Err(Error::model(format!("start: '{name}' is no parameter, sigma or state.{hint}"))
-                    .about(&name))
+                    .about(name))
             }
             None => Ok(()),
         }
@@ -90,7 +90,7 @@ impl<'a> Given<'a> {
 
     /// The start of a parameter that is declared to start at a value, with bounds.
     pub(super) fn value(&self, name: &str, declared: f64, bounds: (f64, f64)) -> Result<f64, Error> {
-        let fail = |text: String| Err(Error::model(format!("start: '{name}' {text}")).about(&name));
+        let fail = |text: String| Err(Error::model(format!("start: '{name}' {text}")).about(name));
         match self.of(name) {
             Some(Start::Paths(_)) => fail("is a parameter: give one number".into()),
             Some(Start::Value(v)) if !v.is_finite() => fail(format!("is {v}, not a finite number")),
@@ -172,7 +172,7 @@ impl<'a> Given<'a> {
                          sample ({} for '{name}')",
                         state.name,
                         t.len(),
-                    )).about(&state.name).about(&name));
+                    )).about(&state.name).about(name));
                 }
                 (None, Some((t, x)), _) => interpolate(Interpolation::Cubic, t, x, times),
                 (None, None, m) => match m.as_ref().map(|m| m.samples(experiment)) {

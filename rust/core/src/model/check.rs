@@ -114,7 +114,7 @@ impl Model {
             Some(symbol) => {
                 let hint = did_you_mean(symbol, known.iter().copied());
                 Err(Error::model(format!("{start}: symbol '{symbol}' is not declared in this model.{hint}"))
-                    .about(&symbol))
+                    .about(symbol))
             }
             None => Ok(()),
         }

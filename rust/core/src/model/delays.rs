@@ -114,7 +114,7 @@ impl Model {
         if !known().any(|o| o == output) {
             let hint = did_you_mean(output, known());
             return Err(
-                Error::model(format!("sensor_delay: '{output}' is not an output.{hint}")).about(&output)
+                Error::model(format!("sensor_delay: '{output}' is not an output.{hint}")).about(output)
             );
         }
         let place = format!("sensor_delay of {output}");

@@ -86,7 +86,7 @@ impl WrittenAt<'_> {
         model.expect_state(state, &format!("state equation{place}"))?;
         if model.dynamics.iter().any(|e| e.name == state) {
             return Err(Error::model(format!("state equation{place}: '{state}' has an equation already"))
-                .about(&state));
+                .about(state));
         }
         model.dynamics.push(Equation { name: state.to_owned(), unit: String::new(), expr, source });
         Ok(())
@@ -99,8 +99,9 @@ impl WrittenAt<'_> {
     pub fn output(self, name: &str, expr: Expr, unit: &str) -> Result<(), Error> {
         let WrittenAt { model, source } = self;
         if model.outputs.iter().any(|e| e.name == name) {
-            return Err(Error::model(format!("output '{name}': there is an output of this name already"))
-                .about(&name));
+            return Err(
+                Error::model(format!("output '{name}': there is an output of this name already")).about(name)
+            );
         }
         // An output that is a plain state or input has its unit.
         let unit = match expr.as_symbol() {
@@ -124,7 +125,7 @@ impl WrittenAt<'_> {
         model.expect_state(state, &format!("condition{place}"))?;
         if model.conditions.iter().any(|c| c.state == state && c.end == end) {
             return Err(Error::model(format!("condition{place}: '{state}' has such a condition already"))
-                .about(&state));
+                .about(state));
         }
         if model.conditions.len() == model.states.len() {
             return Err(Error::model(format!(
@@ -144,6 +145,6 @@ impl Model {
             return Ok(());
         }
         let hint = did_you_mean(name, self.states.iter().map(|s| s.name.as_str()));
-        Err(Error::model(format!("{what}: '{name}' is not a state.{hint}")).about(&name))
+        Err(Error::model(format!("{what}: '{name}' is not a state.{hint}")).about(name))
     }
 }

@@ -163,7 +163,7 @@ impl Model {
             return Err(Error::model(format!(
                 "{kind} '{name}': a name starts with a letter and holds letters, digits and underscores only"
             ))
-            .about(&name));
+            .about(name));
         }
         if name == TIME {
             return Err(Error::model(format!("{kind} 'time': this name is the symbol of time (model.time)")));
@@ -177,7 +177,7 @@ impl Model {
         match taken.iter().find(|t| t.1) {
             Some((other, _)) => {
                 Err(Error::model(format!("{kind} '{name}': there is a {other} of this name already"))
-                    .about(&name))
+                    .about(name))
             }
             None => Ok(()),
         }
@@ -195,7 +195,7 @@ impl Model {
         self.claim("state", &state.name)?;
         let name = &state.name;
         if let Some(wrong) = state.wrong() {
-            return Err(Error::model(format!("state '{name}': {wrong}")).about(&name));
+            return Err(Error::model(format!("state '{name}': {wrong}")).about(name));
         }
         let symbol = Expr::symbol(name);
         self.states.push(state);
@@ -214,7 +214,7 @@ impl Model {
         self.claim("parameter", &parameter.name)?;
         let name = &parameter.name;
         if let Some(wrong) = parameter.wrong() {
-            return Err(Error::model(format!("parameter '{name}': {wrong}")).about(&name));
+            return Err(Error::model(format!("parameter '{name}': {wrong}")).about(name));
         }
         let symbol = Expr::symbol(name);
         self.parameters.push(parameter);

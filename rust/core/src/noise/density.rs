@@ -62,7 +62,7 @@ impl Density {
     pub(super) fn check(&self, output: &str) -> Result<(), Error> {
         let positive = |x: f64| x > 0.0 && x.is_finite();
         let fail =
-            |text: String| Err(Error::option(format!("noise of output '{output}': {text}")).about(&output));
+            |text: String| Err(Error::option(format!("noise of output '{output}': {text}")).about(output));
         match self {
             Density::StudentT(Dof::Known(dof)) if !positive(*dof) => {
                 fail(format!("{dof} degrees of freedom; give a positive number"))

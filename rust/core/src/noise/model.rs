@@ -113,7 +113,7 @@ impl NoiseModel {
     pub fn check(&self) -> Result<(), Error> {
         for (output, scale) in &self.scales {
             let fail = |text: String| {
-                Err(Error::option(format!("noise of output '{output}': {text}")).about(&output))
+                Err(Error::option(format!("noise of output '{output}': {text}")).about(output))
             };
             let positive = |v: f64| v > 0.0 && v.is_finite();
             match *scale {

@@ -107,7 +107,9 @@ impl Posed {
         model: &Model,
         experiments: &[Experiment],
         noise: Noise,
-        (threads, noise_per_experiment, pairs): (usize, bool, Pairs),
+        threads: usize,
+        noise_per_experiment: bool,
+        pairs: Pairs,
     ) -> Result<(Self, Written), Error> {
         if let Some(late) = model.delays.parameters().first() {
             return Err(Error::model(format!(

@@ -108,8 +108,14 @@ impl Shooting {
     ) -> Result<Self, Error> {
         // Conditions on the end of a record need a node there.
         let ends = model.conditions.iter().any(|c| c.end != End::Initial);
-        let options = (settings.threads, settings.noise_per_experiment, Pairs::Kept);
-        let (posed, written) = Posed::new(model, experiments, noise, options)?;
+        let (posed, written) = Posed::new(
+            model,
+            experiments,
+            noise,
+            settings.threads,
+            settings.noise_per_experiment,
+            Pairs::Kept,
+        )?;
         let grids = Grid::for_each(&settings.grid, experiments.len())?;
         let tracks = experiments.iter().zip(grids).map(|(x, grid)| Track::new(x, grid, &settings.steps));
         let tracks: Vec<Track> = tracks.collect::<Result<_, _>>()?;

@@ -125,7 +125,7 @@ impl<'a> Simulation<'a> {
                 "experiment '{}': input '{name}' is a derivative of its samples, which may jump there; a simulation \
                  takes inputs themselves",
                 run.name
-            )).about(&run.name).about(&name));
+            )).about(&run.name).about(name));
         }
         let parameters = self.values()?;
         let first = self.first_states(&parameters)?;
@@ -147,7 +147,7 @@ impl<'a> Simulation<'a> {
             });
             if !names().any(|n| n == name) && !of_one && !name.starts_with(SIGMA) {
                 let hint = did_you_mean(name, names());
-                return Err(Error::model(format!("simulate: '{name}' is no parameter.{hint}")).about(&name));
+                return Err(Error::model(format!("simulate: '{name}' is no parameter.{hint}")).about(name));
             }
             if !value.is_finite() {
                 let text = format!("simulate: parameter '{name}' is {value}, not a finite number");
@@ -178,14 +178,14 @@ impl<'a> Simulation<'a> {
             if !names().any(|n| n == name) {
                 let hint = did_you_mean(name, names());
                 return Err(
-                    Error::model(format!("simulate: initial '{name}' is no state.{hint}")).about(&name)
+                    Error::model(format!("simulate: initial '{name}' is no state.{hint}")).about(name)
                 );
             }
             if !value.is_finite() {
                 return Err(Error::model(format!(
                     "simulate: initial '{name}' is {value}, not a finite number"
                 ))
-                .about(&name));
+                .about(name));
             }
         }
         let said = |name: &str| {

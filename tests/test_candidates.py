@@ -16,7 +16,7 @@ from phugoid.discrepancy.candidates.library import FAMILIES
 from phugoid.discrepancy.candidates.scales import lagged, late_smooth, trim_of
 from phugoid.discrepancy.search.refit import Refit, refit
 from phugoid.modelling.compiled import rebuilt
-from phugoid.modelling.declared import at_delays
+from phugoid.modelling.declared import Delays
 
 TRUTH = {"CL0": -0.045, "CLa": 0.9, "Cm0": 0.02, "Cma": -4.0, "Cmq": -2.0, "Cmde": -6.0, "b_az": 0.3}
 SIGMA = {"alpha": 0.0005, "q": 0.001, "az": 0.005}
@@ -230,7 +230,8 @@ def test_signals_are_what_extensions_add(path: ph.results.Points, library: ph.re
         if c.name == "de:delay":
             more["de_delayed"] = np.interp(p.t - shape["tau_de"], p.t, p.values["de"])
             more |= dict.fromkeys(("de_delayed_rate", "de_delayed_bend"), np.zeros(p.n))
-            extended = at_delays(extended, shape)
+            core = extended._core.at_delays(extended.delays.spec, list(shape.items()))
+            extended = extended._around(core, Delays())
         if c.place.kind == "output" and what == "delay":
             # A late output is moved, not its equation.
             assert extended.delays.outputs == {c.place.name: c.shape_names[0]}

@@ -211,8 +211,9 @@ def test_a_hopeless_model_ends_with_a_status_in_no_time() -> None:
     a, b = m.parameters(a=1.0, b=2.0)
     m.dynamics(x=ph.sin(1e3 * a * y) * x, y=b * x * y + u)
     m.outputs(x=x)
+    alone = estimate(m, solver=ph.Newton(max_iterations=199))  # no other way is tried
+    assert alone.status in ("infeasible", "failed", "iteration limit", "diverging")
     fit = estimate(m)
-    assert fit.status in ("infeasible", "failed", "iteration limit", "diverging")
     assert fit.time < 20
     assert np.isfinite([e.value for e in fit.parameters.values()]).all()
     assert not any("cannot be told apart" in w for w in fit.warnings)  # it is not the data's fault

@@ -14,7 +14,7 @@ import phugoid as ph
 from phugoid import _core
 from phugoid.discrepancy.discrimination.candidate_manoeuvres import CandidateManoeuvres
 from phugoid.discrepancy.search.refit import Refit
-from phugoid.modelling.declared import at_delays
+from phugoid.modelling.declared import Delays
 from phugoid.sensitivities.collocated import collocated
 
 T = np.arange(0.0, 12.0, 0.05)
@@ -62,7 +62,7 @@ def test_a_delayed_condition_is_one_too() -> None:
 def test_every_model_made_from_a_model_remembers_them(tmp_path: Path) -> None:
     m = roll()
     m.save(tmp_path / "m.json")
-    p = _core.Expr.symbol("p")
+    p, late = _core.Expr.symbol("p"), roll(late=True)
     others = {
         "json": ph.Model.from_json(m.to_json()),
         "file": ph.Model.load(tmp_path / "m.json"),
@@ -71,8 +71,7 @@ def test_every_model_made_from_a_model_remembers_them(tmp_path: Path) -> None:
         "parameters": m.with_parameters(Lp=-3.0),
         "terms": m.with_terms({"p'": _core.Expr.symbol("k") * p**3}, {"k": 0.0}),
         "noise": m.with_noise(p=0.1),
-        "smoothed": m._smoothed([]),
-        "delays": at_delays(roll(late=True), {"tau": 0.1}),
+        "delays": late._around(late._core.at_delays(late.delays.spec, [("tau", 0.1)]), Delays()),
         **{c.name: c.extended(m) for c in ph.candidates(m)},
     }
     lost = [name for name, other in others.items() if other.condition_names != ("V",)]

@@ -88,6 +88,7 @@ def _estimate(
 ) -> FitResult:
     """Return the estimate as `estimate` does; without ``every_way``, kinks of the model stay as they are, and a fit
     that does not converge is not tried again."""
+    deadline = Deadline(solver.time_limit if isinstance(solver, (Newton, Ipopt)) else None)
     experiments = as_experiments(data, "estimate")
     if not isinstance(model, Model):
         raise ModelError(f"estimate: the first argument is a Model, not a {type(model).__name__}")
@@ -142,8 +143,9 @@ def _estimate(
         "moving_mesh": None if not collocated else _may_move(transcription, start),
         "restarts": solver.restarts if isinstance(solver, Newton) else 0,
     }
+    by = replace(solver, time_limit=deadline.left())
     with interrupts() as pressed:
-        found = estimated(model, experiments, transcription, noise, values, earlier, solver, progress, pressed, ways)
+        found = estimated(model, experiments, transcription, noise, values, earlier, by, progress, pressed, ways)
         fit = make_fit(model, experiments, noise, transcription, found)
         if pressed() and fit.status != "interrupted":  # whoever called is to know
             fit = replace(fit, status="interrupted", message=HINTS["interrupted"])

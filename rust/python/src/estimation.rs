@@ -211,10 +211,10 @@ pub fn estimate(
             Settings::default()
                 .max_iterations(options.max_iterations)
                 .tolerance(options.tolerance)
-                .time_limit(seconds(options.time_limit))
                 .gauss_newton(options.gauss_newton),
         );
     }
+    estimation = estimation.time_limit(seconds(options.time_limit));
     if let Some(tolerance) = options.refine {
         estimation = estimation.refine(tolerance);
     }

@@ -33,6 +33,7 @@ pub use start::{Given, Start, point};
 pub use transcription::{Problem, Transcription};
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::collocation::{self, Collocation};
 use crate::error::Error;
@@ -228,6 +229,12 @@ impl<'a> Estimation<'a> {
     /// Options of the solver.
     pub fn solver(mut self, settings: Settings) -> Self {
         (self.solver, self.solver_given) = (settings, true);
+        self
+    }
+
+    /// The time that all of the estimation may take.
+    pub fn time_limit(mut self, limit: impl Into<Option<Duration>>) -> Self {
+        self.solver.time_limit = limit.into();
         self
     }
 

@@ -26,6 +26,7 @@ __all__ = [
     "gap_warnings",
     "gaps",
     "information",
+    "integration_error",
     "interpolate",
     "lgl",
     "load_expression",

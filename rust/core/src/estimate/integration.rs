@@ -136,12 +136,11 @@ impl CollocatedPath<'_> {
                 });
                 let slope = |a: usize, b: usize, l: usize| jacobian[a * n + b][k * m + l];
                 let e = rules.departure(slope, &defect, edges[s + 1] - edges[s]);
-                for a in 0..n {
-                    let largest = e
-                        .row(a)
-                        .iter()
-                        .fold(0.0, |l: f64, e| if e.is_nan() { f64::INFINITY } else { l.max(e.abs()) });
-                    errors[a][s] = largest;
+                let largest = |largest: f64, e: &f64| {
+                    if e.is_nan() { f64::INFINITY } else { largest.max(e.abs()) }
+                };
+                for (of_state, e) in errors.iter_mut().zip(e.row_iter()) {
+                    of_state[s] = e.iter().fold(0.0, largest);
                 }
             }
         }

@@ -142,7 +142,7 @@ impl Estimation<'_> {
                 (None, _) => break,
             };
             let before = fit.as_ref().map(|fit| fit.log_likelihood);
-            let mut pass = self.on_grid(order, grid).from_paths(paths, &at);
+            let mut pass = self.on_grid(order, grid).along_paths(paths, &at);
             if !last {
                 pass.solver.max_iterations = pass.solver.max_iterations.min(ITERATIONS);
             }
@@ -175,7 +175,7 @@ impl Estimation<'_> {
     }
 
     /// The same estimation from other paths of the states and values of the parameters.
-    fn from_paths(&self, paths: Vec<Path>, values: &Values) -> Self {
+    fn along_paths(&self, paths: Vec<Path>, values: &Values) -> Self {
         let known = self.earlier.as_ref().map(|e| e.values.clone()).unwrap_or_default();
         let mut start = self.start.clone();
         let noise_of_one = |name: &str| {

@@ -155,7 +155,7 @@ impl Draws<'_> {
         }
         let any = self.free.iter().any(|&i| undetermined(&self.parameters[i].name));
         let (others, of_those) =
-            if number % 3 == 0 || !any { (SHARE, SHARE) } else { (0.5 * SHARE, MOST_OF_THEM) };
+            if number.is_multiple_of(3) || !any { (SHARE, SHARE) } else { (0.5 * SHARE, MOST_OF_THEM) };
         let share = |i: &usize| if undetermined(&self.parameters[*i].name) { of_those } else { others };
         let shares: Vec<f64> = self.free.iter().map(share).collect();
         self.redrawn(at, &shares)

@@ -4,39 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import short_period
+from short_period import T, model
 
 import phugoid as ph
-
-T = np.arange(0.0, 20.0, 0.04)
-
-
-def model() -> ph.Model:
-    m = ph.Model("short period")
-    (de,), (a, q) = m.inputs(de="rad"), m.states(alpha="rad", q="rad/s")
-    za, ma, mq, md = m.parameters(za=-1.0, ma=-5.0, mq=-1.0, md=-8.0)
-    m.dynamics(alpha=za * a + q, q=ma * a + mq * q + md * de)
-    m.outputs(alpha=a, q=q)
-    return m
 
 
 def record(seed: int, change: float) -> ph.Experiment:
     """``change`` of the static stability over the record, in parts."""
     rng = np.random.default_rng(seed)
-    de = 0.06 * np.repeat(rng.uniform(-1.0, 1.0, 30), 25)[: T.size]
+    de = short_period.elevator(rng, 0.06)
 
     def slope(t: float, x: np.ndarray) -> np.ndarray:
         ma = -6.0 * (1.0 + change * (t / T[-1] - 0.5))
         return np.array([-1.1 * x[0] + x[1], ma * x[0] - 1.6 * x[1] - 9.0 * np.interp(t, T, de)])
 
-    x = np.zeros((T.size, 2))
-    for k, t in enumerate(T[:-1]):
-        h = T[k + 1] - t
-        k1 = slope(t, x[k])
-        k2 = slope(t + h / 2, x[k] + h / 2 * k1)
-        k3 = slope(t + h / 2, x[k] + h / 2 * k2)
-        x[k + 1] = x[k] + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(t + h, x[k] + h * k3))
-    y = x + np.array([0.003, 0.004]) * rng.standard_normal(x.shape)
-    return ph.Experiment(T, {"de": de}, {"alpha": y[:, 0], "q": y[:, 1]}, name=f"record {seed}")
+    return short_period.record(seed, rng, de, slope)
 
 
 @pytest.mark.parametrize("other", [0.5, -0.4])

@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import short_period
+from short_period import T, model
 
 import phugoid as ph
-
-T = np.arange(0.0, 20.0, 0.04)
-
-
-def model() -> ph.Model:
-    m = ph.Model("short period")
-    (de,), (a, q) = m.inputs(de="rad"), m.states(alpha="rad", q="rad/s")
-    za, ma, mq, md = m.parameters(za=-1.0, ma=-5.0, mq=-1.0, md=-8.0)
-    m.dynamics(alpha=za * a + q, q=ma * a + mq * q + md * de)
-    m.outputs(alpha=a, q=q)
-    return m
 
 
 def record(seed: int, gust: float) -> ph.Experiment:
     """``gust``: standard deviation of the angle of attack by gusts, rad."""
     rng = np.random.default_rng(seed)
-    de = 0.05 * np.repeat(rng.uniform(-1.0, 1.0, 30), 25)[: T.size]
+    de = short_period.elevator(rng, 0.05)
     wind = np.zeros(T.size)
     keep = float(np.exp(-0.04 / 0.8))
     for k in range(1, T.size):
@@ -31,15 +22,7 @@ def record(seed: int, gust: float) -> ph.Experiment:
         air = x[0] + np.interp(t, T, wind)
         return np.array([-1.1 * air + x[1], -6.0 * air - 1.6 * x[1] - 9.0 * np.interp(t, T, de)])
 
-    x = np.zeros((T.size, 2))
-    for k, t in enumerate(T[:-1]):
-        h = T[k + 1] - t
-        k1 = slope(t, x[k])
-        k2 = slope(t + h / 2, x[k] + h / 2 * k1)
-        k3 = slope(t + h / 2, x[k] + h / 2 * k2)
-        x[k + 1] = x[k] + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(t + h, x[k] + h * k3))
-    y = x + np.array([0.003, 0.004]) * rng.standard_normal(x.shape)
-    return ph.Experiment(T, {"de": de}, {"alpha": y[:, 0], "q": y[:, 1]}, name=f"record {seed}")
+    return short_period.record(seed, rng, de, slope)
 
 
 def test_gusts_that_bias_the_parameters_are_named() -> None:

@@ -72,7 +72,7 @@ class FitResult:
 
     @property
     def converged(self) -> bool:
-        """Whether the solver met its tolerances."""
+        """Return whether the solver met its tolerances."""
         return self.status == "converged"
 
     @property

@@ -1,4 +1,4 @@
-"""How well a model matches a record, in numbers, and tolerances that the user gives for it."""
+"""Measures of how well a model matches a record, and tolerances that the user gives for it."""
 
 from __future__ import annotations
 

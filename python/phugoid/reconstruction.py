@@ -61,7 +61,7 @@ class VanePlaces:
 
     @property
     def preferred(self) -> bool | None:
-        """Whether the data prefer positions (True) or the other fit (False) by two standard deviations; None: neither.
+        """Return whether the data prefer positions (True) or the other fit (False) by two standard deviations, or None.
         A position that is preferred also differs from the centre of gravity by more than three standard errors."""
         if abs(self.gain) <= _CLEAR * self.deviation:
             return None

@@ -140,7 +140,7 @@ def _estimate(
         "other_ways": every_way,
         "smooth_kinks": every_way,
         "solver_given": solver_given,
-        "moving_mesh": None if not collocated else _may_move(transcription, start),
+        "moving_mesh": _may_move(transcription, start),
         "restarts": solver.restarts if isinstance(solver, Newton) else 0,
     }
     by = replace(solver, time_limit=deadline.left())
@@ -159,9 +159,9 @@ def _estimate(
 
 def _may_move(transcription: Transcription, start: object) -> bool:
     """Return whether the mesh may follow the motion: none was asked for, and no path of the states is known."""
-    assert isinstance(transcription, Collocation)
-    chosen = transcription.segments is not None or transcription.substeps != 1
-    return not chosen and not isinstance(start, EquationError)
+    if not isinstance(transcription, Collocation) or isinstance(start, EquationError):
+        return False
+    return transcription.segments is None and transcription.substeps == 1
 
 
 def _filtered(

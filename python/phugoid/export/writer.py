@@ -33,7 +33,7 @@ _RESERVED = {
 
 @dataclass(frozen=True)
 class Contents:
-    """What is exported: a model, values of its parameters, initial states and inputs, and facts on the origin."""
+    """The content of an export: a model, values of its parameters, initial states and inputs, and the origin."""
 
     model: Model
     values: Mapping[str, float]

@@ -1,4 +1,4 @@
-"""What is declared in a model: states, and delays of inputs and outputs.
+"""Declarations of a model: states, and delays of inputs and outputs.
 
 A delay moves a signal along its samples, so the structure of the problem would change with it. Instead signals are
 moved by a base tau0, and what is left, d = tau - tau0, enters by Taylor's series: u(t - tau) = u0 - d u0' + d**2 u0''/2
@@ -47,7 +47,7 @@ class Delays:
 
     @property
     def spec(self) -> tuple[list[tuple[str, str, str]], list[tuple[str, str]]]:
-        """As the core takes them."""
+        """Return the delays as the core takes them."""
         return [(late, of, tau) for late, (of, tau) in self.inputs.items()], list(self.outputs.items())
 
     def with_input(self, late: str, of: str, tau: str) -> Delays:

@@ -1,4 +1,4 @@
-"""What Ipopt needs: its Python module, the scaling of the problem, and the callbacks that evaluate it."""
+"""The interface to Ipopt: its Python module, the scaling of the problem, and the callbacks that evaluate it."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ _FAULTS = (DataError, MissingDependency, ModelError, OptionError)
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of one start of `multistart`; small, without time histories.
+    """The outcome of one start of `multistart`; small, without time histories.
 
     index           number of the start, from 0.
     start           name -> starting value, as drawn or given for this start.
@@ -55,7 +55,7 @@ class Outcome:
 
     @property
     def converged(self) -> bool:
-        """Whether the solver met its tolerances."""
+        """Return whether the solver met its tolerances."""
         return self.status == "converged"
 
     @property

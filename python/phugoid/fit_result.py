@@ -9,7 +9,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _core
+import phugoid._core as _core
+
 from .data.experiment import Experiment
 from .errors import ByName, DataError
 from .modelling.model import Model

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from . import _core
+import phugoid._core as _core
+
 from ._core import Expr
 from .errors import ModelError, did_you_mean
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _core
+import phugoid._core as _core
+
 from .errors import OptionError
 from .figures.style import LIMIT, SERIES, plain
 from .fit_result import FitResult

@@ -11,7 +11,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _core
+import phugoid._core as _core
+
 from .errors import OptionError, UnknownName, did_you_mean, listing
 from .noise.noise import Gaussian, Noise
 from .records import Record

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from .. import _core
+import phugoid._core as _core
+
 from .example import example
 from .fit import diagnose, fit, validate
 from .petab import petab

@@ -16,7 +16,8 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from .. import _core
+import phugoid._core as _core
+
 from ..errors import OptionError, PhugoidError
 from ..match import Match, match
 from ..parameters import Estimates

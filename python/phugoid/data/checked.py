@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..errors import DataError, OptionError
 
 __all__ = [

@@ -8,7 +8,8 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..errors import DataError, listing
 
 __all__ = ["Interpolation", "Interpolations", "checked_kinds", "interpolated", "kind_of", "kinds_for"]

@@ -9,7 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..data.experiment import Experiment
 from ..errors import EvaluationError
 from ..fit_result import FitResult

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, cast
 
-from .. import _core
+import phugoid._core as _core
+
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..fit_result import FitResult
 from ..match import no_match, r_squared
+from ..modelling.core_model import kink_advice
 from ..modelling.declared import Delays
-from ..modelling.kinks import kink_advice
 from ..modelling.model import Model
 from ..noise.densities import PerExperiment
 from ..noise.noise import Gaussian, Noise

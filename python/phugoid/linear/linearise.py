@@ -9,7 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..errors import EvaluationError, ModelError, listing
 from ..fit_result import FitResult
 from ..initialisation import spread

@@ -8,14 +8,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import _core
+import phugoid._core as _core
+
 from .._core import Expr
 from ..errors import DataError, ModelError, did_you_mean, listing, refuse_attribute
 from ..noise.densities import noise_from_dict, stated_noise
 from ..noise.noise import Gaussian, Noise, Sigma
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
-from .compiled import (
+from .core_model import (
     Key,
     added_parameters,
     changed,

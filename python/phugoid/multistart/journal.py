@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import _core
+import phugoid._core as _core
+
 from ..errors import DataError
 from ..saving import files as io
 from ..starts.starts import Given, Outcome, Problem, Uniform

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from .. import _core
+import phugoid._core as _core
+
 from .._core import Expr
 from ..errors import ModelError, did_you_mean
 from ..parameters import Parameter

@@ -11,7 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _core
+import phugoid._core as _core
+
 from .._core import Expr
 from ..errors import ModelError, did_you_mean
 

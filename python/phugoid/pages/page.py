@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .. import _core
+import phugoid._core as _core
+
 from ..data.experiment import Experiment
 from ..errors import DataError
 from ..records import Record

@@ -18,7 +18,8 @@ from ..records import Record
 from ..sensitivities.linearised import Linearised
 from ..sensitivities.tangents import parameter_sensitivities
 from ..transcription.collocation import Collocation
-from .plan import Criterion, Excursion, Information, Plan, Plans
+from .information import Information
+from .plan import Criterion, Excursion, Plan, Plans
 from .predicted_record import condition_warnings, predicted, with_conditions
 
 __all__ = ["first_states", "own_values", "plan", "plans", "sigmas_of", "source_of", "value_of", "values_of"]

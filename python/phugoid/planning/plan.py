@@ -1,24 +1,25 @@
-"""The evaluation of a planned manoeuvre (`Plan`), and of several side by side (`Plans`)."""
+"""The evaluation of a planned manoeuvre (`Plan`), and of several side by side (`Plans`), with their figure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError, UnknownName, did_you_mean
-from ..parameters import Estimates, correlation_matrix, text_table
+from ..figures.style import LIMIT, SERIES, STYLE, WIDTH, labelled, plain
+from ..parameters import Estimates, text_table
 from ..records import Record
+from .information import Information, ParameterDirection
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Criterion", "Excursion", "Information", "ParameterDirection", "Plan", "Plans", "criterion_of"]
+__all__ = ["Criterion", "Excursion", "Plan", "Plans", "criterion_of"]
 
 _Array = NDArray[np.float64]
 Criterion: TypeAlias = Literal["D", "A", "worst"]
@@ -209,9 +210,7 @@ class Plans(Mapping[str, Plan]):
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
         """Plot inputs and predicted outputs of all plans over time with their limits, and the predicted errors side by
         side."""
-        from .figure import plot_plans
-
-        return plot_plans(list(self._plans.values()))
+        return _plot(list(self._plans.values()))
 
     def __str__(self) -> str:
         return self.summary()
@@ -244,90 +243,77 @@ def criterion_of(caller: str, criterion: Any) -> Criterion:
     return found
 
 
-# An eigenvalue of the correlation form below this belongs to a direction that the data do not determine.
-_SINGULAR = 1e-11
-# Parts of a direction below this are not worth naming.
-_PART = 0.1
+# Inches: height of a channel's panel, of the margins around all panels, and the least of the figure.
+_CHANNEL, _AROUND, _LEAST = 0.8, 0.9, 3.0
 
 
-@dataclass(frozen=True)
-class ParameterDirection:
-    """A combination of parameters.
+def _plot(plans: Sequence[Plan]) -> tuple[Figure, dict[str, Axes]]:
+    """Plot time histories on the left, relative errors of all parameters on the right; axes by channel, and
+    "errors"."""
+    from matplotlib import pyplot as plt
+    from matplotlib import rc_context
 
-    parts      name -> share of the unit vector, each parameter in units of its size; those above 0.1.
-    std_error  of a move along it, in these units; infinite where the manoeuvre does not determine it.
-    """
+    first = plans[0].records[0]
+    channels = [*first.inputs, *first.outputs]
+    excursions = plans[0].excursions[first.name]
+    channels += [n for n, e in excursions.items() if e.limit is not None and n not in channels]
+    with rc_context(STYLE):
+        height = max(_CHANNEL * len(channels) + _AROUND, _LEAST)
+        figure = plt.figure(figsize=(WIDTH, height), layout="constrained")
+        left, right = figure.subfigures(1, 2, width_ratios=(1.25, 1.0), squeeze=False)[0]
+        rows = left.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
+        axes: dict[str, Axes] = dict(zip(channels, rows, strict=True))
+        for i, p in enumerate(plans):
+            _histories(axes, p, SERIES[i % len(SERIES)][0])
+        for n, a in axes.items():
+            _limits(a, excursions[n].limit)
+            a.set_ylabel(plain(labelled(n, {n: excursions[n].unit})))
+            a.margins(x=0.01)
+        rows[-1].set_xlabel("time, s")
+        left.align_ylabels(list(rows))
+        axes["errors"] = _errors(right.subplots(), plans)
+    return figure, axes
 
-    parts: dict[str, float]
-    std_error: float
 
-    def __str__(self) -> str:
-        text = " ".join(f"{share:+.2f} {name}" for name, share in self.parts.items())
-        return f"{text}: {'not determined' if not np.isfinite(self.std_error) else f'± {100 * self.std_error:.3g} %'}"
+def _histories(axes: Mapping[str, Axes], p: Plan, colour: str) -> None:
+    """Draw the time histories, one record after another."""
+    offset = 0.0
+    for r in p.records:
+        t = offset + r.t - r.t[0]
+        for n, values in {**r.states, **r.outputs, **r.inputs}.items():
+            if n in axes:
+                axes[n].plot(t, values, color=colour, linewidth=0.9)
+        offset = float(t[-1])
 
 
-@dataclass(frozen=True, eq=False)
-class Information:
-    """Fisher information about parameters.
+def _limits(a: Axes, limit: tuple[float, float] | None) -> None:
+    if limit is None:
+        return
+    low, high = a.get_ylim()
+    for bound in limit:
+        if np.isfinite(bound) and low - (high - low) < bound < high + (high - low):
+            a.axhline(bound, color=LIMIT, linestyle="--", linewidth=0.8)
 
-    names   (n) of the parameters.
-    matrix  (n, n), in the units of the parameters, inverse.
-    """
 
-    names: Sequence[str]
-    matrix: _Array
-
-    @cached_property
-    def _directions(self) -> tuple[_Array, _Array, _Array]:
-        """Scales (n,), eigenvalues of the matrix with a diagonal of ones, eigenvectors as columns."""
-        scale = np.sqrt(np.diag(self.matrix))
-        safe = np.where(scale > 0.0, scale, 1.0)
-        values, vectors = np.linalg.eigh(self.matrix / np.outer(safe, safe))
-        return safe, values, vectors
-
-    @cached_property
-    def covariance(self) -> _Array:
-        """(n, n); infinite variance, and NaN beside it, for parameters that are not determined (also in
-        combinations)."""
-        scale, values, vectors = self._directions
-        determined = values > _SINGULAR
-        part = vectors[:, determined]
-        cov = (part / values[determined]) @ part.T / np.outer(scale, scale)
-        lost = (np.abs(vectors[:, ~determined]) > 1e-4).any(axis=1)
-        cov[lost], cov[:, lost] = np.nan, np.nan
-        cov[lost, lost] = np.inf
-        return np.asarray(cov)
-
-    @property
-    def std_errors(self) -> _Array:
-        """(n,) standard errors; infinite for parameters that are not determined."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def correlation(self) -> _Array:
-        """(n, n) correlations; NaN for parameters that are not determined."""
-        return correlation_matrix(self.covariance)
-
-    def weak(self, sizes: _Array, n: int = 3) -> tuple[ParameterDirection, ...]:
-        """Return the directions that are determined least, worst first, parameters in units of ``sizes`` (n,)."""
-        values, vectors = np.linalg.eigh(self.matrix * np.outer(sizes, sizes))
-        scale, eigen, own = self._directions
-        found = []
-        for column in own[:, eigen <= _SINGULAR].T:  # not determined at all
-            direction = column / scale / sizes
-            found.append(self._named(direction / np.linalg.norm(direction), np.inf))
-        for value, vector in list(zip(values, vectors.T, strict=True))[len(found) :][:n]:
-            found.append(self._named(vector, float(1.0 / np.sqrt(value)) if value > 0.0 else np.inf))
-        return tuple(found[:n])
-
-    def _named(self, vector: _Array, error: float) -> ParameterDirection:
-        order = np.argsort(-np.abs(vector))
-        vector = vector * np.sign(vector[order[0]])
-        return ParameterDirection({self.names[i]: float(vector[i]) for i in order if abs(vector[i]) > _PART}, error)
-
-    def log_determinant(self) -> float:
-        """Return the natural logarithm of the determinant; -inf where the matrix is singular."""
-        scale, values, _ = self._directions
-        if not values.size or (values <= _SINGULAR).any():
-            return -np.inf
-        return float(np.log(values).sum() + 2.0 * np.log(scale).sum())
+def _errors(a: Axes, plans: Sequence[Plan]) -> Axes:
+    names = list(dict.fromkeys(n for p in plans for n, v in relative_errors(p).items() if not np.isnan(v)))
+    y = np.arange(len(names))[::-1]
+    for i, p in enumerate(plans):
+        found = relative_errors(p)
+        x = 100.0 * np.array([found.get(n, np.nan) for n in names])
+        shift = 0.0 if len(plans) == 1 else 0.36 * (0.5 - i / (len(plans) - 1))
+        colour, mark = SERIES[i % len(SERIES)]
+        finite = np.where(np.isfinite(x), x, np.nan)
+        a.plot(finite, y + shift, color=colour, linestyle="", marker=mark, markersize=4, label=plain(p.name))
+        for at, value in zip((y + shift).tolist(), x.tolist(), strict=True):
+            if np.isinf(value):
+                axis = a.get_yaxis_transform()
+                a.text(0.98, at, "not determined", color=colour, fontsize=6.5, transform=axis, ha="right", va="center")
+    a.grid(axis="both", linewidth=0.3)
+    a.set_xscale("log")
+    a.xaxis.set_major_formatter("{x:g}")
+    a.set_yticks(y, [plain(n) for n in names])
+    a.set_ylim(-0.6, len(names) - 0.4)
+    a.set_xlabel("expected standard error, % of size")
+    a.legend(fontsize=7.0, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    return a

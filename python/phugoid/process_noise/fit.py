@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..data.experiment import Experiment
 from ..errors import EvaluationError, OptionError, PhugoidError
 from ..fit_result import FitResult

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..fit_result import FitResult

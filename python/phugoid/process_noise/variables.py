@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..errors import ModelError, OptionError

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from .._core import Expr
 from ..data.experiment import Experiment
 from ..data.interpolation import interpolated

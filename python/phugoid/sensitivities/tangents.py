@@ -8,7 +8,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from .._core import Expr
 from ..errors import EvaluationError
 from ..fit_result import FitResult

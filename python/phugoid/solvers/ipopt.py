@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..errors import EvaluationError, OptionError
 from .ipopt_callbacks import (
     STATUS,

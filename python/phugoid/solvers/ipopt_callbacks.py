@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..errors import MissingDependency
 from .limits import Deadline
 from .solution import Iteration

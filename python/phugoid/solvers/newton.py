@@ -9,7 +9,8 @@ from numbers import Integral
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..errors import OptionError
 from .limits import check_limits
 from .solution import Iteration, Solution

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..data.experiment import Experiment, FloatArray
 from ..errors import OptionError
 from ..modelling.model import Model

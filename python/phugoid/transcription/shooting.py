@@ -9,7 +9,8 @@ from typing import Any, TypeAlias
 
 from numpy.typing import ArrayLike
 
-from .. import _core
+import phugoid._core as _core
+
 from ..data.experiment import Experiment
 from ..errors import OptionError
 from ..modelling.model import Model

@@ -9,7 +9,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
+import phugoid._core as _core
+
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
 from ..fit_result import FitResult

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ..._core import Expr
 from ...errors import ModelError
-from ...modelling.compiled import CompiledModel, Key
+from ...modelling.compiled import CompiledModel
+from ...modelling.core_model import Key
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Points
 from .candidate import Candidate

@@ -19,8 +19,8 @@ from records import find
 from scipy.signal import lfilter
 
 import phugoid as ph
-from phugoid.discrepancy.misfit.misfit import ChannelMisfit, misfit
-from phugoid.discrepancy.page.figures import misfit_figure
+from phugoid.discrepancy.misfit.channel import ChannelMisfit
+from phugoid.discrepancy.misfit.misfit import misfit
 from phugoid.errors import DataError, UnknownName
 from phugoid.modelling.core_model import rebuilt
 from phugoid.records import Record
@@ -352,13 +352,13 @@ def test_figure_shows_the_channels_asked_for() -> None:
     line = next(x for x in axes["az time a"].get_lines() if len(x.get_ydata()) == N)
     np.testing.assert_array_equal(line.get_ydata(), f.records[0].residuals["az"])
     with pytest.raises(UnknownName, match="no channel 'Az'. Did you mean 'az'"):
-        misfit_figure(found, f, ["Az"])
+        found.plot(["Az"])
     plt.close(figure)
 
 
 def test_figure_takes_what_could_not_be_told() -> None:
     f = fit(record(n=20, az=white(0, 20), zero=np.zeros(20)))
-    figure, axes = misfit_figure(misfit(f), f)
+    figure, axes = misfit(f).plot()
     figure.canvas.draw()
     assert len(axes) == 8
     plt.close(figure)

@@ -37,3 +37,43 @@ def test_an_arrow_back_is_found(text: str, tmp_path: Path) -> None:
         (tmp_path / path).write_text(text if path.endswith(".py") else "")
     code, said = checked(tmp_path)
     assert code == 1 and "`fit_result` must not import from `result`" in said
+
+
+def package(root: Path, files: dict[str, str]) -> Path:
+    for path, text in {
+        "rust/core/Cargo.toml": "",
+        **{f"python/phugoid/{name}": text for name, text in files.items()},
+    }.items():
+        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        (root / path).write_text(text)
+    return root
+
+
+def test_an_import_of_the_package_itself_is_found(tmp_path: Path) -> None:
+    code, said = checked(package(tmp_path, {"noise/noise.py": "from .. import _core\n", "noise/__init__.py": ""}))
+    assert code == 1 and "`noise` must not import from `__init__`" in said
+    assert checked(package(tmp_path, {"noise/noise.py": "import phugoid._core as _core\n"})) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        (
+            {"data/read.py": "from .units import a\n", "data/units.py": "def late():\n    from .read import b\n"},
+            "data: circle of imports: read -> units (python/phugoid/data/read.py:1), units -> read (",
+        ),
+        (
+            {
+                "data/readers/a.py": "from ..checked.c import d\n",
+                "data/checked/c.py": "",
+                "data/checked/e.py": "from ..readers import b\n",
+                "data/readers/b.py": "",
+            },
+            "data: circle of imports: checked -> readers (python/phugoid/data/checked/e.py:1), readers -> checked (",
+        ),
+    ],
+    ids=["two files", "two folders, without a circle of files"],
+)
+def test_a_circle_within_a_folder_is_found(files: dict[str, str], words: str, tmp_path: Path) -> None:
+    code, said = checked(package(tmp_path, files))
+    assert code == 1 and words in said

@@ -2,7 +2,8 @@
 
     python tools/check_layers.py [root of the repository]
 
-Both orders are below. A new module is put into its order first; one that is in neither is an error.
+Both orders are below. A new module is put into its order first; one that is in neither is an error. Within the folders
+of the Python package no list is needed: what lies in a folder, files and folders in it, must not import in a circle.
 """
 
 import ast
@@ -26,9 +27,6 @@ PYTHON = [
     "estimation", "simulate", "linear", "manoeuvres", "models", "export", "saving", "residual_noise", "sensitivities",
     "validation", "pages", "discrepancy", "planning", "starts", "uncertainty", "summary", "report", "result",
     "api", "multistart", "reconstruction", "petab", "results", "design", "cli", "__init__", "__main__",
-]
-DISCREPANCY = [
-    "misfit", "candidates", "search", "discrimination", "page", "saved", "diagnose", "improve",
 ]
 # fmt: on
 
@@ -70,21 +68,74 @@ def rust_imports(path: Path, depth: int, order: list[str]) -> Iterator[Import]:
 
 
 def python_imports(path: Path, depth: int, order: list[str]) -> Iterator[Import]:
-    """What the file imports from the package, within functions and for type checkers too."""
+    """What the file imports from the package, within functions and for type checkers too.
+
+    `from .. import name` is an import of the package itself, whatever the name is.
+    """
+    for line, module, name in absolute_imports(path, depth):
+        top = (module or name).partition(".")[0]
+        yield line, top if top in order and (module or not name) else "__init__"
+
+
+def absolute_imports(path: Path, depth: int) -> Iterator[tuple[int, str, str]]:
+    """Line, module without the package's name, and the name taken from it, of each import from the package."""
+    parts = path.parts[-depth:]
     for node in ast.walk(ast.parse(path.read_text(), str(path))):
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.level in (0, depth):
-            base = ["phugoid"] if node.level else []
-            base += [node.module] if node.module else []
-            names = [".".join([*base, alias.name]) for alias in node.names]
-        else:
+            for alias in node.names:
+                package, _, module = alias.name.partition(".")
+                if package == "phugoid":
+                    yield node.lineno, module, ""
+        elif isinstance(node, ast.ImportFrom):
+            package, _, module = (node.module or "").partition(".")
+            if node.level:
+                module = ".".join([*parts[: depth - node.level], *filter(None, [node.module])])
+            elif package != "phugoid":
+                continue
+            for alias in node.names:
+                yield node.lineno, module, alias.name
+
+
+def circles(root: Path, source: str) -> Iterator[str]:
+    """Circles of imports among what lies in one folder, files and folders, for each folder of the package."""
+    folder = root / source
+    files = {path.relative_to(folder).with_suffix("").parts: path for path in sorted(folder.rglob("*.py"))}
+    rooms: dict[tuple[str, ...], dict[str, dict[str, str]]] = {}  # folder -> importer -> imported -> an example
+    for parts, path in files.items():
+        if parts == ("__init__",):
             continue
-        for name in names:
-            package, _, inner = name.partition(".")
-            if package == "phugoid":
-                top = inner.partition(".")[0]
-                yield node.lineno, top if top in order else "__init__"
+        for line, module, name in absolute_imports(path, len(parts)):
+            at = tuple(filter(None, module.split(".")))
+            target = next(
+                (t for t in ((*at, name), (*at, name, "__init__"), at, (*at, "__init__")) if t in files), None
+            )
+            if target is None or target == parts:
+                continue
+            shared = next(i for i, (a, b) in enumerate(zip(parts, target, strict=False)) if a != b)
+            known = rooms.setdefault(parts[:shared], {}).setdefault(parts[shared], {})
+            known.setdefault(target[shared], f"{path.relative_to(root)}:{line}")
+    for place, arrows in rooms.items():
+        for circle in _loops(arrows):
+            steps = [f"{a} -> {b} ({arrows[a][b]})" for a, b in zip(circle, circle[1:] + circle[:1], strict=True)]
+            yield f"{'/'.join([source, *place])}: circle of imports: {', '.join(steps)}"
+
+
+def _loops(arrows: dict[str, dict[str, str]]) -> Iterator[list[str]]:
+    """One loop for each set of rooms that import each other."""
+    done: set[str] = set()
+    for start in arrows:
+        trail, seen = [[start]], {start}
+        while trail and start not in done:
+            way = trail.pop(0)
+            for room in arrows.get(way[-1], {}):
+                if room == start:
+                    yield way
+                    done.update(way)
+                    trail = []
+                    break
+                if room not in seen:
+                    seen.add(room)
+                    trail.append([*way, room])
 
 
 def check(root: Path, source: str, order: list[str], imports: Finder, facade: str = "__init__") -> Iterator[str]:
@@ -119,7 +170,7 @@ def main() -> int:
         *check(root, "rust/core/src", RUST, rust_imports, facade="lib"),
         *check_manifest(root),
         *check(root, "python/phugoid", PYTHON, python_imports),
-        *check(root, "python/phugoid/discrepancy", DISCREPANCY, python_imports),
+        *circles(root, "python/phugoid"),
     ]
     print(*problems, sep="\n", end="\n" if problems else "")
     return 1 if problems else 0

@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from . import tabular
 from ._core import Expr
 from .data.experiment import Experiment
 from .discrepancy.diagnose import diagnose
@@ -37,6 +36,7 @@ from .saving.fit_file import save
 from .simulate import simulate
 from .starts.starts import Outcome
 from .summary import fit_html, fit_summary
+from .tabular import fit_dataset
 from .uncertainty.bands import Bands, prediction_bands
 from .uncertainty.bootstrap import Bootstrap, bootstrap
 from .uncertainty.coloured import Coloured, coloured
@@ -335,7 +335,7 @@ class Fit(FitResult):
         of them: NaN where one has no sample. Raises MissingDependency without xarray.
         """
         facts = {"log_likelihood": self.log_likelihood, "status": self.status, "model": self.model.name}
-        return tabular.fit_dataset(self.records, self.parameters, self.covariance, facts)
+        return fit_dataset(self.records, self.parameters, self.covariance, facts)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the fit with its data to a versioned file, which `load` reads: HDF5 for ``.h5`` and ``.hdf5``, where

@@ -62,8 +62,6 @@ class Bands:
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
         """Plot each output with both bands. Return the figure and its axes by name."""
-        from .bands import plot_bands
-
         return plot_bands(self, self._title)
 
     def __repr__(self) -> str:

@@ -140,8 +140,6 @@ class Profiles(Mapping[str, Profile]):
 
         Returns the figure and its axes by name. Raises UnknownName for a name without a profile.
         """
-        from .profile import plot_profiles
-
         return plot_profiles([self[name] for name in (names or self.profiles)], self.level)
 
     def __str__(self) -> str:

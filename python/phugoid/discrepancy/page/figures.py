@@ -11,7 +11,6 @@ from ...errors import DataError, UnknownName, listing
 from ...figures.style import GREY, INPUT, MEASURED, MODEL, RESIDUAL, STATE, STYLE, WIDTH, labelled, plain
 from ...fit_result import FitResult
 from ...records import Record
-from ..misfit.figure import misfit_figure
 from ..misfit.phrases import number
 from ..search.finding import DiagnosisResult, ExtensionResult, Finding, Gain, Scored
 
@@ -25,7 +24,6 @@ __all__ = [
     "explained_figure",
     "findings_figure",
     "gain_figure",
-    "misfit_figure",
     "ranking_figure",
 ]
 
@@ -34,7 +32,7 @@ _BARS = 12
 
 def diagnosis_figures(diagnosis: DiagnosisResult) -> list[Figure]:
     """Return the figures of `Diagnosis.plot`; see there."""
-    figures = [misfit_figure(diagnosis.misfit, diagnosis.fit)[0]]
+    figures = [diagnosis.misfit.plot()[0]]
     if any(np.isfinite(f.explained) for f in diagnosis.findings):
         figures.insert(0, explained_figure(diagnosis.findings)[0])
     figures += [curve_figure(f)[0] for f in diagnosis.findings if f.curve]

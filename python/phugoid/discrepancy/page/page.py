@@ -13,7 +13,7 @@ from ...writing import PAGES, check_folder, check_suffix, write
 from ..misfit.misfit import Misfit, misfit
 from ..misfit.phrases import number, percent, what_stands_out, with_unit
 from ..search.finding import DiagnosisResult, ExtensionResult, Finding
-from .figures import curve_figure, explained_figure, findings_figure, gain_figure, misfit_figure, ranking_figure
+from .figures import curve_figure, explained_figure, findings_figure, gain_figure, ranking_figure
 from .words import alias_set, finding_lines, headline, outcome, with_sign
 
 __all__ = ["report"]
@@ -84,7 +84,7 @@ def _wrong(diagnosis: DiagnosisResult) -> dict[str, Any]:
     pictures = [
         (
             f"Residuals of {n}: {what_stands_out(found.channels[n])}",
-            picture(misfit_figure(found, diagnosis.fit, [n])[0]),
+            picture(found.plot([n])[0]),
         )
         for n in found.worst[:_SHOWN]
     ]

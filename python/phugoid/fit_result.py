@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from .data.experiment import Experiment
+from .data.interpolation import kinds_for
 from .errors import ByName, DataError
 from .modelling.model import Model
 from .noise.densities import PerExperiment
@@ -24,7 +25,7 @@ from .solvers import Iteration, Solution
 from .transcription.filter_error import FilterError
 from .transcription.shooting import Transcription
 
-__all__ = ["FitResult"]
+__all__ = ["FitResult", "dataset"]
 
 _Array = NDArray[np.float64]
 _T = TypeVar("_T")
@@ -167,3 +168,15 @@ class FitResult:
             f"<Fit of '{self.model.name}': {self.status}, log-likelihood {self.log_likelihood:.6g}, "
             f"{len(self.parameters)} parameters>"
         )
+
+
+def dataset(fit: FitResult) -> Sequence[Experiment]:
+    """Return the data of a fit; for a fit from a file, what its records hold."""
+    if fit.experiments:
+        return fit.experiments
+    return [
+        Experiment(r.t, dict(r.inputs), dict(r.measured), r.name, kinds_for(r.interpolation, r.inputs))._sampled(
+            {name: (*own, 0.0, 0) for name, own in r.input_samples.items()}, None
+        )
+        for r in fit.records
+    ]

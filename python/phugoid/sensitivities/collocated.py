@@ -2,34 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from ..data.experiment import Experiment
-from ..data.interpolation import kinds_for
 from ..errors import OptionError
 from ..estimation.estimate import estimate
-from ..fit_result import FitResult
+from ..fit_result import FitResult, dataset
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 
-__all__ = ["cheap", "collocated", "collocated_for", "dataset"]
+__all__ = ["cheap", "collocated", "collocated_for"]
 
 # Numbers in tangents that take about as long as an estimation, and that fill some 400 MB.
 _SOME, _MANY = 3_000_000, 50_000_000
 # Elsewhere curvature says nothing about the data.
 _ENDS = ("converged", "acceptable", "unidentifiable")
-
-
-def dataset(fit: FitResult) -> Sequence[Experiment]:
-    """Return the data of a fit; for a fit from a file, what its records hold."""
-    if fit.experiments:
-        return fit.experiments
-    return [
-        Experiment(r.t, dict(r.inputs), dict(r.measured), r.name, kinds_for(r.interpolation, r.inputs))._sampled(
-            {name: (*own, 0.0, 0) for name, own in r.input_samples.items()}, None
-        )
-        for r in fit.records
-    ]
 
 
 def collocated(fit: FitResult) -> FitResult:

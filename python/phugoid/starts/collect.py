@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..errors import OptionError
-from ..fit_result import FitResult
-from ..sensitivities.collocated import dataset
+from ..fit_result import FitResult, dataset
 from ..solvers import Newton
 from ..solvers.limits import Deadline, interrupts
 from ..transcription.filter_error import FilterError

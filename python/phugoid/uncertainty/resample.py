@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from .._core import Expr
 from ..errors import OptionError
-from ..fit_result import FitResult
+from ..fit_result import FitResult, dataset
 from ..noise.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from ..noise.noise import Gaussian, Noise
-from ..sensitivities.collocated import dataset
 from ..sensitivities.tangents import Tangents, noise_values
 from .coloured import Colouring, coloured
 

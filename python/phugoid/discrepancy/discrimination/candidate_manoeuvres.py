@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
+from ...fit_result import dataset
 from ...manoeuvres.steps import PATTERNS, multistep, sweep
 from ...manoeuvres.steps import step as step_input
 from ...residual_noise.series import uniform_segments
 from ...residual_noise.whitening import Filter, RowStructure
-from ...sensitivities.collocated import dataset
 from ..misfit.phrases import number, with_unit
 from ..search.refit import Refit
 from .manoeuvre_response import ManoeuvreResponse

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...errors import PhugoidError
 from ...estimation.estimate import estimate
+from ...fit_result import dataset
 from ...modelling.model import Model
 from ...parameters import Parameter
-from ...sensitivities.collocated import dataset
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Place
 from ...solvers import Newton

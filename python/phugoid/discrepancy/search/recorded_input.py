@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
-from ...sensitivities.collocated import dataset
+from ...fit_result import dataset
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Place
 from ...sensitivities.whitened import Whitened

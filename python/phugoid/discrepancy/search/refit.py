@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...errors import DataError, ModelError, PhugoidError
 from ...estimation.estimate import estimate
-from ...fit_result import FitResult
+from ...fit_result import FitResult, dataset
 from ...parameters import Estimates
 from ...residual_noise.whitening import Filter
-from ...sensitivities.collocated import dataset
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Points
 from ...sensitivities.whitened import Whitened, joint_whitening, own_whitening

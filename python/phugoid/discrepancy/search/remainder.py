@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from ...errors import PhugoidError
 from ...estimation.estimate import estimate
-from ...fit_result import FitResult
-from ...sensitivities.collocated import dataset
+from ...fit_result import FitResult, dataset
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Place
 from ...sensitivities.whitened import Whitened

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
+from ...fit_result import dataset
 from ...residual_noise.whitening import Filter
-from ...sensitivities.collocated import dataset
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.random_effects import Marginal, RandomEffects, at_knots
 from ...sensitivities.trajectory import Place

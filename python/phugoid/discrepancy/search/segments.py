@@ -16,7 +16,7 @@ import numpy as np
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...estimation.estimate import estimate
-from ...sensitivities.collocated import dataset
+from ...fit_result import dataset
 from .evidence import is_structured
 from .refit import Refit
 

@@ -159,7 +159,7 @@ def test_a_handler_of_the_users_own_is_left_alone(here: Path) -> None:
 )
 def test_many_runs_keep_what_is_done(here: Path, call: str, count: str) -> None:
     script = f"""
-    from phugoid.starts.workers import Crew
+    from phugoid.estimation.workers import Crew
     seen = []
     def watch(outcome):
         seen.append(outcome)

@@ -16,9 +16,9 @@ from linear_case import run
 from test_linear_fit import system
 
 import phugoid as ph
+from phugoid.estimation.starts import Problem
 from phugoid.solvers import limits
 from phugoid.starts import workers
-from phugoid.starts.starts import Problem
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ from phugoid.discrepancy.candidates.candidate import Candidate
 from phugoid.initialisation import spread
 from phugoid.residual_noise.autoregression import Autoregression
 from phugoid.residual_noise.whitening import Whitening
-from phugoid.sensitivities.collocated import collocated
 from phugoid.sensitivities.linearised import Linearised
+from phugoid.sensitivities.tangents import collocated
 from phugoid.sensitivities.whitened import Whitened
 from phugoid.solvers import limits
 from phugoid.validation.frozen_model import freeze_model

@@ -15,7 +15,7 @@ from phugoid import _core
 from phugoid.discrepancy.discrimination.candidate_manoeuvres import CandidateManoeuvres
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.modelling.declared import Delays
-from phugoid.sensitivities.collocated import collocated
+from phugoid.sensitivities.tangents import collocated
 
 T = np.arange(0.0, 12.0, 0.05)
 

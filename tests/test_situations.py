@@ -16,8 +16,8 @@ import phugoid as ph
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.residual_noise.series import resolution_of
 from phugoid.residual_noise.whitening import Whitening
-from phugoid.sensitivities.collocated import collocated
 from phugoid.sensitivities.random_effects import RandomEffects, at_knots
+from phugoid.sensitivities.tangents import collocated
 from phugoid.sensitivities.trajectory import Place
 
 

@@ -21,6 +21,7 @@ from .discrepancy.page.page import report as diagnosis_report
 from .discrepancy.page.words import diagnosis_summary, headline
 from .discrepancy.saved import save_diagnosis
 from .discrepancy.search.finding import DiagnosisResult, ExtensionResult
+from .estimation.starts import Outcome
 from .export import export_c, export_fmu
 from .figures.convergence import plot_convergence
 from .figures.fit import plot_fit
@@ -34,7 +35,6 @@ from .records import Record
 from .report import report
 from .saving.fit_file import save
 from .simulate import simulate
-from .starts.starts import Outcome
 from .summary import fit_html, fit_summary
 from .tabular import fit_dataset
 from .uncertainty.bands import Bands, prediction_bands

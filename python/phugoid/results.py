@@ -4,6 +4,7 @@ from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates
 from .discrepancy.misfit.misfit import Misfit
 from .discrepancy.search.finding import Finding, Gain, Scored
+from .estimation.starts import Outcome
 from .fit_result import FitResult
 from .integration import IntegrationError
 from .linear.mode_table import Mode, Modes
@@ -23,7 +24,6 @@ from .result import Diagnosis, Extension, Improvement
 from .sensitivities.trajectory import Place, Points
 from .smoothing import Smoothing
 from .solvers import Iteration
-from .starts.starts import Outcome
 from .uncertainty.bands import Bands
 from .uncertainty.bootstrap import Bootstrap
 from .uncertainty.coloured import Coloured

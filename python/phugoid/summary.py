@@ -11,7 +11,7 @@ from .fit_result import FitResult
 from .match import match
 from .notebook import bullets, notebook_page, sparkline, table
 from .parameters import Estimate, Estimates, estimates_html, estimates_table, text_table
-from .sensitivities.collocated import cheap
+from .sensitivities.tangents import cheap
 from .uncertainty.coloured import coloured
 from .uncertainty.correlation import correlation
 

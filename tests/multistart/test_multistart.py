@@ -23,7 +23,7 @@ from many import (
 )
 
 import phugoid as ph
-from phugoid.starts.workers import _PROBLEMS
+from phugoid.estimation.workers import _PROBLEMS
 
 # ---------------------------------------------------------------- the same everywhere
 

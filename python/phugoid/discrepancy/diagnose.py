@@ -13,7 +13,7 @@ import numpy as np
 from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, PhugoidError, did_you_mean
 from ..fit_result import FitResult
-from ..sensitivities.collocated import collocated
+from ..sensitivities.tangents import collocated
 from ..solvers.limits import check_time, interrupts, limited
 from ..transcription.filter_error import FilterError
 from ..validation.validate import shared

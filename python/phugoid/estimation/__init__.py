@@ -1,1 +1,1 @@
-"""The output-error estimate."""
+"""Estimations: output-error and filter-error method, their starts, and starts run on any executor."""

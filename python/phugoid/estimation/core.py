@@ -1,10 +1,10 @@
-"""The core's estimation, called with what Python holds."""
+"""The core's estimation, called with what Python holds, and the `FitResult` made of its solution."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +12,27 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..data.experiment import Experiment
+from ..data.interpolation import kinds_for
 from ..errors import EvaluationError
 from ..fit_result import FitResult
+from ..match import no_match, r_squared
+from ..modelling.core_model import kink_advice
+from ..modelling.declared import Delays
 from ..modelling.model import Model
-from ..noise.noise import Noise
+from ..noise.densities import PerExperiment
+from ..noise.noise import Gaussian, Noise
+from ..parameters import Estimate, Estimates
+from ..records import Record, repeated_outputs
+from ..refinement import Refinement, Step
 from ..regression.equation_error import EquationError
+from ..smoothing import Smoothing, SmoothingStep
 from ..solvers import Ipopt, Iteration, Newton, Solution
+from ..solvers.newton import COUNTED
 from ..solvers.solution import Progress
 from ..transcription.collocation import Collocation, records_of
 from ..transcription.shooting import Transcription, step_spec
 
-__all__ = ["Earlier", "estimated"]
+__all__ = ["Earlier", "estimated", "make_fit"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Watch: TypeAlias = Callable[[Iteration], None]
@@ -148,3 +158,163 @@ def _solving(solver: Newton | Ipopt, watch: _Watch | None, pressed: Callable[[],
         return s.xi, s.multipliers, s.bound_multipliers, ended, history, counts, s.flops
 
     return solve
+
+
+# Ends that kinks of the state equations explain.
+_KINKED = ("infeasible", "iteration limit", "failed", "diverging", "acceptable")
+
+
+def make_fit(
+    model: Model,
+    experiments: Sequence[Experiment],
+    noise: Noise,
+    transcription: Transcription,
+    found: _core.Fit,
+) -> FitResult:
+    """Return the fit that the core found. Where it has delays, that at fixed delays is within; where kinks were
+    smoothed, that of the smooth model."""
+    transcription = _on_final_mesh(transcription, experiments, found)
+    inner = _within(model, experiments, noise, transcription, found)
+    records = [_record(model, e, found, i) for i, e in enumerate(experiments)]
+    warnings, message = found.warnings, found.message
+    kinks = kink_advice(model._core) if found.status in _KINKED else ""
+    # First that residuals are not those of noise that is known.
+    known = int(found.unlike_noise)
+    if kinks:
+        warnings.insert(known, kinks)
+        message = f"{message}; above all, the state equations have kinks or jumps (see the warning)"
+    of_each = noise.noise if isinstance(noise, PerExperiment) else noise
+    together = isinstance(of_each, Gaussian) and (of_each.correlated or of_each.covariance is not None)
+    if found.feasible and not together:
+        warnings += repeated_outputs(records, model.output_names)
+    explained = {name: r_squared(records, name) for name in model.output_names}
+    initial = {
+        e.name: Estimates(Estimate(name, value, error, unit) for name, value, error, unit, *_ in states)
+        for e, states in zip(experiments, found.initial, strict=True)
+    }
+    solution = _solution(found.solution)
+    parameters = _estimates(model, found)
+    return FitResult(
+        model=model,
+        noise=noise,
+        transcription=transcription,
+        parameters=parameters,
+        initial_states=initial,
+        covariance=found.covariance,
+        log_likelihood=found.log_likelihood,
+        records=records,
+        status=found.status,
+        message=message,
+        iterations=found.iterations,
+        time=solution.time,
+        warnings=tuple(filter(None, [*warnings[:known], no_match(explained), *warnings[known:]])),
+        history=solution.history,
+        solution=solution if inner is None else None,
+        refinement=_refinement(found, parameters),
+        smoothing=_smoothing(found),
+        experiments=tuple(experiments),
+        _moved=inner,
+    )
+
+
+def _within(
+    model: Model,
+    experiments: Sequence[Experiment],
+    noise: Noise,
+    transcription: Transcription,
+    found: _core.Fit,
+) -> FitResult | None:
+    """Return the fit of the model without delays to the records that were moved by them, or of the smooth model."""
+    if found.moved is None:
+        return None
+    inner, records = found.moved
+    slim = model._around(inner.model, Delays())
+    if not model.delays:
+        return make_fit(slim, experiments, noise, transcription, inner)
+    moved = []
+    for e, (t, inputs, outputs, kinds, signals) in zip(experiments, records, strict=True):
+        alike = kinds_for(dict(zip(slim.input_names, kinds, strict=True)), slim.input_names)
+        u, z = (dict(zip(n, x, strict=True)) for n, x in ((slim.input_names, inputs), (slim.output_names, outputs)))
+        record = Experiment(t, u, z, e.name, alike, units=e.units)
+        of_input = dict(zip(slim.input_names, signals, strict=True))
+        moved.append(record._sampled(of_input, e.t if e.mesh_times is None else e.mesh_times))
+    return make_fit(slim, moved, noise, transcription, inner)
+
+
+def _on_final_mesh(transcription: Transcription, experiments: Sequence[Experiment], found: _core.Fit) -> Transcription:
+    """Return the transcription with the mesh on which the fit ended."""
+    if not isinstance(transcription, Collocation):
+        return transcription
+    asked = [edges for _, _, edges in transcription.grids(experiments)]
+    if (
+        found.edges is not None
+        and found.order is not None
+        and (found.edges != asked or found.order != transcription.order)
+    ):
+        edges = tuple(tuple(e) for e in found.edges)
+        transcription = replace(transcription, order=found.order, substeps=1, segments=edges)
+    return replace(transcription, refine=False)
+
+
+def _refinement(found: _core.Fit, parameters: Estimates) -> Refinement | None:
+    if found.refinement is None:
+        return None
+    tolerance, steps, first = found.refinement
+    return Refinement.of(dict(first), parameters, [Step(*step) for step in steps], tolerance)
+
+
+def _smoothing(found: _core.Fit) -> Smoothing | None:
+    if found.smoothing is None:
+        return None
+    widths, steps, left = found.smoothing
+    return Smoothing(
+        {kink: (width, unit) for kink, width, unit in widths},
+        tuple(SmoothingStep(*step) for step in steps),
+        {name: (change, error) for name, change, error in left},
+    )
+
+
+def _solution(found: _core.NewtonSolution) -> Solution:
+    low, high = found.bound_multipliers
+    return Solution(
+        xi=found.xi,
+        multipliers=found.multipliers,
+        bound_multipliers=(low, high),
+        status=found.status,
+        message=found.message,
+        iterations=found.iterations,
+        time=found.time,
+        history=[Iteration(*line[:6]) for line in found.history],
+        evaluations=dict(zip(COUNTED, found.evaluations, strict=True)),
+        flops=found.flops,
+    )
+
+
+def _estimates(model: Model, found: _core.Fit) -> Estimates:
+    """Return the parameters of the model with start and bounds as declared, then those of the noise."""
+    declared, estimates = model.declared_parameters, []
+    for name, value, error, unit, bounds, kept in found.parameters:
+        p = declared.get(name.partition("[")[0])
+        start, bounds, fixed = (p.start, p.bounds, p.fixed) if p else (0.0, bounds, False)
+        active = cast(Literal["lower", "upper"] | None, kept if kept in ("lower", "upper") else None)
+        estimates.append(Estimate(name, value, error, unit, start, bounds, fixed, active))
+    return Estimates(estimates)
+
+
+def _record(model: Model, experiment: Experiment, found: _core.Fit, index: int) -> Record:
+    states, outputs, residuals, mesh_t, path = found.record(index)
+    return Record(
+        name=experiment.name,
+        t=experiment.t,
+        inputs={name: experiment.input(name) for name in model.input_names},
+        outputs=dict(zip(model.output_names, outputs, strict=True)),
+        states=dict(zip(model.state_names, states, strict=True)),
+        measured={name: experiment.output(name) for name in model.output_names},
+        residuals=dict(zip(model.output_names, residuals, strict=True)),
+        mesh_t=mesh_t,
+        mesh_states=dict(zip(model.state_names, path, strict=True)),
+        units=model.units,
+        interpolation=kinds_for(experiment.interpolation, model.input_names),
+        input_samples=experiment.own_samples(model.input_names),
+        feasible=found.feasible,
+    )

@@ -16,16 +16,15 @@ from ..fit_result import FitResult
 from ..initialisation import start_values
 from ..modelling.model import Model
 from ..noise.noise import Noise, not_noise
-from ..process_noise.fit import better, doubtful, filter_error
-from ..process_noise.variables import split
 from ..regression.equation_error import EquationError
 from ..solvers import HINTS, Ipopt, Iteration, Newton
 from ..solvers.limits import Deadline, interrupts
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
-from .core import Earlier, estimated
-from .fitted import make_fit
+from .core import Earlier, estimated, make_fit
+from .filter_fit import better, doubtful, filter_error
+from .filter_variables import split
 
 __all__ = ["estimate"]
 

@@ -20,8 +20,8 @@ import numpy as np
 import phugoid._core as _core
 
 from ..errors import DataError
+from ..estimation.starts import Given, Outcome, Problem, Uniform
 from ..saving import files as io
-from ..starts.starts import Given, Outcome, Problem, Uniform
 from ..transcription.filter_error import FilterError
 from ..writing import sealed, unsealed
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from ..data.experiment import Experiment, as_experiments, completed
 from ..errors import ModelError, OptionError
+from ..estimation.collect import Watch, check_progress, collect
+from ..estimation.starts import Draw, Problem, Range, given, plain, uniform
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..noise.noise import Noise, not_noise
 from ..solvers.limits import limited
-from ..starts.collect import Watch, check_progress, collect
-from ..starts.starts import Draw, Problem, Range, given, plain, uniform
 from ..transcription.collocation import Collocation
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription
 from .result import Multistart
@@ -89,7 +89,7 @@ def multistart(
     >>> sorted(round(o.parameters["a"]) for o in result.optima)
     [-2, 2]
     """
-    from ..starts.workers import Crew
+    from ..estimation.workers import Crew
     from .journal import Journal
 
     begin = time.perf_counter()

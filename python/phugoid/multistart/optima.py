@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..estimation.starts import Outcome
 from ..figures.style import GREY, INPUT, MEASURED, ORANGE, PURPLE, RULE, STATE, STYLE, WIDTH, figure_of, headline
-from ..starts.starts import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import EvaluationError, MissingDependency, OptionError, PhugoidError
+from ..estimation.starts import Outcome, Problem
 from ..fit_result import FitResult
 from ..parameters import Parameter, text_table
 from ..result import Fit
-from ..starts.starts import Outcome, Problem
 from ..summary import _duration
 from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, plot_waterfall, same
 

@@ -18,9 +18,8 @@ from ..fit_result import FitResult
 from ..initialisation import spread
 from ..parameters import Estimates
 from ..records import Record
-from ..sensitivities.collocated import collocated
 from ..sensitivities.linearised import Linearised
-from ..sensitivities.tangents import Tangents
+from ..sensitivities.tangents import Tangents, collocated
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from ..validation.validate import re_estimated

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, OptionError
+from ..estimation.collect import common_to, run_all
 from ..estimation.estimate import estimate
+from ..estimation.starts import Outcome, Problem, stream
 from ..figures.style import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
 from ..parameters import Estimates, text_table
 from ..solvers.limits import limited
-from ..starts.collect import common_to, run_all
-from ..starts.starts import Outcome, Problem, stream
 from ..transcription.filter_error import FilterError
 from .filtered import of_fit
 from .resample import Blocks, ColouredNoise, Parametric, Resampler, block_length

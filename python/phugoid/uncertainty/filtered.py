@@ -13,9 +13,9 @@ import phugoid._core as _core
 
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
+from ..estimation.filter_variables import Objective, Separated
 from ..fit_result import FitResult, dataset
 from ..modelling.model import Model
-from ..process_noise.variables import Objective, Separated
 from ..records import Record
 from ..transcription.filter_error import FilterError
 from ..validation.validate import re_estimated

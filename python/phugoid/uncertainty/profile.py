@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError, UnknownName, did_you_mean, listing
+from ..estimation.collect import common_to, run_all
+from ..estimation.starts import Outcome
 from ..figures.style import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
 from ..parameters import text_table
 from ..solvers.limits import limited
-from ..starts.collect import common_to, run_all
-from ..starts.starts import Outcome
 from .coloured import coloured as corrected
 from .profile_search import End, Side, Sides
 

@@ -11,12 +11,12 @@ from typing import Any, Literal, TypeAlias
 from ..data.experiment import Experiment
 from ..errors import PhugoidError
 from ..estimation.estimate import estimate
+from ..estimation.filter_variables import Separated
+from ..estimation.starts import Outcome, Problem
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..parameters import Estimates, Parameter
-from ..process_noise.variables import Separated
 from ..solvers.limits import check_time
-from ..starts.starts import Outcome, Problem
 
 __all__ = ["End", "Side", "Sides"]
 

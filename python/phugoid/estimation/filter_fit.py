@@ -24,8 +24,8 @@ from ..solvers.limits import Deadline, TimeUp
 from ..solvers.quasi_newton import Minimum, bounded_step, minimise
 from ..solvers.solution import Progress
 from ..transcription.filter_error import FilterError
-from .result import make_filter_fit
-from .variables import Objective, Separated, intensity_start, split
+from .filter_result import make_filter_fit
+from .filter_variables import Objective, Separated, intensity_start, split
 
 __all__ = ["better", "doubtful", "filter_error"]
 

@@ -128,7 +128,7 @@ def run_all(
     deadline: Deadline,
 ) -> Runs:
     """Run all starts; Ctrl-C and the deadline end it with the outcomes so far."""
-    from .workers import Crew  # executors are loaded by whoever runs something
+    from .workers import Crew
 
     check_progress(caller, progress)
     crew = Crew(executor, problem)

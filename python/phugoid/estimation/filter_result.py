@@ -22,7 +22,7 @@ from ..solvers.limits import Deadline
 from ..solvers.quasi_newton import Minimum
 from ..transcription.collocation import records_of
 from ..transcription.filter_error import FilterError
-from .variables import Objective
+from .filter_variables import Objective
 
 __all__ = ["make_filter_fit"]
 

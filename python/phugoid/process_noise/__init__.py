@@ -1,1 +1,0 @@
-"""The filter-error method: estimates with process noise."""

@@ -21,12 +21,11 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "notebook", "writing", "tabular", "functions", "parameters", "noise", "modelling", "data",
-    "transcription", "initialisation", "solvers", "records", "refinement", "smoothing",
-    "fit_result", "match", "figures", "regression", "integration",
-    "estimation", "simulate", "linear", "manoeuvres", "models", "export", "saving", "residual_noise", "sensitivities",
-    "validation", "pages", "discrepancy", "planning", "uncertainty", "summary", "report", "result",
-    "api", "multistart", "reconstruction", "petab", "results", "design", "cli", "__init__", "__main__",
+    "_core", "errors", "notebook", "writing", "tabular", "functions", "parameters", "modelling", "data",
+    "transcription", "initialisation", "solvers", "records", "passes", "fit_result", "match", "figures", "regression",
+    "integration", "estimation", "simulate", "linear", "models", "export", "saving", "residual_noise", "sensitivities",
+    "validation", "planning", "pages", "discrepancy", "uncertainty", "summary", "report", "result", "api",
+    "multistart", "reconstruction", "petab", "results", "design", "cli", "__init__", "__main__",
 ]
 # fmt: on
 

@@ -63,10 +63,10 @@ from .functions import (
 )
 from .match import Tolerance, match
 from .modelling.declared import State
+from .modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from .modelling.model import Model
+from .modelling.noise import Gaussian, Sigma
 from .multistart.multistart import multistart
-from .noise.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
-from .noise.noise import Gaussian, Sigma
 from .parameters import Parameter
 from .petab.problem import read_petab
 from .reconstruction import reconstruct

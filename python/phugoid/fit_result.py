@@ -14,13 +14,12 @@ import phugoid._core as _core
 from .data.experiment import Experiment
 from .data.interpolation import kinds_for
 from .errors import ByName, DataError
+from .modelling.densities import PerExperiment
 from .modelling.model import Model
-from .noise.densities import PerExperiment
-from .noise.noise import Noise
+from .modelling.noise import Noise
 from .parameters import Estimates
+from .passes import Refinement, Smoothing
 from .records import Record
-from .refinement import Refinement
-from .smoothing import Smoothing
 from .solvers import Iteration, Solution
 from .transcription.filter_error import FilterError
 from .transcription.shooting import Transcription

@@ -14,7 +14,7 @@ import phugoid._core as _core
 from .data.experiment import Experiment
 from .errors import DataError, ModelError
 from .modelling.model import Model
-from .noise.noise import Noise, positive
+from .modelling.noise import Noise, positive
 from .transcription.collocation import records_of
 
 __all__ = [

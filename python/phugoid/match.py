@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from .errors import OptionError, UnknownName, did_you_mean, listing
-from .noise.noise import Gaussian, Noise
+from .modelling.noise import Gaussian, Noise
 from .records import Record
 
 __all__ = [

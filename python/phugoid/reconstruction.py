@@ -16,8 +16,8 @@ from .data.interpolation import kinds_for
 from .errors import ModelError, OptionError, PhugoidError
 from .modelling.compiled import CompiledExpressions
 from .modelling.model import Model
+from .modelling.noise import Gaussian
 from .models.flight_path import flight_path
-from .noise.noise import Gaussian
 from .parameters import Estimate, plus_minus, text_table
 from .records import Record
 from .regression.differentiate import SmoothingSpline

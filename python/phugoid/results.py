@@ -14,15 +14,14 @@ from .match import Match
 from .multistart.optima import Optimum
 from .multistart.result import Multistart
 from .parameters import Estimate
+from .passes import Refinement, Smoothing
 from .petab.problem import PetabProblem
 from .planning.plan import Excursion, Plan, Plans
 from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
-from .refinement import Refinement
 from .regression.equation_error import EquationError
 from .result import Diagnosis, Extension, Improvement
 from .sensitivities.trajectory import Place, Points
-from .smoothing import Smoothing
 from .solvers import Iteration
 from .uncertainty.bands import Bands
 from .uncertainty.bootstrap import Bootstrap

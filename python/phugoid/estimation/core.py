@@ -18,14 +18,13 @@ from ..fit_result import FitResult
 from ..match import no_match, r_squared
 from ..modelling.core_model import kink_advice
 from ..modelling.declared import Delays
+from ..modelling.densities import PerExperiment
 from ..modelling.model import Model
-from ..noise.densities import PerExperiment
-from ..noise.noise import Gaussian, Noise
+from ..modelling.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
+from ..passes import Refinement, Smoothing, SmoothingStep, Step
 from ..records import Record, repeated_outputs
-from ..refinement import Refinement, Step
 from ..regression.equation_error import EquationError
-from ..smoothing import Smoothing, SmoothingStep
 from ..solvers import Ipopt, Iteration, Newton, Solution
 from ..solvers.newton import COUNTED
 from ..solvers.solution import Progress

@@ -15,7 +15,7 @@ from ..errors import ModelError, OptionError
 from ..fit_result import FitResult
 from ..initialisation import start_values
 from ..modelling.model import Model
-from ..noise.noise import Noise, not_noise
+from ..modelling.noise import Noise, not_noise
 from ..regression.equation_error import EquationError
 from ..solvers import HINTS, Ipopt, Iteration, Newton
 from ..solvers.limits import Deadline, interrupts

@@ -18,10 +18,10 @@ from ..errors import EvaluationError, OptionError, PhugoidError
 from ..fit_result import FitResult
 from ..initialisation import check_names, parameter_start, spread, state_start
 from ..modelling.model import Model
-from ..noise.noise import Gaussian, Noise
+from ..modelling.noise import Gaussian, Noise
 from ..solvers import Iteration
 from ..solvers.limits import Deadline, TimeUp
-from ..solvers.quasi_newton import Minimum, bounded_step, minimise
+from ..solvers.newton import Minimum, bounded_step, minimise
 from ..solvers.solution import Progress
 from ..transcription.filter_error import FilterError
 from .filter_result import make_filter_fit

@@ -14,12 +14,12 @@ from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..noise.noise import Noise
+from ..modelling.noise import Noise
 from ..parameters import Estimate, Estimates
 from ..records import Record, repeated_outputs
 from ..solvers import HINTS
 from ..solvers.limits import Deadline
-from ..solvers.quasi_newton import Minimum
+from ..solvers.newton import Minimum
 from ..transcription.collocation import records_of
 from ..transcription.filter_error import FilterError
 from .filter_variables import Objective

@@ -15,7 +15,7 @@ from ..errors import DataError, MissingDependency, ModelError, OptionError, Phug
 from ..fit_result import FitResult
 from ..initialisation import check_names, parameter_start, spread, state_start
 from ..modelling.model import Model
-from ..noise.noise import Noise, Sigma
+from ..modelling.noise import Noise, Sigma
 from ..solvers import Newton
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription

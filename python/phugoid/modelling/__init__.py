@@ -1,1 +1,1 @@
-"""Models: declarations, equations, delays."""
+"""Models: declarations, equations, noise, delays."""

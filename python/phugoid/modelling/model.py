@@ -12,8 +12,6 @@ import phugoid._core as _core
 
 from .._core import Expr
 from ..errors import DataError, ModelError, did_you_mean, listing, refuse_attribute
-from ..noise.densities import noise_from_dict, stated_noise
-from ..noise.noise import Gaussian, Noise, Sigma
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
 from .core_model import (
@@ -26,6 +24,8 @@ from .core_model import (
     separated,
 )
 from .declared import Declared, Delays, State, check_units, read_names, source_line
+from .densities import noise_from_dict, stated_noise
+from .noise import Gaussian, Noise, Sigma
 
 __all__ = ["Model"]
 

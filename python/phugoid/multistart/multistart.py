@@ -14,7 +14,7 @@ from ..estimation.collect import Watch, check_progress, collect
 from ..estimation.starts import Draw, Problem, Range, given, plain, uniform
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..noise.noise import Noise, not_noise
+from ..modelling.noise import Noise, not_noise
 from ..solvers.limits import limited
 from ..transcription.collocation import Collocation
 from ..transcription.shooting import MultipleShooting, SingleShooting, Transcription

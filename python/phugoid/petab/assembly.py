@@ -14,9 +14,9 @@ from .._core import Expr
 from ..data.experiment import Experiment
 from ..data.interpolation import Interpolation
 from ..errors import EvaluationError, ModelError
+from ..modelling.densities import PerOutput
 from ..modelling.model import Model
-from ..noise.densities import PerOutput
-from ..noise.noise import Gaussian
+from ..modelling.noise import Gaussian
 from ..parameters import Parameter
 from ..simulate import simulate
 from .measurements import Conditions, Measurements, Output, Phase

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .._core import Expr
 from ..errors import DataError, ModelError
 from ..functions import log
-from ..noise.densities import Laplace
+from ..modelling.densities import Laplace
 from .sbml import Formulas, substituted
 
 __all__ = ["Conditions", "Measurements", "Output", "Phase"]

@@ -1,1 +1,1 @@
-"""Evaluation of planned manoeuvres: standard errors to expect, weak directions, and excursions."""
+"""Manoeuvres planned: their inputs, the standard errors to expect, and the best of a family."""

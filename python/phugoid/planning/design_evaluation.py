@@ -12,7 +12,7 @@ from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, listing
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..noise.noise import Gaussian
+from ..modelling.noise import Gaussian
 from ..parameters import Estimate, Estimates
 from ..records import Record
 from ..sensitivities.linearised import Linearised

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from ..data.experiment import Experiment
 from ..errors import EvaluationError, OptionError
 from ..fit_result import FitResult
-from ..manoeuvres.steps import number
 from ..modelling.model import Model
 from ..solvers.limits import check_time, limited
 from .design_evaluation import plan
 from .plan import Criterion, Plan, criterion_of
+from .steps import number
 
 __all__ = ["optimal_plan"]
 

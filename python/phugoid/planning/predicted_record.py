@@ -17,7 +17,7 @@ from ..errors import EvaluationError
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..noise.noise import Gaussian
+from ..modelling.noise import Gaussian
 from ..records import Record
 from ..simulate import first_values, simulate
 from ..solvers import Newton

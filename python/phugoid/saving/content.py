@@ -16,9 +16,8 @@ from ..data.experiment import Experiment
 from ..errors import DataError
 from ..fit_result import FitResult
 from ..parameters import Estimates
+from ..passes import Refinement, Smoothing
 from ..records import Record
-from ..refinement import Refinement
-from ..smoothing import Smoothing
 from ..solvers import HINTS, Iteration, Solution
 from ..transcription.filter_error import FilterError
 

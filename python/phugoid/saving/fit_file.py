@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from ..data.experiment import Experiment, Signal, completed
 from ..errors import DataError, PhugoidError
 from ..fit_result import FitResult
+from ..modelling.densities import noise_from_dict
 from ..modelling.model import Model
-from ..noise.densities import noise_from_dict
 from ..parameters import Estimate, Estimates
+from ..passes import Refinement, Smoothing
 from ..records import Record
-from ..refinement import Refinement
-from ..smoothing import Smoothing
 from ..solvers import Iteration, Solution
 from ..transcription.filter_error import FilterError
 from ..transcription.shooting import Transcription, from_dict, to_dict

@@ -14,8 +14,8 @@ from .._core import Expr
 from ..errors import EvaluationError, OptionError
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult, dataset
-from ..noise.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
-from ..noise.noise import Gaussian, Noise
+from ..modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+from ..modelling.noise import Gaussian, Noise
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
 from .linearised import Linearised

@@ -1,9 +1,9 @@
-"""Newton's method in the Rust crate, made for these problems: the default solver."""
+"""The default solver, Newton's method in the Rust crate, and a quasi-Newton method with bounds for few unknowns."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Integral
 
 import numpy as np
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..errors import OptionError
-from .limits import check_limits
+from .limits import Deadline, check_limits
 from .solution import Iteration, Solution
 
-__all__ = ["COUNTED", "Newton"]
+__all__ = ["COUNTED", "Minimum", "Newton", "bounded_step", "minimise"]
 
 _Array = NDArray[np.float64]
 
@@ -129,3 +129,140 @@ COUNTED = (
     "factorizations",
     "solutions",
 )
+
+
+# Value and gradient, or None where there is none.
+Function = Callable[[_Array], "tuple[float, _Array] | None"]
+
+_SUFFICIENT, _FLAT = 1e-4, 0.9  # of weak Wolfe conditions
+_TRIALS = 30
+
+
+@dataclass
+class Minimum:
+    """The end point of `minimise`."""
+
+    x: _Array
+    value: float
+    gradient: _Array
+    metric: _Array
+    status: str
+    iterations: int
+    history: list[Iteration] = field(default_factory=list)
+
+
+def bounded_step(gradient: _Array, metric: _Array, low: _Array, high: _Array) -> _Array:
+    """Return the minimiser of g d + d B d / 2 within ``low <= d <= high``, B positive definite, by an active-set
+    method.
+
+    A variable that a step would take past its bound is put on it, and is not freed again: near the solution, where
+    it matters, few are.
+    """
+    step = np.clip(np.zeros_like(gradient), low, high)
+    free = (low < high) & ~((low >= 0) & (gradient > 0)) & ~((high <= 0) & (gradient < 0))
+    while free.any():
+        rest = gradient + metric @ np.where(free, 0.0, step)
+        # In units in which the diagonal is one: elimination of a badly scaled matrix would lose digits.
+        scale = 1 / np.sqrt(np.diag(metric)[free])
+        scaled = metric[np.ix_(free, free)] * np.outer(scale, scale)
+        step[free] = scale * np.linalg.solve(scaled, -scale * rest[free])
+        past = free & ((step < low) | (step > high))
+        if not past.any():
+            break
+        step[past] = np.clip(step, low, high)[past]
+        free &= ~past
+    return step
+
+
+def minimise(
+    function: Function,
+    x: _Array,
+    first: tuple[float, _Array],
+    metric: _Array,
+    bounds: tuple[_Array, _Array],
+    *,
+    tolerance: float,
+    max_iterations: int,
+    watch: Callable[[Iteration], None] | None = None,
+    number: int = 0,
+) -> Minimum:
+    """Minimise ``function`` from ``x``, where it is ``first``, by BFGS with Powell's damping, from the Hessian
+    ``metric`` (Nocedal and Wright, *Numerical Optimization*, 2006, chapters 6 and 18).
+
+    Ends where a step promises less than ``tolerance``. An interrupt, and the limit in force, end with the best point so
+    far.
+    """
+    value, gradient = first
+    lower, upper = bounds
+    end = Minimum(x.copy(), value, gradient, metric.copy(), "iteration limit", number)
+    try:
+        while end.iterations < number + max_iterations:
+            step = bounded_step(end.gradient, end.metric, lower - end.x, upper - end.x)
+            slope = float(end.gradient @ step)
+            promise = -0.5 * slope
+            if not promise >= tolerance:
+                end.status = "converged"
+                break
+            found = _search(function, end, step, slope, lower, upper)
+            if found is None:
+                # A metric without progress is reset once.
+                start = np.diag(np.diag(metric))
+                if np.array_equal(end.metric, start):
+                    end.status = "failed"
+                    break
+                end.metric = start
+                continue
+            size, there, (new_value, new_gradient), trials = found
+            end.metric = _updated(end.metric, there - end.x, new_gradient - end.gradient)
+            end.x, end.value, end.gradient = there, new_value, new_gradient
+            end.iterations += 1
+            line = Iteration(end.iterations, -end.value, 0.0, promise, size, trials)
+            end.history.append(line)
+            if watch is not None:
+                watch(line)
+    except KeyboardInterrupt:
+        end.status = Deadline(None).ended()
+    return end
+
+
+def _search(
+    function: Function, at: Minimum, step: _Array, slope: float, lower: _Array, upper: _Array
+) -> tuple[float, _Array, tuple[float, _Array], int] | None:
+    """Find a step length by bisection; return (length, point, value and gradient there, trials)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(step > 0, (upper - at.x) / step, np.where(step < 0, (lower - at.x) / step, np.inf))
+    longest = max(1.0, float(np.min(room)))
+    low, high, size = 0.0, np.inf, 1.0
+    best = None
+    for trial in range(1, _TRIALS + 1):
+        point = np.clip(at.x + size * step, lower, upper)
+        here = function(point)
+        # Rounding of the value must not refuse the last steps.
+        slack = 1e-13 * abs(at.value)
+        if here is None or here[0] > at.value + _SUFFICIENT * size * slope + slack:
+            if best is not None:
+                return best
+            high = size
+            size = 0.5 * (low + high) if here is not None else 0.25 * size
+            continue
+        best = (size, point, here, trial)
+        if float(here[1] @ step) >= _FLAT * slope or size >= longest or high < np.inf:
+            return best
+        low = size
+        size = min(2.0 * size, longest)
+    return best
+
+
+def _updated(metric: _Array, s: _Array, y: _Array) -> _Array:
+    """Return the BFGS update, damped so that it stays positive definite."""
+    bs = metric @ s
+    sbs = float(s @ bs)
+    if not sbs > 0:
+        return metric
+    sy = float(s @ y)
+    if sy < 0.2 * sbs:
+        share = 0.8 * sbs / (sbs - sy)
+        y = share * y + (1 - share) * bs
+        sy = float(s @ y)
+    updated: _Array = metric - np.outer(bs, bs) / sbs + np.outer(y, y) / sy
+    return 0.5 * (updated + updated.T)

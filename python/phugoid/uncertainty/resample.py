@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from .._core import Expr
 from ..errors import OptionError
 from ..fit_result import FitResult, dataset
-from ..noise.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
-from ..noise.noise import Gaussian, Noise
+from ..modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+from ..modelling.noise import Gaussian, Noise
 from ..sensitivities.tangents import Tangents, noise_values
 from .coloured import Colouring, coloured
 

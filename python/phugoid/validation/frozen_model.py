@@ -14,9 +14,9 @@ from .._core import Expr
 from ..data.experiment import Experiment
 from ..errors import OptionError
 from ..fit_result import FitResult
+from ..modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from ..modelling.model import Model
-from ..noise.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
-from ..noise.noise import Gaussian, Noise
+from ..modelling.noise import Gaussian, Noise
 from ..parameters import Estimates, Parameter
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError

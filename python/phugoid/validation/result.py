@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from ..figures import fit as plot
 from ..match import Match, Tolerance
 from ..modelling.model import Model
-from ..noise.noise import Noise
+from ..modelling.noise import Noise
 from ..parameters import Estimates, estimates_table, text_table
 from ..records import Record
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
 from ...fit_result import dataset
-from ...manoeuvres.steps import PATTERNS, multistep, sweep
-from ...manoeuvres.steps import step as step_input
+from ...planning.steps import PATTERNS, multistep, sweep
+from ...planning.steps import step as step_input
 from ...residual_noise.series import uniform_segments
 from ...residual_noise.whitening import Filter, RowStructure
 from ..misfit.phrases import number, with_unit

@@ -1,1 +1,0 @@
-"""Inputs for manoeuvres: steps, multisines and sweeps, as arrays over a time grid."""

@@ -1,1 +1,0 @@
-"""Noise of the measurements: Gaussian and other densities, of each output and experiment."""

@@ -50,7 +50,9 @@ def package(root: Path, files: dict[str, str]) -> Path:
 
 
 def test_an_import_of_the_package_itself_is_found(tmp_path: Path) -> None:
-    code, said = checked(package(tmp_path, {"modelling/noise.py": "from .. import _core\n", "modelling/__init__.py": ""}))
+    code, said = checked(
+        package(tmp_path, {"modelling/noise.py": "from .. import _core\n", "modelling/__init__.py": ""})
+    )
     assert code == 1 and "`modelling` must not import from `__init__`" in said
     assert checked(package(tmp_path, {"modelling/noise.py": "import phugoid._core as _core\n"})) == (0, "")
 

@@ -15,8 +15,7 @@ from .figures.convergence import plot_convergence
 from .figures.parameters import plot_parameters
 from .fit_result import FitResult
 from .match import Match, match
-from .pages.mathml import equation
-from .pages.page import PageTable, Picture, picture, render, sources
+from .pages import PageTable, Picture, equation, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .summary import corrected
 from .uncertainty.correlation import correlation, plot_correlation

@@ -6,8 +6,7 @@ import os
 from typing import Any
 
 from ...modelling.model import Model
-from ...pages.mathml import equation
-from ...pages.page import PageTable, picture, render, sources
+from ...pages import PageTable, equation, picture, render, sources
 from ...parameters import Estimate
 from ...writing import PAGES, check_folder, check_suffix, write
 from ..misfit.misfit import Misfit, misfit

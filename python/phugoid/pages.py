@@ -1,13 +1,127 @@
-"""Expressions as MathML Core, which browsers display without a script."""
+"""HTML pages from templates, which escape all text: their tables, pictures, equations (MathML Core) and sources."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import base64
+import datetime
+import hashlib
+import io
+import os
+import platform
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from .._core import Expr
+import phugoid._core as _core
 
-__all__ = ["equation"]
+from ._core import Expr
+from .data.experiment import Experiment
+from .errors import DataError
+from .records import Record
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["PageTable", "Picture", "equation", "picture", "render", "sources"]
+
+_DPI = 200  # sharp on a page of paper, and on a phone held close
+_COLOURS = 128  # a palette of so many shades takes a third of the bytes, and looks the same
+_PIXELS = 96.0  # of a screen in an inch
+_SMALL = 6.0  # inches; what is narrower is not drawn out to the width of the page
+
+
+def render(template: str, **names: Any) -> str:
+    """Return the page of a template; a name that it needs and is not given is an error."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    templates = PackageLoader("phugoid", "templates")
+    pages = Environment(
+        loader=templates, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return pages.get_template(template).render(**names)
+
+
+@dataclass(frozen=True)
+class PageTable:
+    """A table of texts; ``align`` holds l or r for each column, t for one of sentences."""
+
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    align: str
+
+    @property
+    def columns(self) -> list[tuple[int, str, str]]:
+        """Number, class and head of each column that is shown: columns without any text are left out."""
+        kept = [j for j in range(len(self.heads)) if not self.rows or any(row[j] for row in self.rows)]
+        return [(j, "" if self.align[j] == "l" else self.align[j], self.heads[j]) for j in kept]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure as data within the page, with its size in pixels of a screen."""
+
+    data: str
+    width: int
+    height: int
+    small: bool
+
+
+def picture(figure: Figure) -> Picture:
+    """Return a figure as data within the page, and close it."""
+    from matplotlib import pyplot as plt
+    from PIL import Image
+
+    drawn, small = io.BytesIO(), io.BytesIO()
+    figure.savefig(drawn, dpi=_DPI, format="png")
+    inches = figure.get_size_inches()
+    plt.close(figure)
+    drawn.seek(0)
+    shown = Image.open(drawn).convert("RGB")
+    shown.quantize(_COLOURS, dither=Image.Dither.NONE).save(small, "PNG", dpi=(_DPI, _DPI))
+    width, height = (round(_PIXELS * float(size)) for size in inches)
+    data = base64.b64encode(small.getvalue()).decode("ascii")
+    return Picture(data, width, height, bool(inches[0] < _SMALL))
+
+
+def sources(
+    records: Sequence[Record],
+    known: Mapping[str, str],
+    experiments: Sequence[Experiment] = (),
+    files: Sequence[str | os.PathLike[str]] = (),
+) -> dict[str, Any]:
+    """Return which data and versions a page comes from: records, what was done to them, facts, files with SHA-256.
+
+    Raises DataError for a file that cannot be read.
+    """
+    import matplotlib
+    import numpy
+    import scipy
+
+    rows = []
+    for r in records:
+        missing = sum(int((z != z).sum()) for z in r.measured.values())
+        span = f"{r.t[0]:g} to {r.t[-1]:g} s"
+        rows.append([r.name, str(r.n), span, str(missing), ", ".join(r.inputs), ", ".join(r.outputs)])
+    versions = f"phugoid {_core.__version__}, Python {platform.python_version()}, numpy {numpy.__version__}, "
+    versions += f"scipy {scipy.__version__}, matplotlib {matplotlib.__version__}"
+    return {
+        "records": PageTable(["experiment", "samples", "time", "missing values", "inputs", "outputs"], rows, "lrrrlt"),
+        "steps": [f"{e.name}: {'; '.join(e.history)}" for e in experiments if e.history],
+        "facts": {**known, "versions": versions, "written": datetime.date.today().isoformat()},
+        "files": [_file(Path(path)) for path in files],
+    }
+
+
+def _file(path: Path) -> tuple[str, str, str]:
+    """Return name, size and SHA-256 of a file."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read for the report ({error.strerror or error})") from error
+    return path.name, f"{len(content):,}".replace(",", " "), hashlib.sha256(content).hexdigest()
+
 
 _SUM, _PRODUCT, _POWER, _ATOM = 1, 2, 3, 4
 

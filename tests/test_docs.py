@@ -270,6 +270,12 @@ def test_files_of_the_map_exist(page: str) -> None:
     assert len(named) > 10 and not missing
 
 
+def test_map_names_every_folder_of_the_package() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    folders = [p.name for p in (ROOT / "python" / "phugoid").iterdir() if p.is_dir() and p.name != "__pycache__"]
+    assert [name for name in sorted(folders) if f"`{name}/`" not in text] == []
+
+
 @pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("sphinx", "furo", "myst_parser", "sphinx_gallery")),
     reason="building the documentation needs the extra 'docs'",

@@ -24,8 +24,8 @@ PYTHON = [
     "_core", "errors", "notebook", "writing", "tabular", "functions", "parameters", "modelling", "data",
     "transcription", "initialisation", "solvers", "records", "passes", "fit_result", "match", "figures", "regression",
     "integration", "estimation", "simulate", "linear", "models", "export", "saving", "residual_noise", "sensitivities",
-    "validation", "planning", "pages", "discrepancy", "uncertainty", "summary", "report", "result", "api",
-    "multistart", "reconstruction", "petab", "results", "design", "cli", "__init__", "__main__",
+    "validation", "design", "pages", "discrepancy", "uncertainty", "summary", "report", "result", "api",
+    "multistart", "reconstruction", "petab", "results", "cli", "__init__", "__main__",
 ]
 # fmt: on
 

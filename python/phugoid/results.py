@@ -1,5 +1,6 @@
 """Result classes, for annotations and `isinstance`; they are returned by functions, not constructed by users."""
 
+from .design.plan import Excursion, Plan, Plans
 from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates
 from .discrepancy.misfit.misfit import Misfit
@@ -16,7 +17,6 @@ from .multistart.result import Multistart
 from .parameters import Estimate
 from .passes import Refinement, Smoothing
 from .petab.problem import PetabProblem
-from .planning.plan import Excursion, Plan, Plans
 from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
 from .regression.equation_error import EquationError

@@ -13,8 +13,8 @@ from .._core import Expr, __version__
 from ..data.interpolation import kind_of
 from ..errors import DataError, ModelError, OptionError
 from ..fit_result import FitResult
-from ..linear.jacobians import Jacobians
 from ..linear.linearise import labels_of, numbers_of
+from ..modelling.compiled import Jacobians
 from ..modelling.model import Model
 from ..writing import write
 from .graph import HELPERS, LOOKUP, Graph, definition, number

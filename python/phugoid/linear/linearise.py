@@ -14,9 +14,9 @@ import phugoid._core as _core
 from ..errors import EvaluationError, ModelError, listing
 from ..fit_result import FitResult
 from ..initialisation import spread
+from ..modelling.compiled import Jacobians
 from ..modelling.model import Model
 from ..transcription.filter_error import FilterError
-from .jacobians import Jacobians
 from .mode_table import Modes, table_of
 from .response import FrequencyResponse
 from .state_space import StateSpace, only, response_of

@@ -14,7 +14,7 @@ from typing import Any
 
 from ..errors import OptionError
 
-__all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "interrupts", "limited", "shielded", "time_is_up"]
+__all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "interrupts", "limited", "time_is_up"]
 
 # Number of presses that are counted; one more raises KeyboardInterrupt, for a user who needs no result at all.
 _COUNTED = 2
@@ -98,16 +98,6 @@ class Deadline:
             yield self
         finally:
             _END.reset(before)
-
-
-@contextmanager
-def shielded() -> Iterator[None]:
-    """Suspend the limit in force for work that must be completed."""
-    before = _END.set(math.inf)
-    try:
-        yield
-    finally:
-        _END.reset(before)
 
 
 def time_is_up() -> bool:

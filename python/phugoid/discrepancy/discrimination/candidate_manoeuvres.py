@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.experiment import Experiment
+from ...design.steps import PATTERNS, multistep, sweep
+from ...design.steps import step as step_input
 from ...fit_result import dataset
-from ...planning.steps import PATTERNS, multistep, sweep
-from ...planning.steps import step as step_input
 from ...residual_noise.series import uniform_segments
 from ...residual_noise.whitening import Filter, RowStructure
 from ..misfit.phrases import number, with_unit

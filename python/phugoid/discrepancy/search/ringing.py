@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from ...errors import PhugoidError
 from ...fit_result import FitResult
-from ...linear.jacobians import Jacobians
 from ...linear.linearise import numbers_of
+from ...modelling.compiled import Jacobians
 from ...residual_noise.autoregression import Autoregression
 from ...residual_noise.whitening import Whitening
 from ...sensitivities.linearised import Linearised

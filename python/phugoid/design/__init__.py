@@ -14,10 +14,10 @@ the trim, and make an experiment of it:
 Identification, 2nd ed., AIAA 2015, ch. 2.)
 """
 
-from .planning.design_evaluation import plan, plans
-from .planning.multisines import multisine, multisines, peak_factor, spectrum, step_width
-from .planning.optimum import optimal_plan
-from .planning.steps import doublet, multistep, pulse, rate_limited, step, sweep, three_two_one_one
+from .design_evaluation import plan, plans
+from .multisines import multisine, multisines, peak_factor, spectrum, step_width
+from .optimum import optimal_plan
+from .steps import doublet, multistep, pulse, rate_limited, step, sweep, three_two_one_one
 
 __all__ = [
     "doublet",

@@ -1,1 +1,0 @@
-"""Manoeuvres planned: their inputs, the standard errors to expect, and the best of a family."""

@@ -15,8 +15,7 @@ from phugoid import _core
 from phugoid.discrepancy.candidates.library import FAMILIES
 from phugoid.discrepancy.candidates.scales import lagged, late_smooth, trim_of
 from phugoid.discrepancy.search.refit import Refit, refit
-from phugoid.modelling.core_model import rebuilt
-from phugoid.modelling.declared import Delays
+from phugoid.modelling.declared import Delays, rebuilt
 
 TRUTH = {"CL0": -0.045, "CLa": 0.9, "Cm0": 0.02, "Cma": -4.0, "Cmq": -2.0, "Cmde": -6.0, "b_az": 0.3}
 SIGMA = {"alpha": 0.0005, "q": 0.001, "az": 0.005}

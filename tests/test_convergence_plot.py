@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from phugoid.errors import DataError
-from phugoid.figures.convergence import plot_convergence
+from phugoid.figures.estimates import plot_convergence
 from phugoid.solvers import Iteration
 
 

@@ -10,7 +10,7 @@ from scipy.integrate import trapezoid
 
 import phugoid as ph
 from phugoid import design
-from phugoid.linear.mode_table import table_of
+from phugoid.linear.state_space import table_of
 
 T = 0.02 * np.arange(1501)  # carries rounding, as times do
 

@@ -22,7 +22,7 @@ import phugoid as ph
 from phugoid.discrepancy.misfit.channel import ChannelMisfit
 from phugoid.discrepancy.misfit.misfit import misfit
 from phugoid.errors import DataError, UnknownName
-from phugoid.modelling.core_model import rebuilt
+from phugoid.modelling.declared import rebuilt
 from phugoid.records import Record
 from phugoid.residual_noise.autoregression import burg
 from phugoid.residual_noise.spectrum import spectrum_of

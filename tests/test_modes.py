@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import butter, lfilter, lsim
 
 import phugoid as ph
-from phugoid.linear.mode_table import table_of
+from phugoid.linear.state_space import table_of
 
 POLES = (-0.4 + 5.0j, -0.8 + 12.0j)
 TRUTH = ph.linear.StateSpace(

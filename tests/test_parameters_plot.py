@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from phugoid.errors import DataError, OptionError, UnknownName
-from phugoid.figures.parameters import plot_parameters
+from phugoid.figures.estimates import plot_parameters
 from phugoid.parameters import Estimate, Estimates
 
 

@@ -16,9 +16,9 @@ import phugoid as ph
 from phugoid.discrepancy.search.refit import Refit
 from phugoid.residual_noise.series import resolution_of
 from phugoid.residual_noise.whitening import Whitening
-from phugoid.sensitivities.random_effects import RandomEffects, at_knots
 from phugoid.sensitivities.tangents import collocated
 from phugoid.sensitivities.trajectory import Place
+from phugoid.sensitivities.whitened import RandomEffects, at_knots
 
 
 def diagnosed(what: str, system: str, seed: int) -> tuple[ph.Diagnosis, tuple[str, ...], dict[str, float]]:

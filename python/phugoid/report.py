@@ -11,8 +11,7 @@ from typing import Any
 from .discrepancy.misfit.residuals_figure import plot_residuals
 from .errors import DataError, OptionError
 from .figures import fit as plot
-from .figures.convergence import plot_convergence
-from .figures.parameters import plot_parameters
+from .figures.estimates import plot_convergence, plot_parameters
 from .fit_result import FitResult
 from .match import Match, match
 from .pages import PageTable, Picture, equation, picture, render, sources

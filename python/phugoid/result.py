@@ -23,9 +23,8 @@ from .discrepancy.saved import save_diagnosis
 from .discrepancy.search.finding import DiagnosisResult, ExtensionResult
 from .estimation.starts import Outcome
 from .export import export_c, export_fmu
-from .figures.convergence import plot_convergence
+from .figures.estimates import plot_convergence, plot_parameters
 from .figures.fit import plot_fit
-from .figures.parameters import plot_parameters
 from .fit_result import FitResult
 from .integration import IntegrationError, integration_error
 from .match import Tolerance

@@ -8,8 +8,8 @@ from .discrepancy.search.finding import Finding, Gain, Scored
 from .estimation.starts import Outcome
 from .fit_result import FitResult
 from .integration import IntegrationError
-from .linear.mode_table import Mode, Modes
 from .linear.response import FrequencyResponse
+from .linear.state_space import Mode, Modes
 from .linear.trim import Trim
 from .match import Match
 from .multistart.optima import Optimum

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import OptionError, did_you_mean
-from ..linear.mode_table import Mode
+from ..linear.state_space import Mode
 from .steps import grid, number, pair, placed
 
 __all__ = ["multisine", "multisines", "peak_factor", "spectrum", "step_width"]

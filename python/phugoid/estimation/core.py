@@ -16,8 +16,7 @@ from ..data.interpolation import kinds_for
 from ..errors import EvaluationError
 from ..fit_result import FitResult
 from ..match import no_match, r_squared
-from ..modelling.core_model import kink_advice
-from ..modelling.declared import Delays
+from ..modelling.declared import Delays, kink_advice
 from ..modelling.densities import PerExperiment
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian, Noise

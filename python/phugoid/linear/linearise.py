@@ -17,9 +17,8 @@ from ..initialisation import spread
 from ..modelling.compiled import Jacobians
 from ..modelling.model import Model
 from ..transcription.filter_error import FilterError
-from .mode_table import Modes, table_of
 from .response import FrequencyResponse
-from .state_space import StateSpace, only, response_of
+from .state_space import Modes, StateSpace, only, response_of, table_of
 
 __all__ = ["labels_of", "linearise", "model_response", "modes", "numbers_of"]
 

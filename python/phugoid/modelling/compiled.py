@@ -12,7 +12,7 @@ import phugoid._core as _core
 
 from .._core import Expr
 from ..errors import EvaluationError, ModelError, listing
-from .core_model import rebuilt
+from .declared import rebuilt
 from .model import Model
 
 __all__ = ["CompiledExpressions", "CompiledModel", "Jacobians"]

@@ -14,16 +14,21 @@ from .._core import Expr
 from ..errors import DataError, ModelError, did_you_mean, listing, refuse_attribute
 from ..parameters import Parameter
 from ..writing import sealed, unsealed, write
-from .core_model import (
+from .declared import (
+    Declared,
+    Delays,
     Key,
+    State,
     added_parameters,
     changed,
     changed_parameters,
+    check_units,
     declare_parameter,
     equations_of,
+    read_names,
     separated,
+    source_line,
 )
-from .declared import Declared, Delays, State, check_units, read_names, source_line
 from .densities import noise_from_dict, stated_noise
 from .noise import Gaussian, Noise, Sigma
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..._core import Expr
 from ...errors import ModelError, did_you_mean
-from ...modelling.core_model import Key
+from ...modelling.declared import Key
 from ...modelling.model import Model
 from ...parameters import Parameter
 from ...sensitivities.trajectory import Place, Points

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..._core import Expr
 from ...errors import ModelError
 from ...modelling.compiled import CompiledModel
-from ...modelling.core_model import Key
+from ...modelling.declared import Key
 from ...modelling.model import Model
 from ...sensitivities.trajectory import Points
 from .candidate import Candidate

@@ -18,8 +18,8 @@ from ...errors import PhugoidError
 from ...fit_result import dataset
 from ...residual_noise.whitening import Filter
 from ...sensitivities.linearised import Linearised
-from ...sensitivities.random_effects import Marginal, RandomEffects, at_knots
 from ...sensitivities.trajectory import Place
+from ...sensitivities.whitened import Marginal, RandomEffects, at_knots
 from .disturbance import noises_of
 from .refit import Refit, fitted_to, on_other_data
 

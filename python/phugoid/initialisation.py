@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import phugoid._core as _core
 
+from .checks import finite
 from .data.experiment import Experiment
 from .errors import DataError, ModelError
 from .modelling.model import Model
@@ -96,15 +97,8 @@ def _parameters(model: Model, start: Mapping[str, Any], experiments: Sequence[st
     names += [f"{n}[{e}]" for n, p in model.declared_parameters.items() if p.per_experiment for e in experiments]
     given = []
     for name in names:
-        if name not in start:
-            continue
-        try:
-            value = float(start[name])
-        except (TypeError, ValueError):
-            value = np.nan
-        if not np.isfinite(value):
-            raise ModelError(f"start: '{name}' is {start[name]!r}, not a finite number")
-        given.append((name, value))
+        if name in start:
+            given.append((name, finite(f"start: '{name}'", start[name], ModelError)))
     return given
 
 

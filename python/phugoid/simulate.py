@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import phugoid._core as _core
 
+from .checks import finite
 from .data.experiment import Experiment
 from .data.interpolation import kinds_for
 from .data.units import check_units
@@ -131,7 +132,10 @@ def _values(model: Model, parameters: Mapping[str, Any] | FitResult, experiment:
         own = [name for name in missing if name in local]
         why = f"; each experiment has its own {', '.join(own)}, and '{experiment}' has none" if own else ""
         raise ModelError(f"simulate: no value was given for {', '.join(missing)}{why}")
-    return {name: _finite(f"parameter '{name}'", given[found.get(name, name)]) for name in model.parameter_names}
+    return {
+        name: finite(f"simulate: parameter '{name}'", given[found.get(name, name)], ModelError)
+        for name in model.parameter_names
+    }
 
 
 def first_values(
@@ -147,7 +151,7 @@ def first_values(
     x0 = []
     for name in model.state_names:
         if name in initial:
-            x0.append(_finite(f"initial '{name}'", initial[name]))
+            x0.append(finite(f"simulate: initial '{name}'", initial[name], ModelError))
         elif name in of_fit:
             x0.append(float(of_fit[name]))
         elif name in measured and measured[name][0] in there:
@@ -164,13 +168,3 @@ def first_values(
             numbers = {**known, **found}
             found[state] = expression.evaluate({n: numbers[n] for n in expression.symbols})
     return np.array(list(found.values()))
-
-
-def _finite(what: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = float("nan")
-    if not np.isfinite(number):
-        raise ModelError(f"simulate: {what} is {value!r}, not a finite number")
-    return number

@@ -6,11 +6,12 @@ import math
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import whole
 from ..errors import DataError, OptionError, listing
 
 __all__ = [
@@ -22,12 +23,10 @@ __all__ = [
     "even_rate",
     "intervals",
     "mapped",
-    "number",
     "polyphase",
     "power_above",
     "through",
     "through_butterworth",
-    "whole_from",
 ]
 
 _Array: TypeAlias = NDArray[np.float64]
@@ -70,24 +69,6 @@ def even_rate(t: _Array, values: _Array, where: str, purpose: str) -> float:
             f"({missing.size} of {t.size} are): fill the gaps, cut with .window, or leave the channel out"
         )
     return float((t.size - 1) / (t[-1] - t[0]))
-
-
-def number(value: Any, what: str) -> float:
-    """Return a positive finite number; raise OptionError, beginning with ``what``, for anything else."""
-    try:
-        real = math.nan if isinstance(value, (bool, str)) else float(value)
-    except (TypeError, ValueError):
-        real = math.nan
-    if not (math.isfinite(real) and real > 0.0):
-        raise OptionError(f"{what} is a positive number, not {value!r}")
-    return real
-
-
-def whole_from(low: int, value: Any, what: str) -> int:
-    """Return a whole number not below ``low``; raise OptionError, beginning with ``what``, for anything else."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
-        raise OptionError(f"{what} is a whole number from {low}, not {value!r}")
-    return int(value)
 
 
 def butterworth(kinds: list[tuple[Kind, float]], order: int, rate: float) -> _Array:
@@ -258,7 +239,7 @@ def through_butterworth(
     what: str,
 ) -> _Self:
     """Filter the channels with Butterworth filters in cascade."""
-    order = whole_from(1, order, f"{method}: order")
+    order = whole(f"{method}: order", order, 1)
 
     def sections(rate: float) -> _Array:
         highest = max(corner for _, corner in kinds)

@@ -14,6 +14,7 @@ from typing import Literal, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import positive, whole
 from ..errors import DataError, OptionError
 from .filtering import (
     Channelled,
@@ -21,12 +22,10 @@ from .filtering import (
     anti_alias,
     even_rate,
     mapped,
-    number,
     polyphase,
     power_above,
     through,
     through_butterworth,
-    whole_from,
 )
 
 __all__ = ["Preprocessing", "Signal"]
@@ -69,7 +68,7 @@ class Preprocessing(Channelled):
         unknown channel, one with missing samples or uneven sampling (with the time of the first gap), and a record
         shorter than the filter takes to settle. (Filters in cascade as in the paper's ground vibration test.)
         """
-        low, high = number(low, "band_pass: low (Hz)"), number(high, "band_pass: high (Hz)")
+        low, high = positive("band_pass: low (Hz)", low), positive("band_pass: high (Hz)", high)
         if low >= high:
             raise OptionError(f"band_pass: low ({low:g} Hz) must lie below high ({high:g} Hz)")
         what = f"band-pass {low:g} to {high:g} Hz, Butterworth of order {order} twice (high-pass, low-pass)"
@@ -81,7 +80,7 @@ class Preprocessing(Channelled):
         self: _Self, corner: float, order: int = 5, channels: Sequence[str] | None = None, zero_phase: bool = False
     ) -> _Self:
         """Pass frequencies below ``corner`` (Hz, where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
-        corner = number(corner, "low_pass: the corner frequency (Hz)")
+        corner = positive("low_pass: the corner frequency (Hz)", corner)
         what = f"low-pass {corner:g} Hz, Butterworth of order {order}"
         return through_butterworth(self, "low_pass", [("lowpass", corner)], order, channels, zero_phase, what)
 
@@ -89,7 +88,7 @@ class Preprocessing(Channelled):
         self: _Self, corner: float, order: int = 5, channels: Sequence[str] | None = None, zero_phase: bool = False
     ) -> _Self:
         """Pass frequencies above ``corner`` (Hz, where 3 dB are lost): a Butterworth filter; else as `band_pass`."""
-        corner = number(corner, "high_pass: the corner frequency (Hz)")
+        corner = positive("high_pass: the corner frequency (Hz)", corner)
         what = f"high-pass {corner:g} Hz, Butterworth of order {order}"
         return through_butterworth(self, "high_pass", [("highpass", corner)], order, channels, zero_phase, what)
 
@@ -134,8 +133,8 @@ class Preprocessing(Channelled):
         sampling.
         """
         name, t = self._times()
-        factor = whole_from(1, factor, "decimate: factor")
-        fine = None if inputs is None else whole_from(1, inputs, "decimate: inputs")
+        factor = whole("decimate: factor", factor, 1)
+        fine = None if inputs is None else whole("decimate: inputs", inputs, 1)
         if fine is not None and factor % fine:
             raise OptionError(f"decimate: inputs={fine} must divide the factor {factor}, so that samples coincide")
         if (t.size - 1) // factor < 1:
@@ -197,7 +196,7 @@ class Preprocessing(Channelled):
                     f"resample: the input '{channel}' of experiment '{name}' is held between its samples, and its "
                     "steps have no limit of frequency: take .low_pass and .decimate, which keep it exact"
                 )
-        rate = number(rate, "resample: rate (Hz)")
+        rate = positive("resample: rate (Hz)", rate)
         old = even_rate(t, t, f"experiment '{name}'", "resample")
         if rate > old * (1.0 + 1e-9):
             raise OptionError(
@@ -237,7 +236,7 @@ class Preprocessing(Channelled):
         unless samples are missing; inputs that are held between their samples are left alone.
         """
         name, t = self._times()
-        factor = whole_from(2, factor, "upsample_inputs: factor")
+        factor = whole("upsample_inputs: factor", factor, 2)
         signals = dict(self._signals_of())
         columns = self._columns_of()
         done = []

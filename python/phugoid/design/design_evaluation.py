@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import positive
 from ..data.experiment import Experiment, as_experiments
 from ..errors import DataError, ModelError, OptionError, listing
 from ..fit_result import FitResult
@@ -189,8 +190,7 @@ def _sizes(estimates: Estimates, names: Sequence[str], sizes: Mapping[str, float
     for n, s in (sizes or {}).items():
         if n not in estimates:
             raise ModelError(f"plan: sizes: '{n}' is no parameter.{listing(str(n), list(estimates))}")
-        if not 0.0 < s < np.inf:
-            raise OptionError(f"plan: the size of '{n}' is a positive number, not {s!r}")
+        positive(f"plan: the size of '{n}'", s)
     found = np.array([(sizes or {}).get(n, abs(estimates[n].value)) for n in names])
     return np.where(found > 0.0, found, np.nan)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import whole
 from ..data.experiment import Experiment
 from ..errors import EvaluationError, OptionError
 from ..fit_result import FitResult
@@ -63,8 +64,7 @@ def optimal_plan(
     names = list(bounds)
     if not names:
         raise OptionError("optimal_plan: bounds says what is chosen, as in {'width': (0.2, 1.0)}")
-    if not isinstance(generations, int) or generations < 1:
-        raise OptionError(f"optimal_plan: generations is a whole number from 1, not {generations!r}")
+    whole("optimal_plan: generations", generations, 1)
     for n, pair in bounds.items():
         low, high = (number("optimal_plan", f"a bound of {n}", b) for b in pair)
         if not low < high:

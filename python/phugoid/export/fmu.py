@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from .._core import Expr, __version__
-from ..errors import DataError, MissingDependency, OptionError
+from ..checks import positive
+from ..errors import DataError, MissingDependency
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..writing import write
@@ -70,8 +71,7 @@ def export_fmu(
     if step is None:
         gaps = [float(np.diff(r.t).min()) for r in fit.records] if isinstance(fit, FitResult) else []
         step = min(gaps) / _PARTS if gaps else _STEP
-    if not (isinstance(step, (int, float)) and 0.0 < step < np.inf):
-        raise OptionError(f"export_fmu: step is a positive number of seconds, not {step!r}")
+    step = positive("export_fmu: step", step, "seconds")
     name = identifier(contents.model.name)
     name = f"{name}_" if name.startswith("fmi2") else name  # as the wrapper's files are called
     code = source(contents, name)

@@ -8,8 +8,9 @@ from typing import Any, Literal, TypeAlias, get_args, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..checks import positive, whole
 from ..data.experiment import Experiment
-from ..data.filtering import even_rate, number, whole_from
+from ..data.filtering import even_rate
 from ..errors import DataError, OptionError
 from ..fit_result import FitResult
 from ..modelling.model import Model
@@ -53,14 +54,14 @@ def empirical_response(
     where = f"experiment '{data.name}', input '{input}'"
     averages = None  # number of independent averages, for standard errors
     if period is not None:
-        length = find_period(u, where) if period == "auto" else whole_from(2, period, "frequency_response: period")
+        length = find_period(u, where) if period == "auto" else whole("frequency_response: period", period, 2)
         f, U, Y = _periods(u, y, length, rate, where)
         words = f"{'ETFE' if method == 'etfe' else 'H1'}, {len(U)} periods of {length} samples"
         suu, syy, suy = _power(U).mean(axis=0), _power(Y).mean(axis=0), (U.conj() * Y).mean(axis=0)
         response = _ratio(Y.mean(axis=0), U.mean(axis=0)) if method == "etfe" else _ratio(suy, suu)
         averages = float(len(U)) if len(U) > 1 else None
     elif method == "h1":
-        length = u.size // 8 if segment is None else whole_from(8, segment, "frequency_response: segment")
+        length = u.size // 8 if segment is None else whole("frequency_response: segment", segment, 8)
         if not 8 <= length <= u.size:
             raise DataError(f"experiment '{data.name}': {u.size} samples are too few for segments of {length} samples")
         f, suu, syy, suy = _welch(u, y, length, rate)
@@ -70,7 +71,7 @@ def empirical_response(
         f, U, Y = _periods(u, y, u.size, rate, where)
         suu, syy, suy, words = _power(U[0]), _power(Y[0]), U[0].conj() * Y[0], "ETFE"
         if smoothing is not None:
-            width = number(smoothing, "frequency_response: smoothing (Hz)")
+            width = positive("frequency_response: smoothing (Hz)", smoothing)
             kernel = _kernel(width, rate / u.size, f.size, data.name)
             suu, syy, suy = (np.convolve(s, kernel, mode="same") for s in (suu, syy, suy))
             averages, words = float(kernel.sum() ** 2 / (kernel**2).sum()), f"ETFE, smoothed over {width:g} Hz"

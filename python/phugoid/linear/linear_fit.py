@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from numbers import Integral
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import whole
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
 from ..solvers.limits import check_time, limited
@@ -90,8 +90,7 @@ def fit_linear(
     deadline = limited("fit_linear", time_limit)
     most = np.iinfo(np.int64).max if moves is None else moves
     for name, value, least in (("moves", most, 0), ("max_iterations", max_iterations, 1)):
-        if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
-            raise OptionError(f"fit_linear: {name} is a whole number from {least}, not {value!r}")
+        whole(f"fit_linear: {name}", value, least)
     if not isinstance(progress, bool) and not callable(progress):
         raise OptionError(f"fit_linear: progress is True, False or a function, not {progress!r}")
     start = as_state_space("fit_linear", system)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import phugoid._core as _core
 
+from ..checks import finite
 from ..errors import EvaluationError, ModelError, listing
 from ..fit_result import FitResult
 from ..initialisation import spread
@@ -264,12 +265,7 @@ def numbers_of(
             if label.startswith("sigma_"):  # of the noise, as Estimates.to_dict() has it
                 continue
             raise ModelError(f"{caller}: '{name}' is no parameter.{listing(label, model.parameter_names)}")
-        try:
-            values[label] = float(value)
-        except (TypeError, ValueError):
-            values[label] = float("nan")
-        if not np.isfinite(values[label]):
-            raise ModelError(f"{caller}: parameter '{name}' is {value!r}, not a finite number")
+        values[label] = finite(f"{caller}: parameter '{name}'", value, ModelError)
     missing = [name for name in model.parameter_names if name not in values]
     if missing:
         raise ModelError(f"{caller}: no value was given for {', '.join(missing)}")

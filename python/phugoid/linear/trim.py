@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._core import Expr
+from ..checks import finite
 from ..errors import EvaluationError, ModelError, OptionError, listing
 from ..fit_result import FitResult
 from ..modelling.model import Model
@@ -133,7 +134,7 @@ class _TrimEquations:
         outputs: dict[str, float],
     ) -> None:
         self.model, self.values = model, values
-        self.held = {name: _number(f"at: {name}", value) for name, value in held.items()}
+        self.held = {name: finite(f"trim: at: {name}", value, ModelError) for name, value in held.items()}
         _known("at", held, (*model.state_names, *model.input_names, "time"))
         _known("rates", rates, model.state_names)
         _known("outputs", outputs, model.output_names)
@@ -144,7 +145,7 @@ class _TrimEquations:
         goals = {f"{n}'": (self.f[n], value) for n, value in targets.items() if value is not None}
         goals |= {n: (self.g[n], value) for n, value in outputs.items()}
         self.names = list(goals)
-        self.equations = [Expr(e - _number(n, value)) for n, (e, value) in goals.items()]
+        self.equations = [Expr(e - finite(f"trim: {n}", value, ModelError)) for n, (e, value) in goals.items()]
         self.unknown = [n for n in (*model.state_names, *model.input_names) if n not in held]
         self.used = {n for e in (*self.equations, *self.f.values()) for n in e.symbols}
         if "time" in self.used and "time" not in held:
@@ -259,7 +260,7 @@ def _start(model: Model, fit: FitResult | None, experiment: str | None, given: d
     if fit is not None:
         record = next(r for r in fit.records if experiment in (None, r.name))
         found |= {n: float(v[0]) for n, v in {**record.inputs, **record.states}.items()}
-    return found | {n: _number(f"start: {n}", v) for n, v in given.items()}
+    return found | {n: finite(f"trim: start: {n}", v, ModelError) for n, v in given.items()}
 
 
 def _bounds(unknown: Sequence[str], given: dict[str, tuple[float, float]]) -> tuple[_Array, _Array]:
@@ -279,13 +280,3 @@ def _known(what: str, given: Mapping[str, Any], names: Sequence[str]) -> None:
     for name in given:
         if name not in names:
             raise ModelError(f"trim: {what}: '{name}' is not there.{listing(str(name), names)}")
-
-
-def _number(what: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = float("nan")
-    if not np.isfinite(number):
-        raise ModelError(f"trim: {what} is {value!r}, not a finite number")
-    return number

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing, nullcontext
-from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
+from ..checks import whole
 from ..data.experiment import Experiment, as_experiments, completed
 from ..errors import ModelError, OptionError
 from ..estimation.collect import Watch, check_progress, collect
@@ -95,10 +95,9 @@ def multistart(
     begin = time.perf_counter()
     deadline = limited("multistart", time_limit)
     problem = _problem(model, data, transcription, noise, start, solver)
-    if n is not None and not _whole(n, 1):
-        raise OptionError(f"multistart: n is a whole number from 1, not {n!r}")
-    if not _whole(seed, 0):
-        raise OptionError(f"multistart: seed is a whole number from 0, not {seed!r}")
+    if n is not None:
+        whole("multistart: n", n, 1)
+    whole("multistart: seed", seed, 0)
     check_progress("multistart", progress)
     if (ranges is None) == (starts is None):
         raise OptionError("multistart: give either ranges to draw from, or starts")
@@ -145,7 +144,3 @@ def _problem(model: Any, data: Any, transcription: Any, noise: Any, start: Any, 
         raise OptionError(f"multistart: start holds values by name, or is a fit, not {start!r}")
     common = start.as_start() if isinstance(start, FitResult) else start or {}
     return Problem(model, experiments, transcription, noise, solver, {n: plain(v) for n, v in common.items()})
-
-
-def _whole(value: Any, least: int) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least

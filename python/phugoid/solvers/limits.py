@@ -9,9 +9,10 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from numbers import Integral, Real
+from numbers import Real
 from typing import Any
 
+from ..checks import part, whole
 from ..errors import OptionError
 
 __all__ = ["Deadline", "TimeUp", "check_limits", "check_time", "interrupts", "limited", "time_is_up"]
@@ -121,9 +122,6 @@ def limited(caller: str, time_limit: Any) -> Deadline:
 
 def check_limits(solver: str, max_iterations: Any, tolerance: Any, time_limit: Any) -> None:
     """Raise OptionError, in the solver's name, for invalid limits."""
-    whole = isinstance(max_iterations, Integral) and not isinstance(max_iterations, bool)
-    if not whole or max_iterations < 0:
-        raise OptionError(f"{solver}: max_iterations is a whole number from 0, not {max_iterations!r}")
-    if not isinstance(tolerance, Real) or not 0 < float(tolerance) < 1:
-        raise OptionError(f"{solver}: tolerance is a number between 0 and 1, not {tolerance!r}")
+    whole(f"{solver}: max_iterations", max_iterations, 0)
+    part(f"{solver}: tolerance", tolerance)
     limited(solver, time_limit)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import phugoid._core as _core
 
+from ..checks import is_whole, part, whole
 from ..data.experiment import Experiment, FloatArray
 from ..errors import OptionError
 from ..modelling.model import Model
@@ -50,20 +50,17 @@ class Collocation:
     tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
-        if not whole(self.order) or not 2 <= self.order <= 64:
+        if not is_whole(self.order) or not 2 <= self.order <= 64:
             raise OptionError(f"Collocation: order is a whole number from 2 (trapezoid) to 64, not {self.order!r}")
-        if not whole(self.substeps) or self.substeps < 1:
-            raise OptionError(f"Collocation: substeps is a whole number from 1, not {self.substeps!r}")
+        whole("Collocation: substeps", self.substeps, 1)
         limit("Collocation", "substeps", self.substeps)
         if self.segments is not None and self.substeps != 1:
             raise OptionError("Collocation: substeps divides sample intervals and segments replaces them; give one")
-        if not whole(self.threads) or self.threads < 0:
-            raise OptionError(f"Collocation: threads is a whole number from 0, not {self.threads!r}")
+        whole("Collocation: threads", self.threads, 0)
         limit("Collocation", "threads", self.threads)
         if not isinstance(self.refine, bool):
             raise OptionError(f"Collocation: refine is True or False, not {self.refine!r}")
-        if not isinstance(self.tolerance, Real) or not 0 < self.tolerance < 1:
-            raise OptionError(f"Collocation: tolerance is a number between 0 and 1, not {self.tolerance!r}")
+        part("Collocation: tolerance", self.tolerance)
         for name in ("order", "substeps", "threads"):
             object.__setattr__(self, name, int(getattr(self, name)))
         object.__setattr__(self, "segments", checked_segments("Collocation", self.segments))
@@ -149,17 +146,12 @@ def division(what: str, segments: Any, experiments: Sequence[Experiment]) -> lis
     return [("edges", 0, list(edges)) for edges in lists]
 
 
-def whole(value: Any) -> bool:
-    """Return whether a value is a whole number."""
-    return isinstance(value, Integral) and not isinstance(value, bool)
-
-
 def checked_segments(what: str, segments: Any) -> Any:
     """Return None, a number, the segment ends of one experiment, or a tuple of such, as plain data, so that options
     compare."""
     if segments is None:
         return None
-    if whole(segments):
+    if is_whole(segments):
         if segments < 1:
             raise OptionError(f"{what}: at least 1 segment is needed, not {segments}")
         limit(what, "segments", segments)

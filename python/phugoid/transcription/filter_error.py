@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from numbers import Integral, Real
+from numbers import Real
 from typing import Any
 
 import phugoid._core as _core
 
+from ..checks import whole
 from ..data.experiment import Experiment
 from ..errors import OptionError, did_you_mean
 from ..modelling.model import Model
@@ -74,8 +75,7 @@ class FilterError:
             value = getattr(self, name)
             if chosen and value is None:
                 continue
-            if not isinstance(value, Integral) or isinstance(value, bool) or value < 1:
-                raise OptionError(f"FilterError: {name} is a whole number from 1, not {value!r}")
+            whole(f"FilterError: {name}", value, 1)
         limit = self.time_limit
         if limit is not None and not (isinstance(limit, Real) and not isinstance(limit, bool) and float(limit) >= 0):
             raise OptionError(f"FilterError: time_limit is a number of seconds from 0, or None, not {limit!r}")

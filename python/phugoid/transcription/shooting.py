@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from numbers import Real
 from typing import Any, TypeAlias
 
 from numpy.typing import ArrayLike
 
 import phugoid._core as _core
 
+from ..checks import positive, whole
 from ..data.experiment import Experiment
 from ..errors import OptionError
 from ..modelling.model import Model
-from .collocation import Collocation, GridSpec, checked_segments, division, limit, records_of, whole
+from .collocation import Collocation, GridSpec, checked_segments, division, limit, records_of
 
 __all__ = ["MultipleShooting", "SingleShooting", "Transcription", "from_dict", "step_spec", "to_dict"]
 
@@ -108,15 +108,11 @@ def _check(options: _Shooting) -> None:
         value, least = getattr(options, name), 0 if name == "threads" else 1
         if name == "steps" and value is None:
             continue
-        if not whole(value) or value < least:
-            raise OptionError(f"{what}: {name} is a whole number from {least}, not {value!r}")
+        object.__setattr__(options, name, whole(f"{what}: {name}", value, least))
         limit(what, name, value)
-        object.__setattr__(options, name, int(value))
     step = options.step
     if step is not None:
-        if not isinstance(step, Real) or isinstance(step, bool) or not 0 < step < float("inf"):
-            raise OptionError(f"{what}: step is a positive number of seconds, not {step!r}")
-        object.__setattr__(options, "step", float(step))
+        object.__setattr__(options, "step", positive(f"{what}: step", step, "seconds"))
     if (options.substeps != 1) + (step is not None) + (options.steps is not None) > 1:
         raise OptionError(f"{what}: substeps, step and steps are three ways to say the same; give one")
 

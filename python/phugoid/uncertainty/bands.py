@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import part
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError, UnknownName, did_you_mean
 from ..figures.style import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
@@ -77,8 +78,7 @@ def prediction_bands(
     values: Mapping[str, float] | None = None,
 ) -> Bands:
     """Compute prediction bands; see `Fit.prediction_bands`."""
-    if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
-        raise OptionError(f"prediction_bands: level is a number between 0 and 1, such as 0.95, not {level!r}")
+    part("prediction_bands: level", level, "0.95")
     filtered = isinstance(fit.transcription, FilterError)
     coloured = coloured and not filtered  # innovations are white where the model is right
     if isinstance(experiment, Experiment) and filtered:

@@ -7,12 +7,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from numbers import Integral
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import is_whole, part, whole
 from ..errors import DataError, OptionError
 from ..estimation.collect import common_to, run_all
 from ..estimation.estimate import estimate
@@ -94,8 +94,7 @@ class Bootstrap:
     ) -> dict[str, tuple[float, float]]:
         """Return name -> (low, high). "percentile" takes the quantiles of the estimates; "basic" mirrors them at the
         fit, so that a bias is subtracted rather than doubled. Raises OptionError for other methods and levels."""
-        if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
-            raise OptionError(f"bootstrap: level is a number between 0 and 1, such as 0.95, not {level!r}")
+        part("bootstrap: level", level, "0.95")
         if method not in ("percentile", "basic"):
             raise OptionError(f'bootstrap: method is "percentile" or "basic", not {method!r}')
         if not len(self.estimates):
@@ -224,16 +223,14 @@ def bootstrap(
     """Run the bootstrap; see `Fit.bootstrap`."""
     begin = time.perf_counter()
     deadline = limited("bootstrap", time_limit)
-    if not _whole(n, 1):
-        raise OptionError(f"bootstrap: n is a whole number from 1, not {n!r}")
-    if not _whole(seed, 0):
-        raise OptionError(f"bootstrap: seed is a whole number from 0, not {seed!r}")
+    whole("bootstrap: n", n, 1)
+    whole("bootstrap: seed", seed, 0)
     if kind not in _KINDS:
         raise OptionError(f"bootstrap: kind is one of {', '.join(map(repr, _KINDS))}, not {kind!r}")
     if block is not None and kind != "block":
         raise OptionError(f'bootstrap: block is for kind="block", not for {kind!r}')
     longest = min(r.n for r in fit.records)
-    if block is not None and not (_whole(block, 1) and block <= longest):
+    if block is not None and not (is_whole(block) and 1 <= block <= longest):
         raise OptionError(f"bootstrap: block is a number of samples from 1 to {longest}, not {block!r}")
     common = common_to(fit, "bootstrap")
     resampler: Resampler
@@ -272,10 +269,6 @@ def bootstrap(
         warnings=tuple(warnings),
         time=time.perf_counter() - begin,
     )
-
-
-def _whole(value: Any, least: int) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
 
 
 # Number of draws that are tried, and the largest range of their motion as a multiple of the recorded one.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import part
 from ..errors import OptionError, UnknownName, did_you_mean, listing
 from ..estimation.collect import common_to, run_all
 from ..estimation.starts import Outcome
@@ -162,8 +163,7 @@ def profile(
     """Compute profile-likelihood intervals; see `Fit.profile`."""
     begin = time.perf_counter()
     deadline = limited("profile", time_limit)
-    if not isinstance(level, (int, float)) or not 0.0 < level < 1.0:
-        raise OptionError(f"profile: level is a number between 0 and 1, such as 0.95, not {level!r}")
+    part("profile: level", level, "0.95")
     chosen = _chosen(fit, names)
     inflation = {name: 1.0 for name in chosen}
     if coloured:

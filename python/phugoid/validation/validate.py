@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import finite
 from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
 from ..errors import DataError, ModelError, OptionError, did_you_mean
@@ -155,7 +156,7 @@ def _held(fit: FitResult, free: Sequence[str], values: Mapping[str, Any]) -> dic
         if name in free:
             continue
         if name in values:
-            held[name] = _finite(f"the value of '{name}'", values[name])
+            held[name] = finite(f"validate: the value of '{name}'", values[name], OptionError)
         elif declared.fixed:
             held[name] = declared.start
         elif declared.per_experiment:  # also of a fit to a single one: its value is that experiment's
@@ -236,13 +237,3 @@ def _degrees(model: Model, free: Sequence[str], found: FitResult) -> int:
     conditions = len({(end, state) for end, state, _ in model.end_conditions})
     states = max(len(model.state_names) - conditions, 0) * len(found.records)
     return values - states - len(estimates_of(found.parameters, free))
-
-
-def _finite(what: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise OptionError(f"validate: {what} is {value!r}, not a finite number")
-    return number

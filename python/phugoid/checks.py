@@ -1,6 +1,6 @@
-"""Checks of numbers that a user gives: one rule and one wording for each kind.
+"""Checks of options that a user gives: one rule and one wording for each kind.
 
-Errors begin with ``what``, which names the function and the option: "bootstrap: n".
+Errors about a number begin with ``what``, which names the function and the option: "bootstrap: n".
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 from .errors import OptionError, PhugoidError
 
-__all__ = ["finite", "is_whole", "part", "positive", "whole"]
+__all__ = ["check_progress", "finite", "is_whole", "part", "positive", "whole"]
 
 
 def is_whole(value: Any) -> bool:
@@ -54,3 +54,9 @@ def finite(what: str, value: Any, error: type[PhugoidError]) -> float:
     if not math.isfinite(number):
         raise error(f"{what} is {value!r}, not a finite number")
     return number
+
+
+def check_progress(caller: str, progress: Any) -> None:
+    """Raise OptionError, in the caller's name, for what is neither a truth value nor a function."""
+    if not isinstance(progress, bool) and not callable(progress):
+        raise OptionError(f"{caller}: progress is True, False or a function, not {progress!r}")

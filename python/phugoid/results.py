@@ -6,7 +6,7 @@ from .discrepancy.candidates.collection import Candidates
 from .discrepancy.misfit.misfit import Misfit
 from .discrepancy.search.finding import Finding, Gain, Scored
 from .estimation.starts import Outcome
-from .fit_result import FitResult
+from .fit_result import FitResult, Refinement, Smoothing
 from .integration import IntegrationError
 from .linear.response import FrequencyResponse
 from .linear.state_space import Mode, Modes
@@ -15,7 +15,6 @@ from .match import Match
 from .multistart.optima import Optimum
 from .multistart.result import Multistart
 from .parameters import Estimate
-from .passes import Refinement, Smoothing
 from .petab.problem import PetabProblem
 from .reconstruction import Reconstruction, VanePlaces
 from .records import Record

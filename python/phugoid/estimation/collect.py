@@ -7,6 +7,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from ..checks import check_progress
 from ..errors import OptionError
 from ..fit_result import FitResult, dataset
 from ..solvers import Newton
@@ -18,15 +19,9 @@ from .starts import Outcome, Problem
 if TYPE_CHECKING:
     from .workers import Crew
 
-__all__ = ["NEAR", "Runs", "Watch", "check_progress", "collect", "common_to", "run_all"]
+__all__ = ["NEAR", "Runs", "Watch", "collect", "common_to", "run_all"]
 
 Watch: TypeAlias = Callable[[Outcome], None]
-
-
-def check_progress(caller: str, progress: Any) -> None:
-    """Raise OptionError, in the caller's name, for what is neither a truth value nor a function."""
-    if not isinstance(progress, bool) and not callable(progress):
-        raise OptionError(f"{caller}: progress is True, False or a function, not {progress!r}")
 
 
 def collect(

@@ -14,14 +14,13 @@ import phugoid._core as _core
 from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..errors import EvaluationError
-from ..fit_result import FitResult
+from ..fit_result import FitResult, Refinement, Smoothing, SmoothingStep, Step
 from ..match import no_match, r_squared
 from ..modelling.declared import Delays, kink_advice
 from ..modelling.densities import PerExperiment
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
-from ..passes import Refinement, Smoothing, SmoothingStep, Step
 from ..records import Record, repeated_outputs
 from ..regression.equation_error import EquationError
 from ..solvers import Ipopt, Iteration, Newton, Solution

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import check_progress
 from ..data.checked import moves
 from ..data.experiment import Experiment, as_experiments, completed
 from ..data.units import check_units
@@ -113,8 +114,7 @@ def _estimate(
     collocated = isinstance(transcription, Collocation)
     if isinstance(solver, Newton) and solver.regression and not collocated:
         raise OptionError("estimate: a regression on states as measured makes sense with Collocation only")
-    if not isinstance(progress, bool) and not callable(progress):
-        raise OptionError(f"estimate: progress is True, False or a function, not {progress!r}")
+    check_progress("estimate", progress)
     if not isinstance(start, (Mapping, FitResult, EquationError, type(None))):
         raise OptionError(f"estimate: start holds values by name, or is a fit, not {start!r}")
     if model.delays and isinstance(transcription, FilterError):

@@ -9,9 +9,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import whole
+from ..checks import check_progress, whole
 from ..data.experiment import Experiment
-from ..errors import DataError, OptionError
+from ..errors import DataError
 from ..solvers.limits import check_time, limited
 from ..solvers.solution import Iteration, Progress
 from .modal_blocks import ModalBlocks, best_places
@@ -91,8 +91,7 @@ def fit_linear(
     most = np.iinfo(np.int64).max if moves is None else moves
     for name, value, least in (("moves", most, 0), ("max_iterations", max_iterations, 1)):
         whole(f"fit_linear: {name}", value, least)
-    if not isinstance(progress, bool) and not callable(progress):
-        raise OptionError(f"fit_linear: progress is True, False or a function, not {progress!r}")
+    check_progress("fit_linear", progress)
     start = as_state_space("fit_linear", system)
     records = Sampled.of(data, start.inputs, start.outputs, "fit_linear", complete=False)
     parts = modal_parts(start.A, start.B, start.C)

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing, nullcontext
 from typing import TYPE_CHECKING, Any
 
-from ..checks import whole
+from ..checks import check_progress, whole
 from ..data.experiment import Experiment, as_experiments, completed
 from ..errors import ModelError, OptionError
-from ..estimation.collect import Watch, check_progress, collect
+from ..estimation.collect import Watch, collect
 from ..estimation.starts import Draw, Problem, Range, given, plain, uniform
 from ..fit_result import FitResult
 from ..modelling.model import Model

@@ -14,9 +14,8 @@ import numpy as np
 
 from ..data.experiment import Experiment
 from ..errors import DataError
-from ..fit_result import FitResult
+from ..fit_result import FitResult, Refinement, Smoothing
 from ..parameters import Estimates
-from ..passes import Refinement, Smoothing
 from ..records import Record
 from ..solvers import HINTS, Iteration, Solution
 from ..transcription.filter_error import FilterError

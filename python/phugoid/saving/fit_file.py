@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment, Signal, completed
 from ..errors import DataError, PhugoidError
-from ..fit_result import FitResult
+from ..fit_result import FitResult, Refinement, Smoothing
 from ..modelling.densities import noise_from_dict
 from ..modelling.model import Model
 from ..parameters import Estimate, Estimates
-from ..passes import Refinement, Smoothing
 from ..records import Record
 from ..solvers import Iteration, Solution
 from ..transcription.filter_error import FilterError

@@ -10,17 +10,7 @@ import numpy as np
 import pytest
 
 import phugoid as ph
-from phugoid import (
-    Collocation,
-    DataError,
-    EvaluationError,
-    Experiment,
-    Expr,
-    Gaussian,
-    Model,
-    ModelError,
-    OptionError,
-)
+from phugoid import Collocation, DataError, EvaluationError, Experiment, Expr, Gaussian, Model, ModelError, OptionError
 from phugoid.results import Record
 
 T = np.linspace(0.0, 4.0, 41)

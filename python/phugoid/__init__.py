@@ -23,14 +23,7 @@ from .data.multirate import multirate
 from .data.read import read
 from .discrepancy.candidates.library import candidates
 from .discrepancy.misfit.misfit import misfit
-from .errors import (
-    DataError,
-    EvaluationError,
-    MissingDependency,
-    ModelError,
-    OptionError,
-    PhugoidError,
-)
+from .errors import DataError, EvaluationError, MissingDependency, ModelError, OptionError, PhugoidError
 from .export import export_c, export_fmu
 from .functions import (
     Table,

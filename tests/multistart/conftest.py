@@ -8,12 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from many import (
-    T,
-    new_pool,
-    run,
-    sine,
-)
+from many import T, new_pool, run, sine
 
 import phugoid as ph
 from phugoid import Experiment

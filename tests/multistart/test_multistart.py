@@ -10,17 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from many import (
-    RANGES,
-    TRAPEZOID,
-    Slow,
-    T,
-    data,
-    reference,
-    run,
-    square,
-    told,
-)
+from many import RANGES, TRAPEZOID, Slow, T, data, reference, run, square, told
 
 import phugoid as ph
 from phugoid.estimation.workers import _PROBLEMS

@@ -7,10 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from many import (
-    T,
-    run,
-)
+from many import T, run
 
 import phugoid as ph
 from phugoid import DataError, Experiment, Model, ModelError, OptionError

@@ -9,14 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from many import (
-    Deadly,
-    Slow,
-    new_pool,
-    reference,
-    run,
-    told,
-)
+from many import Deadly, Slow, new_pool, reference, run, told
 
 from phugoid import OptionError
 from phugoid.results import Outcome

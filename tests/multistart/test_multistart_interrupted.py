@@ -8,11 +8,7 @@ import threading
 from concurrent.futures import Executor
 
 import pytest
-from many import (
-    Slow,
-    interrupt_after,
-    run,
-)
+from many import Slow, interrupt_after, run
 
 from phugoid.results import Outcome
 

@@ -13,17 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from many import (
-    RANGES,
-    Counting,
-    T,
-    data,
-    interrupt_after,
-    reference,
-    run,
-    square,
-    told,
-)
+from many import RANGES, Counting, T, data, interrupt_after, reference, run, square, told
 
 import phugoid as ph
 from phugoid import DataError, Model

@@ -7,13 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from many import (
-    T,
-    outcome,
-    run,
-    sine,
-    square,
-)
+from many import T, outcome, run, sine, square
 
 import phugoid as ph
 from phugoid import EvaluationError, Experiment, Model

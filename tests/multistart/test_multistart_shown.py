@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from many import (
-    run,
-)
+from many import run
 
 import phugoid as ph
 from phugoid.results import Multistart, Outcome

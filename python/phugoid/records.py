@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .data.experiment import Experiment
+from .data.interpolation import Interpolations, kinds_for
 from .errors import ByName
+from .modelling.model import Model
 from .notebook import channels_table, notebook_page
 from .tabular import record_dataset, record_frame
 
@@ -17,9 +20,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-    from .data.interpolation import Interpolations
 
-__all__ = ["Record", "repeated_outputs"]
+__all__ = ["Record", "record_of", "repeated_outputs"]
 
 _Array = NDArray[np.float64]
 
@@ -152,6 +154,24 @@ _SAME = 0.999
 _OWN = 0.2
 _FEWEST = 10  # samples that both have
 _EXACT = 1e-9  # part of an output's spread: smaller residuals are rounding errors
+
+
+def record_of(
+    model: Model, experiment: Experiment, outputs: Iterable[_Array], states: Iterable[_Array], **more: Any
+) -> Record:
+    """Return the record of a model's outputs (n_y, N) and states (n_x, N) at the samples of an experiment, with its
+    inputs. ``more``: other fields of `Record`."""
+    return Record(
+        name=experiment.name,
+        t=experiment.t,
+        inputs={name: experiment.input(name) for name in model.input_names},
+        outputs=dict(zip(model.output_names, outputs, strict=True)),
+        states=dict(zip(model.state_names, states, strict=True)),
+        units=model.units,
+        interpolation=kinds_for(experiment.interpolation, model.input_names),
+        input_samples=experiment.own_samples(model.input_names),
+        **more,
+    )
 
 
 def repeated_outputs(records: Sequence[Record], outputs: Sequence[str]) -> list[str]:

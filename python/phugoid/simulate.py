@@ -13,13 +13,12 @@ import phugoid._core as _core
 
 from .checks import finite
 from .data.experiment import Experiment
-from .data.interpolation import kinds_for
 from .data.units import check_units
 from .errors import DataError, ModelError, OptionError, did_you_mean
 from .fit_result import FitResult
 from .initialisation import measured_states
 from .modelling.model import Model
-from .records import Record
+from .records import Record, record_of
 from .solvers.limits import limited
 
 __all__ = ["first_values", "simulate"]
@@ -80,18 +79,8 @@ def simulate(
     outputs = dict(zip(model.output_names, y, strict=True))
     there = {*data.outputs, *data.channels}
     measured = {n: data.output(n) for n in model.output_names if n in there}
-    return Record(
-        name=data.name,
-        t=data.t,
-        inputs={name: data.input(name) for name in model.input_names},
-        outputs=outputs,
-        states=dict(zip(model.state_names, states, strict=True)),
-        measured=measured,
-        residuals={n: z - outputs[n] for n, z in measured.items()},
-        units=model.units,
-        interpolation=kinds_for(data.interpolation, model.input_names),
-        input_samples=data.own_samples(model.input_names),
-    )
+    residuals = {n: z - outputs[n] for n, z in measured.items()}
+    return record_of(model, data, y, states, measured=measured, residuals=residuals)
 
 
 def _record(model: Model, data: Experiment) -> tuple[Any, ...]:

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
-from ..data.interpolation import kinds_for
 from ..errors import EvaluationError
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian
-from ..records import Record
+from ..records import Record, record_of
 from ..simulate import first_values, simulate
 from ..solvers import Newton
 from ..transcription.collocation import Collocation
@@ -110,19 +109,7 @@ def _stepped(model: Model, values: Mapping[str, float], run: Experiment, *, init
     outputs, states = problem.outputs(xi, 0), problem.states(xi, 0)
     if not all(np.isfinite(v).all() for v in (*outputs, *states)):
         raise EvaluationError(f"plan: the solution of '{run.name}' is not finite")
-    y = dict(zip(model.output_names, outputs, strict=True))
-    return Record(
-        name=run.name,
-        t=run.t,
-        inputs={n: run.input(n) for n in model.input_names},
-        outputs=y,
-        states=dict(zip(model.state_names, states, strict=True)),
-        measured={},
-        residuals={},
-        units=model.units,
-        interpolation=kinds_for(run.interpolation, model.input_names),
-        input_samples=run.own_samples(model.input_names),
-    )
+    return record_of(model, run, outputs, states)
 
 
 def _fitted(

@@ -21,7 +21,7 @@ from ..modelling.densities import PerExperiment
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian, Noise
 from ..parameters import Estimate, Estimates
-from ..records import Record, repeated_outputs
+from ..records import Record, record_of, repeated_outputs
 from ..regression.equation_error import EquationError
 from ..solvers import Ipopt, Iteration, Newton, Solution
 from ..solvers.newton import COUNTED
@@ -300,18 +300,14 @@ def _estimates(model: Model, found: _core.Fit) -> Estimates:
 
 def _record(model: Model, experiment: Experiment, found: _core.Fit, index: int) -> Record:
     states, outputs, residuals, mesh_t, path = found.record(index)
-    return Record(
-        name=experiment.name,
-        t=experiment.t,
-        inputs={name: experiment.input(name) for name in model.input_names},
-        outputs=dict(zip(model.output_names, outputs, strict=True)),
-        states=dict(zip(model.state_names, states, strict=True)),
+    return record_of(
+        model,
+        experiment,
+        outputs,
+        states,
         measured={name: experiment.output(name) for name in model.output_names},
         residuals=dict(zip(model.output_names, residuals, strict=True)),
         mesh_t=mesh_t,
         mesh_states=dict(zip(model.state_names, path, strict=True)),
-        units=model.units,
-        interpolation=kinds_for(experiment.interpolation, model.input_names),
-        input_samples=experiment.own_samples(model.input_names),
         feasible=found.feasible,
     )

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 import phugoid._core as _core
 
 from ..data.experiment import Experiment
-from ..data.interpolation import kinds_for
 from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.noise import Noise
 from ..parameters import Estimate, Estimates
-from ..records import Record, repeated_outputs
+from ..records import Record, record_of, repeated_outputs
 from ..solvers import HINTS
 from ..solvers.limits import Deadline
 from ..solvers.newton import Minimum
@@ -194,19 +193,15 @@ def _records(
         by_output = dict(zip(model.output_names, outputs, strict=True))
         by_state = dict(zip(model.state_names, states, strict=True))
         records.append(
-            Record(
-                name=e.name,
-                t=e.t,
-                inputs={name: e.input(name) for name in model.input_names},
-                outputs=by_output,
-                states=by_state,
+            record_of(
+                model,
+                e,
+                outputs,
+                states,
                 measured=measured,
                 residuals={name: z - by_output[name] for name, z in measured.items()},
                 mesh_t=e.t,
                 mesh_states=by_state,
-                units=model.units,
-                interpolation=kinds_for(e.interpolation, model.input_names),
-                input_samples=e.own_samples(model.input_names),
                 feasible=feasible,
                 state_std=dict(zip(model.state_names, deviations, strict=True)),
                 innovations=dict(zip(model.output_names, innovations, strict=True)),

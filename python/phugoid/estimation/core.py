@@ -24,7 +24,7 @@ from ..parameters import Estimate, Estimates
 from ..records import Record, record_of, repeated_outputs
 from ..regression.equation_error import EquationError
 from ..solvers import Ipopt, Iteration, Newton, Solution
-from ..solvers.newton import COUNTED
+from ..solvers.newton import solution_of
 from ..solvers.solution import Progress
 from ..transcription.collocation import Collocation, records_of
 from ..transcription.shooting import Transcription, step_spec
@@ -189,7 +189,7 @@ def make_fit(
         e.name: Estimates(Estimate(name, value, error, unit) for name, value, error, unit, *_ in states)
         for e, states in zip(experiments, found.initial, strict=True)
     }
-    solution = _solution(found.solution)
+    solution = solution_of(found.solution)
     parameters = _estimates(model, found)
     return FitResult(
         model=model,
@@ -268,22 +268,6 @@ def _smoothing(found: _core.Fit) -> Smoothing | None:
         {kink: (width, unit) for kink, width, unit in widths},
         tuple(SmoothingStep(*step) for step in steps),
         {name: (change, error) for name, change, error in left},
-    )
-
-
-def _solution(found: _core.NewtonSolution) -> Solution:
-    low, high = found.bound_multipliers
-    return Solution(
-        xi=found.xi,
-        multipliers=found.multipliers,
-        bound_multipliers=(low, high),
-        status=found.status,
-        message=found.message,
-        iterations=found.iterations,
-        time=found.time,
-        history=[Iteration(*line[:6]) for line in found.history],
-        evaluations=dict(zip(COUNTED, found.evaluations, strict=True)),
-        flops=found.flops,
     )
 
 

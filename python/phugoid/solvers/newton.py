@@ -15,7 +15,7 @@ from ..errors import OptionError
 from .limits import Deadline, check_limits
 from .solution import Iteration, Solution
 
-__all__ = ["COUNTED", "Minimum", "Newton", "bounded_step", "minimise"]
+__all__ = ["Minimum", "Newton", "bounded_step", "minimise", "solution_of"]
 
 _Array = NDArray[np.float64]
 
@@ -78,14 +78,10 @@ class Newton:
 
         Raises EvaluationError where a function is not finite at the start.
         """
-        history: list[Iteration] = []
-
-        def line(number: int, value: float, defect: float, promise: float, step: float, trials: int) -> Iteration:
-            return Iteration(number, value, defect, promise, step, trials)
 
         def each(*entries: float) -> None:
             assert watch is not None
-            watch(line(*entries[:6]))  # type: ignore[arg-type]
+            watch(Iteration(*entries[:6]))  # type: ignore[arg-type]
 
         regression = states_known if self.regression is None else self.regression
         found = _core.newton(
@@ -102,24 +98,10 @@ class Newton:
             stop,
             bool((sparse if self.paths is None else self.paths) and not regression and not warm),
         )
-        history += [line(*entries[:6]) for entries in found.history]
-        at = found.xi
-        none = np.zeros(problem.n)
-        return Solution(
-            xi=at,
-            multipliers=found.multipliers,
-            bound_multipliers=(none, none),
-            status=found.status,
-            message=found.message,
-            iterations=found.iterations,
-            time=found.time,
-            history=history,
-            evaluations=dict(zip(COUNTED, found.evaluations, strict=True)),
-            flops=found.flops,
-        )
+        return solution_of(found)
 
 
-COUNTED = (
+_COUNTED = (
     "objective",
     "gradient",
     "constraints",
@@ -129,6 +111,23 @@ COUNTED = (
     "factorizations",
     "solutions",
 )
+
+
+def solution_of(found: _core.NewtonSolution) -> Solution:
+    """Return the solution of the core's solver."""
+    low, high = found.bound_multipliers
+    return Solution(
+        xi=found.xi,
+        multipliers=found.multipliers,
+        bound_multipliers=(low, high),
+        status=found.status,
+        message=found.message,
+        iterations=found.iterations,
+        time=found.time,
+        history=[Iteration(*line[:6]) for line in found.history],
+        evaluations=dict(zip(_COUNTED, found.evaluations, strict=True)),
+        flops=found.flops,
+    )
 
 
 # Value and gradient, or None where there is none.

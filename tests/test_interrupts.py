@@ -116,11 +116,11 @@ def test_ctrl_c_while_standard_errors_are_computed_keeps_the_optimum(here: Path)
 
 def test_a_third_is_as_ever_and_so_is_one_afterwards(here: Path) -> None:
     third = """
-    from phugoid.estimation import fitted
+    from phugoid.estimation import core
     def record(*rest):
         press()
         press()
-    fitted._record = record
+    core._record = record
     ph.estimate(model, data, progress=at(2))
     """
     done = run(third)

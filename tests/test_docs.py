@@ -134,6 +134,12 @@ def sure(n: dict[str, Any]) -> None:
     assert low < 3.0904 < high
 
 
+def regressed(n: dict[str, Any]) -> None:
+    assert n["found"].selection["q'"].dropped == ("Mww", "Mwq")  # what the truth has not
+    assert set(n["best"].selection["Cm"].selected) > {"Cma", "Cmq", "Cmde"}
+    close(n["fit"], Mw=0.2163, Mq=-3.7067)
+
+
 def designed(n: dict[str, Any]) -> None:
     best, others = n["best"], n["planned"]
     assert best.within_limits and not others["3-2-1-1"].within_limits
@@ -162,6 +168,7 @@ CLAIMS: dict[str, Callable[[dict[str, Any]], None]] = {
     "howto/missing.md": missing,
     "howto/linear.md": modes,
     "howto/design.md": designed,
+    "howto/regression.md": regressed,
     "howto/flight_path.md": agreeing,
     "howto/uncertainty.md": sure,
     "howto/export.md": exported,

@@ -124,7 +124,7 @@ RESULTS = {
     "Extension", "Finding", "Fit", "FitResult", "Gain", "IntegrationError", "Iteration", "Match", "Misfit", "Mode",
     "Modes",
     "Multistart", "Optimum", "Outcome", "Plan", "Plans", "Profile", "Profiles", "Reconstruction", "Record",
-    "Refinement", "Scored", "Trim", "Validation", "VanePlaces", "WeakDirection",
+    "Refinement", "Scored", "SelectedTerms", "SelectionStep", "Trim", "Validation", "VanePlaces", "WeakDirection",
 }  # fmt: skip
 _SHORT = [
     (

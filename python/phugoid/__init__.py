@@ -72,6 +72,8 @@ from .petab.problem import read_petab
 from .reconstruction import reconstruct
 from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
 from .regression.equation_error import equation_error
+from .regression.selection import TermSelection
+from .regression.terms import monomials
 from .result import Fit
 from .simulate import simulate
 from .solvers import Ipopt, Newton
@@ -133,6 +135,7 @@ __all__ = [
     "State",
     "StudentT",
     "Table",
+    "TermSelection",
     "Tolerance",
     "__version__",
     "acos",
@@ -163,6 +166,7 @@ __all__ = [
     "minimum",
     "misfit",
     "models",
+    "monomials",
     "multirate",
     "multistart",
     "read",

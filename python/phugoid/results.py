@@ -19,6 +19,7 @@ from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
 from .refinement import Refinement
 from .regression.equation_error import EquationError
+from .regression.selection import SelectedTerms, SelectionStep
 from .result import Diagnosis, Extension, Improvement
 from .sensitivities.trajectory import Place, Points
 from .smoothing import Smoothing
@@ -68,6 +69,8 @@ __all__ = [
     "Record",
     "Refinement",
     "Scored",
+    "SelectedTerms",
+    "SelectionStep",
     "Smoothing",
     "Trim",
     "Validation",

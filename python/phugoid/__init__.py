@@ -61,6 +61,7 @@ from .functions import (
     tanh,
     where,
 )
+from .manoeuvres.detection import manoeuvres
 from .match import Tolerance, match
 from .modelling.declared import State
 from .modelling.model import Model
@@ -161,6 +162,7 @@ __all__ = [
     "load",
     "log",
     "log1p",
+    "manoeuvres",
     "match",
     "maximum",
     "minimum",

@@ -9,6 +9,7 @@ from .integration import IntegrationError
 from .linear.mode_table import Mode, Modes
 from .linear.response import FrequencyResponse
 from .linear.trim import Trim
+from .manoeuvres.found import Manoeuvre, Manoeuvres
 from .match import Match
 from .multistart.optima import Optimum
 from .multistart.result import Multistart
@@ -51,6 +52,8 @@ __all__ = [
     "Improvement",
     "IntegrationError",
     "Iteration",
+    "Manoeuvre",
+    "Manoeuvres",
     "Match",
     "Misfit",
     "Mode",

@@ -24,7 +24,7 @@ from phugoid.cli.app import app
 DOCS = ROOT / "docs"
 GALLERY = sorted((DOCS / "gallery").glob("*.py"))
 PAGES = [p for p in sorted(DOCS.rglob("*.md")) if "_build" not in p.parts and blocks(p)]
-EXAMPLES = ("hfb320", "unstable")
+EXAMPLES = ("hfb320", "unstable", "quadrotor", "car", "uav", "servo", "tank")
 # Packages beyond the package's own, without which a page is skipped.
 NEEDS = {"howto/files.md": ["pandas"], "howto/export.md": ["h5py", "pandas", "xarray"]}
 # What shells run on these pages besides phugoid: each is checked in another way.
@@ -134,6 +134,24 @@ def sure(n: dict[str, Any]) -> None:
     assert low < 3.0904 < high
 
 
+def from_a_log(n: dict[str, Any]) -> None:
+    assert [m.kind for m in n["found"]] == ["doublet", "3-2-1-1", "sweep", "doublet"]
+    close(n["fit"], CLa=4.8, Cma=-0.8, Cmq=-12.0, Cmde=-1.0, CDk=0.06)
+    assert n["missing"].verdict == "nothing"
+
+
+def looked_at(n: dict[str, Any]) -> None:
+    assert n["gentle"].parameters["Bf"].std_error > 10 * n["fit"].parameters["Bf"].std_error
+    assert n["one_way"].parameters["dry"].std_error > 100 * n["fits"]["servo"].parameters["dry"].std_error
+    assert all(fit.converged for fit in n["fits"].values()) and len(n["fits"]) == 5
+
+
+def regressed(n: dict[str, Any]) -> None:
+    assert n["found"].selection["q'"].dropped == ("Mww", "Mwq")  # what the truth has not
+    assert set(n["best"].selection["Cm"].selected) > {"Cma", "Cmq", "Cmde"}
+    close(n["fit"], Mw=0.2163, Mq=-3.7067)
+
+
 def designed(n: dict[str, Any]) -> None:
     best, others = n["best"], n["planned"]
     assert best.within_limits and not others["3-2-1-1"].within_limits
@@ -162,6 +180,9 @@ CLAIMS: dict[str, Callable[[dict[str, Any]], None]] = {
     "howto/missing.md": missing,
     "howto/linear.md": modes,
     "howto/design.md": designed,
+    "howto/examples.md": looked_at,
+    "howto/from_log.md": from_a_log,
+    "howto/regression.md": regressed,
     "howto/flight_path.md": agreeing,
     "howto/uncertainty.md": sure,
     "howto/export.md": exported,

@@ -121,10 +121,11 @@ def process(app: Sphinx, what: str, name: str, thing: object, options: object, l
 # What the package makes and users only read: how it is constructed is of no interest.
 RESULTS = {
     "Bands", "Bootstrap", "Coloured", "Correlation", "Diagnosis", "EquationError", "Estimate", "Excursion",
-    "Extension", "Finding", "Fit", "FitResult", "Gain", "IntegrationError", "Iteration", "Match", "Misfit", "Mode",
+    "Extension", "Finding", "Fit", "FitResult", "Gain", "IntegrationError", "Iteration", "Manoeuvre", "Manoeuvres",
+    "Match", "Misfit", "Mode",
     "Modes",
     "Multistart", "Optimum", "Outcome", "Plan", "Plans", "Profile", "Profiles", "Reconstruction", "Record",
-    "Refinement", "Scored", "Trim", "Validation", "VanePlaces", "WeakDirection",
+    "Refinement", "Scored", "SelectedTerms", "SelectionStep", "Trim", "Validation", "VanePlaces", "WeakDirection",
 }  # fmt: skip
 _SHORT = [
     (

@@ -21,6 +21,7 @@ from .api import diagnose, estimate, improve, load
 from .data.experiment import Experiment
 from .data.multirate import multirate
 from .data.read import read
+from .design.detection import manoeuvres
 from .discrepancy.candidates.library import candidates
 from .discrepancy.misfit.misfit import misfit
 from .errors import DataError, EvaluationError, MissingDependency, ModelError, OptionError, PhugoidError
@@ -65,6 +66,8 @@ from .petab.problem import read_petab
 from .reconstruction import reconstruct
 from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
 from .regression.equation_error import equation_error
+from .regression.selection import TermSelection
+from .regression.terms import monomials
 from .result import Fit
 from .simulate import simulate
 from .solvers import Ipopt, Newton
@@ -126,6 +129,7 @@ __all__ = [
     "State",
     "StudentT",
     "Table",
+    "TermSelection",
     "Tolerance",
     "__version__",
     "acos",
@@ -151,11 +155,13 @@ __all__ = [
     "load",
     "log",
     "log1p",
+    "manoeuvres",
     "match",
     "maximum",
     "minimum",
     "misfit",
     "models",
+    "monomials",
     "multirate",
     "multistart",
     "read",

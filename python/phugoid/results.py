@@ -1,5 +1,6 @@
 """Result classes, for annotations and `isinstance`; they are returned by functions, not constructed by users."""
 
+from .design.found import Manoeuvre, Manoeuvres
 from .design.plan import Excursion, Plan, Plans
 from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates
@@ -19,6 +20,7 @@ from .petab.problem import PetabProblem
 from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
 from .regression.equation_error import EquationError
+from .regression.selection import SelectedTerms, SelectionStep
 from .result import Diagnosis, Extension, Improvement
 from .sensitivities.trajectory import Place, Points
 from .solvers import Iteration
@@ -48,6 +50,8 @@ __all__ = [
     "Improvement",
     "IntegrationError",
     "Iteration",
+    "Manoeuvre",
+    "Manoeuvres",
     "Match",
     "Misfit",
     "Mode",
@@ -66,6 +70,8 @@ __all__ = [
     "Record",
     "Refinement",
     "Scored",
+    "SelectedTerms",
+    "SelectionStep",
     "Smoothing",
     "Trim",
     "Validation",

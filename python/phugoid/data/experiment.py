@@ -250,6 +250,39 @@ class Experiment(Preprocessing):
         step = [f"window {cut_out.t[0]:g} to {cut_out.t[-1]:g} s"] if left_out else []
         return cut_out._sampled(self._signals, times)._after(self, *step)
 
+    def cut(self, spans: Sequence[Any]) -> list[Experiment]:
+        """Return the records of several spans, called ``name[1]``, ``name[2]``, ...; spans that overlap are one.
+
+        spans  (t0, t1) in s each, or objects with such a ``span``, as `manoeuvres` finds them. What lies outside the
+               record is left out.
+
+        Raises DataError for spans that are no such pairs, and where one holds fewer than 2 samples.
+
+        >>> run = Experiment([0.0, 0.1, 0.2, 0.3, 0.4], outputs={"q": [0.0, 0.1, 0.2, 0.1, 0.0]}, name="run")
+        >>> [(part.name, part.n) for part in run.cut([(0.0, 0.1), (0.3, 0.4)])]
+        [('run[1]', 2), ('run[2]', 2)]
+        """
+        pairs: list[tuple[float, float]] = []
+        for span in spans:
+            try:
+                begin, end = map(float, getattr(span, "span", span))
+            except (TypeError, ValueError):
+                raise DataError(
+                    f"experiment '{self._name}': cut: spans are pairs of times, (t0, t1) in s, not {span!r}"
+                ) from None
+            if not begin < end:
+                raise DataError(
+                    f"experiment '{self._name}': cut: the span {begin:g} to {end:g} s ends before it begins"
+                )
+            pairs.append((begin, end))
+        merged: list[tuple[float, float]] = []
+        for begin, end in sorted(pairs):
+            if merged and begin <= merged[-1][1]:
+                merged[-1] = merged[-1][0], max(end, merged[-1][1])
+            else:
+                merged.append((begin, end))
+        return [self.window(a, b, f"{self._name}[{i}]") for i, (a, b) in enumerate(merged, 1)]
+
     def split(self, gaps: bool | float = True) -> list[Experiment]:
         """Return the parts of the record between gaps in its sampling, called ``name[1]``, ``name[2]``, ...
 

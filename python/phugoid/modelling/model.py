@@ -336,6 +336,11 @@ class Model:
 
     def check(self) -> None:
         """Raise ModelError where the model is incomplete: a state without equation, an unknown symbol, ..."""
+        if not self.state_names:
+            raise ModelError(
+                f"model '{self.name}': it has no states; declare at least one. A model of outputs alone is for "
+                "equation_error"
+            )
         if self._delays:
             base = [(name, self.declared_parameters[name].start) for name in self._delays.parameters]
             self._core.at_delays(self._delays.spec, base).check()

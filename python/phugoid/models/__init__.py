@@ -1,5 +1,6 @@
 """Ready models: linear systems (the modal form, for structural dynamics, and general state spaces), and the kinematics
-of a flight (`flight_path`), which needs nothing of what follows.
+of a flight (`flight_path`), which needs nothing of what follows; and the models of the packaged examples, such as
+`quadrotor` and `car`, complete with parameters.
 
 A record of inputs and outputs determines the transfer function of a linear system; states may be transformed at will
 (x -> T x), so of the n^2 + n (m + p) numbers in A, B and C (n states, m inputs, p outputs) n^2 are arbitrary. Each form
@@ -13,5 +14,17 @@ A parameter that is fixed by a form has ``fixed`` set in the fit; all others are
 from .flight_path import flight_path
 from .general import state_space
 from .modal import modal
+from .ready import car, hfb320, quadrotor, servo, tank, uav, unstable
 
-__all__ = ["flight_path", "modal", "state_space"]
+__all__ = [
+    "car",
+    "flight_path",
+    "hfb320",
+    "modal",
+    "quadrotor",
+    "servo",
+    "state_space",
+    "tank",
+    "uav",
+    "unstable",
+]

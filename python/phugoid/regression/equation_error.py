@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
-from ..errors import DataError, ModelError, OptionError
+from ..errors import ByName, DataError, ModelError, OptionError
 from ..figures import fit as plot
 from ..initialisation import check_names, parameter_start
 from ..modelling.model import Model
-from ..parameters import Estimate, Estimates, estimates_table, text_table
+from ..notebook import Html, bullets, notebook_page, table
+from ..parameters import Estimate, Estimates, estimates_html, estimates_table, text_table
 from ..records import Record
+from .choosing import select_terms
 from .differentiate import Differentiator, FourierSmoothing, SavitzkyGolay, SmoothingSpline
-from .equations import Equation, Evaluation, MeasuredChannel, channels, equations, groups, parameters_in
+from .equations import Equation, Evaluation, channels, equations, groups, parameters_in
 from .least_squares import Regression, regress
+from .selection import SelectedTerms, TermSelection, check_keep, term_selection
+from .sides import Sides, Unknown, unknowns_of
+from .terms import with_candidates, without
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +33,9 @@ if TYPE_CHECKING:
 __all__ = ["EquationError", "equation_error"]
 
 _Array: TypeAlias = NDArray[np.float64]
+
+_HEADS, _ALIGN = ["equation", "RMS residual", "unit", "R²", "lag-1 corr.", "samples"], "lrlrrr"
+_ERRORS = ["parameter", "std error, if white", "|t|"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -44,6 +52,7 @@ class EquationError:
     records            one an experiment. Its outputs are the equations, named after the output or the state with a
                        prime: measured left-hand sides, right-hand sides, residuals; its states are smoothed.
     warnings           in words.
+    selection          equation -> which terms were selected, and how; empty without ``select``.
     """
 
     model: Model
@@ -55,6 +64,7 @@ class EquationError:
     collinear: Sequence[tuple[tuple[str, ...], float]]
     records: Sequence[Record]
     warnings: tuple[str, ...] = ()
+    selection: Mapping[str, SelectedTerms] = field(default_factory=dict)
     solution: None = field(default=None, init=False)  # an estimation started from here has no multipliers
 
     @property
@@ -73,8 +83,8 @@ class EquationError:
         """Return the parameters as start values of an estimation."""
         return self.parameters.to_dict()
 
-    def summary(self) -> str:
-        """Return the regression as plain-text tables."""
+    def _tables(self) -> tuple[list[list[str]], list[list[str]]]:
+        """Return the rows of the table of equations, and of that of the standard errors for white residuals."""
         rows = []
         for name, sigma in self.sigmas.items():
             pieces = [r.residuals[name][np.isfinite(r.residuals[name])] for r in self.records]
@@ -83,21 +93,43 @@ class EquationError:
             count = str(sum(p.size for p in pieces))
             r2 = self.r_squared[name]
             rows.append([name, f"{sigma:.4g}", unit, f"{r2:.4f}" if np.isfinite(r2) else "", f"{colour:.2f}", count])
-        header = ["equation", "RMS residual", "unit", "R²", "lag-1 corr.", "samples"]
         t = self.t_statistics
         lines = []
-        for name in self.parameters:
+        for name in self._shown():
             white = self.white_std_errors[name]
             known = np.isfinite(t[name])
             lines.append([name, f"{white:.2g}" if known else "", f"{abs(t[name]):.1f}" if known else ""])
+        return rows, lines
+
+    def _shown(self) -> dict[str, Estimate]:
+        """Return the parameters without those that a selection left out."""
+        dropped = {name for s in self.selection.values() for name in s.dropped}
+        return {name: e for name, e in self.parameters.items() if name not in dropped}
+
+    def summary(self) -> str:
+        """Return the regression as plain-text tables."""
+        rows, lines = self._tables()
+        once = dict.fromkeys(self.selection.values())  # equations that share parameters have one selection
         parts = [
             f"{self.model.name}: equation error",
-            text_table(header, rows, "lrlrrr"),
-            estimates_table(self.parameters.values()),
-            text_table(["parameter", "std error, if white", "|t|"], lines, "lrr"),
+            text_table(_HEADS, rows, _ALIGN),
+            *(s.summary() for s in once),
+            estimates_table(self._shown().values()),
+            text_table(_ERRORS, lines, "lrr"),
             *(f"Warning: {w}" for w in self.warnings),
         ]
         return "\n\n".join(parts)
+
+    def _repr_html_(self) -> str:
+        rows, lines = self._tables()
+        return notebook_page(
+            f"{self.model.name}: equation error",
+            table(_HEADS, rows, _ALIGN),
+            estimates_html(self._shown().values()),
+            table(_ERRORS, lines, "lrr"),
+            *(Html(s._repr_html_()) for s in dict.fromkeys(self.selection.values())),
+            bullets(self.warnings),
+        )
 
     def plot(self, record: int | str = 0, channels: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
         """Plot both sides of the equations over time, residuals and inputs, of one experiment."""
@@ -118,9 +150,6 @@ def _lag_one(pieces: Sequence[_Array]) -> float:
     return sum(float((p[1:] * p[:-1]).sum()) for p in pieces) / squares if squares > 0 else 0.0
 
 
-_Mask: TypeAlias = NDArray[np.bool_]
-_Of = TypeVar("_Of", bound=Mapping[str, float])
-
 # A positive parameter falls no lower than this part of its start.
 _POSITIVE = 1e-12
 
@@ -131,63 +160,101 @@ def equation_error(
     *,
     differentiation: Differentiator | None = None,
     start: Mapping[str, float] | None = None,
+    terms: Mapping[str, Any] | None = None,
+    select: Literal["stepwise", "all", "orthogonal"] | TermSelection | None = None,
+    held_out: Experiment | Sequence[Experiment] | None = None,
 ) -> EquationError:
     """Estimate by regression: the model's equations at the measured states, without integration.
 
     Every state must be measured by an output of its own (``q=q + bias``). Measured states are smoothed; the left side
     of a state equation is the slope of the smoothed channel, unless another output measures the slope itself; outputs
-    that measure no state are regression equations of their own. Equations that share parameters are solved together,
-    weighted with their residuals: by linear least squares where all are linear in the parameters, else by Gauss-Newton
-    from ``start`` (values by name; those not named as declared). Bounds, priors and fixed parameters are kept. Noise in
-    the states biases the estimate, which `estimate` avoids: the result serves as a start for it, and as a check.
+    that measure no state are regression equations of their own, and a model may have these alone, without states.
+    Equations that share parameters are solved together, weighted with their residuals: by linear least
+    squares where all are linear in the parameters, else by Gauss-Newton from ``start`` (values by name; those not named
+    as declared). Bounds, priors and fixed parameters are kept. Noise in the states biases the estimate, which
+    `estimate` avoids: the result serves as a start for it, and as a check.
 
-    ``differentiation``: `SmoothingSpline` (the default), `FourierSmoothing` or `SavitzkyGolay`.
+    differentiation  `SmoothingSpline` (the default), `FourierSmoothing` or `SavitzkyGolay`.
+    terms            further terms of the equations, each with a parameter of its own, such as `monomials` gives: by the
+                     name of a quantity, an output (``"Cm"``) or a state equation (``"q'"``) a list of expressions,
+                     whose parameters are called ``Cm_alpha2``, ..., or a mapping from the names that they are to have.
+    select           which terms stay: "stepwise" regression by partial F, "all" subsets by PRESS or by held-out data,
+                     "orthogonal" functions by their predicted squared error, or a `TermSelection`. A candidate is each
+                     free parameter that is not the constant of an equation. Equations that are not linear in their
+                     parameters are left as they are, with a warning. The result's ``selection`` has the steps by
+                     equation, its ``model`` the parameters that were not selected fixed at 0. Bounds and priors act on
+                     the final regression alone; parameters that have a value an experiment stay.
+    held_out         records for the error of each subset on data that are not used for estimates.
 
     Standard errors are corrected for residual autocorrelation (V. Klein and E. A. Morelli, Aircraft System
-    Identification, AIAA 2006, ch. 5). Directions that the data do not determine stay at the start, and are named in the
-    warnings.
+    Identification, AIAA 2006, ch. 5); they do not account for the selection. Directions that the data do not determine
+    stay at the start, and are named in the warnings.
 
     Raises ModelError for a state that is not measured, DataError or OptionError for invalid arguments, EvaluationError
     where an equation is not finite at the start.
     """
     runs = as_experiments(data, "equation_error")
+    others = [] if held_out is None else as_experiments(held_out, "equation_error: held_out")
     if not isinstance(model, Model):
         raise ModelError(f"equation_error: the first argument is a Model, not a {type(model).__name__}")
-    model.check()
+    options = None if select is None else term_selection(select)
+    if options is None and others:
+        raise OptionError(
+            "equation_error: held_out is for a selection of terms: give select='stepwise' or another, too"
+        )
+    if terms:
+        model, _ = with_candidates(model, terms)
+    _check(model)
+    if options is not None:
+        check_keep(options.keep, model.parameter_names)
     way = differentiation or SmoothingSpline()
     if not isinstance(way, (SmoothingSpline, FourierSmoothing, SavitzkyGolay)):
         raise OptionError(f"equation_error: differentiation is SmoothingSpline(...) or another such, not {way!r}")
     if not isinstance(start, (Mapping, type(None))):
         raise OptionError(f"equation_error: start holds values by name, not {start!r}")
-    for run in runs:
+    for run in (*runs, *others):
         run.check_for(model.input_names, model.output_names, model.output_names, conditions=model.condition_names)
-    check_units(model, runs, "equation_error")
+    check_units(model, [*runs, *others], "equation_error")
     check_names(model, start or {}, runs)
     values = [parameter_start(model, start or {}, run.name) for run in runs]  # those of each experiment
     measured = channels(model, values[0])
     listed = equations(model, measured, values[0], runs)
-    sides = [_Sides(model, run, measured, listed, way) for run in runs]
+    sides = [Sides(model, run, measured, listed, way) for run in runs]
+    apart = [Sides(model, run, measured, listed, way) for run in others]
 
-    declared = model.declared_parameters
-    inside = parameters_in(model, listed, [n for n, p in declared.items() if not p.fixed])
+    inside = parameters_in(model, listed, [n for n, p in model.declared_parameters.items() if not p.fixed])
     found: dict[str, tuple[Regression, int]] = {}
     collinear: list[tuple[tuple[str, ...], float]] = []
     warnings: list[str] = []
+    selection: dict[str, SelectedTerms] = {}
     together = groups(inside)
     for members in together:
         names = [n for n in model.parameter_names if any(n in inside[k] for k in members)]
-        unknowns = _unknowns(model, names, runs)
-        solved = _solve(model, unknowns, [listed[k] for k in members], members, sides, values)
-        for j, unknown in enumerate(unknowns):
-            found[unknown.label] = solved, j
-            for own in unknown.among(values):
-                own[unknown.name] = float(solved.values[j])
+        group = [listed[k] for k in members]
+        if options is not None:
+            whole = _regression(model, unknowns_of(model, names, runs), group, members, sides, values)
+            if not Evaluation(model, group, names).linear:
+                warnings.append(
+                    f"{', '.join(e.name for e in group)}: not linear in {', '.join(names)}; all these terms are kept"
+                )
+            elif chosen := select_terms(model, listed, names, sides, values, members, whole.sigmas, apart, options):
+                selection |= dict.fromkeys(chosen.equations, chosen)
+                model = without(model, chosen.dropped)
+                for own in values:
+                    own.update(dict.fromkeys(chosen.dropped, 0.0))
+                names = [n for n in names if n not in chosen.dropped]
+        unknowns = unknowns_of(model, names, runs)
+        solved = _regression(model, unknowns, group, members, sides, values)
+        found |= {unknown.label: (solved, j) for j, unknown in enumerate(unknowns)}
         labels = [unknown.label for unknown in unknowns]
         collinear += [(tuple(labels[j] for j in c.parameters), c.condition_index) for c in solved.collinear]
         if not solved.settled:
             warnings.append(f"the regression of {', '.join(labels)} did not settle: give another start, or fix some")
+    if options is not None and not selection:
+        raise OptionError("equation_error: there are no terms to select from: all are kept, constants or not linear")
     warnings += [_warning(names, index) for names, index in collinear]
-    everything = _unknowns(model, model.parameter_names, runs)
+    everything = unknowns_of(model, model.parameter_names, runs)
+    declared = model.declared_parameters
     idle = [u.label for u in everything if not declared[u.name].fixed and u.label not in found]
     if idle:
         warnings.append(f"{', '.join(idle)} appears in no equation and stays at its start")
@@ -196,108 +263,53 @@ def equation_error(
         model=model,
         parameters=Estimates(_estimate(model, u, u.among(values)[0][u.name], found.get(u.label)) for u in everything),
         white_std_errors={u.label: _deviation(found.get(u.label), white=True) for u in everything},
-        r_squared={e.name: _r_squared(records, e.name) for e in listed},
-        sigmas={e.name: _rms(records, e.name) for e in listed},
+        r_squared=ByName("equation", {e.name: _r_squared(records, e.name) for e in listed}),
+        sigmas=ByName("equation", {e.name: _rms(records, e.name) for e in listed}),
         groups=[tuple(listed[k].name for k in members) for members in together],
         collinear=collinear,
         records=records,
         warnings=tuple(warnings),
+        selection=ByName("equation", selection),
     )
 
 
-@dataclass(frozen=True)
-class _Unknown:
-    """A parameter, of all experiments or of one alone."""
-
-    label: str
-    name: str
-    experiment: int | None
-
-    def among(self, each: Sequence[_Of]) -> Sequence[_Of]:
-        """Return the values of those experiments that the parameter belongs to."""
-        return each if self.experiment is None else each[self.experiment : self.experiment + 1]
-
-
-def _unknowns(model: Model, names: Sequence[str], runs: Sequence[Experiment]) -> list[_Unknown]:
-    declared = model.declared_parameters
-    found = []
-    for name in names:
-        if declared[name].per_experiment:
-            found += [_Unknown(f"{name}[{run.name}]", name, i) for i, run in enumerate(runs)]
-        else:
-            found.append(_Unknown(name, name, None))
-    return found
-
-
-class _Sides:
-    """The data of an experiment for the equations: left-hand sides (E, N), valid rows, columns for the right-hand
-    sides."""
-
-    def __init__(
-        self,
-        model: Model,
-        run: Experiment,
-        measured: Sequence[MeasuredChannel],
-        listed: Sequence[Equation],
-        way: Differentiator,
-    ) -> None:
-        self.model, self.run, self.measured, self.listed = model, run, measured, listed
-        smooth = {c.state: _smooth(run, c, way) for c in measured}
-        self.columns = np.vstack(
-            [run.t, *(run.input(n) for n in model.input_names), *(smooth[n][0] for n in model.state_names)]
+def _check(model: Model) -> None:
+    """Raise ModelError for a model that is not complete; unlike `Model.check` it may be without states."""
+    if model.state_names:
+        model.check()
+        return
+    if not model.output_names:
+        raise ModelError(
+            f"model '{model.name}': it has neither states nor outputs; declare outputs, as in outputs(Cm=...)"
         )
-        # Beyond the first and the last sample of a state the smoothing extrapolates.
-        covered = np.ones(run.n, dtype=bool)
-        for c in measured:
-            present = np.flatnonzero(np.isfinite(run.output(c.output)))
-            covered[: present[0]] = covered[present[-1] + 1 :] = False
-        own = [np.isfinite(run.output(e.channel.output if e.channel else e.name)) for e in listed]
-        self.mask: _Mask = np.array([covered & o for o in own])
-        left = [smooth[e.channel.state][1] if e.channel else run.output(e.name) for e in listed]
-        self.left = np.where(self.mask, np.array(left), 0.0)
-
-    def record(self, values: Mapping[str, float]) -> Record:
-        """Return a record of both sides at the result."""
-        right, _ = Evaluation(self.model, self.listed, [])(values, self.columns)
-        left = np.where(self.mask, self.left, np.nan)
-        first = 1 + len(self.model.input_names)
-        channel = dict(zip(self.model.state_names, self.columns[first:], strict=True))
-        states = {
-            c.state: (channel[c.state] - _number(c.offset, values)) / _number(c.slope, values) for c in self.measured
-        }
-        states = {name: states[name] for name in self.model.state_names}
-        units = dict(self.model.units)
-        for e in self.listed:
-            if e.channel and units.get(e.channel.output, units.get(e.channel.state)):
-                units[e.name] = f"{units.get(e.channel.output, units.get(e.channel.state))}/s"
-        names = [e.name for e in self.listed]
-        return Record(
-            name=self.run.name,
-            t=self.run.t,
-            inputs={n: self.run.input(n) for n in self.model.input_names},
-            outputs=dict(zip(names, right, strict=True)),
-            states=states,
-            measured=dict(zip(names, left, strict=True)),
-            residuals=dict(zip(names, left - right, strict=True)),
-            mesh_t=self.run.t,
-            mesh_states=states,
-            units=units,
-        )
+    complete = model.copy()
+    (unused,) = complete.states(unused_state="")
+    complete.dynamics(unused_state=0.0 * unused)
+    complete.check()
 
 
-def _smooth(run: Experiment, channel: MeasuredChannel, way: Differentiator) -> tuple[_Array, _Array]:
-    try:
-        return way.smooth(run.t, run.output(channel.output))
-    except DataError as error:
-        raise DataError(f"experiment '{run.name}', output '{channel.output}': {error}") from None
+def _regression(
+    model: Model,
+    unknowns: Sequence[Unknown],
+    group: Sequence[Equation],
+    members: Sequence[int],
+    sides: Sequence[Sides],
+    values: Sequence[dict[str, float]],
+) -> Regression:
+    """Return the regression of a group of equations, and put its estimates into ``values``."""
+    solved = _solve(model, unknowns, group, members, sides, values)
+    for j, unknown in enumerate(unknowns):
+        for own in unknown.among(values):
+            own[unknown.name] = float(solved.values[j])
+    return solved
 
 
 def _solve(
     model: Model,
-    unknowns: Sequence[_Unknown],
+    unknowns: Sequence[Unknown],
     listed: Sequence[Equation],
     members: Sequence[int],
-    sides: Sequence[_Sides],
+    sides: Sequence[Sides],
     values: Sequence[Mapping[str, float]],
 ) -> Regression:
     names = list(dict.fromkeys(u.name for u in unknowns))
@@ -334,10 +346,6 @@ def _solve(
     return regress(rows, masks, scales, start, bounds, [p.prior for p in declared], evaluation.linear)
 
 
-def _number(e: Any, values: Mapping[str, float]) -> float:
-    return float(e.evaluate({n: values[n] for n in e.symbols}))
-
-
 def _deviation(of: tuple[Regression, int] | None, white: bool = False) -> float:
     if of is None:
         return np.nan
@@ -346,7 +354,7 @@ def _deviation(of: tuple[Regression, int] | None, white: bool = False) -> float:
     return float(np.sqrt(variance)) if variance >= 0 else np.nan
 
 
-def _estimate(model: Model, unknown: _Unknown, value: float, of: tuple[Regression, int] | None) -> Estimate:
+def _estimate(model: Model, unknown: Unknown, value: float, of: tuple[Regression, int] | None) -> Estimate:
     p = model.declared_parameters[unknown.name]
     side = of[0].active[of[1]] if of else 0
     active: Any = {-1: "lower", 1: "upper"}.get(int(side))

@@ -76,7 +76,7 @@ def equations(
     """
     inside = {c.state: (Expr.symbol(c.state) - c.offset) / c.slope for c in measured}
     taken = {c.output for c in measured}
-    slopes = _measured_slopes(model, measured, values, data[0])
+    slopes = _measured_slopes(model, measured, values, data[0]) if measured else set()
     found = []
     by_state = {c.state: c for c in measured}
     for state, e in model.state_expressions().items():

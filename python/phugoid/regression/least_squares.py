@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Collinear", "Regression", "regress"]
+__all__ = ["Collinear", "Regression", "coloured_middle", "regress"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Rows: TypeAlias = tuple[_Array, _Array]  # residuals, regressors
@@ -152,7 +152,7 @@ class _WeightedLeastSquares:
 
         middle = np.zeros((free.size, free.size))
         for (r_i, a_i), mask in zip(self.rows(theta), masks, strict=True):
-            middle += _coloured(roots[:, None] * r_i, roots[:, None, None] * a_i[:, :, free], mask)
+            middle += coloured_middle(roots[:, None] * r_i, roots[:, None, None] * a_i[:, :, free], mask)
         place = {int(k): j for j, k in enumerate(free)}
         for k, root in zip(self.known, self.root, strict=True):
             if int(k) in place:
@@ -198,7 +198,7 @@ def _collinear(values: _Array, directions: _Array, free: NDArray[np.intp], top: 
     return tuple(found)
 
 
-def _coloured(r: _Array, a: _Array, mask: NDArray[np.bool_]) -> _Array:
+def coloured_middle(r: _Array, a: _Array, mask: NDArray[np.bool_]) -> _Array:
     """Return the covariance of a'r, (p, p), for r a stationary sequence with the autocorrelation of the residuals.
 
     Sum over i, j of a_i R(i - j) a_j' (V. Klein and E. A. Morelli, Aircraft System Identification, AIAA 2006, ch. 5),

@@ -1,0 +1,141 @@
+"""Manoeuvres found in a long record: their spans and kinds, what is no manoeuvre, and records cut out of it."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib import pyplot as plt
+from scipy.signal import lfilter
+
+import phugoid as ph
+from phugoid import design
+
+T = np.arange(0.0, 400.0, 0.02)
+TRUTH = [  # input, kind, start, end
+    ("de", "doublet", 20.0, 21.0),
+    ("de", "3-2-1-1", 40.0, 44.2),
+    ("de", "pulse", 60.0, 61.0),
+    ("de", "sweep", 80.0, 140.0),
+    ("de", "step", 190.0, None),
+    ("de", "step", 240.0, None),
+    ("da", "multisine", 280.0, 310.0),
+    ("de", "multisine", 280.0, 310.0),
+    ("da", "sine", 330.0, 340.0),
+]
+
+
+@cache
+def log(sigma: float = 0.0, seed: int = 0) -> ph.Experiment:
+    """Elevator and aileron with one manoeuvre of each kind, and a rate that follows the elevator."""
+    rng = np.random.default_rng(seed)
+    de = design.doublet(T, 0.05, width=0.5, start=20) + design.three_two_one_one(T, -0.04, width=0.6, start=40)
+    de += design.pulse(T, 0.05, width=1, start=60) + design.sweep(T, 0.04, band=(0.1, 2.0), start=80, duration=60)
+    de += design.step(T, 0.03, start=190) - design.step(T, 0.03, start=240)
+    da = np.zeros_like(T)
+    part, inside = np.arange(0.0, 30.0, 0.02), slice(14000, 15500)
+    de[inside] += design.multisine(part, 0.03, band=(0.1, 2.0))
+    da[inside] += design.multisine(part, 0.05, band=(0.15, 2.0))
+    da[16500:17000] += 0.03 * np.sin(2 * np.pi * part[:500])
+    q = lfilter([0.05], [1, -0.95], de) + 0.001 * rng.standard_normal(T.size)
+    noisy = {"de": de + sigma * rng.standard_normal(T.size), "da": da + sigma * rng.standard_normal(T.size)}
+    return ph.Experiment(T, noisy, {"q": q}, name="log", units={"de": "rad"})
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.001, 0.003])
+def test_each_kind_is_found(sigma: float) -> None:
+    # The multisines begin at the same time: noise decides which is first.
+    found = sorted(ph.manoeuvres(log(sigma)), key=lambda m: (round(m.start / 5.0), m.input))
+    assert [(m.input, m.kind) for m in found] == [(name, kind) for name, kind, *_ in TRUTH]
+    for m, (_, kind, start, end) in zip(found, TRUTH, strict=True):
+        assert m.start == pytest.approx(start, abs=0.6)
+        assert end is None or m.end == pytest.approx(end, abs=1.5)
+        assert kind != "sweep" or m.band == pytest.approx((0.11, 1.7), abs=0.1)
+    multisine = found[7]
+    assert set(multisine.together) == {"da"} and abs(multisine.together["da"]) < 0.2
+    assert found[0].amplitude == pytest.approx(0.05, abs=4 * sigma + 1e-9) and found[0].unit == "rad"
+    # The rate follows the elevator, and not the aileron.
+    assert found[0].snr["q"] > 10 and found[8].snr["q"] < 1
+    with pytest.raises(KeyError, match="Did you mean 'q'"):
+        found[0].snr["Q"]
+
+
+def test_signal_to_noise_ratio_is_that_of_the_simulation() -> None:
+    run = log()
+    m = ph.manoeuvres(run)[3]
+    inside = (m.start <= T) & (m.end >= T)
+    clean = lfilter([0.05], [1, -0.95], run.input("de"))
+    assert m.snr["q"] == pytest.approx(clean[inside].std() / 0.001, rel=0.1)
+
+
+def test_controls_that_never_rest_are_continuous() -> None:
+    rng = np.random.default_rng(3)
+    u = lfilter([0.02], [1, -0.98], rng.standard_normal(T.size))
+    found = ph.manoeuvres(ph.Experiment(T, {"de": u}))
+    assert sum(m.end - m.start for m in found if m.kind == "continuous") > 0.8 * sum(m.end - m.start for m in found)
+
+
+def test_what_is_no_manoeuvre() -> None:
+    spike = np.zeros(T.size)
+    spike[5000] = 1.0
+    assert len(ph.manoeuvres(ph.Experiment(T, {"de": spike, "da": np.full(T.size, 0.2)}))) == 0
+    ramp = 1e-4 * T
+    assert all(m.kind == "continuous" for m in ph.manoeuvres(ph.Experiment(T, {"de": ramp})))
+    assert [m.kind for m in ph.manoeuvres(ph.Experiment(T, {"de": spike}), shortest=0.02)] == ["pulse"]
+
+
+def test_records_are_cut_out_once() -> None:
+    run = log()
+    found = ph.manoeuvres(run)
+    parts = found.cut(before=1.0, after=2.0)
+    assert [p.name for p in parts][:2] == ["log[1]", "log[2]"]
+    assert len(parts) == 8  # the two multisines are one record
+    assert (parts[0].t[0], parts[0].t[-1]) == (pytest.approx(19.0), pytest.approx(23.0))
+    assert [m.input for m in found.of("da")] == ["da", "da"]
+    assert [m.kind for m in found.of("de", "step", "doublet")] == ["doublet", "step", "step"]
+    assert [p.n for p in run.cut(found[:1])] == [51]
+    assert [p.n for p in run.cut([(0.0, 1.0), (0.5, 2.0), (5.0, 6.0)])] == [101, 51]
+
+
+def test_inputs_with_samples_of_their_own() -> None:
+    slow, u = T[::5], np.where((T >= 50) & (T < 51), 1.0, 0.0)[::5]
+    run = ph.multirate({"de": (slow, u)}, {"q": (T, np.zeros(T.size))}, name="log")
+    (m,) = ph.manoeuvres(run)
+    assert m.kind == "pulse" and m.span == (pytest.approx(50.0, abs=0.1), pytest.approx(51.0, abs=0.1))
+
+
+def test_what_is_shown() -> None:
+    found = ph.manoeuvres(log())
+    lines = found.summary().splitlines()
+    assert lines[0] == "log: 9 manoeuvres" and "doublet" in lines[4] and "together" in lines[2]
+    assert "<table" in found._repr_html_() and str(found[0]) == "doublet of de, 20.0 to 21.0 s"
+    figure, axes = found.plot()
+    assert list(axes) == ["de", "da"] and len(axes["da"].patches) == 2
+    plt.close(figure)
+    pytest.importorskip("pandas")
+    table = found.to_pandas()
+    assert list(table["kind"]) == [m.kind for m in found] and "snr_q" in table
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: ph.manoeuvres(3), "the first argument is an Experiment"),
+        (lambda: ph.manoeuvres(ph.Experiment(T, outputs={"q": T})), "has no inputs; name some"),
+        (lambda: ph.manoeuvres(log(), ["elevator"]), "has no input 'elevator'"),
+        (lambda: ph.manoeuvres(log(), "de"), r"inputs=\['de'\]"),
+        (lambda: ph.manoeuvres(log(), outputs=["p"]), "has no output 'p'"),
+        (lambda: ph.manoeuvres(log(), threshold=2.0), "below 1"),
+        (lambda: ph.manoeuvres(log(), gap=-1.0), "gap is a positive number"),
+        (lambda: ph.manoeuvres(log()).of("dr"), "'dr' is neither an input"),
+        (lambda: ph.manoeuvres(log()).cut(before=-1.0), "before is a number of s from 0"),
+        (lambda: ph.manoeuvres(log())[:0].cut(), "no manoeuvres were found in 'log'"),
+        (lambda: log().cut([(3.0, 2.0)]), "ends before it begins"),
+        (lambda: log().cut([3.0]), "spans are pairs of times"),
+    ],
+)
+def test_bad_input(call: Any, words: str) -> None:
+    with pytest.raises(ph.PhugoidError, match=words):
+        call()

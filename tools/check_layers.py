@@ -28,7 +28,7 @@ PYTHON = [
     "api", "multistart", "reconstruction", "petab", "results", "design", "cli", "__init__", "__main__",
 ]
 DISCREPANCY = [
-    "misfit", "candidates", "search", "discrimination", "page", "saved", "diagnose", "improve",
+    "misfit", "candidates", "search", "discrimination", "page", "saved", "arguments", "diagnose", "improve",
 ]
 # fmt: on
 

@@ -43,12 +43,6 @@ def test_what_is_no_fit(given: Callable[[], Any], kind: str) -> None:
         ph.diagnose(given())
 
 
-def test_a_fit_that_has_not_converged() -> None:
-    broken_off = ph.estimate(servo().model, servo().data, solver=ph.Newton(max_iterations=1))
-    with pytest.raises(DataError, match=r"the fit ended as 'iteration limit'.*mend the fit first"):
-        ph.diagnose(broken_off)
-
-
 def test_a_fit_with_process_noise() -> None:
     filtered = ph.estimate(servo().model, servo().data, transcription=ph.FilterError(states=("rate",)))
     with pytest.raises(OptionError, match=r"process noise explains every misfit.*without FilterError"):

@@ -82,10 +82,10 @@ def test_surrogates_among_causes_are_named() -> None:
     both: Any = SimpleNamespace(findings=[LAG, surrogate], verdict="named", interrupted=False, is_extended=False)
     assert headline(both) == (
         "The model misses one of {CL:lag_alpha, CL:lag_q}. "
-        "Z:periodic is a surrogate, which fits outside of what is physical: the cause itself may be another."
+        "Z:periodic is a surrogate, which fits in place of something else: the cause itself may be another."
     )
     both.findings.append(dataclasses.replace(surrogate, cause="Z:drift"))
-    assert "Z:periodic, Z:drift are surrogates, which fit outside" in headline(both)
+    assert "Z:periodic, Z:drift are surrogates, which fit in place of" in headline(both)
 
 
 @pytest.mark.parametrize(("ratio", "predictable", "told"), [(5.2, 0.97, True), (1.2, 0.97, False), (5.2, 0.3, False)])

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ..data.experiment import Experiment, as_experiments
-from ..errors import DataError, ModelError, OptionError, PhugoidError, did_you_mean
+from ..data.experiment import Experiment
+from ..errors import DataError
 from ..fit_result import FitResult
 from ..sensitivities.tangents import collocated
-from ..solvers.limits import check_time, interrupts, limited
-from ..transcription.filter_error import FilterError
-from ..validation.validate import shared
+from ..solvers.limits import Deadline, check_time, interrupts, limited
+from .arguments import candidates_given, check_fit, check_size, freed, validation_given
 from .candidates.candidate import Candidate
 from .candidates.collection import Candidates
-from .candidates.library import candidates as library
-from .discrimination.advice import discrimination_advice
+from .discrimination.advice import advice_of
 from .search.confirmation import Found
 from .search.data_suspects import (
     with_changes,
@@ -31,120 +29,38 @@ from .search.data_suspects import (
     with_remainder,
     words_of_inputs,
 )
-from .search.evidence import is_physical, is_structured
-from .search.finding import DiagnosisResult, Finding, Scored
+from .search.evidence import is_structured
+from .search.finding import DiagnosisResult, Scored
+from .search.findings import (
+    finding_of,
+    finding_of_record_change,
+    finding_of_recorded_input,
+    finding_of_remainder,
+    no_optimum,
+)
 from .search.record_change import RecordChange
 from .search.recorded_input import RecordedInput
 from .search.refit import Refit
 from .search.remainder import Remainder, RemainderSettings
-from .search.remainder_finding import finding_of_record_change, finding_of_recorded_input, finding_of_remainder
+from .search.restart import ENDED_WELL, Restart, restarted
 from .search.sampled_input import SampledInputs
 from .search.scan import NEARLY, Scan
 from .search.search import Search, SearchResult
 from .search.segments import segments_of
+from .search.stand_ins import without_stand_ins
 
 __all__ = ["diagnose"]
 
-# Aliases that are named beside a cause.
-_ALIASES = 3
-_INTERVAL = 1.959963984540054  # 95 % of a normal distribution
-_UNEXPLAINED = "the residuals hold more than noise, but no candidate predicts data that were held out"
 _OF_THESE_RECORDS = (
     "Of the records of the fit alone: {}. With that as it was fitted, the simulation of the validation records gets no "
     "better, and the extended model is without."
 )
-_AGAIN = (
-    "Repeat the same input: what repeats in the residuals is no noise. Then a smaller and a larger one: they tell what "
-    "depends on amplitude."
-)
-
-
-def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | None = None) -> Finding:
-    """Return what a search found, as it is told: with the estimate in the model that it is fitted in, the extended one
-    (``kept``) where it is part of that."""
-    aliases = tuple(found.rivals)[:_ALIASES]
-    if found.candidate is None:
-        nothing = float("nan")
-        return Finding(
-            cause="",
-            aliases=aliases,
-            status="unexplained",
-            coefficient=nothing,
-            std_error=nothing,
-            interval=(nothing, nothing),
-            unit="",
-            parameters={},
-            gain=found.gain,
-            held_out_gain=found.held_out[0],
-            threshold=found.threshold,
-            explanation=_rings(found.ringing) if found.ringing else _UNEXPLAINED,
-            advice=_AGAIN if found.ringing else "",
-            rivals=dict(found.rivals),
-            ringing=found.ringing,
-        )
-    c = found.candidate
-    final = kept if kept is not None and c.name in kept.names else result.of(c)
-    explained = found.explained
-    parameters = final.parameters(c)
-    name = next(iter(parameters))
-    value, error = parameters[name]
-    return Finding(
-        cause=c.name,
-        aliases=aliases,
-        status="surrogate" if not is_physical(final, c) else "minor" if minor else "named",
-        coefficient=value,
-        std_error=error,
-        interval=(value - _INTERVAL * error, value + _INTERVAL * error),
-        unit=final.fit.parameters[name].unit,
-        parameters=parameters,
-        gain=found.gain,
-        held_out_gain=found.held_out[0],
-        threshold=found.threshold,
-        explanation=c.explanation,
-        units={n: final.fit.parameters[n].unit for n in parameters},
-        rivals=dict(found.rivals),
-        explained=explained.part if explained else float("nan"),
-        explained_interval=explained.interval if explained else (float("nan"), float("nan")),
-        explained_outputs=dict(explained.outputs) if explained else {},
-        rivals_explained=dict(found.rivals_explained),
-    )
 
 
 def _is_minor(search: Search, result: SearchResult, found: Found) -> bool:
     """Tell whether what was found is no cause that is named: it explains too little, at the end or on the way there."""
     named = found.candidate is None or found.candidate.name in result.final.names
     return not named or search.assessment.is_minor(found.explained)
-
-
-def _rings(frequencies: Sequence[float]) -> str:
-    at = ", ".join(f"{f:.3g}" for f in frequencies)
-    return (
-        f"the residuals ring at {at} Hz, a lightly damped mode of the model: that is a term that it lacks, or "
-        "disturbances that came through the vehicle. Candidates halve the mean square on data held out, but beside "
-        "noise that rings so this is no proof of one"
-    )
-
-
-def advice_of(search: Search, result: SearchResult, candidate: Candidate | None, aliases: Sequence[str]) -> str:
-    """Return which manoeuvre would tell a candidate from its aliases; "" where there are none, and after Ctrl-C."""
-    if candidate is None or not aliases:
-        return ""
-    try:
-        return _advice(search, result.of(candidate), candidate, aliases)
-    except (PhugoidError, np.linalg.LinAlgError, KeyboardInterrupt):
-        return ""  # advice only: what was found stays
-
-
-def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequence[str]) -> str:
-    others = [c for c in final.candidates if c is not candidate]
-    named = {c.name: c for c in reversed(search.cache.candidates)}
-    refits = [search.cache.refit([*others, named[name]], final.fit) for name in aliases]
-    # Another finding may have an alias of this one for its cause.
-    rivals = [r for r in refits if r is not None and not {*r.names} <= {*final.names}]
-    if not rivals:
-        return ""
-    search.cache.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")
-    return discrimination_advice(final, rivals)
 
 
 def ranking_of(search: Search, scan: Scan) -> list[Scored]:
@@ -170,10 +86,6 @@ def ranking_of(search: Search, scan: Scan) -> list[Scored]:
     return found
 
 
-# Samples that every output is to have, and rows for each unknown: fewer do not tell noise from misfit.
-_FEWEST, _EACH = 40, 5
-# Of an output's spread: a residual below it is rounding.
-_EXACT = 1e-9
 # How a search ended before its end, in words.
 _EARLY = {"interrupted": "The search was interrupted", "time limit": "The search reached its time limit"}
 # Candidates without a direction of their own that a note names.
@@ -206,21 +118,32 @@ def diagnose(
     goes on to what is quick; once more, it leaves out the ranking where there is none yet.
     ``time_limit``: in seconds. It ends the search as Ctrl-C does.
 
-    Raises DataError for a fit that has not converged, that is exact, or of too short a record, and for a validation
-    record without the channels or that the model cannot be fitted to; OptionError and ModelError for candidates and
-    biases that cannot be.
+    A fit that ended at no optimum is estimated again: continued, with parameters fixed that the data do not determine,
+    or begun from short segments of the records, and a note says so. Where none of these converges the misfit is
+    unexplained, and the finding says what the status of the fit means. Where the model cannot be fitted to the
+    validation records, blocks of the records are left out in turn as without them.
+
+    Raises DataError for a fit that is exact or of too short a record, and for a validation record without the channels;
+    OptionError and ModelError for candidates and biases that cannot be.
     """
     started = time.perf_counter()
     deadline = limited("diagnose", time_limit)
-    _check(fit)
-    others = _validation(fit, validation)
-    free = _biases(fit, others, biases)
-    base = Refit((), collocated(fit))
-    _check_size(base)
-    segments = segments_of(base, others)
+    check_fit(fit)
+    others = validation_given(fit, validation)
+    free = freed(fit, others, biases)
+    begun = collocated(fit) if fit.status in ENDED_WELL else fit
+    restart = None if begun.status in ENDED_WELL else _restarted(begun, others, deadline)
+    if restart is not None:
+        if restart.fit is None:
+            return no_optimum(fit, restart.words, time.perf_counter() - started)
+        fit = begun = restart.fit
+    base = Refit((), begun)
+    check_size(base)
+    segments = restart.segments if restart is not None and restart.segments else segments_of(base, others)
     if segments is not None:
         base, others, fit = segments.base, segments.validation, segments.base.fit
-    listed = _candidates(fit, candidates, base)
+    listed = candidates_given(fit, candidates, base)
+    unfitted = ""
     with _shown(progress) as watch:
 
         def step(text: str) -> None:
@@ -228,6 +151,14 @@ def diagnose(
             watch(text)
 
         search = Search(base, listed, others, step, free)
+        try:
+            search.cache.try_validation()
+        except DataError as error:
+            unfitted = f"{str(error).removeprefix('diagnose: ')}: it is left out."
+            others, free = (), None
+            search = Search(base, listed, others, step, free)
+        except KeyboardInterrupt:
+            pass  # it is noticed again below
         result = SearchResult(base, base)
         remainder: Remainder | None = None
         between: list[RecordedInput] = []
@@ -237,7 +168,7 @@ def diagnose(
             # Now, while what the search needs next is at hand.
             ranking, interrupted = _ranked(search, base)
             if not interrupted:
-                interrupted = with_proposals(search, lambda near: _candidates(fit, candidates, near))
+                interrupted = with_proposals(search, lambda near: candidates_given(fit, candidates, near))
             if not interrupted:
                 following, interrupted = with_recorded_input(search)
                 while following is not None:
@@ -257,6 +188,8 @@ def diagnose(
                 search, result, sampled, interrupted = with_inputs_as_sampled(search, result)
             if not interrupted:
                 result, remainder, interrupted = with_remainder(search, result)
+            if not interrupted:
+                result, remainder = without_stand_ins(search, result, remainder)
         ended = deadline.ended() if interrupted else ""
         with interrupts() as pressed:  # what was found is not lost to one more Ctrl-C
             final, found = result.final, result.found
@@ -304,6 +237,7 @@ def diagnose(
         if alone:
             notes = (*notes, _OF_THESE_RECORDS.format(", ".join(alone)))
         notes = (*notes, *words_of_inputs(between, sampled), *([segments.note] if segments else []))
+        notes = (*([restart.words] if restart else []), *([unfitted] if unfitted else []), *notes)
         # An input that is held is a finding; one that was sampled slowly is none, nor what comes of it.
         diagnosed = corrected.fit if sampled or any(b.kind == "cubic" for b in between) else fit
         return DiagnosisResult(
@@ -321,6 +255,15 @@ def diagnose(
         )
 
 
+def _restarted(fit: FitResult, others: Sequence[Experiment], deadline: Deadline) -> Restart:
+    """Return what became of a fit that ended at no optimum; within the time limit."""
+    try:
+        with deadline.in_force():
+            return restarted(fit, others)
+    except KeyboardInterrupt:
+        return Restart(None, f"The fit ended as '{fit.status}', and the diagnosis before it could be estimated again")
+
+
 def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:
     """Return the first scan, and whether it was interrupted: then there is none."""
     try:
@@ -328,103 +271,6 @@ def _ranked(search: Search, base: Refit) -> tuple[tuple[Scored, ...], bool]:
         return tuple(ranking_of(search, search.cache.scan(base))), False
     except KeyboardInterrupt:
         return (), True
-
-
-def _check(fit: Any) -> None:
-    if not isinstance(fit, FitResult):
-        raise OptionError(f"diagnose: the first argument is a fit, as estimate gives it, not {type(fit).__name__}")
-    if isinstance(fit.transcription, FilterError):
-        raise OptionError(
-            "diagnose: a fit with process noise explains every misfit by it; estimate without FilterError and "
-            "diagnose that"
-        )
-    if fit.status not in ("converged", "acceptable"):
-        raise DataError(
-            f"diagnose: the fit ended as '{fit.status}': {fit.message}. What is missing shows at an optimum only: "
-            "mend the fit first"
-        )
-    for name in fit.model.output_names:
-        measured = np.concatenate([r.measured[name] for r in fit.records])
-        residual = np.concatenate([r.residuals[name] for r in fit.records])
-        there = np.isfinite(measured) & np.isfinite(residual)
-        spread = float(np.std(measured[there])) if there.any() else 0.0
-        if float(np.sqrt(np.mean(residual[there] ** 2))) <= _EXACT * max(spread, 1e-300):
-            raise DataError(
-                f"diagnose: the residuals of output '{name}' are all zero: the data are those of the model itself, and "
-                "there is no noise that a misfit could be measured against"
-            )
-
-
-def _check_size(base: Refit) -> None:
-    linear = base.linear
-    for name, count in zip(linear.model.output_names, linear.counts, strict=True):
-        if count < _FEWEST:
-            raise DataError(
-                f"diagnose: output '{name}' has {count} samples, too few to tell noise from misfit ({_FEWEST})"
-            )
-    unknowns = linear.n_unknowns
-    if linear.n_rows < _EACH * unknowns:
-        raise DataError(
-            f"diagnose: the record is too short: {linear.n_rows} measurements for {unknowns} unknowns leave nothing to "
-            f"judge a misfit by (at least {_EACH} for each)"
-        )
-
-
-def _validation(fit: FitResult, given: Any) -> Sequence[Experiment]:
-    if given is None:
-        return ()
-    others = as_experiments(given, "diagnose: validation")
-    for e in others:
-        e.check_for(
-            fit.model.input_names, fit.model.output_names, fit.model.output_names, conditions=fit.model.condition_names
-        )
-        if any(shared(fit.model, record, e) == e.n == record.n for record in fit.records):
-            raise DataError(
-                f"diagnose: the validation record '{e.name}' is one that the fit was made on: give another, or none"
-            )
-    return others
-
-
-def _biases(fit: FitResult, others: Sequence[Experiment], given: Any) -> tuple[str, ...] | None:
-    if given is None:
-        return None
-    if not others:
-        raise OptionError("diagnose: biases are estimated again in validation records: give validation too")
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise OptionError(f"diagnose: biases is a list of names, such as ['b_q'], or () for none, not {given!r}")
-    names = fit.model.parameter_names
-    for name in (found := tuple(dict.fromkeys(map(str, given)))):
-        if name not in names:
-            base = name.partition("[")[0]
-            hint = f" Say '{base}', for all experiments." if base in names else did_you_mean(name, names)
-            raise ModelError(f"diagnose: biases: '{name}' is no parameter of the model.{hint}")
-    return found
-
-
-def _candidates(fit: FitResult, given: Any, base: Refit) -> list[Candidate]:
-    points = base.linear.points
-    if given is None or isinstance(given, Mapping):
-        return list(library(fit.model, points=points, terms=given))
-    if isinstance(given, Candidates):
-        given = given.on(points)
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise OptionError(f"diagnose: candidates holds Candidates, or terms by place, not {given!r}")
-    listed = list(given)
-    places = base.linear.places
-    for c in listed:
-        if not isinstance(c, Candidate):
-            raise OptionError(
-                f"diagnose: candidates holds {c!r}, which is no Candidate: make them by ph.candidates(model)"
-            )
-        if c.place not in places:
-            raise OptionError(
-                f"diagnose: candidate '{c.name}' acts on {c.place.kind} '{c.place.name}', which the model has not"
-            )
-    names = [c.name for c in listed]
-    twice = [n for n in dict.fromkeys(names) if names.count(n) > 1]
-    if twice:
-        raise OptionError(f"diagnose: candidate '{twice[0]}' is there twice")
-    return listed
 
 
 def _shown(progress: Any) -> Any:

@@ -15,11 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...data.experiment import Experiment
+from ...errors import PhugoidError
+from ..candidates.candidate import Candidate
 from ..misfit.phrases import number
 from ..search.refit import Refit
+from ..search.search import Search, SearchResult
 from .candidate_manoeuvres import GREATEST, KINDS, CandidateManoeuvres, Manoeuvre
 
-__all__ = ["DISCRIMINATES", "Advice", "DiscriminatingManoeuvre", "advised", "discrimination_advice"]
+__all__ = ["DISCRIMINATES", "Advice", "DiscriminatingManoeuvre", "advice_of", "advised", "discrimination_advice"]
 
 # An expected gain in log-likelihood that tells two models apart nearly for sure.
 DISCRIMINATES = 6.0
@@ -124,3 +127,25 @@ def advised(final: Refit, rivals: Sequence[Refit]) -> Advice:
 
 def _listed(names: Sequence[str], last: str) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def advice_of(search: Search, result: SearchResult, candidate: Candidate | None, aliases: Sequence[str]) -> str:
+    """Return which manoeuvre would tell a candidate from its aliases; "" where there are none, and after Ctrl-C."""
+    if candidate is None or not aliases:
+        return ""
+    try:
+        return _advice(search, result.of(candidate), candidate, aliases)
+    except (PhugoidError, np.linalg.LinAlgError, KeyboardInterrupt):
+        return ""  # advice only: what was found stays
+
+
+def _advice(search: Search, final: Refit, candidate: Candidate, aliases: Sequence[str]) -> str:
+    others = [c for c in final.candidates if c is not candidate]
+    named = {c.name: c for c in reversed(search.cache.candidates)}
+    refits = [search.cache.refit([*others, named[name]], final.fit) for name in aliases]
+    # Another finding may have an alias of this one for its cause.
+    rivals = [r for r in refits if r is not None and not {*r.names} <= {*final.names}]
+    if not rivals:
+        return ""
+    search.cache.watch(f"looking for a manoeuvre that tells {candidate.name} from {', '.join(aliases)}")
+    return discrimination_advice(final, rivals)

@@ -56,7 +56,7 @@ def headline(diagnosis: DiagnosisResult) -> str:
     surrogates = [f.cause for f in findings if f.status == "surrogate"]
     if surrogates:
         what = "are surrogates, which fit" if len(surrogates) > 1 else "is a surrogate, which fits"
-        text += f" {', '.join(surrogates)} {what} outside of what is physical: the cause itself may be another."
+        text += f" {', '.join(surrogates)} {what} in place of something else: the cause itself may be another."
     if named:
         text += _remaining(diagnosis)
     return text
@@ -150,7 +150,7 @@ def finding_lines(finding: Finding) -> list[str]:
     if finding.cause:
         lines += _estimated(finding)
     if finding.status == "surrogate":
-        lines.append("A surrogate: it fits, but its coefficient is outside of what is physical.")
+        lines.append("A surrogate: it fits, but may stand in for another cause.")
     if math.isfinite(finding.explained):
         lines.append(_explained(finding))
     gain = f"Gain in log-likelihood, residuals whitened: {with_sign(finding.gain)} (threshold {finding.threshold:.1f})"

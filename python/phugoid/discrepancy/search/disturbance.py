@@ -24,7 +24,16 @@ from ...solvers.limits import check_time
 from ..candidates.scales import levels_of
 from .refit import Refit
 
-__all__ = ["BENDS", "Disturbance", "Disturbances", "disturbance_at", "functions", "functions_of", "noises_of"]
+__all__ = [
+    "BENDS",
+    "Disturbance",
+    "Disturbances",
+    "disturbance_at",
+    "functions",
+    "functions_of",
+    "histories_at",
+    "noises_of",
+]
 
 _Array = NDArray[np.float64]
 
@@ -188,6 +197,15 @@ def _histories(
         counts = tuple(k.size for k in knots)
         found.append(Disturbance("noise", place, "", merit, marginal, tau * step, None, flat, step, counts))
     return sorted(found, key=lambda h: -h.merit)
+
+
+def histories_at(at: Refit, place: Place) -> list[Disturbance]:
+    """Return a random time history at a place beside the terms of a refit, of several correlation times, the likeliest
+    first."""
+    linear = at.linear
+    noise = np.array([channel.power for channel in Whitening.of(linear.residuals, linear.structure).channels])
+    samples = max(len(np.unique(linear.times)), 2)
+    return _histories(linear, place, noise, min(_KNOTS, samples))
 
 
 def _event(linear: Linearised, of: Disturbance, noise: _Array) -> Disturbance | None:

@@ -12,7 +12,7 @@ from ...residual_noise.series import WITHIN, resolution_of
 from ...residual_noise.whitening import Whitening
 from ..candidates.candidate import Candidate
 from .free_run import Explained, Misfitting, Simulated
-from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks
+from .refit import HeldOut, Refit, across_blocks, gain_on_other_data, predicted_blocks, predicted_from_blocks
 from .refit_cache import RefitCache
 from .ringing import is_near
 
@@ -189,9 +189,12 @@ class Assessment:
         return self._from_blocks(base, other, drifts).explained(self._from_blocks(base, one, drifts), misfit)
 
     def _from_blocks(self, base: Refit, more: Refit, common: bool) -> Simulated:
-        """Errors of the blocks of the records, each predicted by the others, with what a model has beside a base."""
+        """Errors of the blocks of the records, each predicted by the others, with what a model has beside a base; all
+        parameters are ``common`` to the blocks where a drift of one is in question, which own values would hide."""
+        if common:
+            return Simulated.of(more.linear, predicted_from_blocks(more))
         new = more.beside(base.candidates)
-        return Simulated.of(base.linear, predicted_blocks(base, more, new, common)[-1][1])
+        return Simulated.of(base.linear, predicted_blocks(base, more, new)[-1][1])
 
     def predicts(self, held: HeldOut) -> bool:
         """Tell whether a gain on held-out data is one."""

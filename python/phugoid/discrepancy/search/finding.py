@@ -64,9 +64,9 @@ class Finding:
     aliases        other causes that the data do not tell from it, the likeliest first, three at most: read the finding
                    as "one of cause and aliases".
     status         "named"; "minor": significant, but it explains less of the misfit than 5 %, or no more than chance
-                   does, in free simulation; "surrogate": it fits, but a parameter is outside of what is physical, so it
-                   stands in for something else; "unexplained": the residuals hold more than noise, and no candidate
-                   predicts it.
+                   does, in free simulation; "surrogate": it fits, but stands in for something else, since a parameter
+                   is outside of what is physical, or what it leaves is no noise and more than it explains;
+                   "unexplained": the residuals hold more than noise, and no candidate predicts it.
     coefficient, std_error, interval   of its first parameter, in ``unit``; the interval is of 95 %. NaN where
                    unexplained. Standard errors are those for noise with the autocorrelation of the residuals.
     parameters     all its parameters: name in the extended model -> (value, standard error).

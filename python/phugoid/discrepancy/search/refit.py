@@ -34,6 +34,7 @@ __all__ = [
     "gain_on_other_data",
     "on_other_data",
     "predicted_blocks",
+    "predicted_from_blocks",
     "refit",
 ]
 
@@ -221,9 +222,7 @@ def across_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> HeldOut
     return HeldOut(total, float(np.sqrt(gain.size) * gain.std()), total - best)
 
 
-def predicted_blocks(
-    base: Refit, more: Refit, new: Sequence[Candidate], common: bool = False
-) -> list[tuple[_Array, _Array]]:
+def predicted_blocks(base: Refit, more: Refit, new: Sequence[Candidate]) -> list[tuple[_Array, _Array]]:
     """Errors of the blocks of the records without and with the new candidates: whitened (n_rows,) as the other blocks
     predict them; and in the units of the outputs (n_rows,), with the new coefficients as the others predict them and
     all else as it fits the block best.
@@ -250,14 +249,25 @@ def predicted_blocks(
             seen = parts[~inside]
             step = np.linalg.solve(seen.T @ seen + np.diag(damping), seen.T @ e[~inside])
             white[inside] -= parts[inside] @ step
-            if common:
-                plain[inside] -= added[inside] @ step[k:] + whitened.plain_basis[inside] @ step[:k]
-                continue
             rest = (plain[inside] - added[inside] @ step[k:]) / scale[inside]
             own = whitened.plain_basis[inside] / scale[inside, None]
             plain[inside] = scale[inside] * (rest - own @ np.linalg.lstsq(own, rest, rcond=_RANK)[0])
         found.append((white, plain))
     return found
+
+
+def predicted_from_blocks(at: Refit) -> _Array:
+    """Return errors (n_rows,) of the blocks of the records, in the units of the outputs, each with all parameters as
+    the other blocks predict them, to first order about the refit itself: a drift may change the path much."""
+    whitened, block = at.own, blocks_of(at.linear)
+    basis, e, plain = whitened.basis, whitened.errors, whitened.residuals.copy()
+    damping = _LOOSE * np.eye(basis.shape[1])
+    for b in range(BLOCKS):
+        inside = block == b
+        seen = basis[~inside]
+        step = np.linalg.solve(seen.T @ seen + damping, seen.T @ e[~inside])
+        plain[inside] -= whitened.plain_basis[inside] @ step
+    return plain
 
 
 def blocks_of(linear: Linearised) -> NDArray[np.intp]:

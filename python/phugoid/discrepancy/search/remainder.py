@@ -28,6 +28,7 @@ from .evidence import is_structured
 from .free_run import Explained, Misfitting, Simulated
 from .refit import Refit, fitted_to
 from .search import Search, SearchResult
+from .single_event import single_event
 from .unknown_function import formula, terms_of, unknown_function
 
 __all__ = ["Remainder", "RemainderSettings", "remainder_of"]
@@ -43,7 +44,6 @@ class RemainderSettings:
     margin     by how much its log-likelihood, less its number of parameters, must be ahead of that of coloured noise.
     alike      other places of the same kind are told beside it where they are behind by less than this.
     seconds    that a fit by the filter-error method may take.
-    event      part of the time in which most of a disturbance happens that is a single event.
     most       part of the misfit below which the terms of a search do not explain most of it.
     functions  unknown functions that are fitted, the likeliest to first order.
     motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
@@ -53,7 +53,6 @@ class RemainderSettings:
     margin: float = 8.0
     alike: float = 3.0
     seconds: float = 20.0
-    event: float = 0.12
     most: float = 0.8
     functions: int = 2
     motion: float = 0.35
@@ -94,14 +93,14 @@ class Remainder:
 
 @dataclass(frozen=True, eq=False)
 class _Option:
-    """A hypothesis beside the terms of a refit; ``disturbance`` None for coloured noise alone. ``event``: what a
-    disturbance is that nearly all happens in a short span."""
+    """A hypothesis beside the terms of a refit; ``disturbance`` None for coloured noise alone. ``noise``: of an event,
+    the random disturbance at the same place."""
 
     at: Refit
     merit: float
     disturbance: Disturbance | None = None
     filtered: FitResult | None = None
-    event: Disturbance | None = None
+    noise: Disturbance | None = None
 
 
 def remainder_of(search: Search, result: SearchResult, settings: RemainderSettings | None = None) -> Remainder | None:
@@ -125,7 +124,12 @@ def remainder_of(search: Search, result: SearchResult, settings: RemainderSettin
         return function
     # Where data held out speak against the likeliest, those less likely are no better.
     found = _confirmed(search, full, options[0], options[-1].merit, s)
-    return found and replace(found, rivals=_rivals(options[0], options, s))
+    if found is None:
+        return None
+    rivals = _rivals(options[0], options, s)
+    if found.disturbance.kind == "event":  # whatever kind they were compared as
+        rivals = {f"{name.rpartition(':')[0]}:event": gain for name, gain in rivals.items()}
+    return replace(found, rivals=rivals)
 
 
 def _rivals(of: _Option, options: Sequence[_Option], s: RemainderSettings) -> dict[str, float]:
@@ -193,20 +197,13 @@ def _likeliest_place(
     return [max(found, key=lambda h: h.merit).place] if found else []
 
 
-def _is_short(event: Disturbance, linear: Linearised, most: float) -> bool:
-    """Tell whether an event takes no more than this part of all time."""
-    assert event.span is not None
-    _, begin, end = event.span
-    return end - begin < most * sum(float(p.t[-1] - p.t[0]) for p in linear.points)
-
-
 def _options(at: Refit, known: Disturbances, s: RemainderSettings, white: bool = False) -> list[_Option]:
     """Hypotheses beside the terms of a refit, the likeliest of each name, the best first; coloured noise with them."""
     best: dict[str, Disturbance] = {}
     for d in known.ranked(at, white):
         best.setdefault(d.name, d)
-    once = {d.place: d for d in best.values() if d.kind == "event" and _is_short(d, at.linear, s.event)}
-    options = [_Option(at, d.merit, d, event=once.get(d.place)) for d in best.values()]
+    noise = {d.place: d for d in best.values() if d.kind == "noise"}
+    options = [_Option(at, d.merit, d, noise=noise.get(d.place)) for d in best.values()]
     options.append(_Option(at, at.merit))
     options.sort(key=lambda o: -o.merit)
     noises = [o for o in options if o.disturbance is not None and o.disturbance.kind == "noise"]
@@ -253,9 +250,14 @@ def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s:
     if _share(search, option.at, d) < search.assessment.settings.minor:
         return None
     held_out = float("nan")
-    if d.kind == "noise" and option.event is not None and option.event.merit > coloured + s.margin:
+    if d.kind in ("noise", "event"):
         # What happened once other data cannot confirm.
-        return Remainder(option.event, option.at, gain, held_out)
+        noise = option.noise
+        event, sure = single_event(search.cache, option.at, noise, s.structure, s.margin) if noise else (None, False)
+        if event is not None:
+            return Remainder(event, option.at, gain, held_out)
+        if d.kind == "event" and noise is not None and sure:
+            d = noise
     if d.kind == "noise" and other is not None:
         held_out = _held_out(search, option, d, other, s)
         if held_out <= 0.0:

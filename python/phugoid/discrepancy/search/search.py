@@ -47,6 +47,7 @@ class SearchResult:
     full         the model with minor findings and surrogates too.
     remarks      what is to be said of it, in words.
     interrupted  whether the search was ended early.
+    surrogates   names of terms that stand in for something that no candidate describes.
     """
 
     final: Refit
@@ -54,6 +55,7 @@ class SearchResult:
     found: tuple[Found, ...] = ()
     remarks: tuple[str, ...] = ()
     interrupted: bool = False
+    surrogates: frozenset[str] = frozenset()
 
     def of(self, candidate: Candidate) -> Refit:
         """Return the refit in which a finding is told."""

@@ -20,7 +20,7 @@ from ...fit_result import dataset
 from .evidence import is_structured
 from .refit import Refit
 
-__all__ = ["Segments", "segments_of", "short_segments"]
+__all__ = ["Segments", "fitted_to_segments", "segments_of", "short_segments"]
 
 # Segments of all records, and samples that each has at least: a tenth of a record holds a few of the motions that the
 # record was made for. Short ones, about which candidates are proposed, are as many as these samples allow.
@@ -40,6 +40,12 @@ class Segments:
     validation: Sequence[Experiment]
     horizon: float
 
+    @staticmethod
+    def of(base: Refit, length: int, validation: Sequence[Experiment]) -> Segments:
+        """Return the segments of a fit to them, and validation records cut likewise into ``length`` samples each."""
+        horizon = float(np.median([e.t[-1] - e.t[0] for e in dataset(base.fit)]))
+        return Segments(base, [piece for e in validation for piece in _cut(e, length)], horizon)
+
     @property
     def note(self) -> str:
         """The note for the user."""
@@ -53,30 +59,30 @@ def segments_of(base: Refit, validation: Sequence[Experiment]) -> Segments | Non
     """Return the records of a fit in segments, where the model is far from the records as a whole and much nearer to
     segments of them; None else, and where first states or parameters belong to a whole record."""
     fit = base.fit
-    found, length = _fitted(base, _COUNT)
+    found, length = fitted_to_segments(base, _COUNT) if is_structured(base, _ERROR) else (None, 0)
     if found is None:
         return None
     for name in fit.model.output_names:
         before, after = (np.concatenate([r.residuals[name] for r in f.fit.records]) for f in (base, found))
         if not np.nanmean(after**2) < _LEFT**2 * np.nanmean(before**2):
             return None
-    horizon = float(np.median([e.t[-1] - e.t[0] for e in dataset(found.fit)]))
-    return Segments(found, [piece for e in validation for piece in _cut(e, length)], horizon)
+    return Segments.of(found, length, validation)
 
 
 def short_segments(base: Refit) -> Refit | None:
     """Return the fit to many short segments, along which the motion is nearly that of the record, where the model is
     far from it over longer ones; None else."""
-    return _fitted(base, _SHORT)[0]
+    return fitted_to_segments(base)[0] if is_structured(base, _ERROR) else None
 
 
-def _fitted(base: Refit, most: int) -> tuple[Refit | None, int]:
-    """Return the model of a fit estimated from segments of its records, and the number of their samples."""
+def fitted_to_segments(base: Refit, most: int = _SHORT) -> tuple[Refit | None, int]:
+    """Return the model of a fit estimated from segments of its records, ``most`` of them or fewer, and the number of
+    their samples; None where that is not possible."""
     fit, records = base.fit, dataset(base.fit)
     own = [n for n, p in fit.model.declared_parameters.items() if p.per_experiment]
     samples = sum(e.n for e in records)
     count = min(most, samples // _SAMPLES)
-    if own or fit.model.end_conditions or count < 2 * len(records) or not is_structured(base, _ERROR):
+    if own or fit.model.end_conditions or count < 2 * len(records):
         return None, 0
     length = -(-samples // count)
     try:

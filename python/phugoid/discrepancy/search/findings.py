@@ -1,24 +1,128 @@
-"""What is left of a misfit beside the candidates, as a finding in words and numbers."""
+"""Findings in words and numbers: causes that a search found, what is left beside them, and faults of the data."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from ...fit_result import FitResult
 from ..candidates.terms import where
 from ..misfit.phrases import number, percent
+from .confirmation import Found
 from .disturbance import Disturbance
-from .finding import Finding
+from .evidence import is_physical
+from .finding import DiagnosisResult, ExtensionResult, Finding, Gain
 from .record_change import RecordChange
 from .recorded_input import RecordedInput
+from .refit import Refit
 from .remainder import Remainder
+from .search import SearchResult
 
-__all__ = ["finding_of_record_change", "finding_of_recorded_input", "finding_of_remainder"]
+__all__ = ["finding_of", "finding_of_record_change", "finding_of_recorded_input", "finding_of_remainder", "no_optimum"]
 
 _INTERVAL = 1.959963984540054  # 95 % of a normal distribution
+# Aliases that are named beside a cause.
 _ALIASES = 3
 # Records that are listed with their values.
 _LISTED = 6
+_STANDS_IN = (
+    "; but what it leaves is no noise and more than it explains beyond doubt, so that it may stand in for something "
+    "that no candidate describes"
+)
+_UNPHYSICAL = "; but its coefficient is outside of what is physical"
+_UNEXPLAINED = "the residuals hold more than noise, but no candidate predicts data that were held out"
+_AGAIN = (
+    "Repeat the same input: what repeats in the residuals is no noise. Then a smaller and a larger one: they tell what "
+    "depends on amplitude."
+)
+
+
+def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | None = None) -> Finding:
+    """Return what a search found, as it is told: with the estimate in the model that it is fitted in, the extended one
+    (``kept``) where it is part of that."""
+    aliases = tuple(found.rivals)[:_ALIASES]
+    if found.candidate is None:
+        nothing = float("nan")
+        return Finding(
+            cause="",
+            aliases=aliases,
+            status="unexplained",
+            coefficient=nothing,
+            std_error=nothing,
+            interval=(nothing, nothing),
+            unit="",
+            parameters={},
+            gain=found.gain,
+            held_out_gain=found.held_out[0],
+            threshold=found.threshold,
+            explanation=_rings(found.ringing) if found.ringing else _UNEXPLAINED,
+            advice=_AGAIN if found.ringing else "",
+            rivals=dict(found.rivals),
+            ringing=found.ringing,
+        )
+    c = found.candidate
+    final = kept if kept is not None and c.name in kept.names else result.of(c)
+    explained, stands_in = found.explained, c.name in result.surrogates
+    parameters = final.parameters(c)
+    name = next(iter(parameters))
+    value, error = parameters[name]
+    return Finding(
+        cause=c.name,
+        aliases=aliases,
+        status="surrogate" if stands_in or not is_physical(final, c) else "minor" if minor else "named",
+        coefficient=value,
+        std_error=error,
+        interval=(value - _INTERVAL * error, value + _INTERVAL * error),
+        unit=final.fit.parameters[name].unit,
+        parameters=parameters,
+        gain=found.gain,
+        held_out_gain=found.held_out[0],
+        threshold=found.threshold,
+        explanation=c.explanation + (_STANDS_IN if stands_in else "" if is_physical(final, c) else _UNPHYSICAL),
+        units={n: final.fit.parameters[n].unit for n in parameters},
+        rivals=dict(found.rivals),
+        explained=explained.part if explained else float("nan"),
+        explained_interval=explained.interval if explained else (float("nan"), float("nan")),
+        explained_outputs=dict(explained.outputs) if explained else {},
+        rivals_explained=dict(found.rivals_explained),
+    )
+
+
+def no_optimum(fit: FitResult, words: str, seconds: float) -> DiagnosisResult:
+    """Return the diagnosis of a fit that ended at no optimum, and could not be brought to one: a misfit that is
+    unexplained, with what the status means."""
+    nan = float("nan")
+    finding = Finding(
+        cause="",
+        aliases=(),
+        status="unexplained",
+        coefficient=nan,
+        std_error=nan,
+        interval=(nan, nan),
+        unit="",
+        parameters={},
+        gain=nan,
+        held_out_gain=nan,
+        threshold=nan,
+        explanation=words,
+    )
+    rms = {}
+    for name in fit.model.output_names:
+        r = np.concatenate([record.residuals[name] for record in fit.records])
+        rms[name] = float(np.sqrt(np.mean(r[np.isfinite(r)] ** 2))) if np.isfinite(r).any() else nan
+    nothing = ExtensionResult(fit.model, fit, (), Gain(0.0, 0.0, 0.0, nan, rms, rms))
+    notes = ("No candidate was compared with the records: there is no optimum about which to compare.",)
+    return DiagnosisResult(fit, (finding,), (), nan, notes, False, seconds, _extension=nothing)
+
+
+def _rings(frequencies: Sequence[float]) -> str:
+    at = ", ".join(f"{f:.3g}" for f in frequencies)
+    return (
+        f"the residuals ring at {at} Hz, a lightly damped mode of the model: that is a term that it lacks, or "
+        "disturbances that came through the vehicle. Candidates halve the mean square on data held out, but beside "
+        "noise that rings so this is no proof of one"
+    )
 
 
 def finding_of_remainder(r: Remainder, fit: FitResult, threshold: float) -> Finding:

@@ -13,7 +13,7 @@ from ..modelling.model import Model
 from .equations import Equation, Evaluation
 from .least_squares import coloured_middle
 from .selection import SelectedTerms, SelectionStep, TermSelection, reason
-from .sides import Sides
+from .sides import EquationSides
 from .subsets import Block, Path, TermData, best_subsets, orthogonal, stepwise
 
 __all__ = ["select_terms"]
@@ -25,11 +25,11 @@ def select_terms(
     model: Model,
     listed: Sequence[Equation],
     names: Sequence[str],
-    sides: Sequence[Sides],
+    sides: Sequence[EquationSides],
     values: Sequence[Mapping[str, float]],
     members: Sequence[int],
     sigmas: _Array,
-    held_out: Sequence[Sides],
+    held_out: Sequence[EquationSides],
     options: TermSelection,
 ) -> SelectedTerms | None:
     """Return which of the parameters ``names`` stay in the equations ``members``; None where there is no candidate.
@@ -129,7 +129,7 @@ _Rows: TypeAlias = tuple[_Array, _Array, NDArray[np.bool_]]
 
 
 def _rows(
-    evaluation: Evaluation, side: Sides, values: Mapping[str, float], members: Sequence[int], weights: _Array
+    evaluation: Evaluation, side: EquationSides, values: Mapping[str, float], members: Sequence[int], weights: _Array
 ) -> _Rows:
     """Return weighted left-hand sides less what does not depend on the parameters (E, N), regressors, valid rows."""
     right, regressors = evaluation({**values, **dict.fromkeys(evaluation.names, 0.0)}, side.columns)

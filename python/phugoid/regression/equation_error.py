@@ -23,7 +23,7 @@ from .differentiate import Differentiator, FourierSmoothing, SavitzkyGolay, Smoo
 from .equations import Equation, Evaluation, channels, equations, groups, parameters_in
 from .least_squares import Regression, regress
 from .selection import SelectedTerms, TermSelection, check_keep, term_selection
-from .sides import Sides, Unknown, unknowns_of
+from .sides import EquationSides, Unknown, unknowns_of
 from .terms import with_candidates, without
 
 if TYPE_CHECKING:
@@ -219,8 +219,8 @@ def equation_error(
     values = [parameter_start(model, start or {}, run.name) for run in runs]  # those of each experiment
     measured = channels(model, values[0])
     listed = equations(model, measured, values[0], runs)
-    sides = [Sides(model, run, measured, listed, way) for run in runs]
-    apart = [Sides(model, run, measured, listed, way) for run in others]
+    sides = [EquationSides(model, run, measured, listed, way) for run in runs]
+    apart = [EquationSides(model, run, measured, listed, way) for run in others]
 
     inside = parameters_in(model, listed, [n for n, p in model.declared_parameters.items() if not p.fixed])
     found: dict[str, tuple[Regression, int]] = {}
@@ -293,7 +293,7 @@ def _regression(
     unknowns: Sequence[Unknown],
     group: Sequence[Equation],
     members: Sequence[int],
-    sides: Sequence[Sides],
+    sides: Sequence[EquationSides],
     values: Sequence[dict[str, float]],
 ) -> Regression:
     """Return the regression of a group of equations, and put its estimates into ``values``."""
@@ -309,7 +309,7 @@ def _solve(
     unknowns: Sequence[Unknown],
     listed: Sequence[Equation],
     members: Sequence[int],
-    sides: Sequence[Sides],
+    sides: Sequence[EquationSides],
     values: Sequence[Mapping[str, float]],
 ) -> Regression:
     names = list(dict.fromkeys(u.name for u in unknowns))

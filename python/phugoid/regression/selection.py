@@ -12,7 +12,7 @@ from ..errors import OptionError, did_you_mean, listing
 from ..figures.style import MEASURED, MODEL, RULE, STATE, STYLE, WIDTH, plain
 from ..notebook import notebook_page, paragraph, table
 from ..parameters import text_table
-from .subsets import Statistics
+from .subsets import SubsetStatistics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -116,7 +116,7 @@ class SelectionStep:
 
     action: str
     terms: tuple[str, ...]
-    statistics: Statistics
+    statistics: SubsetStatistics
     f: float = math.nan
     f_corrected: float = math.nan
 

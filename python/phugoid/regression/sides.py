@@ -16,7 +16,7 @@ from ..records import Record
 from .differentiate import Differentiator
 from .equations import Equation, Evaluation, MeasuredChannel
 
-__all__ = ["Sides", "Unknown", "unknowns_of"]
+__all__ = ["EquationSides", "Unknown", "unknowns_of"]
 
 _Array: TypeAlias = NDArray[np.float64]
 _Mask: TypeAlias = NDArray[np.bool_]
@@ -47,7 +47,7 @@ def unknowns_of(model: Model, names: Sequence[str], runs: Sequence[Experiment]) 
     return found
 
 
-class Sides:
+class EquationSides:
     """The data of an experiment for the equations: left-hand sides (E, N), valid rows, columns for the right-hand
     sides."""
 

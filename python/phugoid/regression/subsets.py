@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Block", "Path", "Statistics", "TermData", "best_subsets", "orthogonal", "stepwise"]
+__all__ = ["Block", "Path", "SubsetStatistics", "TermData", "best_subsets", "orthogonal", "stepwise"]
 
 _Array: TypeAlias = NDArray[np.float64]
 Block: TypeAlias = frozenset[int]
@@ -27,7 +27,7 @@ _BATCH = 4096
 
 
 @dataclass(frozen=True)
-class Statistics:
+class SubsetStatistics:
     """Measures of a subset.
 
     rms       root mean square of the residuals, in the unit of the equation.
@@ -79,7 +79,7 @@ class TermData:
         x = self.x[:, self.columns(block)]
         return np.asarray(np.linalg.lstsq(x, self.y, rcond=None)[0])
 
-    def statistics(self, block: Block) -> Statistics:
+    def statistics(self, block: Block) -> SubsetStatistics:
         """Return the measures of a subset."""
         chosen = self.columns(block)
         residual, leverage = self.y, np.zeros(self.n)
@@ -95,7 +95,7 @@ class TermData:
             held_out = float(np.sqrt(np.mean(e**2)))
         fit_error = float(np.mean(residual**2))
         press = residual / np.maximum(1.0 - leverage, 1e-12)
-        return Statistics(
+        return SubsetStatistics(
             rms=math.sqrt(fit_error),
             r_squared=1.0 - fit_error / self.scatter if self.scatter > 0.0 else math.nan,
             press=float(np.sqrt(np.mean(press**2))),

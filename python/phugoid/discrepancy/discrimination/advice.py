@@ -20,7 +20,7 @@ from ..candidates.candidate import Candidate
 from ..misfit.phrases import number
 from ..search.refit import Refit
 from ..search.search import Search, SearchResult
-from .candidate_manoeuvres import GREATEST, KINDS, CandidateManoeuvres, Manoeuvre
+from .candidate_manoeuvres import GREATEST, KINDS, CandidateManoeuvre, CandidateManoeuvres
 
 __all__ = ["DISCRIMINATES", "Advice", "DiscriminatingManoeuvre", "advice_of", "advised", "discrimination_advice"]
 
@@ -38,7 +38,7 @@ class DiscriminatingManoeuvre:
     here       gain over the likeliest of these in the records at hand.
     """
 
-    manoeuvre: Manoeuvre
+    manoeuvre: CandidateManoeuvre
     record: Experiment
     gains: dict[str, float]
     here: float

@@ -19,7 +19,7 @@ from ..misfit.phrases import number, with_unit
 from ..search.refit import Refit
 from .manoeuvre_response import ManoeuvreResponse
 
-__all__ = ["GREATEST", "KINDS", "SLOW", "CandidateManoeuvres", "Manoeuvre", "manoeuvres_of_size"]
+__all__ = ["GREATEST", "KINDS", "SLOW", "CandidateManoeuvre", "CandidateManoeuvres", "manoeuvres_of_size"]
 
 _Array = NDArray[np.float64]
 _Mask = NDArray[np.bool_]
@@ -119,7 +119,7 @@ class CandidateManoeuvres:
         self.cause = ManoeuvreResponse(final, self.t, self.trim)
         listed = self._listed()
         if not listed:
-            self.manoeuvres: list[Manoeuvre] = []
+            self.manoeuvres: list[CandidateManoeuvre] = []
             return
         y, x = self.cause.simulate(self._inputs(listed))
         ends = self._within(y, x)
@@ -133,10 +133,10 @@ class CandidateManoeuvres:
         self.ends, self.y = ends[which], y[which]
         self.inputs = self._inputs(self.manoeuvres)
 
-    def _listed(self) -> list[Manoeuvre]:
+    def _listed(self) -> list[CandidateManoeuvre]:
         """All, the greatest first; none of conditions, which nobody commands."""
         model, data = self.final.fit.model, self._data
-        listed: list[Manoeuvre] = []
+        listed: list[CandidateManoeuvre] = []
         self._sizes: list[float] = []
         for name in [n for n in model.input_names if not model.is_condition(n)]:
             away = np.concatenate([e.input(name) - e.input(name)[0] for e in data])
@@ -151,7 +151,7 @@ class CandidateManoeuvres:
                 self._sizes += [size] * len(some)
         return listed
 
-    def _inputs(self, manoeuvres: Sequence[Manoeuvre]) -> _Array:
+    def _inputs(self, manoeuvres: Sequence[CandidateManoeuvre]) -> _Array:
         """Return the inputs (M, n_u, N)."""
         names = self.final.fit.model.input_names
         u = np.tile(self.trim[:, None], (len(manoeuvres), 1, self.t.size))
@@ -280,7 +280,7 @@ _RISES, _ENDS = (0.2, 0.45), (0.6, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Manoeuvre:
+class CandidateManoeuvre:
     """An input over time.
 
     kind     "doublet", "3-2-1-1", "row of growing doublets", "step", "sine sweep" or "slow ramp".
@@ -307,13 +307,13 @@ class Manoeuvre:
         return f"{self.kind} on {self.input} of {sign}{with_unit(size, self.unit)}{self.pace}"
 
 
-def manoeuvres_of_size(name: str, unit: str, t: _Array, size: float) -> Iterator[Manoeuvre]:
+def manoeuvres_of_size(name: str, unit: str, t: _Array, size: float) -> Iterator[CandidateManoeuvre]:
     """Manoeuvres of one size, (N,) equally spaced times ``t`` (s) long."""
     n, step = t.size, float(t[1] - t[0])
     lead = max(int(_LEAD * n), 1)
 
-    def made(kind: str, pace: str, moves: _Array, done: int) -> Manoeuvre:
-        return Manoeuvre(kind, name, size, unit, pace, size * moves, min(done, n))
+    def made(kind: str, pace: str, moves: _Array, done: int) -> CandidateManoeuvre:
+        return CandidateManoeuvre(kind, name, size, unit, pace, size * moves, min(done, n))
 
     longest = max(int(_LONGEST * n), _FEWEST)
     shortest = min(max(_FEWEST, n // 100), longest)

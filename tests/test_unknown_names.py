@@ -38,6 +38,11 @@ def test_it_names_those_that_are_there(look: Callable[[ph.Fit], Any], message: s
         look(pickle.loads(pickle.dumps(fit)))
 
 
+def test_notebooks_complete_the_names(fit: ph.Fit) -> None:
+    residuals: Any = fit.residuals
+    assert residuals._ipython_key_completions_() == list(fit.model.output_names)
+
+
 def test_mappings_stay_as_they_were(fit: ph.Fit) -> None:
     assert "w" not in fit.residuals and fit.residuals.get("w") is None and list(fit.states) == ["x", "v"]
 

@@ -106,6 +106,16 @@ def test_what_is_held_does_not_move(fit: ph.Fit) -> None:
         assert v.records[0].outputs[name] == pytest.approx(path.outputs[name], abs=1e-6)
 
 
+def test_residuals_of_the_only_experiment(fit: ph.Fit) -> None:
+    v = fit.validate(record(1))
+    for name in SIGMA:
+        expected = record(1).output(name) - v.records[0].outputs[name]
+        assert v.residuals[name] == pytest.approx(expected, abs=1e-12)
+    two = fit.validate([record(1), record(2, "third")])
+    with pytest.raises(DataError, match=r"2 experiments \('other', 'third'\): use validation.records"):
+        _ = two.residuals
+
+
 def test_it_is_the_maximum_over_what_is_free(fit: ph.Fit) -> None:
     """No neighbour does better, by an independent simulation."""
     e = record(1)

@@ -123,6 +123,9 @@ class ByName(dict[str, _T]):
     def __missing__(self, name: object) -> NoReturn:
         raise UnknownName(f"there is no {self._what} '{name}'.{listing(str(name), self)}")
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self)
+
 
 def refuse_attribute(instance: Any, kind: type, name: str, value: Any) -> None:
     """Raise UnknownAttribute unless ``value`` may be assigned as ``name`` to an instance of the public class ``kind``.

@@ -8,6 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DataError
 from ..figures import fit as plot
 from ..match import Match, Tolerance
 from ..modelling.model import Model
@@ -20,6 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Validation"]
+
+_Array = NDArray[np.float64]
 
 # Residuals are called coloured below this p-value, and their error an offset above this part of their mean square.
 _WHITE, _MOSTLY = 0.01, 0.5
@@ -77,6 +83,19 @@ class Validation:
     def converged(self) -> bool:
         """Whether the initial states and biases were found."""
         return self.status == "converged"
+
+    @property
+    def residuals(self) -> Mapping[str, _Array]:
+        """Output -> (N,) measured minus model, NaN where missing, of the only experiment; those of several are in
+        ``records``.
+
+        Raises DataError where there are several experiments.
+        """
+        if len(self.records) > 1:
+            names = ", ".join(f"'{r.name}'" for r in self.records)
+            several = f"{len(self.records)} experiments ({names})"
+            raise DataError(f"the validation has {several}: use validation.records[i].residuals")
+        return self.records[0].residuals
 
     @property
     def _predicted(self) -> bool:

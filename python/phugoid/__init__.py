@@ -66,7 +66,7 @@ from .petab.problem import read_petab
 from .reconstruction import reconstruct
 from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
 from .regression.equation_error import equation_error
-from .regression.selection import TermSelection
+from .regression.selected_terms import TermSelection
 from .regression.terms import monomials
 from .result import Fit
 from .simulate import simulate

@@ -1,6 +1,6 @@
 """Result classes, for annotations and `isinstance`; they are returned by functions, not constructed by users."""
 
-from .design.found import Manoeuvre, Manoeuvres
+from .design.manoeuvre_list import Manoeuvre, Manoeuvres
 from .design.plan import Excursion, Plan, Plans
 from .discrepancy.candidates.candidate import Candidate
 from .discrepancy.candidates.collection import Candidates
@@ -20,7 +20,7 @@ from .petab.problem import PetabProblem
 from .reconstruction import Reconstruction, VanePlaces
 from .records import Record
 from .regression.equation_error import EquationError
-from .regression.selection import SelectedTerms, SelectionStep
+from .regression.selected_terms import SelectedTerms, SelectionStep
 from .result import Diagnosis, Extension, Improvement
 from .sensitivities.trajectory import Place, Points
 from .solvers import Iteration

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError, listing
-from .found import Kind, Manoeuvre, Manoeuvres
+from .manoeuvre_list import Kind, Manoeuvre, Manoeuvres
 from .steps import number
 
 __all__ = ["manoeuvres"]

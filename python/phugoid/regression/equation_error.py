@@ -18,12 +18,12 @@ from ..modelling.model import Model
 from ..notebook import Html, bullets, notebook_page, table
 from ..parameters import Estimate, Estimates, estimates_html, estimates_table, text_table
 from ..records import Record
-from .choosing import select_terms
 from .differentiate import Differentiator, FourierSmoothing, SavitzkyGolay, SmoothingSpline
+from .equation_sides import EquationSides, Unknown, unknowns_of
 from .equations import Equation, Evaluation, channels, equations, groups, parameters_in
 from .least_squares import Regression, regress
-from .selection import SelectedTerms, TermSelection, check_keep, term_selection
-from .sides import EquationSides, Unknown, unknowns_of
+from .selected_terms import SelectedTerms, TermSelection, check_keep, term_selection
+from .term_selection import select_terms
 from .terms import with_candidates, without
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 //! Running a tape on one block of lanes.
 
-use super::lanes::{scaled, sum};
+use super::lanes::{Values, scaled, sum};
 use super::{Code, Instruction, LANE_MULTIPLE, Operand, Sink, Tape, UniformInstruction};
 use crate::expr::{Lookup, Op};
 use crate::math;
@@ -104,26 +104,6 @@ pub struct Sinks<'a> {
     pub sums: &'a mut [f64],
     /// Rows of `count` stored values.
     pub rows: &'a mut [f64],
-}
-
-/// Values of an output over the lanes of a block.
-#[derive(Clone, Copy, Debug)]
-pub enum Values<'a> {
-    /// The same value on all lanes.
-    Uniform(f64),
-    /// One a lane.
-    Lanes(&'a [f64]),
-}
-
-impl Values<'_> {
-    /// Value on a lane.
-    #[inline(always)]
-    pub fn at(&self, lane: usize) -> f64 {
-        match self {
-            Values::Uniform(u) => *u,
-            Values::Lanes(v) => v[lane],
-        }
-    }
 }
 
 // Each map reads its chunks into arrays, works on those, and stores the result: the compiler then

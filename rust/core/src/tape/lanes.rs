@@ -2,7 +2,26 @@
 //! set, into which they are inlined.
 
 use super::LANE_MULTIPLE;
-use super::eval::Values;
+
+/// Values of an output over the lanes of a block.
+#[derive(Clone, Copy, Debug)]
+pub enum Values<'a> {
+    /// The same value on all lanes.
+    Uniform(f64),
+    /// One a lane.
+    Lanes(&'a [f64]),
+}
+
+impl Values<'_> {
+    /// Value on a lane.
+    #[inline(always)]
+    pub fn at(&self, lane: usize) -> f64 {
+        match self {
+            Values::Uniform(u) => *u,
+            Values::Lanes(v) => v[lane],
+        }
+    }
+}
 
 /// Whether all are finite. Without a branch a lane, so that it vectorises.
 #[inline(always)]

@@ -13,8 +13,9 @@ mod terms;
 mod trace;
 
 pub use compile::Inputs;
-pub use eval::{Sinks, Values, Workspace};
+pub use eval::{Sinks, Workspace};
 pub use function::{Arguments, Function, Pairs, Pattern};
+pub use lanes::Values;
 pub use terms::{Loss, Terms};
 pub use trace::{Trace, trace};
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..errors import OptionError
 from ..modelling.model import Model
+from .equation_sides import EquationSides
 from .equations import Equation, Evaluation
 from .least_squares import coloured_middle
-from .selection import SelectedTerms, SelectionStep, TermSelection, reason
-from .sides import EquationSides
+from .selected_terms import SelectedTerms, SelectionStep, TermSelection, reason
 from .subsets import Block, Path, TermData, best_subsets, orthogonal, stepwise
 
 __all__ = ["select_terms"]

@@ -75,7 +75,7 @@ def test_the_true_terms_are_selected(select: Any) -> None:
 
 
 def test_coloured_residuals_do_not_bring_in_terms() -> None:
-    """With residuals correlated over 50 samples the F for white ones takes in terms by the half-dozen."""
+    """Checks that F for white residuals takes in half a dozen wrong terms where they are correlated over 50 samples."""
     m, variables = pitching_moment()
     extra = {True: 0, False: 0}
     for seed in range(12):

@@ -19,13 +19,16 @@ from .modelling.densities import PerExperiment
 from .modelling.model import Model
 from .modelling.noise import Noise
 from .parameters import Estimates, text_table
-from .records import Record
+from .records import Record, only
 from .solvers import Iteration, Solution
 from .transcription.filter_error import FilterError
 from .transcription.shooting import Transcription
 
-__all__ = ["FitResult", "Refinement", "Smoothing", "SmoothingStep", "Step", "dataset"]
+__all__ = ["ENDED_WELL", "FitResult", "Refinement", "Smoothing", "SmoothingStep", "Step", "dataset"]
 
+
+ENDED_WELL = ("converged", "acceptable")
+"""Statuses of fits at an optimum."""
 
 _Array = NDArray[np.float64]
 _T = TypeVar("_T")
@@ -84,10 +87,7 @@ class FitResult:
         return all(record.feasible for record in self.records)
 
     def _only(self, what: str) -> Record:
-        if len(self.records) > 1:
-            names = ", ".join(f"'{r.name}'" for r in self.records)
-            raise DataError(f"the fit has {len(self.records)} experiments ({names}): use fit.records[i].{what}")
-        return self.records[0]
+        return only(self.records, "fit", what)
 
     @property
     def states(self) -> Mapping[str, _Array]:
@@ -225,7 +225,7 @@ class Refinement:
 
     @property
     def met(self) -> bool:
-        """Whether the tolerance was met in the end."""
+        """Return whether the tolerance was met in the end."""
         return self.steps[-1].coarse == 0
 
     def change(self, name: str) -> tuple[float, float]:
@@ -302,7 +302,7 @@ class SmoothingStep:
 
 @dataclass(frozen=True)
 class Smoothing:
-    """How kinks and jumps of the state equations were smoothed, pass after pass over narrower widths.
+    """Says how kinks and jumps of the state equations were smoothed, pass after pass over narrower widths.
 
     widths  "sign(v) in v'" -> (the width in the last pass, its unit, "" where that is not known).
     steps   the passes, the last the one that the fit holds.

@@ -14,6 +14,7 @@ from .api import estimate
 from .data.experiment import Experiment, as_experiments
 from .data.interpolation import kinds_for
 from .errors import ModelError, OptionError, PhugoidError
+from .fit_result import ENDED_WELL
 from .modelling.compiled import CompiledExpressions
 from .modelling.model import Model
 from .modelling.noise import Gaussian
@@ -116,7 +117,7 @@ class VanePlaces:
 
 def compare_places(fit: Fit, places: Fit, channels: Sequence[str]) -> VanePlaces | None:
     """Compare a fit with another of the same records that estimates places; None where they do not compare."""
-    usable = ("converged", "acceptable")
+    usable = ENDED_WELL
     if fit.status not in usable or places.status not in usable:
         return None
     one, other = _log_densities(fit), _log_densities(places)
@@ -312,7 +313,7 @@ def _with_vane_positions(
     """Return the positions of the vanes that were not given, estimated in place of delays."""
     outputs = fit.model.output_names
     channels = [c for c in _VANES if c in outputs and options.get(f"{c}_vane") is None]
-    if not channels or fit.status not in ("converged", "acceptable"):
+    if not channels or fit.status not in ENDED_WELL:
         return None
     delayed = [n for n in fit.model.delays.outputs if n not in channels]
     other = flight_path(outputs, **{**options, "late": delayed, **{f"{c}_vane": (None, 0.0, 0.0) for c in channels}})

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .data.experiment import Experiment
 from .data.interpolation import Interpolations, kinds_for
-from .errors import ByName
+from .errors import ByName, DataError
 from .modelling.model import Model
 from .notebook import channels_table, notebook_page
 from .tabular import record_dataset, record_frame
@@ -154,6 +154,15 @@ _SAME = 0.999
 _OWN = 0.2
 _FEWEST = 10  # samples that both have
 _EXACT = 1e-9  # part of an output's spread: smaller residuals are rounding errors
+
+
+def only(records: Sequence[Record], owner: str, what: str) -> Record:
+    """Return the only record of a fit or a validation, the ``owner``; raise DataError that leads to ``what`` in each
+    where there are several."""
+    if len(records) > 1:
+        names = ", ".join(f"'{r.name}'" for r in records)
+        raise DataError(f"the {owner} has {len(records)} experiments ({names}): use {owner}.records[i].{what}")
+    return records[0]
 
 
 def record_of(

@@ -24,6 +24,7 @@ __all__ = [
     "experiment_dataset",
     "experiment_frame",
     "fit_dataset",
+    "package",
     "record_dataset",
     "record_frame",
 ]
@@ -49,7 +50,7 @@ _GROUPS = {
 
 def estimates_frame(estimates: Iterable[Any]) -> pandas.DataFrame:
     """Return a table with one row for each estimate. See `Estimates.to_pandas`."""
-    pd = _package("pandas", "to_pandas")
+    pd = package("pandas", "to_pandas")
     rows = {
         e.name: {
             "value": e.value,
@@ -76,7 +77,7 @@ def _kinds(record: Any) -> str:
 
 def record_frame(record: Any) -> pandas.DataFrame:
     """Return the time histories of a `Record`. See `Record.to_pandas`."""
-    pd = _package("pandas", "to_pandas")
+    pd = package("pandas", "to_pandas")
     columns = {(group, name): values for group in _GROUPS for name, values in getattr(record, group).items()}
     frame = _joined(pd, record.t, columns, {("inputs", n): own for n, own in record.input_samples.items()})
     frame.columns = pd.MultiIndex.from_tuples(list(frame.columns), names=["group", "channel"])
@@ -87,7 +88,7 @@ def record_frame(record: Any) -> pandas.DataFrame:
 def record_dataset(record: Any, apart: Collection[str] = ()) -> xarray.Dataset:
     """Return the time histories of a `Record`, with inputs ``apart`` always over their own axis. See
     `Record.to_xarray`."""
-    xr = _package("xarray", "to_xarray")
+    xr = package("xarray", "to_xarray")
     data: xarray.Dataset = xr.Dataset(coords={"time": ("time", record.t, {"units": "s"})})
     for group, prefix in _GROUPS.items():
         for name, values in getattr(record, group).items():
@@ -101,7 +102,7 @@ def record_dataset(record: Any, apart: Collection[str] = ()) -> xarray.Dataset:
 
 def experiment_frame(e: Any) -> pandas.DataFrame:
     """Return an `Experiment` as a table. See `Experiment.to_pandas`."""
-    pd = _package("pandas", "to_pandas")
+    pd = package("pandas", "to_pandas")
     frame = _joined(pd, e.t, {name: values for name, _, values in _channels(e)}, _own_samples(e))
     frame.attrs = {"name": e.name, "units": dict(e.units), "interpolation": _kinds(e), "history": list(e.history)}
     return frame
@@ -109,7 +110,7 @@ def experiment_frame(e: Any) -> pandas.DataFrame:
 
 def experiment_dataset(e: Any) -> xarray.Dataset:
     """Return an `Experiment` as a dataset. See `Experiment.to_xarray`."""
-    xr = _package("xarray", "to_xarray")
+    xr = package("xarray", "to_xarray")
     data: xarray.Dataset = xr.Dataset(coords={"time": ("time", e.t, {"units": "s"})})
     samples = _own_samples(e)
     for name, role, values in _channels(e):
@@ -123,7 +124,7 @@ def fit_dataset(
     records: Sequence[Any], estimates: Any, covariance: _Array, attributes: Mapping[str, Any]
 ) -> xarray.Dataset:
     """Return the records and `Estimates` of a fit as one dataset with attributes. See `Fit.to_xarray`."""
-    xr = _package("xarray", "to_xarray")
+    xr = package("xarray", "to_xarray")
     # An input is over the same axis in all experiments.
     each = [record_dataset(r, {name for r in records for name in r.input_samples}) for r in records]
     if len(each) == 1:
@@ -147,7 +148,8 @@ def fit_dataset(
     return data
 
 
-def _package(name: str, caller: str) -> Any:
+def package(name: str, caller: str) -> Any:
+    """Import and return a package of the extra of its name; raise MissingDependency where it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

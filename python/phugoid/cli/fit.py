@@ -16,6 +16,7 @@ import typer
 from ..api import diagnose as find_missing
 from ..api import load_fit
 from ..errors import OptionError
+from ..fit_result import ENDED_WELL
 from ..result import Diagnosis, Fit
 from ..validation.result import Validation
 from .model_file import load_source
@@ -185,7 +186,7 @@ def diagnose(
     check_targets((), [save], report)
     base = _base(model, reading, data or [], fit, how)
     others = reading.read(validation) if validation else None
-    if base.status not in ("converged", "acceptable"):
+    if base.status not in ENDED_WELL:
         if json:
             emit_json("diagnose", {"fit": fit_facts(base), "findings": None})
         else:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias, overload
 
 from ..data.experiment import Experiment
-from ..errors import ByName, DataError, MissingDependency, OptionError
+from ..errors import ByName, DataError, OptionError
 from ..figures.style import INPUT, SERIES, STYLE, WIDTH, labelled, plain
 from ..notebook import notebook_page, table
 from ..parameters import text_table
+from ..tabular import package
 
 if TYPE_CHECKING:
     import pandas
@@ -130,10 +131,7 @@ class Manoeuvres(Sequence[Manoeuvre]):
         """Return a table with a row for each manoeuvre: input, kind, start, end, amplitude, unit, band_low, band_high,
         ``snr_<output>``. Raises MissingDependency without pandas.
         """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise MissingDependency(f'to_pandas needs pandas ({error}): pip install "phugoid[pandas]"') from error
+        pd = package("pandas", "to_pandas")
         plain_fields = ("input", "kind", "start", "end", "amplitude", "unit")
         return pd.DataFrame(
             [

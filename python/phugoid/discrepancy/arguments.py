@@ -1,4 +1,4 @@
-"""What is given to a diagnosis, checked."""
+"""Checks of what is given to a diagnosis."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ _EXACT = 1e-9
 
 
 def check_fit(fit: Any) -> None:
+    """Raise OptionError for what is no fit by output error, DataError for a fit without residuals."""
     if not isinstance(fit, FitResult):
         raise OptionError(f"diagnose: the first argument is a fit, as estimate gives it, not {type(fit).__name__}")
     if isinstance(fit.transcription, FilterError):
@@ -46,6 +47,7 @@ def check_fit(fit: Any) -> None:
 
 
 def check_size(base: Refit) -> None:
+    """Raise DataError for records too short to tell noise from misfit."""
     linear = base.linear
     for name, count in zip(linear.model.output_names, linear.counts, strict=True):
         if count < _FEWEST:
@@ -61,6 +63,7 @@ def check_size(base: Refit) -> None:
 
 
 def validation_given(fit: FitResult, given: Any) -> Sequence[Experiment]:
+    """Return the validation records; raise DataError for one without the channels, or that the fit was made on."""
     if given is None:
         return ()
     others = as_experiments(given, "diagnose: validation")
@@ -76,6 +79,8 @@ def validation_given(fit: FitResult, given: Any) -> Sequence[Experiment]:
 
 
 def freed(fit: FitResult, others: Sequence[Experiment], given: Any) -> tuple[str, ...] | None:
+    """Return the parameters to re-estimate in validation records, None where not given; raise OptionError or ModelError
+    for what is no list of parameters."""
     if given is None:
         return None
     if not others:
@@ -92,6 +97,7 @@ def freed(fit: FitResult, others: Sequence[Experiment], given: Any) -> tuple[str
 
 
 def candidates_given(fit: FitResult, given: Any, base: Refit) -> list[Candidate]:
+    """Return the candidates as given, or those of the library; raise OptionError for what cannot be one."""
     points = base.linear.points
     if given is None or isinstance(given, Mapping):
         return list(library(fit.model, points=points, terms=given))

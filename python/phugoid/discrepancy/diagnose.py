@@ -12,7 +12,7 @@ import numpy as np
 
 from ..data.experiment import Experiment
 from ..errors import DataError
-from ..fit_result import FitResult
+from ..fit_result import ENDED_WELL, FitResult
 from ..sensitivities.tangents import collocated
 from ..solvers.limits import Deadline, check_time, interrupts, limited
 from .arguments import candidates_given, check_fit, check_size, freed, validation_given
@@ -42,7 +42,7 @@ from .search.record_change import RecordChange
 from .search.recorded_input import RecordedInput
 from .search.refit import Refit
 from .search.remainder import Remainder, RemainderSettings
-from .search.restart import ENDED_WELL, Restart, restarted
+from .search.restart import Restart, restarted
 from .search.sampled_input import SampledInputs
 from .search.scan import NEARLY, Scan
 from .search.search import Search, SearchResult

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..checks import check_progress
 from ..errors import OptionError
-from ..fit_result import FitResult, dataset
+from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..solvers import Newton
 from ..solvers.limits import Deadline, interrupts
 from ..transcription.filter_error import FilterError
@@ -95,7 +95,7 @@ class Runs:
 
 def common_to(fit: FitResult, caller: str) -> dict[str, Any]:
     """Return what all runs share, as `Problem` takes it. Raises OptionError where they cannot share it."""
-    if fit.status not in ("converged", "acceptable"):
+    if fit.status not in ENDED_WELL:
         raise OptionError(f"{caller}: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}")
     if all(e.fixed for e in fit.parameters.values()):
         raise OptionError(f"{caller}: the fit has no free parameters")

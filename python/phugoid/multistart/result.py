@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import EvaluationError, MissingDependency, OptionError, PhugoidError
+from ..errors import EvaluationError, OptionError, PhugoidError
 from ..estimation.starts import Outcome, Problem
 from ..fit_result import FitResult
 from ..parameters import Parameter, text_table
 from ..result import Fit
 from ..summary import _duration
+from ..tabular import package
 from .optima import LOG_LIKELIHOOD, PARAMETERS, Optimum, group, plot_waterfall, same
 
 if TYPE_CHECKING:
@@ -150,10 +151,7 @@ class Multistart:
         then each parameter by its name, ``std_error_<name>``, and ``start_<name>`` of what was drawn or given.
         Raises MissingDependency without pandas.
         """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise MissingDependency(f'to_pandas needs pandas ({error}): pip install "phugoid[pandas]"') from error
+        pd = package("pandas", "to_pandas")
         number = {index: i for i, optimum in enumerate(self.optima, 1) for index in optimum.indices}
         plain_fields = ("status", "log_likelihood", "iterations", "time", "message")
         rows = [

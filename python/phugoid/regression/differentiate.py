@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Integral, Real
+from numbers import Real
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import whole
 from ..data.filtering import intervals
 from ..errors import DataError, OptionError
 
@@ -119,8 +120,7 @@ class SavitzkyGolay:
     def __post_init__(self) -> None:
         for name in ("window", "degree"):
             value = getattr(self, name)
-            if not isinstance(value, Integral) or isinstance(value, bool) or value < 1:
-                raise OptionError(f"SavitzkyGolay: {name} is a whole number from 1, not {value!r}")
+            whole(f"SavitzkyGolay: {name}", value, 1)
         if self.window % 2 == 0 or self.window <= self.degree:
             raise OptionError(
                 f"SavitzkyGolay: window is an odd number above the degree {self.degree}, not {self.window}"

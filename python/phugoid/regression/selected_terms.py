@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Integral, Real
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
+from ..checks import is_whole
 from ..errors import OptionError, did_you_mean, listing
 from ..figures.style import MEASURED, MODEL, RULE, STATE, STYLE, WIDTH, plain
 from ..notebook import notebook_page, paragraph, table
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["SelectedTerms", "SelectionStep", "TermSelection", "term_selection"]
+__all__ = ["SelectedTerms", "SelectionStep", "TermSelection", "check_keep", "reason", "term_selection"]
 
 Method: TypeAlias = Literal["stepwise", "all", "orthogonal"]
 Criterion: TypeAlias = Literal["press", "pse", "held_out"]
@@ -28,7 +29,9 @@ _CALLED = {"press": "PRESS", "pse": "predicted squared error", "held_out": "the 
 
 @dataclass(frozen=True)
 class TermSelection:
-    """How `equation_error` selects the terms of its equations; ``select="stepwise"`` is ``TermSelection("stepwise")``.
+    """Says how `equation_error` selects the terms of its equations.
+
+    ``select="stepwise"`` is ``TermSelection("stepwise")``.
 
     method     "stepwise": terms enter and leave by their partial F. "all": of all subsets of each size the one with the
                least sum of squares, then the size by ``criterion``. "orthogonal": the terms made orthogonal to each
@@ -73,7 +76,7 @@ class TermSelection:
         if self.f_out is not None and self.f_in is not None and self.f_out > self.f_in:
             raise OptionError(f"TermSelection: f_out ({self.f_out:g}) is no more than f_in ({self.f_in:g})")
         object.__setattr__(self, "keep", (self.keep,) if isinstance(self.keep, str) else tuple(self.keep))
-        if not isinstance(self.most, Integral) or isinstance(self.most, bool) or not 1 <= self.most <= 24:
+        if not is_whole(self.most) or not 1 <= self.most <= 24:
             raise OptionError(f"TermSelection: most is a whole number from 1 to 24, not {self.most!r}")
 
     def thresholds(self, candidates: int) -> tuple[float, float]:

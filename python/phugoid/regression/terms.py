@@ -7,10 +7,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations_with_replacement
-from numbers import Integral
 from typing import Any
 
 from .._core import Expr
+from ..checks import is_whole
 from ..errors import ModelError, OptionError, listing
 from ..modelling.model import Model
 
@@ -32,10 +32,10 @@ def monomials(*variables: Expr, degree: int = 2, orders: Sequence[int] | None = 
     """
     if not variables or not all(isinstance(v, Expr) for v in variables):
         raise OptionError("monomials: the variables are expressions of a model, as in monomials(alpha, q, degree=3)")
-    if not _whole(degree) or degree < 1:
+    if not is_whole(degree) or degree < 1:
         raise OptionError(f"monomials: degree is a whole number from 1, not {degree!r}")
     most = [degree] * len(variables) if orders is None else list(orders)
-    if len(most) != len(variables) or not all(_whole(k) and k >= 0 for k in most):
+    if len(most) != len(variables) or not all(is_whole(k) and k >= 0 for k in most):
         raise OptionError(f"monomials: orders holds a whole number from 0 for each of the {len(variables)} variables")
     found = []
     for total in range(1, degree + 1):
@@ -48,10 +48,6 @@ def monomials(*variables: Expr, degree: int = 2, orders: Sequence[int] | None = 
                     product = product * factor
                 found.append(product)
     return found
-
-
-def _whole(value: Any) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def with_candidates(model: Model, terms: Mapping[str, Any]) -> tuple[Model, list[str]]:

@@ -13,7 +13,7 @@ import phugoid._core as _core
 from .._core import Expr
 from ..errors import EvaluationError, OptionError
 from ..estimation.estimate import estimate
-from ..fit_result import FitResult, dataset
+from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
 from ..modelling.noise import Gaussian, Noise
 from ..transcription.collocation import Collocation
@@ -25,7 +25,7 @@ __all__ = ["Scores", "Tangents", "cheap", "collocated", "collocated_for", "noise
 # Numbers in tangents that take about as long as an estimation, and that fill some 400 MB.
 _SOME, _MANY = 3_000_000, 50_000_000
 # Elsewhere curvature says nothing about the data.
-_ENDS = ("converged", "acceptable", "unidentifiable")
+_ENDS = (*ENDED_WELL, "unidentifiable")
 
 
 def collocated(fit: FitResult) -> FitResult:

@@ -18,7 +18,7 @@ from ..estimation.collect import common_to, run_all
 from ..estimation.estimate import estimate
 from ..estimation.starts import Outcome, Problem, stream
 from ..figures.style import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
-from ..fit_result import FitResult
+from ..fit_result import ENDED_WELL, FitResult
 from ..parameters import Estimates, text_table
 from ..solvers.limits import limited
 from ..transcription.filter_error import FilterError
@@ -248,7 +248,7 @@ def bootstrap(
         resampler = Parametric.of(fit) if kind == "parametric" else ColouredNoise.of(fit)
     problem = _Resampled(**common, resampler=resampler, seed=int(seed))
     runs = run_all(problem, [{"draw": i} for i in range(n)], executor, progress, "bootstrap", deadline)
-    good = [o for o in runs.outcomes.values() if o.status in ("converged", "acceptable")]
+    good = [o for o in runs.outcomes.values() if o.status in ENDED_WELL]
     failed = len(runs.outcomes) - len(good)
     warnings = list(runs.warnings)
     if failed:

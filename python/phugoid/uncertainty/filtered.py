@@ -14,7 +14,7 @@ import phugoid._core as _core
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError
 from ..estimation.filter_variables import Objective, Separated
-from ..fit_result import FitResult, dataset
+from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..modelling.model import Model
 from ..records import Record
 from ..transcription.filter_error import FilterError
@@ -150,7 +150,7 @@ def elsewhere(
 
 
 def _ended(fit: FitResult) -> None:
-    if fit.status not in ("converged", "acceptable"):
+    if fit.status not in ENDED_WELL:
         raise OptionError(
             f"prediction_bands: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}"
         )

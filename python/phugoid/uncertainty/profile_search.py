@@ -13,7 +13,7 @@ from ..errors import PhugoidError
 from ..estimation.estimate import estimate
 from ..estimation.filter_variables import Separated
 from ..estimation.starts import Outcome, Problem
-from ..fit_result import FitResult
+from ..fit_result import ENDED_WELL, FitResult
 from ..modelling.model import Model
 from ..parameters import Estimates, Parameter
 from ..solvers.limits import check_time
@@ -119,7 +119,7 @@ class _ProfileSearch:
             check_time()
         if fit.status == "interrupted":
             raise KeyboardInterrupt
-        if fit.status not in ("converged", "acceptable"):
+        if fit.status not in ENDED_WELL:
             return math.nan
         drop = self.top - _merit(fit, self.model, self.key) - self._prior(value) + self._prior(self.value)
         self.better = max(self.better, -drop)

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DataError
 from ..figures import fit as plot
 from ..match import Match, Tolerance
 from ..modelling.model import Model
 from ..modelling.noise import Noise
 from ..parameters import Estimates, estimates_table, text_table
-from ..records import Record
+from ..records import Record, only
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,11 +90,7 @@ class Validation:
 
         Raises DataError where there are several experiments.
         """
-        if len(self.records) > 1:
-            names = ", ".join(f"'{r.name}'" for r in self.records)
-            several = f"{len(self.records)} experiments ({names})"
-            raise DataError(f"the validation has {several}: use validation.records[i].residuals")
-        return self.records[0].residuals
+        return only(self.records, "validation", "residuals").residuals
 
     @property
     def _predicted(self) -> bool:

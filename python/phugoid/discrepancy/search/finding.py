@@ -56,7 +56,7 @@ class Scored:
     remark: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Finding:
     """One thing that the model misses.
 
@@ -93,16 +93,16 @@ class Finding:
     """
 
     cause: str
-    aliases: tuple[str, ...]
+    aliases: tuple[str, ...] = ()
     status: Literal["named", "minor", "surrogate", "unexplained"]
-    coefficient: float
-    std_error: float
-    interval: tuple[float, float]
-    unit: str
-    parameters: Mapping[str, tuple[float, float]]
-    gain: float
-    held_out_gain: float
-    threshold: float
+    coefficient: float = math.nan
+    std_error: float = math.nan
+    interval: tuple[float, float] = (math.nan, math.nan)
+    unit: str = ""
+    parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    gain: float = math.nan
+    held_out_gain: float = math.nan
+    threshold: float = math.nan
     explanation: str
     advice: str = ""
     rivals: Mapping[str, float] = field(default_factory=dict)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -43,16 +44,10 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
     (``kept``) where it is part of that."""
     aliases = tuple(found.rivals)[:_ALIASES]
     if found.candidate is None:
-        nothing = float("nan")
         return Finding(
             cause="",
             aliases=aliases,
             status="unexplained",
-            coefficient=nothing,
-            std_error=nothing,
-            interval=(nothing, nothing),
-            unit="",
-            parameters={},
             gain=found.gain,
             held_out_gain=found.held_out[0],
             threshold=found.threshold,
@@ -92,28 +87,14 @@ def finding_of(result: SearchResult, found: Found, minor: bool, kept: Refit | No
 def no_optimum(fit: FitResult, words: str, seconds: float) -> DiagnosisResult:
     """Return the diagnosis of a fit that ended at no optimum, and could not be brought to one: a misfit that is
     unexplained, with what the status means."""
-    nan = float("nan")
-    finding = Finding(
-        cause="",
-        aliases=(),
-        status="unexplained",
-        coefficient=nan,
-        std_error=nan,
-        interval=(nan, nan),
-        unit="",
-        parameters={},
-        gain=nan,
-        held_out_gain=nan,
-        threshold=nan,
-        explanation=words,
-    )
+    finding = Finding(cause="", status="unexplained", explanation=words)
     rms = {}
     for name in fit.model.output_names:
         r = np.concatenate([record.residuals[name] for record in fit.records])
-        rms[name] = float(np.sqrt(np.mean(r[np.isfinite(r)] ** 2))) if np.isfinite(r).any() else nan
-    nothing = ExtensionResult(fit.model, fit, (), Gain(0.0, 0.0, 0.0, nan, rms, rms))
+        rms[name] = float(np.sqrt(np.mean(r[np.isfinite(r)] ** 2))) if np.isfinite(r).any() else math.nan
+    nothing = ExtensionResult(fit.model, fit, (), Gain(0.0, 0.0, 0.0, math.nan, rms, rms))
     notes = ("No candidate was compared with the records: there is no optimum about which to compare.",)
-    return DiagnosisResult(fit, (finding,), (), nan, notes, False, seconds, _extension=nothing)
+    return DiagnosisResult(fit, (finding,), (), math.nan, notes, False, seconds, _extension=nothing)
 
 
 def _rings(frequencies: Sequence[float]) -> str:
@@ -177,13 +158,7 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> 
         advice = f"Give the records with interpolation={{'{h.name}': 'hold'}}; all else was sought with it held."
     return Finding(
         cause=h.cause,
-        aliases=(),
         status="named",
-        coefficient=nan,
-        std_error=nan,
-        interval=(nan, nan),
-        unit="",
-        parameters={},
         gain=h.gain,
         held_out_gain=h.held_out.gain if h.held_out else nan,
         threshold=threshold,
@@ -197,7 +172,6 @@ def finding_of_recorded_input(h: RecordedInput, threshold: float, unit: str) -> 
 
 def finding_of_record_change(c: RecordChange) -> Finding:
     """Return a difference between records as it is told."""
-    nan = float("nan")
     unit = f" {c.unit}" if c.unit else ""
     listed = [f"{number(v, 4)} ± {number(e, 2)}{unit} in '{record}'" for record, (v, e) in c.values.items()]
     more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
@@ -214,13 +188,8 @@ def finding_of_record_change(c: RecordChange) -> Finding:
         cause=c.name,
         aliases=c.aliases[:_ALIASES],
         status="named",
-        coefficient=nan,
-        std_error=nan,
-        interval=(nan, nan),
-        unit="",
         parameters={f"{c.place.name}[{record}]": value for record, value in c.values.items()},
         gain=c.gain,
-        held_out_gain=nan,
         threshold=c.threshold,
         explanation=(
             f"{c.explanation}: {', '.join(listed[:_LISTED])}{more}; that explains "

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ..._core import Expr
 from ...errors import PhugoidError
-from ...estimation.estimate import estimate
 from ...fit_result import dataset
 from ...modelling.model import Model
 from ...parameters import Parameter
@@ -26,7 +25,7 @@ from ..candidates.model_structure import ModelStructure
 from ..candidates.terms import where
 from .evidence import AssessmentSettings
 from .free_run import Explained, Misfitting, Simulated
-from .refit import BLOCKS, Refit, blocks_of
+from .refit import BLOCKS, Refit, blocks_of, fitted_to
 from .search import Search, SearchResult
 
 __all__ = ["RecordChange", "record_changes"]
@@ -269,17 +268,10 @@ def _with(at: Refit, option: _Difference, each: bool = True) -> Refit | None:
     fit = at.fit
     try:
         model = option.in_model(fit.model, each)
-        found = estimate(
-            model,
-            dataset(fit),
-            transcription=fit.transcription,
-            noise=fit.noise,
-            start=fit,
-            solver=Newton(max_iterations=_ITERATIONS, time_limit=max(5.0, 20.0 * fit.time)),
-        )
     except PhugoidError:
         return None
-    return Refit(at.candidates, found) if found.status in ("converged", "acceptable") else None
+    solver = Newton(max_iterations=_ITERATIONS, time_limit=max(5.0, 20.0 * fit.time))
+    return fitted_to(at, dataset(fit), model=model, solver=solver)
 
 
 def _explained(of: Refit, before: Refit, after: Refit) -> Explained:

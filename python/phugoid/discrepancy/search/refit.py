@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ...data.experiment import Experiment
 from ...errors import DataError, ModelError, PhugoidError
 from ...estimation.estimate import estimate
-from ...fit_result import FitResult, dataset
+from ...fit_result import ENDED_WELL, FitResult, dataset
+from ...modelling.model import Model
 from ...parameters import Estimates
 from ...residual_noise.whitening import Filter
 from ...sensitivities.linearised import Linearised
@@ -40,6 +41,7 @@ __all__ = [
 
 # A refit goes on from a fit nearby: one that needs more goes nowhere. What a scan elsewhere proposed may be farther.
 _ITERATIONS, _PATIENT = 40, 150
+_SOLVER = Newton(max_iterations=_ITERATIONS)
 # In s and in times of the base fit: where its iterations take so long, the mesh is refined again and again.
 _SECONDS, _TIMES = 30.0, 20.0
 # The same for a fit to data held out.
@@ -141,25 +143,38 @@ def refit(
         check_time()  # that of the diagnosis
     if fit.status == "interrupted":
         raise KeyboardInterrupt
-    return Refit(tuple(candidates), fit) if fit.status in ("converged", "acceptable") else None
+    return Refit(tuple(candidates), fit) if fit.status in ENDED_WELL else None
 
 
-def fitted_to(at: Refit, data: Sequence[Experiment]) -> Refit | None:
-    """Return the same model estimated from other records, such as those with inputs that are held; None where the
-    solver does not come to an end."""
+def fitted_to(
+    at: Refit,
+    data: Sequence[Experiment],
+    *,
+    model: Model | None = None,
+    start: Mapping[str, float] | None = None,
+    solver: Newton | None = _SOLVER,
+) -> Refit | None:
+    """Return the model of a refit, or another ``model``, estimated from other records, such as those with inputs that
+    are held; None where the solver does not come to an end. It starts from the refit, or from values in ``start``."""
     fit = at.fit
     try:
         found = estimate(
-            fit.model,
+            fit.model if model is None else model,
             data,
             transcription=fit.transcription,
             noise=fit.noise,
-            start=fit,
-            solver=Newton(max_iterations=_ITERATIONS),
+            start=fit if start is None else start,
+            solver=solver,
         )
-    except PhugoidError:
+    except (PhugoidError, np.linalg.LinAlgError):
         return None
-    return Refit(at.candidates, found) if found.status in ("converged", "acceptable") else None
+    return Refit(at.candidates, found) if found.status in ENDED_WELL else None
+
+
+def values_of(fit: FitResult) -> dict[str, float]:
+    """Return the estimates of the model's parameters that all experiments share, without those of the noise, as a start
+    without the path of the fit."""
+    return {n: fit.parameters[n].value for n in fit.model.parameter_names if n in fit.parameters}
 
 
 def _with_paths(
@@ -324,7 +339,7 @@ def on_other_data(
             check_time()  # that of the diagnosis
         if found.status == "interrupted":
             raise KeyboardInterrupt
-        if found.status in ("converged", "acceptable", "unidentifiable"):
+        if found.status in (*ENDED_WELL, "unidentifiable"):
             break
     else:
         raise DataError(f"diagnose: the model cannot be fitted to the validation record: {found.message}")

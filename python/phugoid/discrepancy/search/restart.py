@@ -14,17 +14,14 @@ import numpy as np
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
 from ...estimation.estimate import estimate
-from ...fit_result import FitResult, dataset
+from ...fit_result import ENDED_WELL, FitResult, dataset
 from ...modelling.model import Model
 from ...solvers import HINTS, Newton
 from ...solvers.limits import check_time
-from .refit import Refit
+from .refit import Refit, values_of
 from .segments import Segments, fitted_to_segments
 
-__all__ = ["ENDED_WELL", "Restart", "restarted"]
-
-ENDED_WELL = ("converged", "acceptable")
-"""Statuses of fits at an optimum."""
+__all__ = ["Restart", "restarted"]
 
 # Iterations and seconds of each estimation, beside as many times what the fit itself took.
 _ITERATIONS, _SECONDS, _TIMES = 400, 20.0, 5.0
@@ -32,7 +29,7 @@ _ITERATIONS, _SECONDS, _TIMES = 400, 20.0, 5.0
 
 @dataclass(frozen=True, eq=False)
 class Restart:
-    """What became of a fit that ended at no optimum.
+    """Says what became of a fit that ended at no optimum.
 
     fit       at an optimum; None where no estimation ended there.
     words     what was done, and what the status of the first fit means for the diagnosis.
@@ -64,10 +61,8 @@ def restarted(fit: FitResult, validation: Sequence[Experiment]) -> Restart:
             )
     pieces, length = fitted_to_segments(Refit((), fit))
     if pieces is not None:
-        model, near = fit.model, pieces.fit
-        again = _estimated(
-            fit, model, start={n: near.parameters[n].value for n in model.parameter_names if n in near.parameters}
-        )
+        near = pieces.fit
+        again = _estimated(fit, fit.model, start=values_of(near))
         if again is not None:
             return Restart(
                 again,

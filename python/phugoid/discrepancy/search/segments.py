@@ -14,11 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...data.experiment import Experiment
-from ...errors import PhugoidError
-from ...estimation.estimate import estimate
 from ...fit_result import dataset
 from .evidence import is_structured
-from .refit import Refit
+from .refit import Refit, fitted_to, values_of
 
 __all__ = ["Segments", "fitted_to_segments", "segments_of", "short_segments"]
 
@@ -85,18 +83,9 @@ def fitted_to_segments(base: Refit, most: int = _SHORT) -> tuple[Refit | None, i
     if own or fit.model.end_conditions or count < 2 * len(records):
         return None, 0
     length = -(-samples // count)
-    try:
-        # The path is begun anew: that of the fit is the one that drifts.
-        found = estimate(
-            fit.model,
-            [piece for e in records for piece in _cut(e, length)],
-            transcription=fit.transcription,
-            noise=fit.noise,
-            start={n: fit.parameters[n].value for n in fit.model.parameter_names if n in fit.parameters},
-        )
-    except PhugoidError:
-        return None, 0
-    return (Refit((), found) if found.status in ("converged", "acceptable") else None), length
+    # The path is begun anew: that of the fit is the one that drifts.
+    pieces = [piece for e in records for piece in _cut(e, length)]
+    return fitted_to(Refit((), fit), pieces, start=values_of(fit), solver=None), length
 
 
 def _cut(e: Experiment, length: int) -> list[Experiment]:

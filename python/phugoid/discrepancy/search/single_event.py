@@ -1,4 +1,4 @@
-"""Whether a disturbance is one event: whether the rest of the records, and data held out, are free of it.
+"""Tests whether a disturbance is one event, of which the rest of the records, and data held out, are free.
 
 An event and a stationary disturbance both explain a short burst. An event biases all parameters of the fit, so that
 neither its own likelihood about that fit nor that of the noise says which of them it is. The parameters are
@@ -15,13 +15,12 @@ import numpy as np
 
 from ...data.experiment import Experiment
 from ...errors import PhugoidError
-from ...estimation.estimate import estimate
 from ...fit_result import dataset
 from ...solvers import Newton
 from ...solvers.limits import check_time
 from .disturbance import Disturbance, histories_at
 from .evidence import is_structured
-from .refit import Refit, on_other_data
+from .refit import Refit, fitted_to, on_other_data, values_of
 from .refit_cache import RefitCache
 
 __all__ = ["is_disturbed", "single_event"]
@@ -114,19 +113,7 @@ def _without(at: Refit, span: tuple[int, float, float]) -> Refit | None:
         return None
     records: list[Experiment] = list(dataset(fit))
     records[record : record + 1] = _parts(records[record], begin, end)
-    values = {n: fit.parameters[n].value for n in fit.model.parameter_names if n in fit.parameters}
-    try:
-        found = estimate(
-            fit.model,
-            records,
-            transcription=fit.transcription,
-            noise=fit.noise,
-            start=values,
-            solver=Newton(max_iterations=_ITERATIONS),
-        )
-    except (PhugoidError, np.linalg.LinAlgError):
-        return None
-    return Refit(at.candidates, found) if found.status in ("converged", "acceptable") else None
+    return fitted_to(at, records, start=values_of(fit), solver=Newton(max_iterations=_ITERATIONS))
 
 
 def _parts(e: Experiment, begin: float, end: float) -> Sequence[Experiment]:

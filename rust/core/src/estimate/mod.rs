@@ -16,6 +16,7 @@ mod refine;
 mod restarts;
 mod retries;
 mod run;
+mod segments;
 mod smoothing;
 mod start;
 mod transcription;

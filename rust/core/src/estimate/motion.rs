@@ -6,6 +6,7 @@ use std::time::Duration;
 use super::fit::Fit;
 use super::refine::{in_parts, order_of};
 use super::run::Watch;
+use super::segments::Motion;
 use super::{Earlier, Estimation, Path, Start};
 use crate::condition::End;
 use crate::error::{Error, ErrorKind};
@@ -22,10 +23,15 @@ const APART: f64 = 1e-12;
 /// Iterations on one mesh before it is moved, and how often it is. The last mesh has no limit of its own.
 const ITERATIONS: usize = 25;
 const MOVES: usize = 8;
-/// A step that is a segment of low order is divided into more, and where that does not suit, again.
-const FINEST: usize = 64;
+/// The local error of collocation that segments may have at first, as a part of each state. Where an end on such a mesh does not
+/// suit it is so many times less, and the square root of that where a run is not yet at its end; at least the last.
+const LOCAL: f64 = 1e-3;
+const FINER: f64 = 16.0;
+const FINEST: f64 = 1e-9;
 /// A mesh suits where outputs differ from those of an integration by less than this part of the residuals.
 const SUITS: f64 = 0.01;
+/// Where they differ by more than this, a mesh says nothing of the likelihood.
+pub(super) const FAR: f64 = 0.1;
 /// How often a mesh is divided, at most, where the model cannot be simulated with what it led to.
 const DIVISIONS: usize = 3;
 /// A run behind the best goes on where a mesh brings this part of what is missing.
@@ -34,11 +40,9 @@ const RATE: f64 = 0.1;
 /// Values of parameters by name.
 pub(super) type Values = Vec<(String, f64)>;
 
-/// A simulation of one experiment: ends of its steps, times and states there and half-way, outputs at the samples.
-pub(super) struct Motion {
-    steps: Vec<f64>,
-    times: Vec<f64>,
-    states: Vec<Vec<f64>>,
+/// A simulation of one experiment: its motion, and outputs at the samples.
+pub(super) struct Simulated {
+    motion: Motion,
     outputs: Vec<Vec<f64>>,
 }
 
@@ -60,14 +64,15 @@ impl Estimation<'_> {
 
     /// Simulates all experiments with some values of the parameters, from the model's initial conditions. None where one of
     /// them has no solution, or takes too long.
-    pub(super) fn simulated(&self, values: &Values, tolerance: f64) -> Option<Vec<Motion>> {
+    pub(super) fn simulated(&self, values: &Values, tolerance: f64) -> Option<Vec<Simulated>> {
         self.experiments.iter().map(|run| self.motion(run, values, tolerance)).collect()
     }
 
-    fn motion(&self, run: &Experiment, values: &Values, tolerance: f64) -> Option<Motion> {
+    fn motion(&self, run: &Experiment, values: &Values, tolerance: f64) -> Option<Simulated> {
         let of = |name: &str| values.iter().find(|v| v.0 == name).map(|v| v.1);
         let simulate = |run: &Experiment| {
-            let mut simulation = Simulation::new(self.model, run).tolerance(tolerance).time_limit(LONGEST);
+            let mut simulation =
+                Simulation::new(self.model, run).tolerance(tolerance).time_limit(LONGEST).with_slopes();
             for p in &self.model.parameters {
                 let own = of(&format!("{}[{}]", p.name, run.name)).or_else(|| of(&p.name));
                 simulation = simulation.parameter(&p.name, own.unwrap_or(p.start));
@@ -89,8 +94,9 @@ impl Estimation<'_> {
             t: times.clone(),
             ..run.clone()
         };
-        let states = simulate(&finer)?.states;
-        Some(Motion { steps, times, states, outputs: path.outputs })
+        let finer = simulate(&finer)?;
+        let motion = Motion { ends: steps, times, states: finer.states, slopes: finer.slopes };
+        Some(Simulated { motion, outputs: path.outputs })
     }
 
     /// Estimates on meshes that follow the motion: the steps of an integration with the parameters as they are.
@@ -107,11 +113,7 @@ impl Estimation<'_> {
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fit>, Error> {
         let order = self.transcription.order;
-        let mut parts = match order {
-            2 => 8,
-            3 => 2,
-            _ => 1,
-        };
+        let mut local = LOCAL;
         let mut at = values.clone();
         let mut fit: Option<Fit> = None;
         let (mut iterations, mut time, mut divisions) = (0, Duration::ZERO, 0);
@@ -119,15 +121,24 @@ impl Estimation<'_> {
             let last = number == MOVES;
             let (grid, paths): (Vec<Grid>, Vec<Path>) = match (self.simulated(&at, tolerance), &fit) {
                 (Some(runs), fit) => {
-                    if let Some(fit) = fit.as_ref().filter(|fit| !is_unfinished(fit.status)) {
-                        if fit.suits(&runs) || parts > FINEST {
-                            break;
+                    if let Some(fit) = fit {
+                        let off = fit.departure(&runs);
+                        if !is_unfinished(fit.status) {
+                            if off <= SUITS || local < FINEST {
+                                break;
+                            }
+                            local /= FINER;
+                        } else if off > FAR {
+                            local = (local / FINER.sqrt()).max(FINEST);
+                        } else if off < SUITS {
+                            local = LOCAL.min(2.0 * local);
                         }
-                        parts *= 2;
                     }
-                    let one =
-                        |r: Motion| (Grid::Edges(in_parts(&r.steps, parts)), self.named(r.times, r.states));
-                    runs.into_iter().map(one).unzip()
+                    let one = |(run, found): (&Experiment, Simulated)| {
+                        let edges = found.motion.segments(order, local, &fixed_times(run));
+                        (Grid::Edges(edges), self.named(found.motion.times, found.motion.states))
+                    };
+                    self.experiments.iter().zip(runs).map(one).unzip()
                 }
                 // No mesh to move to. A path across a pole of the solution is one of a mesh that is too coarse.
                 (None, Some(fit)) if divisions < DIVISIONS && fit.feasible => {
@@ -189,6 +200,14 @@ impl Estimation<'_> {
     }
 }
 
+/// Returns the times at which a segment ends in any case: samples, and where inputs that are held jump.
+fn fixed_times(run: &Experiment) -> Vec<f64> {
+    let mut times = run.t.clone();
+    times.extend(run.jumps());
+    times.sort_by(f64::total_cmp);
+    times
+}
+
 fn is_unfinished(status: Status) -> bool {
     matches!(status, Status::IterationLimit | Status::Infeasible | Status::Diverging)
 }
@@ -203,18 +222,26 @@ fn apart(steps: &[f64]) -> Vec<f64> {
 
 impl Fit {
     /// Whether its outputs are those of the integration.
-    pub(super) fn suits(&self, runs: &[Motion]) -> bool {
-        self.feasible
-            && (0..self.model.outputs.len()).all(|c| {
-                let (mut off, mut residual) = (0.0, 0.0);
-                for (record, run) in self.records.iter().zip(runs) {
-                    let pairs = record.outputs[c].iter().zip(&run.outputs[c]).zip(&record.residuals[c]);
-                    for ((y, other), r) in pairs.filter(|p| p.1.is_finite()) {
-                        off += (y - other) * (y - other);
-                        residual += r * r;
-                    }
+    pub(super) fn suits(&self, runs: &[Simulated]) -> bool {
+        self.departure(runs) <= SUITS
+    }
+
+    /// Returns how far its outputs are from those of the integration, as a part of the residuals, of the output of which that
+    /// is largest; infinite for an end that is not feasible.
+    pub(super) fn departure(&self, runs: &[Simulated]) -> f64 {
+        let of_output = |c: usize| {
+            let (mut off, mut residual) = (0.0, 0.0);
+            for (record, run) in self.records.iter().zip(runs) {
+                let pairs = record.outputs[c].iter().zip(&run.outputs[c]).zip(&record.residuals[c]);
+                for ((y, other), r) in pairs.filter(|p| p.1.is_finite()) {
+                    off += (y - other) * (y - other);
+                    residual += r * r;
                 }
-                off.sqrt() <= SUITS * residual.sqrt()
-            })
+            }
+            if off > 0.0 { (off / residual).sqrt() } else { off }
+        };
+        let all = (0..self.model.outputs.len()).map(of_output);
+        let larger = |a: f64, b: f64| if b.is_nan() { f64::INFINITY } else { a.max(b) };
+        if self.feasible { all.fold(0.0, larger) } else { f64::INFINITY }
     }
 }

@@ -6,7 +6,7 @@ use fastrand::Rng;
 
 use super::Estimation;
 use super::fit::Fit;
-use super::motion::Values;
+use super::motion::{FAR, Values};
 use super::run::Watch;
 use crate::error::Error;
 use crate::interrupt::current;
@@ -116,12 +116,13 @@ impl Estimation<'_> {
         self.earlier.as_ref().is_some_and(|e| e.near)
     }
 
-    /// Returns the log-likelihood of an end, where the equations have a solution with its parameters.
+    /// Returns the log-likelihood of an end whose path is that of the integration with its parameters, else -∞.
     ///
-    /// A path on a mesh that is too coarse may cross a pole of the solution; then it is -∞, as without a path.
+    /// A path on a mesh that is too coarse may cross a pole of the solution, or miss a fast motion.
     fn likelihood(&self, fit: &Fit) -> f64 {
         let at: Values = fit.parameters.iter().map(|e| (e.name.clone(), e.value)).collect();
-        let known = fit.feasible && self.simulated(&at, SEARCH).is_some();
+        let runs = if fit.feasible { self.simulated(&at, SEARCH) } else { None };
+        let known = runs.is_some_and(|runs| fit.departure(&runs) <= FAR);
         if known { fit.log_likelihood } else { f64::NEG_INFINITY }
     }
 }

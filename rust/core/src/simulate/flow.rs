@@ -18,6 +18,16 @@ const LOOKED_AT: usize = 64;
 /// A state so many times as large as it ever was at an end of an interval has grown without limit.
 const GROWN: f64 = 1e6;
 
+/// What an integration found.
+struct Steps {
+    /// States at the knots.
+    states: Vec<Vec<f64>>,
+    /// The ends of all steps, the first knot before them.
+    ends: Vec<f64>,
+    /// Slopes at both ends of each interval between knots, from within, where they were asked for.
+    slopes: Vec<[Vec<f64>; 2]>,
+}
+
 /// A model with numbers put in, over the inputs of a record.
 pub(super) struct Flow<'a> {
     model: &'a Model,
@@ -69,8 +79,14 @@ impl<'a> Flow<'a> {
     }
 
     /// States and outputs at the samples.
-    pub(super) fn path(&mut self, first: &[f64], tolerance: f64, method: Method) -> Result<Path, Error> {
-        let (states, steps) = self.states(first, tolerance, method)?;
+    pub(super) fn path(
+        &mut self,
+        first: &[f64],
+        tolerance: f64,
+        method: Method,
+        with_slopes: bool,
+    ) -> Result<Path, Error> {
+        let Steps { states, ends: steps, slopes } = self.states(first, tolerance, method, with_slopes)?;
         let at = |t: f64| {
             let after = self.knots.partition_point(|k| *k < t);
             let close = |k: usize| self.knots.get(k).is_some_and(|knot| (knot - t).abs() <= 2.0 * self.same);
@@ -112,18 +128,19 @@ impl<'a> Flow<'a> {
             residuals: self.run.outputs.iter().zip(&outputs).map(residual).collect(),
             outputs,
             steps,
+            slopes,
             state_names: self.model.states.iter().map(|s| s.name.clone()).collect(),
             output_names: self.model.outputs.iter().map(|o| o.name.clone()).collect(),
         })
     }
 
-    /// States at the knots, and the ends of all steps.
     fn states(
         &mut self,
         first: &[f64],
         tolerance: f64,
         method: Method,
-    ) -> Result<(Vec<Vec<f64>>, Vec<f64>), Error> {
+        with_slopes: bool,
+    ) -> Result<Steps, Error> {
         // Over a long record a fast state would be taken for a large one; it is as large as it has been so far.
         let shortest = self.knots.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
         let mut seen = self.sizes(first, shortest);
@@ -132,9 +149,14 @@ impl<'a> Flow<'a> {
         let mut integrator = Adaptive::new(first, tolerance, weigh(&seen), method);
         let mut states = vec![first.to_vec()];
         let mut steps = vec![self.knots[0]];
+        let mut slopes = Vec::new();
         for k in 1..self.knots.len() {
             let (begin, end) = (self.knots[k - 1], self.knots[k]);
             self.field.enter(begin, end);
+            let mut ends = [vec![0.0; first.len()], vec![0.0; first.len()]];
+            if with_slopes {
+                self.field.slope(0.0, &integrator.x, &mut ends[0]);
+            }
             if let Err(lost) = integrator.interval(&mut self.field, end - begin) {
                 let bad = self.field.bad.take();
                 let mut largest = self.sizes(first, self.knots[self.knots.len() - 1] - self.knots[0]);
@@ -144,6 +166,10 @@ impl<'a> Flow<'a> {
                 self.field.bad = bad;
                 return Err(self.failure(begin, &integrator, lost, &largest));
             }
+            if with_slopes {
+                self.field.slope(end - begin, &integrator.x, &mut ends[1]);
+                slopes.push(ends);
+            }
             states.push(integrator.x.clone());
             let inner = &integrator.taken[..integrator.taken.len() - 1];
             steps.extend(inner.iter().map(|t| begin + t).chain([end]));
@@ -152,7 +178,7 @@ impl<'a> Flow<'a> {
                 integrator.absolute = weigh(&seen);
             }
         }
-        Ok((states, steps))
+        Ok(Steps { states, ends: steps, slopes })
     }
 
     /// Returns the size of each state, in its own unit: its initial value, or its change over this time by its

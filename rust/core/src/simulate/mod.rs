@@ -55,6 +55,7 @@ pub struct Simulation<'a> {
     tolerance: f64,
     method: Method,
     time_limit: Option<Duration>,
+    slopes: bool,
 }
 
 impl<'a> Simulation<'a> {
@@ -71,6 +72,7 @@ impl<'a> Simulation<'a> {
             tolerance: 1e-9,
             method: Method::Automatic,
             time_limit: None,
+            slopes: false,
         }
     }
 
@@ -104,6 +106,12 @@ impl<'a> Simulation<'a> {
         self
     }
 
+    /// Keeps the slopes of the states at both ends of each interval between samples.
+    pub(crate) fn with_slopes(mut self) -> Self {
+        self.slopes = true;
+        self
+    }
+
     /// Integrates, interval by interval between the times at which inputs bend, with control of the step: by Dormand
     /// and Prince's method of order 8, and from where that is stiff by Radau IIA of order 5.
     ///
@@ -133,7 +141,7 @@ impl<'a> Simulation<'a> {
             model.parameters.iter().zip(&parameters).map(|(p, v)| (p.name.as_str(), *v)).collect();
         let mut flow = Flow::new(model, run, &parameters, &delays)?;
         let limit = Interrupt::within(self.time_limit);
-        limit.run(|| flow.path(&first, self.tolerance, self.method))
+        limit.run(|| flow.path(&first, self.tolerance, self.method, self.slopes))
     }
 
     /// Values of the model's parameters, in their order.

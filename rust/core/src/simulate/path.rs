@@ -17,6 +17,8 @@ pub struct Path {
     /// Times at which the steps of the integration end, s, the first sample before them: where the motion is fast they are
     /// close.
     pub steps: Vec<f64>,
+    /// Slopes of the states at both ends of each interval between samples, from within; none unless asked for.
+    pub(crate) slopes: Vec<[Vec<f64>; 2]>,
     pub(super) state_names: Vec<String>,
     pub(super) output_names: Vec<String>,
 }

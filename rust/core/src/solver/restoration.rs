@@ -51,6 +51,34 @@ impl Block {
     }
 }
 
+/// The solution of the blocks of a chain, window after window.
+#[derive(Default)]
+struct March {
+    blocks: Range<usize>,
+    /// Those that are solved now; none at the end.
+    window: Range<usize>,
+    /// States before the first step.
+    before: Vec<f64>,
+    /// Largest defect before the last step, and steps that may be taken yet.
+    last: f64,
+    left: usize,
+    /// Whether a step has been taken; the step, and the part of it.
+    steps: bool,
+    step: Vec<f64>,
+    part: f64,
+    todo: Todo,
+}
+
+/// What a chain needs next.
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+enum Todo {
+    #[default]
+    Nothing,
+    Evaluation,
+    Step,
+    Lost,
+}
+
 /// The blocks of a program, and memory.
 pub(super) struct Restoration {
     blocks: Vec<Block>,
@@ -229,115 +257,133 @@ impl Restoration {
         false
     }
 
-    /// Window after window of blocks, each from the end of the one before: as many at once as Newton's method contracts
-    /// for, from states that do not move.
+    /// Window after window of blocks of each chain, each from the end of the one before: as many at once as Newton's method
+    /// contracts for, from states that do not move. All chains advance together, since an evaluation is one of all of them.
     fn in_turn(&mut self, program: &Program<'_>, xi: &mut [f64]) -> bool {
-        let (n, mut first, mut width) = (self.blocks.len(), 0, FIRST_WINDOW);
-        if n > MOST_BLOCKS {
+        let mut marches = self.marches();
+        if marches.iter().any(|m| m.blocks.len() > MOST_BLOCKS) {
             return false;
         }
-        while first < n {
+        marches.iter_mut().for_each(|m| self.begin(m, FIRST_WINDOW, xi));
+        loop {
             if program.interrupt.stops() {
                 return false;
             }
-            let window = first..(first + width).min(n);
-            // From here on nothing moves, so that all is finite where it is so here.
-            self.hold(first, xi);
-            if self.solve_window(program, xi, window.clone()) {
-                (first, width) = (window.end, 2 * width);
-            } else if width > 1 {
-                width = width.min(window.len()).div_ceil(4);
-            } else if self.solve_block(program, xi, first) {
-                first = window.end;
-            } else {
+            // What is not finite is so in the defects of its own block.
+            let _ = program.constraints(xi, &mut self.c);
+            for march in &mut marches {
+                march.todo = self.judge(program, march, xi);
+            }
+            let any = |todo| marches.iter().any(|m| m.todo == todo);
+            if any(Todo::Lost) {
                 return false;
             }
+            if !any(Todo::Step) {
+                if any(Todo::Evaluation) {
+                    continue;
+                }
+                return true;
+            }
+            let _ = program.jacobian(xi, &mut self.jacobian);
+            self.d.fill(0.0);
+            for march in marches.iter_mut().filter(|m| m.todo == Todo::Step) {
+                let mut window = march.window.clone();
+                if window.all(|k| self.step_of(k)) {
+                    march.part = 1.0;
+                    self.blocks[march.window.clone()]
+                        .iter()
+                        .flat_map(|b| &b.columns)
+                        .for_each(|&i| xi[i] += self.d[i]);
+                    march.step = self.columns(march).map(|i| self.d[i]).collect();
+                } else {
+                    march.left = 0;
+                }
+            }
         }
-        true
+    }
+
+    /// The chains, of which each has its blocks one after the other.
+    fn marches(&self) -> Vec<March> {
+        let mut found: Vec<March> = Vec::new();
+        for (k, block) in self.blocks.iter().enumerate() {
+            match found.last_mut().filter(|m| self.blocks[m.blocks.start].chain == block.chain) {
+                Some(march) => march.blocks.end = k + 1,
+                None => found.push(March { blocks: k..k + 1, window: k..k, ..March::default() }),
+            }
+        }
+        found
+    }
+
+    fn columns<'a>(&'a self, march: &March) -> impl Iterator<Item = usize> + 'a {
+        self.blocks[march.window.clone()].iter().flat_map(|b| b.columns.iter().copied())
+    }
+
+    /// Turns to the next window of a chain, of so many blocks at most. From there on nothing moves, so that all is finite
+    /// where it is so there.
+    fn begin(&self, march: &mut March, width: usize, xi: &mut [f64]) {
+        let first = march.window.end;
+        march.window = first..(first + width).min(march.blocks.end);
+        if march.window.is_empty() {
+            return;
+        }
+        self.hold(first, march.blocks.end, xi);
+        march.before = self.columns(march).map(|i| xi[i]).collect();
+        (march.last, march.left, march.steps) = (f64::INFINITY, OF_WINDOW, false);
+        if march.window.len() == 1 {
+            march.left = IN_TURN;
+        }
+    }
+
+    /// Looks at the defects of a window: turns to the next one where there are none, takes back what led nowhere, and says
+    /// whether a step is due.
+    fn judge(&self, program: &Program<'_>, march: &mut March, xi: &mut [f64]) -> Todo {
+        if march.window.is_empty() {
+            return Todo::Nothing;
+        }
+        let width = march.window.len();
+        let blocks = self.blocks[march.window.clone()].iter();
+        let size = blocks.map(|b| defect_of(program, b, &self.c, xi)).fold(0.0, f64::max);
+        if size <= 1.0 {
+            self.begin(march, 2 * width, xi);
+            return if march.window.is_empty() { Todo::Nothing } else { Todo::Evaluation };
+        }
+        let contracts = if width > 1 {
+            size < march.last && size.is_finite()
+        } else {
+            size < march.last || (march.steps && march.part == 1.0 && size <= 2.0 * march.last)
+        };
+        if width == 1 && march.steps && !contracts && march.part >= 1e-2 {
+            // A shorter one of the same step.
+            let shorter = 0.4 * march.part;
+            for (k, i) in self.columns(march).enumerate() {
+                xi[i] -= (march.part - shorter) * march.step[k];
+            }
+            march.part = shorter;
+            return Todo::Evaluation;
+        }
+        if !contracts || march.left == 0 || !size.is_finite() {
+            if width == 1 {
+                return Todo::Lost;
+            }
+            for (k, i) in self.columns(march).enumerate() {
+                xi[i] = march.before[k];
+            }
+            march.window.end = march.window.start;
+            self.begin(march, width.div_ceil(4), xi);
+            return Todo::Evaluation;
+        }
+        (march.last, march.left, march.steps) = (size, march.left - 1, true);
+        Todo::Step
     }
 
     /// Sets all states of a chain from a block on to those that the block starts from.
-    fn hold(&self, first: usize, xi: &mut [f64]) {
+    fn hold(&self, first: usize, end: usize, xi: &mut [f64]) {
         let Some(point) = self.blocks[first].before else { return };
-        let chain = self.blocks[first].chain;
-        for b in self.blocks[first..].iter().take_while(|b| b.chain == chain) {
+        for b in &self.blocks[first..end] {
             for (i, &column) in b.columns.iter().enumerate() {
                 xi[column] = xi[point + i % self.n_x];
             }
         }
-    }
-
-    /// Newton's method for some blocks, as long as it contracts; where it does not, their states are as before.
-    fn solve_window(&mut self, program: &Program<'_>, xi: &mut [f64], window: Range<usize>) -> bool {
-        let columns = self.blocks[window.clone()].iter().flat_map(|b| &b.columns);
-        let before: Vec<f64> = columns.map(|&i| xi[i]).collect();
-        let mut last = f64::INFINITY;
-        for _ in 0..OF_WINDOW {
-            if program.constraints(xi, &mut self.c).is_err() {
-                break;
-            }
-            let blocks = self.blocks[window.clone()].iter();
-            let size = blocks.map(|b| defect_of(program, b, &self.c, xi)).fold(0.0, f64::max);
-            if size <= 1.0 {
-                return true;
-            }
-            if size >= last || !size.is_finite() || program.jacobian(xi, &mut self.jacobian).is_err() {
-                break;
-            }
-            last = size;
-            self.d.fill(0.0);
-            if !window.clone().all(|k| self.step_of(k)) {
-                break;
-            }
-            for &i in self.blocks[window.clone()].iter().flat_map(|b| &b.columns) {
-                xi[i] += self.d[i];
-            }
-        }
-        let columns = self.blocks[window].iter().flat_map(|b| &b.columns);
-        columns.zip(&before).for_each(|(&i, x)| xi[i] = *x);
-        false
-    }
-
-    /// Newton's method for one block, its steps shortened where it does not contract.
-    fn solve_block(&mut self, program: &Program<'_>, xi: &mut [f64], k: usize) -> bool {
-        if program.constraints(xi, &mut self.c).is_err() {
-            return false;
-        }
-        let mut size = defect_of(program, &self.blocks[k], &self.c, xi);
-        for _ in 0..IN_TURN {
-            if size <= 1.0 {
-                return true;
-            }
-            if program.jacobian(xi, &mut self.jacobian).is_err() {
-                return false;
-            }
-            self.d.fill(0.0);
-            if !self.step_of(k) {
-                return false;
-            }
-            let mut part = 1.0;
-            loop {
-                for &i in &self.blocks[k].columns {
-                    xi[i] += part * self.d[i];
-                }
-                let next = match program.constraints(xi, &mut self.c) {
-                    Ok(()) => defect_of(program, &self.blocks[k], &self.c, xi),
-                    Err(_) => f64::INFINITY,
-                };
-                if next < size || (next <= 2.0 * size && part == 1.0) {
-                    size = next;
-                    break;
-                }
-                if part < 1e-2 {
-                    return false;
-                }
-                for &i in &self.blocks[k].columns {
-                    xi[i] -= part * self.d[i];
-                }
-                part *= 0.4;
-            }
-        }
-        size <= 1.0
     }
 
     /// The Newton step of a block, given those of the blocks before; whether there is one.
@@ -357,10 +403,11 @@ impl Restoration {
     }
 }
 
-/// The largest defect of a block, 1 where it counts as none.
+/// The largest defect of a block, 1 where it counts as none, infinite where it is not a number.
 fn defect_of(program: &Program<'_>, block: &Block, c: &[f64], xi: &[f64]) -> f64 {
     let one = |(&row, &column): (&usize, &usize)| {
         c[row].abs() / (SATISFIED * program.units.of(row)).max(ROUNDING * xi[column].abs())
     };
-    block.rows.iter().zip(&block.columns).map(one).fold(0.0, f64::max)
+    let larger = |a: f64, b: f64| if b.is_nan() { f64::INFINITY } else { a.max(b) };
+    block.rows.iter().zip(&block.columns).map(one).fold(0.0, larger)
 }

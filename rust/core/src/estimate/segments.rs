@@ -1,0 +1,150 @@
+//! The segments of a mesh along a known motion: as long as the local error of collocation allows.
+
+use crate::lgl::Lgl;
+
+/// A state below this part of its largest value counts as this large where errors are weighed.
+const SMALL: f64 = 1e-4;
+/// A step of the integration is divided into so many segments at most.
+const PIECES: usize = 16;
+
+/// A motion of n states over S steps of an integration.
+pub(super) struct Motion {
+    /// Ends of the steps, S + 1 of them.
+    pub ends: Vec<f64>,
+    /// Times of the ends and of the middles of the steps, 2 S + 1 of them.
+    pub times: Vec<f64>,
+    /// States there, `[state][time]`.
+    pub states: Vec<Vec<f64>>,
+    /// Slopes at the ends of the two halves of each step, from within: `[half][end][state]`, 2 S halves.
+    pub slopes: Vec<[Vec<f64>; 2]>,
+}
+
+impl Motion {
+    /// Returns the ends of segments of collocation of an order whose local error is at most this part of each state.
+    ///
+    /// The local error is that of the quadrature of the state equations along the motion (Eq. coll_integral_defn),
+    /// at all nodes of the segment: x(t_j) - x(t_0) - h Σ_k w_jk x'(t_k). Each time of `fixed`, in order, is the end of a
+    /// segment where it is the end of a step.
+    pub fn segments(&self, order: usize, tolerance: f64, fixed: &[f64]) -> Vec<f64> {
+        if self.slopes.len() != 2 * (self.ends.len() - 1) {
+            return self.ends.clone();
+        }
+        let lgl = Lgl::new(order);
+        let largest = |x: &Vec<f64>| x.iter().fold(0.0, |l: f64, x| l.max(x.abs()));
+        let least: Vec<f64> = self.states.iter().map(|x| SMALL * largest(x)).collect();
+        let rises = lgl.nodes.iter().map(|node| lgl.integrate_to(0, *node)).collect();
+        let rule = Quadrature { motion: self, nodes: &lgl.nodes, rises, least };
+        let suits = |from: f64, to: f64| rule.error(from, to) <= tolerance;
+        let last = self.ends.len() - 1;
+        let is_fixed = |k: usize| k == last || fixed.binary_search_by(|t| t.total_cmp(&self.ends[k])).is_ok();
+        let mut found = vec![self.ends[0]];
+        let (mut at, mut length) = (0, 1);
+        while at < last {
+            let stop = (at + 1..=last).find(|&k| is_fixed(k)).expect("the last end is fixed");
+            // The longest run of steps that suits: doubled or halved from the last one, then bisected.
+            let fits = |steps: usize| suits(self.ends[at], self.ends[at + steps]);
+            let most = stop - at;
+            let mut steps = usize::min(length, most);
+            let mut beyond = most + 1;
+            while steps > 0 && !fits(steps) {
+                beyond = steps;
+                steps /= 2;
+            }
+            while beyond - steps > 1 && steps > 0 {
+                let next = if beyond > most { (2 * steps).min(most) } else { (steps + beyond) / 2 };
+                if next == steps {
+                    break;
+                }
+                if fits(next) { steps = next } else { beyond = next }
+            }
+            if steps == 0 {
+                let (from, to) = (self.ends[at], self.ends[at + 1]);
+                let piece = |k: usize, pieces: usize| from + (to - from) * (k as f64 / pieces as f64);
+                let all_suit = |pieces: &usize| {
+                    (0..*pieces).all(|k| {
+                        suits(piece(k, *pieces), if k + 1 < *pieces { piece(k + 1, *pieces) } else { to })
+                    })
+                };
+                let doubled = std::iter::successors(Some(2), |p| (2 * p <= PIECES).then_some(2 * p));
+                let pieces = doubled.clone().find(all_suit).unwrap_or(PIECES);
+                found.extend((1..pieces).map(|k| piece(k, pieces)));
+                steps = 1;
+            }
+            (at, length) = (at + steps, steps);
+            found.push(self.ends[at]);
+        }
+        found
+    }
+
+    /// Returns a state and its slope at a time within a segment, by the polynomial of degree 5 through values and slopes at
+    /// both ends and the middle of a step.
+    fn at(&self, step: usize, u: f64, state: usize) -> (f64, f64) {
+        let h = self.ends[step + 1] - self.ends[step];
+        let x = &self.states[state][2 * step..=2 * step + 2];
+        let [first, second] = [&self.slopes[2 * step], &self.slopes[2 * step + 1]];
+        let middle = 0.5 * (first[1][state] + second[0][state]);
+        let slopes = [first[0][state], middle, second[1][state]];
+        let (l, dl) = (
+            [2.0 * (u - 0.5) * (u - 1.0), -4.0 * u * (u - 1.0), 2.0 * u * (u - 0.5)],
+            [4.0 * u - 3.0, 4.0 - 8.0 * u, 4.0 * u - 1.0],
+        );
+        let (mut value, mut slope) = (0.0, 0.0);
+        for (i, (node, bend)) in [(0.0, -3.0), (0.5, 0.0), (1.0, 3.0)].into_iter().enumerate() {
+            let (off, l, dl) = (u - node, l[i], dl[i]);
+            let weight = 1.0 - 2.0 * off * bend;
+            value += x[i] * weight * l * l + h * slopes[i] * off * l * l;
+            slope += x[i] * (2.0 * weight * l * dl - 2.0 * bend * l * l)
+                + h * slopes[i] * (l * l + 2.0 * off * l * dl);
+        }
+        (value, slope / h)
+    }
+}
+
+struct Quadrature<'a> {
+    motion: &'a Motion,
+    nodes: &'a [f64],
+    /// Weights of the slopes in the integral up to each node, per unit length.
+    rises: Vec<Vec<f64>>,
+    /// What counts for the size of each state where it is smaller.
+    least: Vec<f64>,
+}
+
+impl Quadrature<'_> {
+    /// Returns the largest local error of any state at a node of a segment, in units of its size there.
+    fn error(&self, from: f64, to: f64) -> f64 {
+        let (motion, m) = (self.motion, self.nodes.len());
+        let ends = &motion.ends;
+        let places: Vec<(usize, f64)> = self
+            .nodes
+            .iter()
+            .enumerate()
+            .map(|(j, node)| {
+                let t = if j + 1 == m { to } else { from + (to - from) * node };
+                // The last node belongs to the step that it ends.
+                let after = if j + 1 == m {
+                    ends.partition_point(|e| *e < t)
+                } else {
+                    ends.partition_point(|e| *e <= t)
+                };
+                let step = after.clamp(1, ends.len() - 1) - 1;
+                (step, (t - ends[step]) / (ends[step + 1] - ends[step]))
+            })
+            .collect();
+        let mut worst = 0.0_f64;
+        for (i, least) in self.least.iter().enumerate() {
+            let points: Vec<(f64, f64)> = places.iter().map(|(step, u)| motion.at(*step, *u, i)).collect();
+            let size = points.iter().fold(*least, |l, p| l.max(p.0.abs()));
+            for (j, (x, _)) in points.iter().enumerate().skip(1) {
+                let rise: f64 = self.rises[j].iter().zip(&points).map(|(w, p)| w * p.1).sum();
+                let error = (x - points[0].0 - (to - from) * rise).abs();
+                if error > 0.0 {
+                    worst = worst.max(error / size)
+                }
+                if error.is_nan() {
+                    worst = f64::INFINITY
+                }
+            }
+        }
+        worst
+    }
+}

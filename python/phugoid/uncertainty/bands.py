@@ -17,6 +17,7 @@ from ..errors import DataError, OptionError, UnknownName, did_you_mean
 from ..figures.style import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
 from ..initialisation import spread
+from ..notebook import overview, sparkline
 from ..parameters import Estimates
 from ..records import Record
 from ..sensitivities.linearised import Linearised
@@ -64,8 +65,32 @@ class Bands:
         """Plot each output with both bands. Return the figure and its axes by name."""
         return plot_bands(self, self._title)
 
+    def _repr_html_(self) -> str:
+        rows, record = [], self.record
+        for name in self.model:
+            widths = [0.5 * _mean(high - low) for low, high in (self.model[name], self.measurement[name])]
+            low, high = self.measurement[name]
+            z = record.measured.get(name, np.full(record.n, np.nan))
+            there = np.isfinite(z)
+            inside = f"{100.0 * np.mean((z >= low)[there] & (z <= high)[there]):.1f}" if there.any() else ""
+            size = [f"{w:.3g}" if math.isfinite(w) else "" for w in (_mean(self.std_errors[name]), *widths)]
+            rows.append([name, record.units.get(name, ""), *size, inside])
+        heads = ["output", "unit", "std error", "± model", "± measurement", "measured inside, %"]
+        return overview(
+            f"Prediction bands of {record.name}",
+            (heads, rows, "llrrrr"),
+            remarks=["means over the record of standard error and half widths"],
+            pictures={n: sparkline(record.measured.get(n, y), y, record.t) for n, y in record.outputs.items()},
+            note=f"{100 * self.level:g} % for {'coloured' if self.coloured else 'white'} noise",
+        )
+
     def __repr__(self) -> str:
         return f"<Bands of '{self.record.name}': {100 * self.level:g} %, {', '.join(self.model)}>"
+
+
+def _mean(values: _Array) -> float:
+    there = values[np.isfinite(values)]
+    return float(there.mean()) if there.size else math.nan
 
 
 def prediction_bands(

@@ -491,7 +491,7 @@ def test_summary_says_it_in_words(fit: ph.Fit) -> None:
     printed = fit.validate(record(1, bias=0.5), biases=(), tolerances={"v": 0.25}).summary()
     text = re.sub("\n  (?! )", " ", printed)  # lines that were broken
     assert "validated on    'other': 240 measured values" in text
-    assert "fitted to       'first'" in text and "held            k, c, b" in text
+    assert "fitted to       'first'" in text and "fixed           k, c, b" in text
     assert "of the samples lie within ±0.25 m/s; the error is mostly a constant offset" in text
     assert "x: RMS is" in text and "its residuals are not significantly coloured" in text
     assert max(map(len, printed.split("\n"))) < 140

@@ -144,7 +144,7 @@ class Validation:
             "validated on": f"{names}: {samples} measured values",
             "fitted to": ", ".join(f"'{name}'" for name in self.fitted_to),
             "status": f"{self.status}: {self.message}" if self.message else self.status,
-            "held": ", ".join(self.held) or "nothing",
+            "fixed": ", ".join(self.held) or "nothing",
             "re-estimated": ", ".join([f"{first} initial states", *self.freed]),
             "log-likelihood": f"{self.log_likelihood:.3f} at the noise of the fit",
         }

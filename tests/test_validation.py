@@ -587,3 +587,15 @@ def test_no_length_of_record_is_infeasible() -> None:
         result = fit.validate(made(n))
         assert result.status == "converged"
         assert 0.9e-3 < result.matches["y"].rms < 1.1e-3
+
+
+def test_progress_is_that_of_an_estimation(fit: ph.Fit, capsys: pytest.CaptureFixture[str]) -> None:
+    other = record(1)
+    lines: list[ph.results.Iteration] = []
+    assert fit.validate(other, progress=lines.append).converged
+    assert [line.number for line in lines] == list(range(len(lines))) and len(lines) > 1
+    fit.validate(other, progress=True)
+    assert "iteration" in capsys.readouterr().err
+    for call in (fit.validate, fit.prediction_bands):
+        with pytest.raises(ph.OptionError, match="progress is True, False or a function, not 'yes'"):
+            call(other, progress="yes")

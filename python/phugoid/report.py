@@ -13,7 +13,7 @@ from .errors import DataError, OptionError
 from .figures import fit as plot
 from .figures.estimates import plot_convergence, plot_parameters
 from .fit_result import FitResult
-from .match import Match, match
+from .goodness_of_fit import Match, match
 from .mathml import equation
 from .pages import PageTable, Picture, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus

@@ -26,14 +26,14 @@ from .export import export_c, export_fmu
 from .figures.estimates import plot_convergence, plot_parameters
 from .figures.fit import plot_fit
 from .fit_result import FitResult
+from .goodness_of_fit import Tolerance
 from .integration import IntegrationError, integration_error
-from .match import Tolerance
 from .notebook import Html, bullets, notebook_page, paragraph, table
 from .parameters import Estimates, derived
 from .records import Record
 from .report import report
 from .saving.fit_file import save
-from .simulate import simulate
+from .simulation import simulate
 from .solvers import Iteration
 from .summary import fit_html, fit_summary
 from .tabular import fit_dataset

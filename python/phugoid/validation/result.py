@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..figures import fit as plot
-from ..match import Match, Tolerance, match_rows
+from ..goodness_of_fit import Match, Tolerance, match_rows
 from ..modelling.model import Model
 from ..modelling.noise import Noise
 from ..notebook import bullets, overview, sparkline

@@ -15,8 +15,8 @@ from ..data.units import check_units
 from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult
+from ..goodness_of_fit import Match, Tolerance, chi_square, chi_square_warning, match, tolerances_by_output
 from ..initialisation import measured_states
-from ..match import Match, Tolerance, chi_square, chi_square_warning, match, tolerances_by_output
 from ..modelling.model import Model
 from ..records import Record
 from ..solvers import Iteration, Newton

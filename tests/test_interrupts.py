@@ -231,3 +231,24 @@ def test_the_command_line_gives_json_too(here: Path) -> None:
     assert done.returncode == 130
     document = json.loads(done.stdout[done.stdout.index("{") :])
     assert document["status"] == "converged" and document["written"] == ["fit.json"]
+
+
+def test_a_validation_and_bands(here: Path) -> None:
+    script = """
+    fit, other = ph.estimate(model, data), ph.read("run2.csv")
+    done = []
+    check = fit.validate(other, progress=lambda line: (done.append(line.number), press()))
+    bands = "none"
+    try:
+        bands = fit.prediction_bands(other, progress=lambda line: press())
+    except KeyboardInterrupt:
+        bands = "interrupted"
+    again = []
+    there = fit.prediction_bands(other, progress=again.append)
+    print(json.dumps({"status": check.status, "warnings": list(check.warnings), "iterations": len(done),
+                      "bands": bands, "again": len(again), "named": list(there.model)}))
+    """
+    found = told(script)
+    assert found["status"] == "interrupted" and "(interrupted)" in found["warnings"][0]
+    assert found["bands"] == "interrupted" and 0 < found["iterations"] < found["again"]
+    assert found["named"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,6 +77,55 @@ def test_controls_that_never_rest_are_continuous() -> None:
     u = lfilter([0.02], [1, -0.98], rng.standard_normal(T.size))
     found = ph.manoeuvres(ph.Experiment(T, {"de": u}))
     assert sum(m.end - m.start for m in found if m.kind == "continuous") > 0.8 * sum(m.end - m.start for m in found)
+
+
+def feedback(seed: int) -> Any:
+    """What an autopilot does in turbulence for 400 s, after a calm start of 50 s: most of it small, with some gusts."""
+    random = np.random.default_rng(seed)
+    slow, fast = (lfilter([1 - a], [1, -a], random.standard_normal(T.size)) for a in (0.999, 0.98))
+    gusts = np.exp(lfilter([0.001], [1, -0.999], 40.0 * random.standard_normal(T.size)))
+    u = gusts * (slow / slow.std() + fast / fast.std())
+    return np.where(T < 50.0, 0.0, 0.02 * u / np.abs(u).max())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_autopilot_in_turbulence_flies_no_manoeuvres(seed: int) -> None:
+    found = ph.manoeuvres(ph.Experiment(T, {"de": feedback(seed)}, name="log"))
+    claimed = [m for m in found if m.kind != "continuous"]
+    assert len(claimed) <= 1 and len(found) <= 8
+    assert "continuous span" in found.summary().splitlines()[0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_manoeuvres_that_stand_out_of_turbulence_are_found(seed: int) -> None:
+    de = feedback(seed) + design.doublet(T, 0.25, width=1.0, start=120) + design.pulse(T, 0.25, width=1.0, start=250)
+    found = [m for m in ph.manoeuvres(ph.Experiment(T, {"de": de})) if m.kind != "continuous"]
+    assert [m.start for m in found] == [pytest.approx(120.0, abs=0.6), pytest.approx(250.0, abs=0.6)]
+
+
+@pytest.mark.parametrize("width", [3.0, 16.0])
+def test_a_pulse_ends_where_the_input_is_back(width: float) -> None:
+    (m,) = ph.manoeuvres(ph.Experiment(T, {"de": design.pulse(T, 0.05, width=width, start=100)}))
+    assert m.kind == "pulse" and m.span == (pytest.approx(100.0, abs=0.1), pytest.approx(100.0 + width, abs=0.1))
+
+
+def test_a_flight_of_an_autopilot_has_hardly_any(published: Callable[[str], Path]) -> None:
+    names = [f"actuator_controls_0.control[{i}]" for i in range(3)]
+    path = published("solar_uav_px4")
+    run = ph.read(path, time="timestamp_sample", inputs=names, outputs=["vehicle_angular_velocity.xyz[1]"])
+    claimed = [m for m in ph.manoeuvres(run) if m.kind != "continuous"]
+    assert len(claimed) <= 5
+    assert [m.input for m in claimed if abs(m.start - 592.0) < 1.0] == names[:2]  # set to other values on the ground
+
+
+def test_the_manoeuvres_of_the_hfb320(published: Callable[[str], Path]) -> None:
+    columns = ["T", "DELV", *(f"channel{i}" for i in range(18))]
+    path = published("hfb320_1_10.asc")
+    run = ph.read(path, columns=columns, time="T", inputs=["DELV"], outputs=["channel0"])
+    first, second = ph.manoeuvres(run)
+    assert (first.kind, second.kind) == ("3-2-1-1", "pulse")
+    assert first.span == (pytest.approx(4.5, abs=0.5), pytest.approx(11.8, abs=0.5))
+    assert second.span == (pytest.approx(25.4, abs=0.5), pytest.approx(41.8, abs=0.6))
 
 
 def test_what_is_no_manoeuvre() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from phugoid.match import match
+from phugoid.goodness_of_fit import match
 from phugoid.records import Record
 
 

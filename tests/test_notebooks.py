@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as xml
+from collections.abc import Callable
 from typing import Any
 
+import flight_path_twin as twin
 import numpy as np
 import pictures
 import pytest
@@ -104,6 +107,125 @@ def test_a_model_shows_its_equations() -> None:
     m.dynamics(**{f"x{i}": sum(x, 0 * x[0]) for i in range(60)})
     m.outputs(y=x[0])
     assert m._repr_latex_() is None
+
+
+def planned(fit: ph.Fit) -> ph.results.Plan:
+    return ph.design.plan(fit, fit.experiments[0], limits={"q": 0.1})
+
+
+def path(_: ph.Fit) -> ph.results.Reconstruction:
+    return ph.reconstruct(twin.measured(twin.flown(), 0), ("V", "alpha", "beta", "phi", "theta"), late=("alpha",))
+
+
+def response(fit: ph.Fit) -> ph.results.FrequencyResponse:
+    return ph.linear.frequency_response(fit.experiments[0], "de", "q", "h1")
+
+
+def trimmed(fit: ph.Fit) -> ph.results.Trim:
+    return ph.linear.trim(fit, at={"de": 0.1})
+
+
+# What makes a result, the words and numbers that it shows, and how many pictures.
+SHOWN: dict[str, tuple[Callable[[ph.Fit], Any], Callable[[Any], list[str]], int]] = {
+    "Validation": (
+        lambda fit: fit.validate(pictures.flights()[1]),
+        lambda v: [
+            "converged",
+            "second manoeuvre",
+            f"{v.matches['q'].rms:.4g}",
+            f"{v.log_likelihood:.3f}",
+            *v.in_words(),
+        ],
+        2,
+    ),
+    "Match": (
+        lambda fit: fit.validate(pictures.flights()[1]).matches["q"],
+        lambda m: ["Match of q", f"{m.theil:.4f}", f"{m.r_squared:.4f}", str(m.samples)],
+        0,
+    ),
+    "Multistart": (
+        lambda fit: ph.multistart(fit.model, fit.experiments[0], dict.fromkeys(("Mq", "Mtheta"), (-3, 1)), n=3),
+        lambda m: ["complete", "3, all finished", f"{m.optima[0].log_likelihood:.3f}", "Mtheta", "evidence that it is"],
+        0,
+    ),
+    "Bootstrap": (
+        lambda fit: fit.bootstrap(4),
+        lambda b: ["4 of 4 runs converged", f"{b.std_errors['Mq']:.2g}", f"{b.intervals()['Mde'][1]:.5g}"],
+        5,
+    ),
+    "Profiles": (
+        lambda fit: fit.profile(["Mq", "Mde"]),
+        lambda p: ["complete", "95 % from", *(f"{end:.5g}" for name in p for end in p[name].interval)],
+        2,
+    ),
+    "Profile": (
+        lambda fit: fit.profile("Mq")["Mq"],
+        lambda p: ["Mq", f"{p.value:.5g}", f"{p.interval[0]:.5g}", "drops by 1.92"],
+        1,
+    ),
+    "Modes": (
+        lambda fit: ph.linear.modes(fit),
+        lambda m: [
+            "1 oscillating, 0 not",
+            "damping ratio",
+            f"{m.eigenvalues[0].real:.6g} ± {m.eigenvalues[0].imag:.6g}j",
+        ],
+        0,
+    ),
+    "Plan": (
+        planned,
+        lambda p: ["Planned", "Mtheta", f"{p.parameters['Mq'].std_error:.3g}", "-0.1 to 0.1", "determined least"],
+        3,
+    ),
+    "Plans": (
+        lambda fit: ph.design.plans(fit, {"one": fit.experiments[0], "other": pictures.flights()[1]}),
+        lambda p: ["2 plans", "one", "other", f"{100 * p['one'].criteria['worst']:.3g}", "limits kept"],
+        0,
+    ),
+    "Trim": (trimmed, lambda t: ["state", "theta", f"{t['theta']:.6g}", "held"], 0),
+    "Improvement": (
+        lambda fit: fit.improve(pictures.flights()[1]),
+        lambda i: ["pitch: improvement", "q':q|q|", i.verdict, "-95 %"],
+        0,
+    ),
+    "Reconstruction": (path, lambda r: ["Flight path of", "b_q", f"{r.fit.parameters['b_q'].std_error:.2g}", "RMS"], 5),
+    "Bands": (
+        lambda fit: fit.prediction_bands(),
+        lambda b: ["95 % for coloured noise", f"{b.std_errors['q'].mean():.3g}", "measured inside"],
+        2,
+    ),
+    "FrequencyResponse": (
+        response,
+        lambda r: ["de to q", "coherence", f"{r.magnitude_db.max():.4g}", f"{r.frequencies_hz.size} frequencies"],
+        3,
+    ),
+    "Model": (lambda fit: fit.model, lambda m: ["pitch", "2 states", "Mtheta", "rad/s", "output", "parameter"], 0),
+}
+
+
+@pytest.mark.parametrize("kind", SHOWN)
+def test_a_result_shows_its_names_and_numbers(kind: str, fit: ph.Fit) -> None:
+    make, words, drawn = SHOWN[kind]
+    result = make(fit)
+    assert type(result).__name__ == kind
+    html = result._repr_html_()
+    shown, text = rows(html), texts(html)  # well-formed, or else an error
+    assert [word for word in words(result) if " ".join(word.split()) not in text] == []
+    assert html.count("<svg") == drawn and len(html) < 40_000 and 2 <= len(shown) <= 2 * (MOST + 1)
+
+
+def test_a_large_model_is_cut_short() -> None:
+    m = ph.Model("large")
+    x = m.states(" ".join(f"x{i}" for i in range(60)))
+    m.dynamics(**{f"x{i}": sum(x, 0 * x[0]) for i in range(60)})
+    m.outputs(y=x[0])
+    html = m._repr_html_()
+    assert "and 36 more" in texts(html) and "…" in texts(html) and len(rows(html)) == 2 * (MOST + 1)
+
+
+def test_a_frequency_response_from_zero_without_any_motion() -> None:
+    silent = ph.results.FrequencyResponse(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 0.0]), "u", "y")
+    assert "3 frequencies" in texts(silent._repr_html_()) and not math.isfinite(silent.magnitude_db[0])
 
 
 def test_keys_are_completed(fit: ph.Fit) -> None:

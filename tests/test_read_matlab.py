@@ -35,6 +35,28 @@ def test_one_structure_is_not_named(tmp_path: Path) -> None:
     assert list(e.channels) == ["rate"]
 
 
+@pytest.mark.parametrize("group", ["", "fdr."])
+def test_one_structure_may_be_named(group: str, tmp_path: Path) -> None:
+    path = saved(tmp_path, {"fdr": {"clock": 1000 * T, "ELEV": T, "q": T, "air": {"V": 1 + T}}})
+    e = read(
+        path,
+        time=f"{group}clock",
+        inputs=[f"{group}ELEV"],
+        outputs=["rate", f"{group}air.V"],
+        rename={f"{group}ELEV": "de", f"{group}q": "rate"},
+        units={f"{group}clock": "ms", f"{group}ELEV": ("deg", "rad"), "rate": "rad/s"},
+        interpolation={f"{group}ELEV": "hold"},
+    )
+    assert (list(e.inputs), list(e.outputs)) == (["de"], ["rate", "air.V"])
+    np.testing.assert_allclose(e.t, T)
+    np.testing.assert_allclose(e.input("de"), np.deg2rad(T))
+    assert (e.units["de"], e.units["rate"]) == ("rad", "rad/s") and e.interpolation_of("de") == "hold"
+    whole = read(path, time=f"{group}clock", rename={f"{group}q": "rate"})
+    assert list(whole.channels) == ["ELEV", "rate", "air.V"]
+    with pytest.raises(DataError, match=r"no column 'p'.*outputs=.*There are: .*ELEV"):
+        read(path, time=f"{group}clock", inputs=[], outputs=[f"{group}p"])
+
+
 def test_structures_have_times_of_their_own(tmp_path: Path) -> None:
     slow = np.array([0.0, 0.2, 0.4])
     path = saved(tmp_path, {"imu": {"time": T, "q": T}, "air": {"time": slow, "alpha": 1 + slow}})

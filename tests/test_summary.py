@@ -13,7 +13,7 @@ import pytest
 
 from phugoid import Gaussian
 from phugoid.errors import ModelError, UnknownName
-from phugoid.match import match
+from phugoid.goodness_of_fit import match
 from phugoid.parameters import Estimate, Estimates, Parameter, text_table
 from phugoid.records import Record
 from phugoid.summary import fit_summary

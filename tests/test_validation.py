@@ -491,7 +491,7 @@ def test_summary_says_it_in_words(fit: ph.Fit) -> None:
     printed = fit.validate(record(1, bias=0.5), biases=(), tolerances={"v": 0.25}).summary()
     text = re.sub("\n  (?! )", " ", printed)  # lines that were broken
     assert "validated on    'other': 240 measured values" in text
-    assert "fitted to       'first'" in text and "held            k, c, b" in text
+    assert "fitted to       'first'" in text and "fixed           k, c, b" in text
     assert "of the samples lie within ±0.25 m/s; the error is mostly a constant offset" in text
     assert "x: RMS is" in text and "its residuals are not significantly coloured" in text
     assert max(map(len, printed.split("\n"))) < 140
@@ -587,3 +587,15 @@ def test_no_length_of_record_is_infeasible() -> None:
         result = fit.validate(made(n))
         assert result.status == "converged"
         assert 0.9e-3 < result.matches["y"].rms < 1.1e-3
+
+
+def test_progress_is_that_of_an_estimation(fit: ph.Fit, capsys: pytest.CaptureFixture[str]) -> None:
+    other = record(1)
+    lines: list[ph.results.Iteration] = []
+    assert fit.validate(other, progress=lines.append).converged
+    assert [line.number for line in lines] == list(range(len(lines))) and len(lines) > 1
+    fit.validate(other, progress=True)
+    assert "iteration" in capsys.readouterr().err
+    for call in (fit.validate, fit.prediction_bands):
+        with pytest.raises(ph.OptionError, match="progress is True, False or a function, not 'yes'"):
+            call(other, progress="yes")

@@ -21,11 +21,11 @@ RUST = [
 ]
 
 PYTHON = [
-    "_core", "errors", "checks", "notebook", "writing", "tabular", "functions", "parameters", "modelling", "data",
-    "transcription", "initialisation", "solvers", "records", "fit_result", "match", "figures", "regression",
-    "integration", "estimation", "simulate", "linear", "models", "export", "saving", "residual_noise", "sensitivities",
-    "validation", "design", "pages", "discrepancy", "uncertainty", "summary", "report", "result", "api",
-    "multistart", "reconstruction", "petab", "results", "cli", "__init__", "__main__",
+    "_core", "errors", "checks", "notebook", "mathml", "writing", "tabular", "functions", "parameters", "modelling",
+    "data", "transcription", "initialisation", "solvers", "records", "fit_result", "goodness_of_fit", "figures",
+    "regression", "integration", "estimation", "simulation", "linear", "models", "export", "saving", "residual_noise",
+    "sensitivities", "validation", "design", "pages", "discrepancy", "uncertainty", "summary", "report", "result",
+    "api", "many_starts", "reconstruction", "petab", "results", "cli", "__init__", "__main__",
 ]
 # fmt: on
 

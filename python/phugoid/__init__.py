@@ -13,84 +13,133 @@ Output-error method (maximum likelihood) by Lobatto collocation, with Rust kerne
 
 import sys
 import warnings
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from . import design, functions, linear, models, results
 from ._core import Expr, __version__
-from .api import diagnose, estimate, improve, load
-from .data.experiment import Experiment
-from .data.multirate import multirate
-from .data.read import read
-from .design.detection import manoeuvres
-from .discrepancy.candidates.library import candidates
-from .discrepancy.misfit.misfit import misfit
-from .errors import DataError, EvaluationError, MissingDependency, ModelError, OptionError, PhugoidError
-from .export import export_c, export_fmu
-from .functions import (
-    Table,
-    acos,
-    asin,
-    atan,
-    atan2,
-    cos,
-    cosh,
-    exp,
-    expm1,
-    from_sympy,
-    hypot,
-    log,
-    log1p,
-    maximum,
-    minimum,
-    sign,
-    sin,
-    sinh,
-    smooth_abs,
-    smooth_max,
-    smooth_min,
-    smooth_sign,
-    smooth_step,
-    sqrt,
-    tan,
-    tanh,
-    where,
-)
-from .match import Tolerance, match
-from .modelling.declared import State
-from .modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
-from .modelling.model import Model
-from .modelling.noise import Gaussian, Sigma
-from .multistart.multistart import multistart
-from .parameters import Parameter
-from .petab.problem import read_petab
-from .reconstruction import reconstruct
-from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
-from .regression.equation_error import equation_error
-from .regression.selected_terms import TermSelection
-from .regression.terms import monomials
-from .result import Fit
-from .simulate import simulate
-from .solvers import Ipopt, Newton
-from .transcription.collocation import Collocation
-from .transcription.filter_error import FilterError
-from .transcription.shooting import MultipleShooting, SingleShooting
+
+if TYPE_CHECKING:  # the same as in _NAMESPACES and _PLACES
+    from . import design, functions, linear, models, results
+    from .api import diagnose, estimate, improve, load
+    from .data.experiment import Experiment
+    from .data.multirate import multirate
+    from .data.read import read
+    from .design.detection import manoeuvres
+    from .discrepancy.candidates.library import candidates
+    from .discrepancy.misfit.misfit import misfit
+    from .errors import DataError, EvaluationError, MissingDependency, ModelError, OptionError, PhugoidError
+    from .export import export_c, export_fmu
+    from .functions import (
+        Table,
+        acos,
+        asin,
+        atan,
+        atan2,
+        cos,
+        cosh,
+        exp,
+        expm1,
+        from_sympy,
+        hypot,
+        log,
+        log1p,
+        maximum,
+        minimum,
+        sign,
+        sin,
+        sinh,
+        smooth_abs,
+        smooth_max,
+        smooth_min,
+        smooth_sign,
+        smooth_step,
+        sqrt,
+        tan,
+        tanh,
+        where,
+    )
+    from .goodness_of_fit import Tolerance, match
+    from .many_starts.multistart import multistart
+    from .modelling.declared import State
+    from .modelling.densities import Density, Huber, Laplace, PerExperiment, PerOutput, StudentT
+    from .modelling.model import Model
+    from .modelling.noise import Gaussian, Sigma
+    from .parameters import Parameter
+    from .petab.problem import read_petab
+    from .reconstruction import reconstruct
+    from .regression.differentiate import FourierSmoothing, SavitzkyGolay, SmoothingSpline
+    from .regression.equation_error import equation_error
+    from .regression.selected_terms import TermSelection
+    from .regression.terms import monomials
+    from .result import Fit
+    from .simulation import simulate
+    from .solvers import Ipopt, Newton
+    from .transcription.collocation import Collocation
+    from .transcription.filter_error import FilterError
+    from .transcription.shooting import MultipleShooting, SingleShooting
+
+_NAMESPACES = ("design", "functions", "linear", "models", "results")
+# Module -> public names in it. They are imported when they are first asked for: all of the package takes half a second.
+_PLACES = {
+    "api": "diagnose estimate improve load",
+    "data.experiment": "Experiment",
+    "data.multirate": "multirate",
+    "data.read": "read",
+    "design.detection": "manoeuvres",
+    "discrepancy.candidates.library": "candidates",
+    "discrepancy.misfit.misfit": "misfit",
+    "errors": "DataError EvaluationError MissingDependency ModelError OptionError PhugoidError",
+    "export": "export_c export_fmu",
+    "functions": "Table acos asin atan atan2 cos cosh exp expm1 from_sympy hypot log log1p maximum minimum sign sin "
+    "sinh smooth_abs smooth_max smooth_min smooth_sign smooth_step sqrt tan tanh where",
+    "goodness_of_fit": "Tolerance match",
+    "many_starts.multistart": "multistart",
+    "modelling.declared": "State",
+    "modelling.densities": "Density Huber Laplace PerExperiment PerOutput StudentT",
+    "modelling.model": "Model",
+    "modelling.noise": "Gaussian Sigma",
+    "parameters": "Parameter",
+    "petab.problem": "read_petab",
+    "reconstruction": "reconstruct",
+    "regression.differentiate": "FourierSmoothing SavitzkyGolay SmoothingSpline",
+    "regression.equation_error": "equation_error",
+    "regression.selected_terms": "TermSelection",
+    "regression.terms": "monomials",
+    "result": "Fit",
+    "simulation": "simulate",
+    "solvers": "Ipopt Newton",
+    "transcription.collocation": "Collocation",
+    "transcription.filter_error": "FilterError",
+    "transcription.shooting": "MultipleShooting SingleShooting",
+}
+_MODULES = {name: module for module, names in _PLACES.items() for name in names.split()}
 
 # Names that were public here, and where they are now. They go with the next release.
 _MOVED = {
     "inputs": "design",
     **{name: f"design.{name}" for name in ("optimal_plan", "plan", "plans")},
-    **{name: f"linear.{name}" for name in linear.__all__},
+    **{
+        name: f"linear.{name}"
+        for name in ("StateSpace", "fit_linear", "frequency_response", "linearise", "modes", "subspace", "trim")
+    },
 }
 
+if not TYPE_CHECKING:  # for type checkers, a name that is not imported above is an error
 
-def __getattr__(name: str) -> Any:
-    """Return a name that has moved, with a DeprecationWarning that gives its new place."""
-    if name not in _MOVED:
-        raise AttributeError(f"module 'phugoid' has no attribute '{name}'", name=name, obj=sys.modules[__name__])
-    where, _, attribute = _MOVED[name].partition(".")
-    warnings.warn(f"phugoid.{name} is now phugoid.{_MOVED[name]}", DeprecationWarning, stacklevel=2)
-    module = {"design": design, "linear": linear}[where]
-    return getattr(module, attribute) if attribute else module
+    def __getattr__(name: str) -> Any:
+        """Return a public name, imported now, or one that has moved, with a DeprecationWarning that gives its place."""
+        if name in _MODULES:
+            found = getattr(import_module(f".{_MODULES[name]}", __name__), name)
+            globals()[name] = found  # from now on it is found without this function
+            return found
+        if name in _NAMESPACES:
+            return import_module(f".{name}", __name__)
+        if name not in _MOVED:
+            raise AttributeError(f"module 'phugoid' has no attribute '{name}'", name=name, obj=sys.modules[__name__])
+        where, _, attribute = _MOVED[name].partition(".")
+        warnings.warn(f"phugoid.{name} is now phugoid.{_MOVED[name]}", DeprecationWarning, stacklevel=2)
+        module = import_module(f".{where}", __name__)
+        return getattr(module, attribute) if attribute else module
 
 
 def __dir__() -> list[str]:

@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Html", "bullets", "channels_table", "notebook_page", "paragraph", "sparkline", "table"]
+__all__ = ["Html", "Rows", "bullets", "channels_table", "notebook_page", "overview", "paragraph", "sparkline", "table"]
 
 MOST = 25
 """Rows of a table; a note says how many more there are."""
@@ -29,6 +29,9 @@ class Html(str):
 
 _Cell: TypeAlias = "str | Html"
 
+Rows: TypeAlias = "tuple[Sequence[str], Sequence[Sequence[str]], str]"
+"""Heads, rows and alignment of a table: what `table` and `parameters.text_table` take."""
+
 
 def _escaped(text: str) -> str:
     return text if isinstance(text, Html) else escape(text)
@@ -39,6 +42,22 @@ def notebook_page(title: str, *parts: Html, note: str = "") -> str:
     beside = f" <span style='opacity:.7'>{escape(note)}</span>" if note else ""
     body = "".join(parts)
     return f"<div class='phugoid' style='overflow-x:auto'><div><b>{escape(title)}</b>{beside}</div>{body}</div>"
+
+
+def overview(
+    title: str, *parts: Rows | Html, remarks: Iterable[str] = (), pictures: Mapping[str, Html] = {}, note: str = ""
+) -> str:
+    """Return the HTML of a result from the tables of its summary and remarks.
+
+    ``pictures``: first cell of a row -> the picture at its end.
+    """
+    shown = [part if isinstance(part, Html) else _pictured(part, pictures) for part in parts]
+    return notebook_page(title, *shown, bullets(remarks), note=note)
+
+
+def _pictured(rows: Rows, pictures: Mapping[str, Html]) -> Html:
+    heads, cells, align = rows
+    return table([*heads, ""], [[*row, pictures.get(row[0], "")] for row in cells], f"{align}l")
 
 
 def paragraph(text: str) -> Html:

@@ -19,6 +19,7 @@ from .modelling.compiled import CompiledExpressions
 from .modelling.model import Model
 from .modelling.noise import Gaussian
 from .models.flight_path import flight_path
+from .notebook import Rows, overview, sparkline
 from .parameters import Estimate, plus_minus, text_table
 from .records import Record
 from .regression.differentiate import SmoothingSpline
@@ -215,28 +216,52 @@ class Reconstruction:
 
     def summary(self) -> str:
         """Return a table of sensor errors with both standard errors, and the goodness of fit of each output."""
+        lines = [f"Flight path of {self._names()}: {self._status()}"]
+        lines += ["", text_table(*self._error_rows(again=True)), "", text_table(*self._match_rows())]
+        lines += [f"Warning: {w}" for w in self.fit.warnings]
+        lines += ["", self.places.summary()] if self.places is not None else []
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        first = self.fit.records[0]
+        remarks = [*self.fit.warnings]
+        if self.places is not None:  # its summary takes too long for a notebook
+            other = f"log-likelihood {self.places.gain:+.0f} ± {self.places.deviation:.0f} on the same samples"
+            remarks.append(f"with positions of vanes estimated, as in places: {other}")
+        return overview(
+            f"Flight path of {self._names()}",
+            self._error_rows(again=False),
+            self._match_rows(),
+            remarks=remarks,
+            pictures={n: sparkline(z, first.outputs[n], first.t) for n, z in first.measured.items()},
+            note=self._status(),
+        )
+
+    def _names(self) -> str:
+        return ", ".join(repr(r.name) for r in self.runs)
+
+    def _status(self) -> str:
+        return self.fit.status if self.fit.converged else f"{self.fit.status}, {self.fit.message}"
+
+    def _error_rows(self, again: bool) -> Rows:
         rows = []
         noise = self.fit.noise_parameters
-        coloured: Mapping[str, Estimate] = with_coloured_errors(self.fit, again=True) or {}
+        coloured: Mapping[str, Estimate] = with_coloured_errors(self.fit, again) or {}
         for n, e in self.fit.parameters.items():
             if n in noise:
                 continue
             error = coloured[n].std_error if n in coloured else np.nan
             text, _, shown = plus_minus(e.value, error if np.isfinite(error) else e.std_error).partition(" ± ")
             rows.append([n, text, f"{e.std_error:.2g}", shown if np.isfinite(error) else "", e.unit, e.remark])
-        header = ["sensor error", "estimate", "std error, white noise", "coloured", "unit", "remark"]
-        status = self.fit.status if self.fit.converged else f"{self.fit.status}, {self.fit.message}"
-        lines = [f"Flight path of {', '.join(repr(r.name) for r in self.runs)}: {status}"]
-        lines += ["", text_table(header, rows, "lrrrll")]
+        return ["sensor error", "estimate", "std error, white noise", "coloured", "unit", "remark"], rows, "lrrrll"
+
+    def _match_rows(self) -> Rows:
         units, match = self.fit.model.units, []
         for r in self.fit.records:
             for n, v in r.residuals.items():
                 size = float(np.sqrt(np.nanmean(v**2)))
                 match.append([n, f"{size:.3g}", units.get(n, ""), f"{_lag_one(v):.2f}", r.name])
-        titles = ["output", "RMS residual", "unit", "autocorrelation at lag 1", "record"]
-        lines += ["", text_table(titles, match, "lrlrl"), *(f"Warning: {w}" for w in self.fit.warnings)]
-        lines += ["", self.places.summary()] if self.places is not None else []
-        return "\n".join(lines)
+        return ["output", "RMS residual", "unit", "autocorrelation at lag 1", "record"], match, "lrlrl"
 
     def plot(self, record: int | str = 0) -> tuple[Figure, dict[str, Axes]]:
         """Plot measured outputs and the reconstructed path."""
@@ -277,8 +302,6 @@ def reconstruct(
     model is made here, and positions of vanes for alpha or beta among the outputs are not given (``alpha_vane``,
     ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result holds
     this fit and which of the two the data prefer. The corrected records are those of the fit that was asked for.
-    ``beta_vane``), these are estimated as well, in a second fit without their delays: ``places`` of the result shows
-    what it finds and which of the two the data prefer. What is corrected is by the fit that was asked for.
 
     psi is unwrapped where it jumps by a whole turn. With the accelerometers off the centre of gravity, angular
     accelerations that are not in the record are those of smoothing splines through p, q and r.

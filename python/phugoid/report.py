@@ -13,8 +13,9 @@ from .errors import DataError, OptionError
 from .figures import fit as plot
 from .figures.estimates import plot_convergence, plot_parameters
 from .fit_result import FitResult
-from .match import Match, match
-from .pages import PageTable, Picture, equation, picture, render, sources
+from .goodness_of_fit import Match, match
+from .mathml import equation
+from .pages import PageTable, Picture, picture, render, sources
 from .parameters import Estimate, Estimates, plus_minus
 from .summary import corrected
 from .uncertainty.correlation import correlation, plot_correlation

@@ -26,14 +26,15 @@ from .export import export_c, export_fmu
 from .figures.estimates import plot_convergence, plot_parameters
 from .figures.fit import plot_fit
 from .fit_result import FitResult
+from .goodness_of_fit import Tolerance
 from .integration import IntegrationError, integration_error
-from .match import Tolerance
 from .notebook import Html, bullets, notebook_page, paragraph, table
 from .parameters import Estimates, derived
 from .records import Record
 from .report import report
 from .saving.fit_file import save
-from .simulate import simulate
+from .simulation import simulate
+from .solvers import Iteration
 from .summary import fit_html, fit_summary
 from .tabular import fit_dataset
 from .uncertainty.bands import Bands, prediction_bands
@@ -202,6 +203,7 @@ class Fit(FitResult):
         coloured: bool = True,
         biases: Sequence[str] | None = None,
         values: Mapping[str, float] | None = None,
+        progress: bool | Callable[[Iteration], None] = False,
     ) -> Bands:
         """Return bands about the outputs: for the true model's outputs, by the uncertainty of parameters and initial
         states to first order, and for a new measurement, with noise of its own.
@@ -210,6 +212,8 @@ class Fit(FitResult):
         states and biases are re-estimated as `validate` does, with ``biases`` and ``values`` as there: their errors
         follow those of the parameters.
         ``coloured``: errors for coloured residuals, or else for white ones. Each band holds at each sample by itself.
+        ``progress``: True prints the iterations of this re-estimation; a function is called with each. After Ctrl-C
+        there are no bands: KeyboardInterrupt is raised.
         ``.plot()`` draws them.
 
         With process noise (`FilterError`) they are about the most probable path, which follows the measurements, with
@@ -217,7 +221,9 @@ class Fit(FitResult):
 
         Raises OptionError, DataError or UnknownName for invalid arguments.
         """
-        return prediction_bands(self, experiment, level=level, coloured=coloured, biases=biases, values=values)
+        return prediction_bands(
+            self, experiment, level=level, coloured=coloured, biases=biases, values=values, progress=progress
+        )
 
     def summary(self) -> str:
         """Return the fit as a plain-text table: for each parameter the Cramér-Rao standard error and, where the fit has
@@ -272,6 +278,7 @@ class Fit(FitResult):
         biases: Sequence[str] | None = None,
         values: Mapping[str, float] | None = None,
         tolerances: Mapping[str, float | Tolerance] | None = None,
+        progress: bool | Callable[[Iteration], None] = False,
         time_limit: float | None = None,
     ) -> Validation:
         """Validate the fitted model on other experiments: only initial states and biases are re-estimated.
@@ -288,13 +295,23 @@ class Fit(FitResult):
         ``tolerances``: output -> greatest deviation in its unit, or a `Tolerance` where it grows with what is measured,
         in the style of flight-simulator qualification (14 CFR Part 60): the part of the samples within is reported, and
         the bands are drawn.
-        ``time_limit``: in seconds; the result is then the best point so far, which ``status`` and a warning say.
+        ``progress``: True prints the iterations; a function is called with each.
+        ``time_limit``: in seconds; the result is then the best point so far, as after Ctrl-C, which ``status`` and a
+        warning say.
 
         Raises ModelError, DataError or OptionError for invalid arguments: unknown names, an experiment without the
         model's channels or with fewer samples than unknowns. An experiment that the fit was made on, and a fit that has
         not converged, are among the ``warnings`` of the result.
         """
-        return validate(self, other, biases=biases, values=values, tolerances=tolerances, time_limit=time_limit)
+        return validate(
+            self,
+            other,
+            biases=biases,
+            values=values,
+            tolerances=tolerances,
+            progress=progress,
+            time_limit=time_limit,
+        )
 
     def report(
         self,

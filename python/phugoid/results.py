@@ -8,13 +8,13 @@ from .discrepancy.misfit.misfit import Misfit
 from .discrepancy.search.finding import Finding, Gain, Scored
 from .estimation.starts import Outcome
 from .fit_result import FitResult, Refinement, Smoothing
+from .goodness_of_fit import Match
 from .integration import IntegrationError
 from .linear.response import FrequencyResponse
 from .linear.state_space import Mode, Modes
 from .linear.trim import Trim
-from .match import Match
-from .multistart.optima import Optimum
-from .multistart.result import Multistart
+from .many_starts.optima import Optimum
+from .many_starts.result import Multistart
 from .parameters import Estimate
 from .petab.problem import PetabProblem
 from .reconstruction import Reconstruction, VanePlaces

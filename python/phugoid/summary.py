@@ -8,7 +8,7 @@ import numpy as np
 
 from .errors import PhugoidError
 from .fit_result import FitResult
-from .match import match
+from .goodness_of_fit import match
 from .notebook import bullets, notebook_page, sparkline, table
 from .parameters import Estimate, Estimates, estimates_html, estimates_table, text_table
 from .sensitivities.tangents import cheap

@@ -11,7 +11,7 @@ from many import T, outcome, run, sine, square
 
 import phugoid as ph
 from phugoid import EvaluationError, Experiment, Model
-from phugoid.multistart.optima import group
+from phugoid.many_starts.optima import group
 from phugoid.results import Multistart, Outcome
 
 

@@ -18,9 +18,20 @@ from ..api import load_fit
 from ..errors import OptionError
 from ..fit_result import ENDED_WELL
 from ..result import Diagnosis, Fit
+from ..solvers import Newton
 from ..validation.result import Validation
 from .model_file import load_source
-from .options import DataArgument, Estimation, JsonOption, ModelArgument, PlotOption, Reading, ReportOption, tolerances
+from .options import (
+    DataArgument,
+    Estimation,
+    JsonOption,
+    ModelArgument,
+    PlotOption,
+    Reading,
+    ReportOption,
+    progress_bar,
+    tolerances,
+)
 from .results import (
     INTERRUPTED,
     NOT_CONVERGED,
@@ -85,8 +96,8 @@ def _command() -> str:
     return shlex.join(["phugoid", *sys.argv[1:]]) if is_command else ""
 
 
-def code_of(result: Fit) -> int:
-    """Return the exit code for the status of an estimation."""
+def code_of(result: Fit | Validation) -> int:
+    """Return the exit code for the status of an estimation or a validation."""
     if result.status == "interrupted":
         return INTERRUPTED
     return 0 if result.converged else NOT_CONVERGED
@@ -136,11 +147,13 @@ def validate(
         else:
             print(f"{fit.summary()}\n\nThere is nothing to validate: the fit has not converged.")
         return code_of(fit)
-    result = fit.validate(reading.read(others), tolerances=limits or None)
+    records = reading.read(others)
+    with progress_bar(f"{fit.model.name}: validation", Newton().max_iterations) as watch:
+        result = fit.validate(records, tolerances=limits or None, progress=watch)
     page = partial(write_report, fit, files=[model.rpartition(":")[0] or model, *data], validation=result)
     writers: list[Callable[[], list[Path]]] = [partial(save_figures, result, plot), saved(page, report)]
     finish("validate", result, partial(_validation_facts, fit, result) if json else None, writers)
-    return 0 if result.converged else NOT_CONVERGED
+    return code_of(result)
 
 
 def _validation_facts(fit: Fit, result: Validation) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from ..api import estimate
 from ..data.experiment import Experiment
 from ..data.read import read
 from ..errors import DataError, ModelError, OptionError, listing
-from ..match import Tolerance
+from ..goodness_of_fit import Tolerance
 from ..modelling.model import Model
 from ..result import Fit
 from ..solvers import Ipopt, Newton

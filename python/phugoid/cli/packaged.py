@@ -13,7 +13,7 @@ from ..design.steps import doublet, multistep, step, sweep, three_two_one_one
 from ..errors import OptionError, listing
 from ..modelling.model import Model
 from ..models.ready import model_text
-from ..simulate import simulate
+from ..simulation import simulate
 
 __all__ = ["EXAMPLES", "Example", "example_of"]
 

@@ -19,7 +19,7 @@ import typer
 import phugoid._core as _core
 
 from ..errors import OptionError, PhugoidError
-from ..match import Match, match
+from ..goodness_of_fit import Match, match
 from ..parameters import Estimates
 from ..result import Fit
 from ..saving.files import SUFFIXES

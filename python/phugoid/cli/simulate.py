@@ -13,12 +13,12 @@ import typer
 
 from ..api import load_fit
 from ..errors import ModelError, OptionError, listing
-from ..match import match
+from ..goodness_of_fit import match
 from ..modelling.model import Model
 from ..records import Record
 from ..result import Fit
 from ..saving.files import SUFFIXES
-from ..simulate import simulate as integrate
+from ..simulation import simulate as integrate
 from ..writing import write
 from .model_file import load_source
 from .options import JsonOption, ModelArgument, Reading, numbers

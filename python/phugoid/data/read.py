@@ -259,8 +259,8 @@ def read(
     path       a text table (CSV, TSV or columns apart by blanks, also gzipped), MATLAB ``.mat``, HDF5 ``.h5`` or
                ``.hdf5``, ``.parquet``; a log of PX4 (``.ulg``, or a folder of its CSV tables, or what their names
                begin with) or of ArduPilot (``.bin``); or a table of pandas, polars or xarray. Variables in structures
-               and groups are called ``group.name``, those of logs ``topic.field`` (of a second instance
-               ``topic[1].field``), columns of matrices ``name[0]``.
+               and groups are called ``group.name`` (or ``name`` alone where one group holds everything), those of logs
+               ``topic.field`` (of a second instance ``topic[1].field``), columns of matrices ``name[0]``.
     time       name of the time column, in s, with its unit as in the header or without; None: ``t``, or what the file
                itself takes for time, or the one column that is called ``time``, ``Time``, ``t_us`` or the like;
                a unit with which the name ends is that of the column.
@@ -315,6 +315,18 @@ def read(
     asked = {*(inputs or ()), *(outputs or ()), *labels}
     wanted_names = {*asked, *(old for old, new in renaming.items() if new in asked)}
     source = open_source(path, called[0] if called else None, wanted_names, columns, delimiter)
+    if source.group:  # names may have it or not
+        renaming = {source.bare(old): new for old, new in renaming.items()}
+
+        def own(name: Any) -> Any:
+            bare = source.bare(name)
+            return name if name in renaming.values() else renaming.get(bare, bare)
+
+        time = None if time is None else own(time)
+        inputs, outputs = (None if names is None else [own(n) for n in names] for names in (inputs, outputs))
+        labels = {own(n): unit for n, unit in labels.items()}
+        if isinstance(interpolation, Mapping):
+            interpolation = {own(n): kind for n, kind in interpolation.items()}
     record = _Columns(source, renaming, time, rate, labels, convert)
     record.check(inputs, "inputs")
     record.check(outputs, "outputs")

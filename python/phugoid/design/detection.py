@@ -34,9 +34,13 @@ _BEFORE, _AFTER, _CALM = 2.0, 1.0, 0.12
 # s at the edges of a span that are neither: the departure is below the threshold there.
 _EDGE = 0.3
 # Nor does the input move without such rest for more than this part of so many s before and after it.
-_AROUND, _RESTLESS = 20.0, 0.2
-# Spans that do not, and are no further apart than so many s, are one span of the kind "continuous".
-_APART = 10.0
+_RESTING, _RESTLESS = 20.0, 0.2
+# A manoeuvre is larger by this factor than what the input does for half of the time, outside of manoeuvres, so many s
+# before it or after it: the standard deviation over so many s, less white noise. The pilot of the HFB-320 moves the
+# elevator by a fortieth of its manoeuvres, an autopilot in turbulence by a tenth of its largest departures.
+_LARGER, _AROUND, _WINDOW = 20.0, 30.0, 4.0
+# Spans that are no manoeuvres, and no further apart than so many s, are one span of the kind "continuous".
+_APART = 30.0
 # Standard deviation of a normal variable over its median absolute value.
 _MAD = 1.4826
 
@@ -55,8 +59,9 @@ def manoeuvres(
     """Find the manoeuvres in a long record: the spans in which an input is excited, their kind, signal-to-noise ratios.
 
     An input is excited where it departs from its trim, the median of the last ``trim`` s. A manoeuvre starts from an
-    input at rest for 2 s and ends in one; controls that a pilot or an autopilot moves all the time are spans of the
-    kind "continuous".
+    input at rest for 2 s and ends in one, and is large beside what the input does around it, outside of manoeuvres
+    (20 times the standard deviation over 4 s, less noise). Controls that a pilot or an autopilot moves all the time are
+    spans of the kind "continuous".
 
     run        the record, such as `read` gives it of a log.
     inputs     names of the inputs to look at; None: all of the record.
@@ -66,7 +71,7 @@ def manoeuvres(
     gap        s for which an input may be back at its trim within a manoeuvre.
     shortest   s below which a departure is a spike and none.
     longest    s beyond which a span is "continuous".
-    trim       s over which the median is taken: longer than the longest step.
+    trim       s over which the median is taken: twice as long as the longest pulse.
 
     Returns `Manoeuvres`: a table to print, a figure (``.plot()``), and records to fit (``.cut()``).
 
@@ -148,30 +153,37 @@ class _Excitation:
         self.level = level
         for i, j in _runs(size > level, max(round(gap / self.step), 1)):
             # The edges lie where the departure begins and ends, not where it crosses the level.
-            i, j = self._outward(i, -1, level), self._outward(self._returned(i, j, level), 1, level)
+            i, j = self._outward(self.departure, i, -1, level), self._end(i, j, level)
             if (j - i + 1) * self.step >= shortest * (1.0 - 1e-9):
                 self.spans.append((float(self.t[i]), float(self.t[min(j + 1, count - 1)])))
+        self._movement = self._moves()
 
-    def _outward(self, i: int, way: int, level: float) -> int:
+    def _outward(self, departure: _Array, i: int, way: int, level: float) -> int:
         """Return the number of the sample at which the departure begins or ends, within 1 s."""
         last = i
         for _ in range(round(1.0 / self.step)):
             k = last + way
-            if not 0 <= k < self.u.size or abs(self.departure[k]) < 0.25 * level:
+            if not 0 <= k < self.u.size or abs(departure[k]) < 0.25 * level:
                 break
             last = k
         return last
 
-    def _returned(self, i: int, j: int, level: float) -> int:
-        """Return the last sample at which an input moves that goes to both sides of its trim.
+    def _end(self, i: int, j: int, level: float) -> int:
+        """Return the last sample of the span that begins at sample i and in which the departure counts until j.
 
-        After it the median of the past is no longer the trim: the input seems to depart while it is at rest.
+        Where the input goes to both sides of its trim, or is back where it was, it ends with its motion: the median of
+        the past is no longer the trim then, and the input seems to depart while it is at rest.
         """
-        rest = float(np.median(self.u[max(j - round(0.5 / self.step), i) : j + 1]))
+        half = round(0.5 / self.step)
+        rest = float(np.median(self.u[max(j - half, i) : j + 1]))
         v = self.u[i : j + 1] - rest
         moving = np.flatnonzero(np.abs(v) > level)
         both = moving.size and v.max() > level and v.min() < -level
-        return i + int(moving[-1]) if both else j
+        before = self.u[max(i - round(2.0 / self.step), 0) : max(i - half, 0)]  # without the edge
+        back = moving.size and before.size and abs(float(np.median(before)) - rest) < level
+        if both or back:
+            return self._outward(self.u - rest, i + int(moving[-1]), 1, level)
+        return self._outward(self.departure, j, 1, level)
 
     def inside(self, span: _Span) -> NDArray[np.bool_]:
         """Return which samples lie in a span."""
@@ -184,7 +196,10 @@ class _Excitation:
         while changed:
             changed = False
             for i, span in enumerate(self.spans):
-                if calm[i] and self._restless(span, [s for s, c in zip(self.spans, calm, strict=True) if not c]):
+                kept, others = (
+                    [s for s, c in zip(self.spans, calm, strict=True) if c is is_calm] for is_calm in (True, False)
+                )
+                if calm[i] and (self._restless(span, others) or not self._stands_out(span, kept)):
                     calm[i], changed = False, True
         found: list[tuple[_Span, bool]] = []
         for span, is_calm in zip(self.spans, calm, strict=True):
@@ -197,8 +212,32 @@ class _Excitation:
     @staticmethod
     def _restless(span: _Span, others: Sequence[_Span]) -> bool:
         """Return whether the input moves without rest for a good part of the time around a span."""
-        around = (span[0] - _AROUND, span[1] + _AROUND)
-        return sum(max(min(b, around[1]) - max(a, around[0]), 0.0) for a, b in others) > _RESTLESS * 2.0 * _AROUND
+        around = (span[0] - _RESTING, span[1] + _RESTING)
+        return sum(max(min(b, around[1]) - max(a, around[0]), 0.0) for a, b in others) > _RESTLESS * 2.0 * _RESTING
+
+    def _stands_out(self, span: _Span, kept: Sequence[_Span]) -> bool:
+        """Return whether a span is large beside what the input does before it and after it, outside of the spans that
+        are kept."""
+        start, moves = self._movement
+        outside = np.ones(start.size, dtype=np.bool_)
+        for a, b in kept:
+            outside &= (start + _WINDOW < a - _EDGE) | (start > b + _EDGE)
+        before = (start > span[0] - _AROUND) & (start < span[0])
+        after = (start > span[1]) & (start + _WINDOW < span[1] + _AROUND)
+        sides = [moves[outside & side] for side in (before, after)]
+        amplitude = self.described(span)[1]
+        return all(float(np.median(side)) * _LARGER <= amplitude for side in sides if side.size)
+
+    def _moves(self) -> tuple[_Array, _Array]:
+        """Return the starts of windows, s, and the standard deviation of the input within each, less white noise."""
+        width = min(max(round(_WINDOW / self.step), 2), self.u.size)
+        u = self.u - self.u.mean()
+        sums, squares = (np.concatenate([[0.0], np.cumsum(v)]) for v in (u, u * u))
+        first = np.arange(0, u.size - width + 1, max(width // 4, 1))
+        mean, square = ((s[first + width] - s[first]) / width for s in (sums, squares))
+        # Zeros count here, so that what a computer holds has no noise.
+        noise = _MAD * float(np.median(np.abs(np.diff(u, 3)))) / _THIRD if u.size > 3 else 0.0
+        return self.t[first], np.sqrt(np.maximum(square - mean**2 - noise**2, 0.0))
 
     def _calm(self, span: _Span) -> bool:
         amplitude = self.described(span)[1]

@@ -124,7 +124,7 @@ class Manoeuvres(Sequence[Manoeuvre]):
 
     def summary(self) -> str:
         """Return the manoeuvres as a plain-text table."""
-        title = f"{self._record.name}: {len(self)} manoeuvres"
+        title = f"{self._record.name}: {self._counts()}"
         return f"{title}\n\n{text_table(*self._rows())}" if self._found else title
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -170,10 +170,15 @@ class Manoeuvres(Sequence[Manoeuvre]):
         return figure, axes
 
     def _repr_html_(self) -> str:
-        return notebook_page(self._record.name, table(*self._rows()), note=f"{len(self)} manoeuvres")
+        return notebook_page(self._record.name, table(*self._rows()), note=self._counts())
 
     def __repr__(self) -> str:
-        return f"<Manoeuvres of '{self._record.name}': {len(self)}>"
+        return f"<Manoeuvres of '{self._record.name}': {self._counts()}>"
+
+    def _counts(self) -> str:
+        moving = sum(m.kind == "continuous" for m in self)
+        found = f"{len(self) - moving} manoeuvre{'' if len(self) - moving == 1 else 's'}"
+        return f"{found}, {moving} continuous span{'' if moving == 1 else 's'}" if moving else found
 
     def __str__(self) -> str:
         return self.summary()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import OptionError, UnknownName, did_you_mean
 from ..figures.style import LIMIT, SERIES, STYLE, WIDTH, labelled, plain
+from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, text_table
 from ..records import Record
 from .information import Information, ParameterDirection
@@ -118,28 +119,49 @@ class Plan:
 
     def summary(self) -> str:
         """Return tables of standard errors, weak directions, and excursions."""
+        title = f"Planned: {self.name}" + (f", {self.added}" if self.added else "")
+        errors, ranges = (text_table(*rows) for rows in (self._error_rows(), self._range_rows()))
+        text = [f"{title} ({self._length()})", "", errors]
+        text += ["", "determined least (unit vectors, parameters in units of their sizes):"]
+        text += [f"  {direction}" for direction in self.weak]
+        pairs = ", ".join(f"{a} and {b} {r:+.3f}" for a, b, r in self.correlated[:6])
+        text += [f"correlated: {pairs}"] if pairs else []
+        text += ["", ranges]
+        return "\n".join([*text, *(f"Limit: {v}" for v in self.violations), *(f"Warning: {w}" for w in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        first = self.records[0]
+        pictures = {n: sparkline(v, t=first.t) for n, v in {**first.states, **first.outputs, **first.inputs}.items()}
+        weak = [f"determined least: {self.weak[0]}"] if self.weak else []
+        return overview(
+            f"Planned: {self.name}" + (f", {self.added}" if self.added else ""),
+            self._error_rows(),
+            self._range_rows(),
+            remarks=[*weak, *self.violations, *self.warnings],
+            pictures=pictures,
+            note=self._length(),
+        )
+
+    def _length(self) -> str:
+        return ", ".join(f"{r.t[-1] - r.t[0]:g} s, {r.t.size} samples" for r in self.records)
+
+    def _error_rows(self) -> Rows:
         rows = []
         for e in self.parameters.values():
             percent = 100.0 * e.relative_std_error
             error = "not determined" if np.isinf(e.std_error) else f"{e.std_error:.3g}" if e.std_error >= 0.0 else ""
             rows.append([e.name, f"{e.value:.6g}", error, f"{percent:.3g}" if np.isfinite(percent) else "", e.unit])
         rows = [[*row, e.remark] for row, e in zip(rows, self.parameters.values(), strict=True)]
-        title = f"Planned: {self.name}" + (f", {self.added}" if self.added else "")
-        length = ", ".join(f"{r.t[-1] - r.t[0]:g} s, {r.t.size} samples" for r in self.records)
-        text = [f"{title} ({length})"]
-        text += ["", text_table(["parameter", "assumed", "std error", "in %", "unit", "remark"], rows, "lrrrll")]
-        text += ["", "determined least (unit vectors, parameters in units of their sizes):"]
-        text += [f"  {direction}" for direction in self.weak]
-        pairs = ", ".join(f"{a} and {b} {r:+.3f}" for a, b, r in self.correlated[:6])
-        text += [f"correlated: {pairs}"] if pairs else []
+        return ["parameter", "assumed", "std error", "in %", "unit", "remark"], rows, "lrrrll"
+
+    def _range_rows(self) -> Rows:
         many = len(self.excursions) > 1
         ranges = [
             [f"{channel} [{run}]" if many else channel, f"{e.least:.4g}", f"{e.greatest:.4g}", e.unit, _limit(e)]
             for run, channels in self.excursions.items()
             for channel, e in channels.items()
         ]
-        text += ["", text_table(["channel", "least", "greatest", "unit", "limit"], ranges, "lrrll")]
-        return "\n".join([*text, *(f"Limit: {v}" for v in self.violations), *(f"Warning: {w}" for w in self.warnings)])
+        return ["channel", "least", "greatest", "unit", "limit"], ranges, "lrrll"
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
         """Plot inputs and predicted outputs over time with their limits, and the predicted errors."""
@@ -194,6 +216,20 @@ class Plans(Mapping[str, Plan]):
 
     def summary(self) -> str:
         """Return a table of relative standard errors in %, criteria, and violated limits, side by side."""
+        text, violations = text_table(*self._rows()), self._violations()
+        return "\n".join([text, *self._remarks(), *violations])
+
+    def _repr_html_(self) -> str:
+        return overview(f"{len(self)} plans", self._rows(), remarks=[*self._remarks(), *self._violations()])
+
+    def _violations(self) -> list[str]:
+        return [f"{p.name}: {v}" for p in self._plans.values() for v in p.violations]
+
+    def _remarks(self) -> list[str]:
+        starred = any("*" in cell for row in self._rows()[1] for cell in row[1:])
+        return ["* of a parameter that is 0 and has no size: in its unit"] if starred else []
+
+    def _rows(self) -> Rows:
         plans = list(self._plans.values())
         names = list(dict.fromkeys(n for p in plans for n in p.parameters))
         rows = [[n, *(_percent(p, n) for p in plans)] for n in names]
@@ -202,10 +238,7 @@ class Plans(Mapping[str, Plan]):
             rows.append([label, *(_number(100.0 * p.criteria[kind]) for p in plans)])
         rows.append(["limits kept", *("yes" if p.within_limits else "no" for p in plans)])
         header = ["std error in %", *(p.name for p in plans)]
-        text = text_table(header, rows, "l" + "r" * len(plans))
-        if any("*" in cell for row in rows for cell in row[1:]):
-            text += "\n* of a parameter that is 0 and has no size: in its unit"
-        return "\n".join([text, *(f"{p.name}: {v}" for p in plans for v in p.violations)])
+        return header, rows, "l" + "r" * len(plans)
 
     def plot(self) -> tuple[Figure, dict[str, Axes]]:
         """Plot inputs and predicted outputs of all plans over time with their limits, and the predicted errors side by

@@ -18,7 +18,7 @@ from ..fit_result import FitResult
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian
 from ..records import Record, record_of
-from ..simulate import first_values, simulate
+from ..simulation import first_values, simulate
 from ..solvers import Newton
 from ..transcription.collocation import Collocation
 from ..transcription.shooting import SingleShooting

@@ -11,6 +11,7 @@ import numpy as np
 from ..data.experiment import Experiment, as_experiments
 from ..errors import OptionError
 from ..fit_result import FitResult
+from ..notebook import Rows, overview
 from ..parameters import text_table
 from ..solvers.limits import limited
 from .candidates.candidate import Candidate
@@ -71,6 +72,13 @@ class ImprovementResult:
     def summary(self) -> str:
         """Return a table of the steps: what was added, the part of the misfit that it explains, the RMS of each output
         on data held out before and after; and what was rejected, with the reason."""
+        return "\n\n".join([text_table(*self._rows()), *self._remarks()])
+
+    def _repr_html_(self) -> str:
+        title = f"{self.steps[0].diagnosis.fit.model.name}: improvement"
+        return overview(title, self._rows(), remarks=self._remarks(), note=self.verdict)
+
+    def _rows(self) -> Rows:
         rows = []
         for i, step in enumerate(self.steps, start=1):
             parts = [f.explained for f in step.diagnosis.findings if f.cause in step.added and np.isfinite(f.explained)]
@@ -82,7 +90,10 @@ class ImprovementResult:
                     _changes(step.gain),
                 ]
             )
-        lines = [text_table(["step", "added", "explains", "RMS, held out or of the fit"], rows, "rlrl")]
+        return ["step", "added", "explains", "RMS, held out or of the fit"], rows, "rlrl"
+
+    def _remarks(self) -> list[str]:
+        lines = []
         rejected = {name: why for step in self.steps for name, why in step.rejected.items()}
         if rejected:
             lines.append("Not added: " + ", ".join(f"{name} ({why})" for name, why in rejected.items()) + ".")
@@ -91,7 +102,7 @@ class ImprovementResult:
                 "The last diagnosis was ended by Ctrl-C or the time limit before it was complete: what it found is "
                 "preliminary, and a complete one may name other causes."
             )
-        return "\n\n".join(lines)
+        return lines
 
     def __repr__(self) -> str:
         early = ", ended early" if self.interrupted else ""

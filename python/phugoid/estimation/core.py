@@ -15,7 +15,7 @@ from ..data.experiment import Experiment
 from ..data.interpolation import kinds_for
 from ..errors import EvaluationError
 from ..fit_result import FitResult, Refinement, Smoothing, SmoothingStep, Step
-from ..match import no_match, r_squared
+from ..goodness_of_fit import no_match, r_squared
 from ..modelling.declared import Delays, kink_advice
 from ..modelling.densities import PerExperiment
 from ..modelling.model import Model

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..data.interpolation import kind_of
 from ..errors import DataError, UnknownName, did_you_mean
 from ..fit_result import FitResult
-from ..match import Tolerance, match, tolerances_by_output
+from ..goodness_of_fit import Tolerance, match, tolerances_by_output
 from ..records import Record
 from .style import (
     BAND,

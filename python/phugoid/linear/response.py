@@ -25,6 +25,7 @@ from ..figures.style import (
     headline,
     plain,
 )
+from ..notebook import overview, sparkline
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -287,6 +288,23 @@ class FrequencyResponse:
     @property
     def _name(self) -> str:
         return f"frequency response {self.input} to {self.output}"
+
+    def _repr_html_(self) -> str:
+        re = f" re 1 {self.unit}" if self.unit not in ("", "1") else ""
+        curves = {f"magnitude, dB{re}": self.magnitude_db, "phase, deg": self.phase_deg}
+        if self.coherence is not None:
+            curves["coherence"] = self.coherence
+        rows, pictures = [], {}
+        for name, values in curves.items():
+            known = np.where(np.isfinite(values), values, np.nan)
+            there, f = known[np.isfinite(known)], self.frequencies_hz
+            least, greatest = (f"{there.min():.4g}", f"{there.max():.4g}") if there.size else ("", "")
+            rows.append([name, least, greatest])
+            apart = f.size > 1 and f[0] > 0.0 and f[-1] > 10.0 * f[0]
+            pictures[name] = sparkline(known, t=np.log(f) if apart else f)
+        span = f"{f.size} frequencies, {f[0]:g} to {f[-1]:g} Hz" if f.size else "no frequencies"
+        title = f"{self.input} to {self.output}" + (f", {self.label}" if self.label else "")
+        return overview(title, (["", "least", "greatest"], rows, "lrr"), pictures=pictures, note=span)
 
     def __repr__(self) -> str:
         f = self.frequencies_hz

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MissingDependency, ModelError, listing
+from ..notebook import Rows, overview
 from ..parameters import Estimate, plus_minus, text_table
 from .response import FrequencyResponse
 
@@ -92,6 +93,12 @@ class Modes(Sequence[Mode]):
 
     def summary(self) -> str:
         """Return a table: natural frequency, damping ratio, time constant and eigenvalue of each mode."""
+        return text_table(*self._rows())
+
+    def _repr_html_(self) -> str:
+        return overview("Modes", self._rows(), note=self._counts())
+
+    def _rows(self) -> Rows:
         rows = [
             [
                 _cell(m.frequency) if m.oscillates else "",
@@ -101,14 +108,17 @@ class Modes(Sequence[Mode]):
             ]
             for m in self.modes
         ]
-        return text_table(["frequency, Hz", "damping ratio", "time constant, s", "eigenvalue, 1/s"], rows, "lllr")
+        return ["frequency, Hz", "damping ratio", "time constant, s", "eigenvalue, 1/s"], rows, "lllr"
 
     def __str__(self) -> str:
         return self.summary()
 
     def __repr__(self) -> str:
+        return f"<Modes: {self._counts()}>"
+
+    def _counts(self) -> str:
         pairs = sum(m.oscillates for m in self.modes)
-        return f"<Modes: {pairs} oscillating, {len(self.modes) - pairs} not>"
+        return f"{pairs} oscillating, {len(self.modes) - pairs} not"
 
 
 def table_of(eigenvalues: NDArray[np.complex128], covariances: NDArray[np.float64] | None = None) -> Modes:

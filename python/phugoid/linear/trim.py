@@ -14,6 +14,7 @@ from ..checks import finite
 from ..errors import EvaluationError, ModelError, OptionError, listing
 from ..fit_result import FitResult
 from ..modelling.model import Model
+from ..notebook import Rows, overview
 from ..parameters import text_table
 from .linearise import numbers_of
 
@@ -65,13 +66,18 @@ class Trim(Mapping[str, float]):
         return f"<Trim: {', '.join(f'{n} = {v:.6g}' for n, v in {**self.states, **self.inputs}.items())}>"
 
     def __str__(self) -> str:
+        return text_table(*self._rows()) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
+
+    def _repr_html_(self) -> str:
+        return overview("Trim", self._rows(), remarks=self.warnings)
+
+    def _rows(self) -> Rows:
         rows = []
         for kind, group in (("state", self.states), ("input", self.inputs), ("output", self.outputs)):
             for name, value in group.items():
                 remark = "" if kind == "output" or name in self.found else "held"
                 rows.append([kind, name, f"{value:.6g}", self.units.get(name, ""), remark])
-        table = text_table(["", "name", "value", "unit", ""], rows, "llrll")
-        return table + "".join(f"\n\nWarning: {w}" for w in self.warnings)
+        return ["", "name", "value", "unit", ""], rows, "llrll"
 
 
 def trim(

@@ -30,6 +30,7 @@ from .declared import (
     source_line,
 )
 from .densities import noise_from_dict, stated_noise
+from .model_html import model_html
 from .noise import Gaussian, Noise, Sigma
 
 __all__ = ["Model"]
@@ -361,6 +362,18 @@ class Model:
         text = self.latex()
         return f"$$\n{text}\n$$" if len(text) <= _LONGEST else None  # a notebook shows its text then
 
+    def _repr_html_(self) -> str:
+        lines = [("quantity", n, e) for n, e, *_ in self._core.quantities]
+        lines += [("state", n, e) for n, e, *_ in self._core.dynamics]
+        lines += [("output", n, e) for n, e, *_ in self._core.outputs]
+        lines += [(end, state, e) for end, state, e in self.end_conditions]
+        symbols = {
+            "state": self.state_names,
+            "input": [n for n in self.input_names if not self.is_condition(n)],
+            "condition": self.condition_names,
+        }
+        return model_html(self.name, self._counts(), lines, symbols, self.units, self.declared_parameters)
+
     def to_json(self) -> str:
         """Return the model as text that `from_json`, and the Rust crate, read back exactly."""
         text = self._equations_to_json()
@@ -514,11 +527,14 @@ class Model:
         return Model.from_json, (self.to_json(),)
 
     def __repr__(self) -> str:
+        return f"<Model '{self.name}': {self._counts()}>"
+
+    def _counts(self) -> str:
         inputs, conditions = len(self.input_names), len(self.condition_names)
         counts = f"{len(self.state_names)} states, {inputs - conditions} inputs, "
         counts += f"{conditions} conditions, " if conditions else ""
         counts += f"{len(self.output_names)} outputs"
-        return f"<Model '{self.name}': {counts}, {len(self.parameter_names)} parameters>"
+        return f"{counts}, {len(self.parameter_names)} parameters"
 
     def __str__(self) -> str:
         lines = [f"{name} = {e}" for name, e, *_ in self._core.quantities]

@@ -18,7 +18,7 @@ from ..modelling.densities import PerOutput
 from ..modelling.model import Model
 from ..modelling.noise import Gaussian
 from ..parameters import Parameter
-from ..simulate import simulate
+from ..simulation import simulate
 from .measurements import Conditions, Measurements, Output, Phase
 from .sbml import TIME, Formulas, SbmlModel, Switch, substituted
 

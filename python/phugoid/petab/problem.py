@@ -18,7 +18,7 @@ from ..data.experiment import Experiment
 from ..errors import DataError, EvaluationError, ModelError, OptionError
 from ..fit_result import FitResult
 from ..modelling.model import Model
-from ..simulate import simulate
+from ..simulation import simulate
 from ..writing import write
 from .assembly import NamedValues, Records, declared_parameters, model_of, prior_outputs
 from .measurements import Conditions, Measurements, Phase

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -11,22 +11,24 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import part
+from ..checks import check_progress, part
 from ..data.experiment import Experiment
 from ..errors import DataError, OptionError, UnknownName, did_you_mean
 from ..figures.style import BAND, MEASURED, MODEL, SPAN, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
 from ..initialisation import spread
+from ..notebook import overview, sparkline
 from ..parameters import Estimates
 from ..records import Record
 from ..sensitivities.linearised import Linearised
 from ..sensitivities.tangents import Tangents, collocated
+from ..solvers import Iteration
 from ..transcription.collocation import Collocation
 from ..transcription.filter_error import FilterError
-from ..validation.validate import re_estimated
+from ..validation.validate import ReEstimated, re_estimated
 from .coloured import Colouring
 from .coloured import coloured as corrected
-from .filtered import elsewhere, within
+from .filtered import check_ended, elsewhere, within
 from .resample import Parametric
 
 if TYPE_CHECKING:
@@ -64,8 +66,32 @@ class Bands:
         """Plot each output with both bands. Return the figure and its axes by name."""
         return plot_bands(self, self._title)
 
+    def _repr_html_(self) -> str:
+        rows, record = [], self.record
+        for name in self.model:
+            widths = [0.5 * _mean(high - low) for low, high in (self.model[name], self.measurement[name])]
+            low, high = self.measurement[name]
+            z = record.measured.get(name, np.full(record.n, np.nan))
+            there = np.isfinite(z)
+            inside = f"{100.0 * np.mean((z >= low)[there] & (z <= high)[there]):.1f}" if there.any() else ""
+            size = [f"{w:.3g}" if math.isfinite(w) else "" for w in (_mean(self.std_errors[name]), *widths)]
+            rows.append([name, record.units.get(name, ""), *size, inside])
+        heads = ["output", "unit", "std error", "± model", "± measurement", "measured inside, %"]
+        return overview(
+            f"Prediction bands of {record.name}",
+            (heads, rows, "llrrrr"),
+            remarks=["means over the record of standard error and half widths"],
+            pictures={n: sparkline(record.measured.get(n, y), y, record.t) for n, y in record.outputs.items()},
+            note=f"{100 * self.level:g} % for {'coloured' if self.coloured else 'white'} noise",
+        )
+
     def __repr__(self) -> str:
         return f"<Bands of '{self.record.name}': {100 * self.level:g} %, {', '.join(self.model)}>"
+
+
+def _mean(values: _Array) -> float:
+    there = values[np.isfinite(values)]
+    return float(there.mean()) if there.size else math.nan
 
 
 def prediction_bands(
@@ -76,16 +102,23 @@ def prediction_bands(
     coloured: bool = True,
     biases: Sequence[str] | None = None,
     values: Mapping[str, float] | None = None,
+    progress: bool | Callable[[Iteration], None] = False,
 ) -> Bands:
     """Compute prediction bands; see `Fit.prediction_bands`."""
     part("prediction_bands: level", level, "0.95")
+    check_progress("prediction_bands", progress)
     filtered = isinstance(fit.transcription, FilterError)
-    coloured = coloured and not filtered  # innovations are white where the model is right
-    if isinstance(experiment, Experiment) and filtered:
-        record, errors, found = elsewhere(fit, experiment, biases, values or {})
-        noise, e = Parametric.of(found), 0
-    elif isinstance(experiment, Experiment):
-        record, errors, noise, e = *_elsewhere(fit, experiment, coloured, biases, values or {}), 0
+    if filtered:
+        coloured = False  # innovations are white where the model is right
+        check_ended(fit)
+    if isinstance(experiment, Experiment):
+        anew = re_estimated(fit, [experiment], biases, values or {}, progress)
+        _check_found(anew[0], experiment)
+        if filtered:
+            record, errors = elsewhere(fit, experiment, anew, values or {})
+        else:
+            record, errors = _elsewhere(fit, anew, coloured)
+        noise, e = Parametric.of(anew[0]), 0
     else:
         if biases is not None or values is not None:
             raise OptionError("prediction_bands: biases and values are for an Experiment that the fit was not made on")
@@ -137,17 +170,22 @@ def _errors(fit: FitResult, tangents: Tangents, covariance: _Array, e: int, reco
     return found
 
 
-def _elsewhere(
-    fit: FitResult, other: Experiment, coloured: bool, biases: Sequence[str] | None, values: Mapping[str, float]
-) -> tuple[Record, dict[str, _Array], Parametric]:
-    """Return the record, standard errors and noise of an experiment that the fit was not made on: its initial states
-    and biases are re-estimated with the fitted parameters, so their errors depend on those of the parameters."""
-    found, free, held, _ = re_estimated(fit, [other], biases, values)
+def _check_found(found: FitResult, other: Experiment) -> None:
+    """Raise DataError unless initial states and biases were found; KeyboardInterrupt after Ctrl-C, since there are no
+    bands without them."""
+    if found.status == "interrupted":
+        raise KeyboardInterrupt
     if not found.converged:
         raise DataError(
             f"prediction_bands: initial states and biases of '{other.name}' were not found ({found.status}): "
             f"{found.message}"
         )
+
+
+def _elsewhere(fit: FitResult, anew: ReEstimated, coloured: bool) -> tuple[Record, dict[str, _Array]]:
+    """Return the record and standard errors of an experiment that the fit was not made on: its initial states and
+    biases are re-estimated with the fitted parameters, so their errors depend on those of the parameters."""
+    found, free, held, _ = anew
     linear = Linearised(_opened(fit, collocated(found), held))
     t = Tangents(linear)
     own = [i for i, name in enumerate(t.names) if name.partition("[")[0] not in free]
@@ -168,7 +206,7 @@ def _elsewhere(
     covariance = np.zeros((len(t.inverse), len(t.inverse)))
     covariance[: t.k, : t.k] = back @ given @ back.T + rest @ noise @ rest.T
     record = found.records[0]
-    return record, _errors(fit, t, covariance, 0, record), Parametric.of(found)
+    return record, _errors(fit, t, covariance, 0, record)
 
 
 def _opened(fit: FitResult, found: FitResult, held: Mapping[str, float]) -> FitResult:

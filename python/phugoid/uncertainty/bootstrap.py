@@ -19,6 +19,7 @@ from ..estimation.estimate import estimate
 from ..estimation.starts import Outcome, Problem, stream
 from ..figures.style import BAND, GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..fit_result import ENDED_WELL, FitResult
+from ..notebook import Rows, overview, sparkline
 from ..parameters import Estimates, text_table
 from ..solvers.limits import limited
 from ..transcription.filter_error import FilterError
@@ -39,6 +40,8 @@ Kind: TypeAlias = Literal["parametric", "coloured", "block"]
 
 # Columns of panels, and the height of each in inches.
 _COLUMNS, _HEIGHT = 3, 1.6
+# Bins of the small histograms in a notebook.
+_BINS = 25
 _KINDS = ("parametric", "coloured", "block")
 
 
@@ -107,14 +110,29 @@ class Bootstrap:
 
     def summary(self, level: float = 0.95) -> str:
         """Return a table: estimate, Cramér-Rao and bootstrap standard errors, percentile interval."""
+        warnings = [f"\nWarning: {w}" for w in self.warnings]
+        return "\n".join([f"bootstrap, {self.status}: {self._runs()}", "", text_table(*self._rows(level)), *warnings])
+
+    def _repr_html_(self) -> str:
+        pictures = {}
+        for name, drawn in zip(self.names, self.estimates.T, strict=True):
+            if drawn.size > 1 and np.ptp(drawn) > 0.0:
+                counts, edges = np.histogram(drawn, bins=_BINS)
+                pictures[name] = sparkline(counts, t=edges[:-1])
+        return overview(
+            "Bootstrap", self._rows(0.95), remarks=[self._runs(), *self.warnings], pictures=pictures, note=self.status
+        )
+
+    def _runs(self) -> str:
+        """Return what was done, in words."""
         what = {
             "parametric": "white noise of the fit's model",
             "coloured": "noise with the autocorrelation of the residuals",
         }
         noise = what.get(self.kind, f"residuals in blocks of {self.block} samples")
-        lines = [
-            f"bootstrap, {self.status}: {len(self.estimates)} of {self.n} runs converged, {noise}; {self.time:.1f} s"
-        ]
+        return f"{len(self.estimates)} of {self.n} runs converged, {noise}; {self.time:.1f} s"
+
+    def _rows(self, level: float) -> Rows:
         intervals = self.intervals(level)
         rows = []
         for e in self.parameters.values():
@@ -124,7 +142,7 @@ class Bootstrap:
                 [e.name, f"{e.value:.5g}", plain, f"{self.std_errors[e.name]:.2g}", f"{low:.5g}", f"{high:.5g}", e.unit]
             )
         heads = ["parameter", "estimate", "Cramér-Rao", "bootstrap", f"{100 * level:g} % from", "to", "unit"]
-        return "\n".join([*lines, "", text_table(heads, rows, "lrrrrrl"), *(f"\nWarning: {w}" for w in self.warnings)])
+        return heads, rows, "lrrrrrl"
 
     def plot(self, names: Sequence[str] | None = None, level: float = 0.95) -> tuple[Figure, dict[str, Axes]]:
         """Plot one panel for each parameter: a histogram of the estimates of all runs, the normal distribution of the

@@ -18,9 +18,9 @@ from ..fit_result import ENDED_WELL, FitResult, dataset
 from ..modelling.model import Model
 from ..records import Record
 from ..transcription.filter_error import FilterError
-from ..validation.validate import re_estimated
+from ..validation.validate import ReEstimated
 
-__all__ = ["Filtered", "elsewhere", "of_fit", "within"]
+__all__ = ["Filtered", "check_ended", "elsewhere", "of_fit", "within"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -114,23 +114,16 @@ def of_fit(fit: FitResult) -> tuple[Filtered, _Array]:
 
 def within(fit: FitResult, e: int) -> dict[str, _Array]:
     """Return output -> (N,) standard errors of the outputs in an experiment of the fit."""
-    _ended(fit)
     likelihood, covariance = of_fit(fit)
     return dict(zip(fit.model.output_names, likelihood.errors(covariance, e), strict=True))
 
 
 def elsewhere(
-    fit: FitResult, other: Experiment, biases: Sequence[str] | None, values: Mapping[str, float]
-) -> tuple[Record, dict[str, _Array], FitResult]:
-    """Return, for an experiment that the fit was not made on, its record, the standard errors, and the fit of the
-    re-estimated states and biases. Errors of biases follow from those of the parameters and from the new record."""
-    _ended(fit)
-    found, free, held, _ = re_estimated(fit, [other], biases, values)
-    if not found.converged:
-        raise DataError(
-            f"prediction_bands: initial states and biases of '{other.name}' were not found ({found.status}): "
-            f"{found.message}"
-        )
+    fit: FitResult, other: Experiment, anew: ReEstimated, values: Mapping[str, float]
+) -> tuple[Record, dict[str, _Array]]:
+    """Return, for an experiment that the fit was not made on and whose states and biases were re-estimated, its record
+    and the standard errors. Errors of biases follow from those of the parameters and from the new record."""
+    found, free, held, _ = anew
     record, model, options = found.records[0], fit.model, found.transcription
     assert isinstance(options, FilterError)
     shared = {n: e.value for n, e in fit.parameters.items() if n in fit.noise_parameters}
@@ -146,10 +139,11 @@ def elsewhere(
     covariance[np.ix_(given, given)] = np.nan_to_num(fit.covariance[np.ix_(at, at)])
     if own.size:
         _add_biases(likelihood, covariance, own)
-    return record, dict(zip(model.output_names, likelihood.errors(covariance, 0), strict=True)), found
+    return record, dict(zip(model.output_names, likelihood.errors(covariance, 0), strict=True))
 
 
-def _ended(fit: FitResult) -> None:
+def check_ended(fit: FitResult) -> None:
+    """Raise OptionError for a fit that has not converged."""
     if fit.status not in ENDED_WELL:
         raise OptionError(
             f"prediction_bands: the fit has not converged ({fit.status}): {fit.message or 'see its summary'}"

@@ -18,6 +18,7 @@ from ..estimation.collect import common_to, run_all
 from ..estimation.starts import Outcome
 from ..figures.style import GREY, MEASURED, ORANGE, STYLE, WIDTH, labelled, plain
 from ..fit_result import FitResult
+from ..notebook import Html, Rows, overview, sparkline
 from ..parameters import text_table
 from ..solvers.limits import limited
 from .coloured import coloured as corrected
@@ -43,6 +44,9 @@ _SAID: Mapping[str, str] = {
     "failed": "not found: the solver did not converge beyond",
     "missing": "not reached: the run was ended before",
 }
+
+
+_ALIGN = "lrrrrrll"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,6 +87,23 @@ class Profile:
         low, high = self.interval
         return (high - self.value) / (self.value - low) if self.value > low else math.nan
 
+    def _cells(self, z: float) -> list[str]:
+        """Return the row of a table, with the interval of so many standard errors."""
+        reach = z * self.std_error * self.inflation
+        wald = [f"{self.value - reach:.5g}", f"{self.value + reach:.5g}"] if math.isfinite(reach) else ["", ""]
+        ends = [f"{end:.5g}" if not math.isnan(end) else "" for end in self.interval]
+        return [self.name, f"{self.value:.5g}", *ends, *wald, self.unit, self.remark]
+
+    def _picture(self) -> Html:
+        """Return the log-likelihood over the parameter as a small picture."""
+        return sparkline(-self.drops, t=self.values)
+
+    def _repr_html_(self) -> str:
+        rows = [self._cells(math.sqrt(2.0 * self.threshold) / self.inflation)]
+        heads = ["parameter", "estimate", "from", "to", "by std error", "to", "unit", "remark"]
+        note = f"log-likelihood drops by {self.threshold:.3g} at the ends"
+        return overview("Profile", (heads, rows, _ALIGN), pictures={self.name: self._picture()}, note=note)
+
     def __repr__(self) -> str:
         low, high = self.interval
         return f"<Profile of {self.name}: {low:.4g} to {high:.4g}>"
@@ -122,19 +143,25 @@ class Profiles(Mapping[str, Profile]):
 
     def summary(self) -> str:
         """Return a table: estimate, interval by profile, and the interval from standard errors alone."""
+        first, *others = self._remarks()
+        lines = [f"profile likelihood, {self.status}: {first}", *others]
+        return "\n".join([*lines, "", text_table(*self._rows()), *(f"\nWarning: {w}" for w in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        pictures = {p.name: p._picture() for p in self.profiles.values()}
+        remarks = [*self._remarks(), *self.warnings]
+        return overview("Profile likelihood", self._rows(), remarks=remarks, pictures=pictures, note=self.status)
+
+    def _rows(self) -> Rows:
         z = NormalDist().inv_cdf(0.5 + 0.5 * self.level)
-        rows = []
-        for p in self.profiles.values():
-            reach = z * p.std_error * p.inflation
-            wald = [f"{p.value - reach:.5g}", f"{p.value + reach:.5g}"] if math.isfinite(reach) else ["", ""]
-            ends = [f"{end:.5g}" if not math.isnan(end) else "" for end in p.interval]
-            rows.append([p.name, f"{p.value:.5g}", *ends, *wald, p.unit, p.remark])
         percent = f"{100 * self.level:g} %"
         heads = ["parameter", "estimate", f"{percent} from", "to", "by std error", "to", "unit", "remark"]
-        lines = [f"profile likelihood, {self.status}: {self.runs} estimations in {self.time:.1f} s"]
-        if any(p.inflation != 1.0 for p in self.profiles.values()):
-            lines.append("the threshold allows for coloured residuals")
-        return "\n".join([*lines, "", text_table(heads, rows, "lrrrrrll"), *(f"\nWarning: {w}" for w in self.warnings)])
+        return heads, [p._cells(z) for p in self.profiles.values()], _ALIGN
+
+    def _remarks(self) -> list[str]:
+        inflated = any(p.inflation != 1.0 for p in self.profiles.values())
+        done = f"{self.runs} estimations in {self.time:.1f} s"
+        return [done, "the threshold allows for coloured residuals"] if inflated else [done]
 
     def plot(self, names: Sequence[str] | None = None) -> tuple[Figure, dict[str, Axes]]:
         """Plot the log-likelihood over each parameter, with the parabola of its standard error and the interval.

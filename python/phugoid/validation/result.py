@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..figures import fit as plot
-from ..match import Match, Tolerance
+from ..goodness_of_fit import Match, Tolerance, match_rows
 from ..modelling.model import Model
 from ..modelling.noise import Noise
-from ..parameters import Estimates, estimates_table, text_table
+from ..notebook import bullets, overview, sparkline
+from ..parameters import Estimates, estimates_html, estimates_table, text_table
 from ..records import Record, only
 
 if TYPE_CHECKING:
@@ -102,9 +103,11 @@ class Validation:
         parts = [self._header()]
         if self.freed:
             parts.append(estimates_table(self.freed.values(), title="freed"))
-        parts.append(_match_table(self.matches.values()))
+        parts.append(text_table(*match_rows(self.matches.values())))
         if len(self.records) > 1:
-            parts += [f"{name} alone\n{_match_table(each.values())}" for name, each in self.by_experiment.items()]
+            parts += [
+                f"{name} alone\n{text_table(*match_rows(each.values()))}" for name, each in self.by_experiment.items()
+            ]
         parts.append("\n".join(textwrap.fill(line, _WIDTH, subsequent_indent="  ") for line in self.in_words()))
         return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
 
@@ -113,7 +116,27 @@ class Validation:
         inputs. Return the figure and the axes by name, as `Fit.plot` does."""
         return plot.plot_validation(self, record, channels)
 
+    def _repr_html_(self) -> str:
+        entries, first = self._entries(), self.records[0]
+        shown = [n for n in ("validated on", "log-likelihood", "chi-square") if n in entries]
+        return overview(
+            f"{self.model.name}: validation",
+            bullets(f"{name}: {entries[name]}" for name in shown),
+            estimates_html(self.freed.values()),
+            match_rows(self.matches.values()),
+            remarks=[*self.in_words(), *self.warnings],
+            pictures={n: sparkline(z, first.outputs[n], first.t) for n, z in first.measured.items()},
+            note=self.status,
+        )
+
     def _header(self) -> str:
+        entries = self._entries()
+        width = max(map(len, entries))
+        lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
+        return "\n".join([f"{self.model.name}: validation", *lines])
+
+    def _entries(self) -> dict[str, str]:
+        """Return the facts of the validation, by heading."""
         names = ", ".join(f"'{r.name}'" for r in self.records)
         samples = sum(m.samples for m in self.matches.values())
         first = sum(map(len, self.initial_states.values()))
@@ -121,7 +144,7 @@ class Validation:
             "validated on": f"{names}: {samples} measured values",
             "fitted to": ", ".join(f"'{name}'" for name in self.fitted_to),
             "status": f"{self.status}: {self.message}" if self.message else self.status,
-            "held": ", ".join(self.held) or "nothing",
+            "fixed": ", ".join(self.held) or "nothing",
             "re-estimated": ", ".join([f"{first} initial states", *self.freed]),
             "log-likelihood": f"{self.log_likelihood:.3f} at the noise of the fit",
         }
@@ -131,9 +154,7 @@ class Validation:
             entries["chi-square"] = f"{self.chi_square:.1f} on {self.degrees_of_freedom} degrees of freedom"
         if self.noise.description:
             entries["noise"] = self.noise.description
-        width = max(map(len, entries))
-        lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
-        return "\n".join([f"{self.model.name}: validation", *lines])
+        return entries
 
     def in_words(self) -> list[str]:
         """Return the meaning of the numbers, one sentence for each output."""
@@ -168,32 +189,3 @@ class Validation:
 
     def __str__(self) -> str:
         return self.summary()
-
-
-def _match_table(matches: Iterable[Match]) -> str:
-    rows = []
-    for m in matches:
-        parts = "/".join(_number(100 * part, ".0f") for part in (m.bias, m.variance, m.covariance))
-        rows.append(
-            [
-                m.output,
-                m.unit,
-                _number(m.rms, ".4g"),
-                _number(m.sigma, ".4g"),
-                _number(m.r_squared, ".4f"),
-                _number(m.theil, ".4f"),
-                _number(m.theil_about_mean, ".4f"),
-                parts if math.isfinite(m.bias) else "",
-                _number(m.lag_one, ".2f"),
-                "<0.001" if m.whiteness < 0.001 else _number(m.whiteness, ".3f"),
-                _number(100 * m.inside, ".1f"),
-                str(m.samples),
-            ]
-        )
-    parts_of = "bias/var/cov, %"
-    header = ["output", "unit", "RMS", "σ of fit", "R²", "Theil U", "about mean", parts_of, "lag-1", "p white"]
-    return text_table([*header, "inside, %", "samples"], rows, "llrrrrrrrrrr")
-
-
-def _number(value: float, spec: str) -> str:
-    return format(value, spec) if math.isfinite(value) else ""

@@ -3,29 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..checks import finite
+from ..checks import check_progress, finite
 from ..data.experiment import Experiment, as_experiments
 from ..data.units import check_units
 from ..errors import DataError, ModelError, OptionError, did_you_mean
 from ..estimation.estimate import estimate
 from ..fit_result import FitResult
+from ..goodness_of_fit import Match, Tolerance, chi_square, chi_square_warning, match, tolerances_by_output
 from ..initialisation import measured_states
-from ..match import Match, Tolerance, chi_square, chi_square_warning, match, tolerances_by_output
 from ..modelling.model import Model
 from ..records import Record
-from ..solvers import Newton
+from ..solvers import Iteration, Newton
 from ..solvers.limits import limited
 from ..transcription.filter_error import FilterError
 from .frozen_model import estimates_of, freed_by_default, freeze_model, freeze_noise, mesh_for
 from .result import Validation
 
-__all__ = ["re_estimated", "shared", "validate"]
+__all__ = ["ReEstimated", "re_estimated", "shared", "validate"]
+
+ReEstimated: TypeAlias = tuple[FitResult, tuple[str, ...], dict[str, float], tuple[str, ...]]
+"""What `re_estimated` returns."""
 
 # Records share samples where as many as this agree to the bit.
 _SHARED = 3
@@ -38,13 +41,16 @@ def validate(
     biases: Sequence[str] | None = None,
     values: Mapping[str, float] | None = None,
     tolerances: Mapping[str, float | Tolerance] | None = None,
+    progress: bool | Callable[[Iteration], None] = False,
     time_limit: float | None = None,
 ) -> Validation:
     """Validate a fit; see `Fit.validate`."""
     model, experiments = fit.model, as_experiments(other, "validate")
     limits = tolerances_by_output("validate", model.output_names, tolerances)
+    check_progress("validate", progress)
     with limited("validate", time_limit).in_force():
-        found, free, held, warnings = re_estimated(fit, experiments, biases, {} if values is None else values)
+        given = {} if values is None else values
+        found, free, held, warnings = re_estimated(fit, experiments, biases, given, progress)
     noise, filtered = found.noise, isinstance(found.transcription, FilterError)
     records = [_predicted(r) for r in found.records] if filtered else found.records
     if not found.feasible:
@@ -85,8 +91,12 @@ def validate(
 
 
 def re_estimated(
-    fit: FitResult, experiments: Sequence[Experiment], biases: Any, values: Any
-) -> tuple[FitResult, tuple[str, ...], dict[str, float], tuple[str, ...]]:
+    fit: FitResult,
+    experiments: Sequence[Experiment],
+    biases: Any,
+    values: Any,
+    progress: bool | Callable[[Iteration], None] = False,
+) -> ReEstimated:
     """Return the fit of initial states and biases alone to other experiments; the names of the biases, the values of
     the other parameters, and warnings. Raises as `Fit.validate` does."""
     free = _free(fit, biases, values)
@@ -102,7 +112,7 @@ def re_estimated(
     # A regression on measured states is for parameters, and these are fixed.
     solver = None if isinstance(mesh, FilterError) else Newton(regression=False)
     begin = _start(fit, slim, held, free)
-    found = estimate(slim, experiments, transcription=mesh, noise=noise, start=begin, solver=solver)
+    found = estimate(slim, experiments, transcription=mesh, noise=noise, start=begin, solver=solver, progress=progress)
     return found, free, held, warnings
 
 

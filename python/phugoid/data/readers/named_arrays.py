@@ -38,9 +38,9 @@ def from_leaves(
 ) -> Source:
     """Return the columns of arrays, called ``group.name`` or, of a matrix, ``group.name[0]``, ``group.name[1]``...
 
-    A group that holds everything is not named. The times of an array are called ``time`` (None: ``t``, else ``time``)
-    and stand in its own group or in one above it. A matrix has a column for a channel, or a row where only the rows are
-    as long as the times. ``columns`` names the columns of the one matrix that there is.
+    A group that holds everything is not named, but may be. The times of an array are called ``time`` (None: ``t``, else
+    ``time``) and stand in its own group or in one above it. A matrix has a column for a channel, or a row where only
+    the rows are as long as the times. ``columns`` names the columns of the one matrix that there is.
     """
     usable = [leaf for leaf in leaves if not leaf.why and leaf.shape]
     if not usable:
@@ -51,6 +51,8 @@ def from_leaves(
     depth = 0
     while all(len(leaf.path) > depth + 1 and leaf.path[depth] == usable[0].path[depth] for leaf in usable):
         depth += 1
+    group = "".join(f"{part}." for part in usable[0].path[:depth])
+    time = None if time is None else time.removeprefix(group)
     known = {".".join(leaf.path[depth:]): leaf for leaf in usable}
     left_out = {
         ".".join(leaf.path[depth:] or leaf.path): leaf.why or "is a single value, no time history"
@@ -70,7 +72,7 @@ def from_leaves(
             continue
         for suffix, place in _places(leaf.shape, axis):
             found.append(Column(full + suffix, _channel_reader(leaf, place), leaf.unit, times=clock))
-    return Source(where, name, found, left_out)
+    return Source(where, name, found, left_out, group)
 
 
 def _clock(full: str, known: dict[str, Leaf], time: str | None) -> str | None:

@@ -44,12 +44,18 @@ class Source:
     where     what messages call it.
     name      what the experiment is called unless the user says otherwise.
     left_out  name -> why it is no column, for messages on names that may be asked for.
+    group     the group that holds all columns and is not part of their names, with its dot; "" where there is none.
     """
 
     where: str
     name: str
     columns: list[Column]
     left_out: Mapping[str, str] = field(default_factory=dict)
+    group: str = ""
+
+    def bare(self, name: Any) -> Any:
+        """Return the name of a column without the group; what is no text, as it is."""
+        return name.removeprefix(self.group) if isinstance(name, str) else name
 
 
 def stem(path: Path) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from typing import Any
 
+from ...mathml import equation
 from ...modelling.model import Model
-from ...pages import PageTable, equation, picture, render, sources
+from ...pages import PageTable, picture, render, sources
 from ...parameters import Estimate
 from ...writing import PAGES, check_folder, check_suffix, write
 from ..misfit.misfit import Misfit, misfit

@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import EvaluationError, OptionError, PhugoidError
 from ..estimation.starts import Outcome, Problem
 from ..fit_result import FitResult
+from ..notebook import Rows, bullets, overview
 from ..parameters import Parameter, text_table
 from ..result import Fit
 from ..summary import _duration
@@ -129,7 +130,9 @@ class Multistart:
         """Plain text: which optima there are, how many starts reached them, and which starts failed how."""
         parts = [self._header()]
         if self.optima:
-            parts += [self._optima_table(), self._parameter_table(), self._judgement()]
+            more = self._more_optima()
+            parts.append(text_table(*self._optima_rows()) + (f"\n{more}" if more else ""))
+            parts += [text_table(*self._parameter_rows()), "\n".join(self._judgement())]
         if any(not o.at_optimum for o in self.outcomes):
             parts.append(self._failures())
         return "\n\n".join(parts) + "".join(f"\n\nWarning: {w}" for w in self.warnings)
@@ -179,7 +182,25 @@ class Multistart:
     def _best_optima(self) -> list[Optimum]:
         return [o for o in self.optima if self.optima[0].log_likelihood - o.log_likelihood <= LOG_LIKELIHOOD]
 
+    def _repr_html_(self) -> str:
+        tables = [self._optima_rows(), self._parameter_rows()] if self.optima else []
+        failed = self._failures().splitlines() if any(not o.at_optimum for o in self.outcomes) else []
+        return overview(
+            f"{self.problem.model.name}: multistart",
+            bullets(f"{name}: {text}" for name, text in self._entries().items()),
+            *tables,
+            remarks=[*filter(None, [self._more_optima()]), *self._judgement(), *failed, *self.warnings],
+            note=self.status,
+        )
+
     def _header(self) -> str:
+        entries = self._entries()
+        width = max(map(len, entries))
+        lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
+        return "\n".join([f"{self.problem.model.name}: multistart, {self.status}", *lines])
+
+    def _entries(self) -> dict[str, str]:
+        """Return the facts of the starts, by heading."""
         done, converged = len(self.outcomes), [o for o in self.outcomes if o.converged]
         entries = {"starts": f"{self.n}, all finished"}
         if self.status != "complete":
@@ -194,11 +215,9 @@ class Multistart:
                 f"{_duration(self.time)}; a start: median {_duration(float(np.median(times)))}, "
                 f"most {_duration(max(times))}"
             )
-        width = max(map(len, entries))
-        lines = [f"  {key.ljust(width)}  {text}" for key, text in entries.items()]
-        return "\n".join([f"{self.problem.model.name}: multistart, {self.status}", *lines])
+        return entries
 
-    def _optima_table(self) -> str:
+    def _optima_rows(self) -> Rows:
         best, done = self.optima[0].log_likelihood, len(self.outcomes)
         rows = [
             [
@@ -212,11 +231,13 @@ class Multistart:
             for i, o in enumerate(self.optima[:_OPTIMA], 1)
         ]
         header = ["optimum", "log-likelihood", "below best", "starts", "in %", "such as start"]
-        rest = self.optima[_OPTIMA:]
-        more = f"\nand {len(rest)} more, of {sum(o.count for o in rest)} start(s)" if rest else ""
-        return text_table(header, rows, "rrrrrr") + more
+        return header, rows, "rrrrrr"
 
-    def _parameter_table(self) -> str:
+    def _more_optima(self) -> str:
+        rest = self.optima[_OPTIMA:]
+        return f"and {len(rest)} more, of {sum(o.count for o in rest)} start(s)" if rest else ""
+
+    def _parameter_rows(self) -> Rows:
         shown = self.optima[:_COLUMNS]
         units = self.problem.model.units
         header = ["parameter", "optimum 1", "std error", *(f"optimum {i + 1}" for i in range(1, len(shown))), "unit"]
@@ -226,9 +247,12 @@ class Multistart:
             others = [f"{o.parameters[name]:.5g}" for o in shown[1:]]
             text = f"{error:.2g}" if np.isfinite(error) else ""
             rows.append([name, f"{value:.5g}", text, *others, units.get(name.removeprefix("sigma_"), "")])
-        return text_table(header, rows, "lrr" + "r" * (len(shown) - 1) + "l")
+        return header, rows, "lrr" + "r" * (len(shown) - 1) + "l"
 
-    def _judgement(self) -> str:
+    def _judgement(self) -> list[str]:
+        """Return what follows of the optima, in sentences."""
+        if not self.optima:
+            return []
         best, done = self._best_optima(), len(self.outcomes)
         count = sum(o.count for o in best)
         text = (
@@ -237,14 +261,15 @@ class Multistart:
         )
         if count == 1:
             text = f"1 of {done} starts reached the best optimum: there may well be a better one. Take more starts."
+        said = [text]
         if len(best) > 1:
-            text += (
-                f"\nIt is {len(best)} optima with the same log-likelihood: the data do not tell their parameters apart."
+            said.append(
+                f"It is {len(best)} optima with the same log-likelihood: the data do not distinguish their parameters."
             )
         others = local_optima(self.optima, done)
         bounds = at_bounds(self.optima[0].parameters, self.problem.model.declared_parameters)
-        text += f"\n{others}." if others else ""
-        return text + (f"\nAt bounds in optimum 1: {bounds}." if bounds else "")
+        said += [f"{others}."] if others else []
+        return [*said, f"At bounds in optimum 1: {bounds}."] if bounds else said
 
     def _failures(self) -> str:
         lines = []

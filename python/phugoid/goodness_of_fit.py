@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any, TypeAlias
@@ -15,6 +15,7 @@ import phugoid._core as _core
 
 from .errors import OptionError, UnknownName, did_you_mean, listing
 from .modelling.noise import Gaussian, Noise
+from .notebook import Rows, overview
 from .records import Record
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "chi_square",
     "chi_square_warning",
     "match",
+    "match_rows",
     "no_match",
     "r_squared",
     "tolerance_of",
@@ -198,6 +200,9 @@ class Match:
     tolerance: Tolerance | None = None
     inside: float = math.nan
 
+    def _repr_html_(self) -> str:
+        return overview(f"Match of {self.output}", match_rows([self]))
+
 
 def match(
     records: Record | Sequence[Record],
@@ -250,6 +255,36 @@ def match(
         tolerance=limit,
         inside=float(np.mean(np.abs(residuals) <= limit.at(measured))) if limit is not None and n else math.nan,
     )
+
+
+def match_rows(matches: Iterable[Match]) -> Rows:
+    """Return heads, rows and alignment of a table with a row for each match."""
+    rows = []
+    for m in matches:
+        parts = "/".join(_number(100 * part, ".0f") for part in (m.bias, m.variance, m.covariance))
+        rows.append(
+            [
+                m.output,
+                m.unit,
+                _number(m.rms, ".4g"),
+                _number(m.sigma, ".4g"),
+                _number(m.r_squared, ".4f"),
+                _number(m.theil, ".4f"),
+                _number(m.theil_about_mean, ".4f"),
+                parts if math.isfinite(m.bias) else "",
+                _number(m.lag_one, ".2f"),
+                "<0.001" if m.whiteness < 0.001 else _number(m.whiteness, ".3f"),
+                _number(100 * m.inside, ".1f"),
+                str(m.samples),
+            ]
+        )
+    parts_of = "bias/var/cov, %"
+    heads = ["output", "unit", "RMS", "σ of fit", "R²", "Theil U", "about mean", parts_of, "lag-1", "p white"]
+    return [*heads, "inside, %", "samples"], rows, "llrrrrrrrrrr"
+
+
+def _number(value: float, spec: str) -> str:
+    return format(value, spec) if math.isfinite(value) else ""
 
 
 def r_squared(records: Sequence[Record], output: str) -> float:

@@ -34,8 +34,8 @@ DRIVEN = {
 }
 """States whose equations hold what a disturbance acts on."""
 
-WINDY = {"hfb320": "alpha", "lateral": "beta", "uav": "w"}
-"""States that the forces have as they are relative to the air."""
+WINDY = {"hfb320": "alpha", "lateral": "beta"}
+"""States that the forces have as they are relative to the air, of systems whose forces are declared quantities."""
 
 POSITIONS = {"servo": ("angle", "rate", "torque")}
 """A position, its rate, and the place of the model where its force stands, of systems that have one that no sensor
@@ -352,7 +352,7 @@ def situation(what: str, system: str, seed: int) -> Situation:
     if what == "hysteresis" and system not in POSITIONS:
         raise Unreachable(f"{what}: {system} has no position with a force")
     if what == "wind" and system not in WINDY:
-        raise Unreachable(f"{what}: {system} does not fly")
+        raise Unreachable(f"{what}: {system} does not fly, or declares no forces")
     s = SYSTEMS[system]
     rng = np.random.default_rng([seed, zlib.crc32(f"{what} {system}".encode())])
     for _ in range(4):

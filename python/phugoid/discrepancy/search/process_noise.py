@@ -41,7 +41,6 @@ class Filtered:
     fit       its parameters have the intensity of the noise, ``q_<state>``.
     state     that white noise drives: one of the model, or that of the shaping filter.
     tau       name of the correlation time; "" without a shaping filter.
-    unknowns  number of parameters of the disturbance.
     """
 
     fit: FitResult
@@ -61,8 +60,11 @@ class Filtered:
             return q.value, q.std_error
         tau = self.fit.parameters[self.tau]
         size = q.value * float(np.sqrt(tau.value / 2.0))
-        parts = [e.std_error / e.value for e in (q, tau)]
-        return size, size * float(np.hypot(parts[0], 0.5 * parts[1]))
+        # A size that is q sqrt(tau / 2) is known better than either: their estimates go together.
+        names = list(self.fit.parameters)
+        at = [names.index(e.name) for e in (q, tau)]
+        slopes = size * np.array([1.0 / q.value, 0.5 / tau.value])
+        return size, float(np.sqrt(max(slopes @ self.fit.covariance[np.ix_(at, at)] @ slopes, 0.0)))
 
     @property
     def correlation(self) -> float:
@@ -94,27 +96,33 @@ def through_shaping_filter(model: Model, place: Place, tau: float) -> tuple[Mode
 
 
 def filtered(at: Refit, of: Disturbance, seconds: float) -> Filtered | None:
-    """Return the fit by the filter-error method with a disturbance at the place of one, white or not as that is; None
-    where it does not converge. First states are parameters, so that without noise the likelihood is that of output
-    error."""
+    """Return the fit by the filter-error method with a disturbance at the place of one; None where it fails.
+
+    White noise of an equation is tried where the disturbance is white, and is enough where it is likelier than coloured
+    noise of the sensors. First states are parameters, so that without noise the likelihood is that of output error.
+    """
     check_time()
     model, fit = at.fit.model, at.fit
     if model.delays or any(p.per_experiment for p in model.declared_parameters.values()):
         return None
     initial: dict[str, tuple[float, float] | None] = dict.fromkeys(model.state_names)
+    white: Filtered | None = None
     if of.place.kind == "equation" and not of.correlation:
         method = FilterError(of.place.name, initial=initial, time_limit=seconds)
         found = _estimated(model, dataset(fit), method, fit, fit, seconds)
-        return Filtered(found, of.place.name) if found is not None else None
+        white = Filtered(found, of.place.name) if found is not None else None
+        if white is not None and white.merit > at.merit:
+            return white
     tau = of.correlation or _BEGUN * of.step
     size = float(np.sqrt(np.mean(of.values**2)))
     shaped, state, time = through_shaping_filter(model, of.place, tau)
     if not size > 0.0:
-        return None
+        return white
     method = FilterError(state, initial={**initial, state: (0.0, size)}, time_limit=seconds)
     start = {**fit.as_start(fit.noise), f"q_{state}": size * float(np.sqrt(2.0 / tau))}
     found = _estimated(shaped, dataset(fit), method, fit, start, seconds)
-    return Filtered(found, state, time) if found is not None else None
+    coloured = Filtered(found, state, time) if found is not None else None
+    return max((f for f in (white, coloured) if f is not None), key=lambda f: f.merit, default=None)
 
 
 def filtered_elsewhere(of: Filtered, data: Sequence[Experiment], free: Sequence[str], seconds: float) -> float:

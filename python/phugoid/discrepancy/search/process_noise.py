@@ -64,7 +64,7 @@ class Filtered:
         names = list(self.fit.parameters)
         at = [names.index(e.name) for e in (q, tau)]
         slopes = size * np.array([1.0 / q.value, 0.5 / tau.value])
-        return size, float(np.sqrt(max(slopes @ self.fit.covariance[np.ix_(at, at)] @ slopes, 0.0)))
+        return size, float(np.sqrt(slopes @ self.fit.covariance[np.ix_(at, at)] @ slopes))
 
     @property
     def correlation(self) -> float:

@@ -286,6 +286,8 @@ _NEIGHBOURS, _PASS = 5, 0.04
 # record; the quantile of its correlations that is to be exceeded; and a correlation that is none by chance (where the
 # motion is periodic, a history that goes with it does so with any phase).
 _SHIFTS, _CHANCE, _SURELY = 40, 0.95, 0.7
+# Of so few correlation times, as a history has in its records, chance is no excuse: it may be anything slow.
+_INDEPENDENT = 20.0
 
 
 def _goes_with_motion(linear: Linearised, of: Disturbance) -> float:
@@ -322,5 +324,7 @@ def _goes_with_motion(linear: Linearised, of: Disturbance) -> float:
         for share in np.linspace(0.1, 0.9, _SHIFTS)
     ]
     found = correlation(of.values)
+    if of.correlation * _INDEPENDENT > of.step * of.knots.size:
+        return found
     chance = float(np.quantile([correlation(v) for v in shifted], _CHANCE))
     return found if found > min(chance, _SURELY) else 0.0

@@ -32,6 +32,8 @@ __all__ = ["Filtered", "filtered", "filtered_elsewhere", "through_shaping_filter
 
 # Correlation times from the start value on, in times of it; white noise is begun as noise of so many knots.
 _SHORTER, _LONGER, _BEGUN = 0.1, 30.0, 2.0
+# Log-likelihood by which the filter-error method is beyond a linearisation, and by which that is far behind.
+_BETTER, _FAR = 8.0, 200.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +100,9 @@ def through_shaping_filter(model: Model, place: Place, tau: float) -> tuple[Mode
 def filtered(at: Refit, of: Disturbance, seconds: float) -> Filtered | None:
     """Return the fit by the filter-error method with a disturbance at the place of one; None where it fails.
 
-    White noise of an equation is tried where the disturbance is white, and is enough where it is likelier than coloured
-    noise of the sensors. First states are parameters, so that without noise the likelihood is that of output error.
+    White noise of an equation is tried where the disturbance is white, and a shaping filter where that is not likelier
+    than coloured noise of the sensors. First states are parameters, so that without noise the likelihood is that of
+    output error.
     """
     check_time()
     model, fit = at.fit.model, at.fit
@@ -111,7 +114,9 @@ def filtered(at: Refit, of: Disturbance, seconds: float) -> Filtered | None:
         method = FilterError(of.place.name, initial=initial, time_limit=seconds)
         found = _estimated(model, dataset(fit), method, fit, fit, seconds)
         white = Filtered(found, of.place.name) if found is not None else None
-        if white is not None and white.merit > at.merit:
+        # Far behind, and no likelier than the linearisation: that has tried coloured histories as well.
+        hopeless = white is not None and white.merit < of.merit + _BETTER and of.merit < at.merit - _FAR
+        if white is not None and (white.merit > at.merit or hopeless):
             return white
     tau = of.correlation or _BEGUN * of.step
     size = float(np.sqrt(np.mean(of.values**2)))

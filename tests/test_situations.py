@@ -43,6 +43,7 @@ def diagnosed(what: str, system: str, seed: int) -> tuple[ph.Diagnosis, tuple[st
         ("rate limit", "uav", 9304),
         ("drift", "servo", 510),
         ("clipped", "duffing", 511),
+        ("friction", "servo", 512),
     ],
 )
 def test_what_is_wrong_is_named_and_nothing_else(what: str, system: str, seed: int) -> None:
@@ -52,7 +53,7 @@ def test_what_is_wrong_is_named_and_nothing_else(what: str, system: str, seed: i
     assert all({*truth} & {f.cause, *f.aliases} for f in named), d.summary()
 
 
-@pytest.mark.parametrize("what", ["white", "quantised", "growing", "outliers", "closed loop"])
+@pytest.mark.parametrize("what", ["white", "quantised", "growing", "outliers", "closed loop", "two rates"])
 def test_nothing_is_found_where_nothing_is_wrong(what: str) -> None:
     d, _, _ = diagnosed(what, "servo", 520)
     assert not d.findings, d.summary()

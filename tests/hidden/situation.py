@@ -34,15 +34,15 @@ DRIVEN = {
 }
 """States whose equations hold what a disturbance acts on."""
 
-WINDY = {"hfb320": "alpha", "lateral": "beta", "uav": "w"}
-"""States that the forces have as they are relative to the air."""
+WINDY = {"hfb320": "alpha", "lateral": "beta"}
+"""States that the forces have as they are relative to the air, of systems whose forces are declared quantities."""
 
 POSITIONS = {"servo": ("angle", "rate", "torque")}
 """A position, its rate, and the place of the model where its force stands, of systems that have one that no sensor
 measures too."""
 
-COARSE = 4
-"""Of so many samples a coarse record has one."""
+COARSE, SLOWER = 4, 3
+"""Of so many samples a coarse record has one, and the slower sensor of a record with two rates."""
 
 NOISES = ("white", "quantised", "growing", "outliers", "autoregressive", "pink", "random walk")
 
@@ -302,9 +302,20 @@ def _twist(what: str, s: System, vehicle: Vehicle, rng: np.random.Generator, siz
         unit = np.eye(len(s.states))[i]
         truth = (f"{place}:hysteresis_{x}",)
         return _Twist(force=lambda z, acting, now: -much * force(z, now) * unit), truth, {"yield": width}
+    if what == "friction":
+        _, v, place = POSITIONS[s.name]
+        i, span = list(s.states).index(v), 0.005 * s.limits[v]
+        dry = 0.2 * size * vehicle.parameters["b"] * peak
+        levels = dry, dry * float(rng.uniform(0.4, 0.7))  # one direction, and the other
+        unit = np.eye(len(s.states))[i]
+
+        def rubs(z: Any, acting: Any, now: float) -> Any:
+            return -levels[int(z[i] < 0.0)] * np.tanh(z[i] / span) * unit
+
+        return _Twist(force=rubs), (f"{place}:sign({v})",), {"friction": 0.5 * sum(levels)}
     if what == "closed loop":
         return _Twist(control=_feedback(s, vehicle)), (), {}
-    return _Twist(noise="white" if what == "coarse" else what), (), {}
+    return _Twist(noise=what if what in NOISES else "white"), (), {}
 
 
 def _yielding(s: System, x: str, width: float) -> Callable[[Any, float], float]:
@@ -338,7 +349,7 @@ def _feedback(s: System, vehicle: Vehicle) -> Callable[..., Any]:
 
 SITUATIONS = (
     "gust", "wind", "noisy input", "drift", "backlash", "rate limit", "event", "held input", "outside", "clipped",
-    "hysteresis", "closed loop", "coarse", *NOISES,
+    "hysteresis", "friction", "closed loop", "coarse", "two rates", *NOISES,
 )  # fmt: skip
 
 
@@ -349,10 +360,10 @@ def situation(what: str, system: str, seed: int) -> Situation:
     """
     if what not in SITUATIONS:
         raise ValueError(f"situation is one of {SITUATIONS}, not {what!r}")
-    if what == "hysteresis" and system not in POSITIONS:
+    if what in ("hysteresis", "friction") and system not in POSITIONS:
         raise Unreachable(f"{what}: {system} has no position with a force")
     if what == "wind" and system not in WINDY:
-        raise Unreachable(f"{what}: {system} does not fly")
+        raise Unreachable(f"{what}: {system} does not fly, or declares no forces")
     s = SYSTEMS[system]
     rng = np.random.default_rng([seed, zlib.crc32(f"{what} {system}".encode())])
     for _ in range(4):
@@ -368,8 +379,9 @@ def situation(what: str, system: str, seed: int) -> Situation:
         if first is None or other is None:
             continue
         data, validation = first[0], other[0]
-        if what in ("quantised", "growing", "clipped"):
-            data, validation, truth, sizes = _sensed(what, s, (first, other), rng)
+        if what in ("quantised", "growing", "clipped", "friction", "two rates"):
+            data, validation, *of_sensor = _sensed(what, s, (first, other), rng)
+            truth, sizes = (of_sensor[0] or truth), (of_sensor[1] or sizes)
         if what == "coarse":
             data, validation = _coarse(data), _coarse(validation)
         return Situation(f"{what} {system} {seed}", system, what, seed, s.model(), data, validation, truth, sizes)
@@ -391,7 +403,8 @@ def _again(twist: _Twist, s: System, rng: np.random.Generator) -> _Twist:
 
 
 def _sensed(what: str, s: System, records: Sequence[Any], rng: np.random.Generator) -> Any:
-    """Records through sensors that quantise, clip, or whose noise grows with what they measure."""
+    """Records through sensors that quantise, clip, are slower than others, or whose noise grows with what they measure;
+    names that may be said of these, and sizes."""
     y = str(rng.choice(list(s.outputs)))
     clean = records[0][1][y]
     high = float(np.quantile(clean, 0.97))
@@ -402,10 +415,12 @@ def _sensed(what: str, s: System, records: Sequence[Any], rng: np.random.Generat
         outputs = {}
         for n in s.outputs:
             z = experiment.output(n)
-            if what == "quantised":
+            if what in ("quantised", "friction"):
                 z = np.round(own[n] / (4.0 * s.sigma[n])) * 4.0 * s.sigma[n]
             elif what == "growing":
                 z = own[n] + (z - own[n]) * (0.3 + 3.0 * np.abs(own[n] - own[n].mean()) / max(np.ptp(own[n]), 1e-12))
+            elif what == "two rates":
+                z = np.where((n != y) | (np.arange(z.size) % SLOWER == 0), z, np.nan)
             elif n == y:
                 z = np.minimum(z, limit)
             outputs[n] = z

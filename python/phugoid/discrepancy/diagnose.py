@@ -38,6 +38,7 @@ from .search.findings import (
     finding_of_remainder,
     no_optimum,
 )
+from .search.other_laws import other_laws, words_of_laws
 from .search.record_change import RecordChange
 from .search.recorded_input import RecordedInput
 from .search.refit import Refit
@@ -216,8 +217,10 @@ def diagnose(
                 full = full and with_changes(full, before, changes)
             interrupted = interrupted or pressed() > 0
         ended = ended or ("interrupted" if interrupted else "")
+        laws: list[str] = []
         if not interrupted:
             with deadline.in_force():
+                laws = words_of_laws(other_laws(search, kept))
                 first = len(held)
                 findings[first : first + len(found)] = [
                     replace(each, advice=each.advice or advice_of(search, result, f.candidate, each.aliases))
@@ -232,7 +235,7 @@ def diagnose(
         if corrected is not base and ranking and not ended:
             ranking = tuple(ranking_of(search, search.cache.scan(corrected)))
         scan = search.cache.scan(corrected) if ranking or not ended else None
-        notes = (*_notes(scan, final, listed, others, free, ended, search.settings.most), *result.remarks)
+        notes = (*_notes(scan, final, listed, others, free, ended, search.settings.most), *result.remarks, *laws)
         alone = [c.name for c in final.candidates if c.name not in kept.names]
         if alone:
             notes = (*notes, _OF_THESE_RECORDS.format(", ".join(alone)))

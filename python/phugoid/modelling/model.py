@@ -475,19 +475,20 @@ class Model:
         equations: Mapping[Key, Expr] = {},
         inputs: Mapping[str, str] = {},
         outputs: Mapping[str, Expr] = {},
-        states: Mapping[str, tuple[str, Expr, Expr]] = {},
+        states: Mapping[str, tuple[str, Expr, Expr | None]] = {},
         delays: Delays | None = None,
     ) -> Model:
         """Return the model with parameters and equations replaced or added, and other delays.
 
-        ``equations`` are keyed as in `equations_of`; new ``states`` are unit, right-hand side and initial value;
-        ``inputs`` are units.
+        ``equations`` are keyed as in `equations_of`; new ``states`` are unit, right-hand side and initial value, None
+        for any; ``inputs`` are units.
         """
         core = changed(self._core, parameters, equations, inputs, outputs)
         for name, (unit, right, initial) in states.items():
             core.state(name, unit)
             core.equation(name, right, None)
-            core.condition("initial", name, initial, None)
+            if initial is not None:
+                core.condition("initial", name, initial, None)
         return self._around(core, self._delays if delays is None else delays)
 
     def _right_hand_sides(self) -> dict[Key, Expr]:

@@ -131,13 +131,18 @@ class Derivatives:
         # state itself nor the kinematics know of it.
         self.places += [(Place("state", n), n) for n in self.states]
         plain = [Expr(equations["output", name]) for name in self.outputs]
+        plain_f = [Expr(equations["equation", name]) for name in self.states]
         for place, symbol in self.places:
+            air = place.kind == "state"
+            # Where forces are declared, they alone know of the air: gravity along the path does not.
+            forces = air and any(symbol in equations["quantity", n].symbols for n in quantities)
             for k, e in enumerate(f):
-                if symbol in e.symbols and not (place.kind == "state" and e == Expr.symbol(symbol)):
-                    ask("place f", place, k, e.diff(symbol))
+                if symbol in e.symbols and not (air and e == Expr.symbol(symbol)):
+                    of_motion = plain_f[k].diff(symbol).substitute(known) if forces else 0.0
+                    ask("place f", place, k, Expr(e.diff(symbol) - of_motion))
             for k, e in enumerate(g_of_quantities if place.kind == "quantity" else g):
                 if symbol in e.symbols:
-                    of_sensor = plain[k].diff(symbol).substitute(known) if place.kind == "state" else 0.0
+                    of_sensor = plain[k].diff(symbol).substitute(known) if air else 0.0
                     ask("place g", place, k, Expr(e.diff(symbol) - of_sensor))
         self.n_quantities = len(quantities)
         self._compiled = CompiledExpressions(asked, self.parameters, inputs, self.states)

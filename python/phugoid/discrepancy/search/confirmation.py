@@ -84,7 +84,7 @@ class Confirmation:
         unexplained, if anything does.
 
         Refits that simulate held-out data clearly worse than the best one does come last, whatever their likelihood
-        with coloured noise.
+        with coloured noise; and drifts and disturbances after terms that other records confirm.
         """
         assess = self._assessment
         margins = {t.names: assess.margin(current, t) for t in tries}
@@ -96,7 +96,8 @@ class Confirmation:
 
         significant = sorted((t for t in tries if margins[t.names] > 0), key=lambda t: -urgency(t))
         behind = self._behind(current, significant)
-        significant.sort(key=lambda t: t.names in behind)
+        after = {t.names for t in significant if any(assess.goes_before(current, o, t) for o in significant)}
+        significant.sort(key=lambda t: (t.names in behind) + (t.names in after))
         unexplained, chances = None, self.settings.chances
         rejected: set[str] = set()
         known: set[str] = set()

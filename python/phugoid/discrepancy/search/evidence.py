@@ -172,6 +172,24 @@ class Assessment:
         """Tell whether a finding explains less of the misfit than is worth a name, or no more than by chance."""
         return explained is not None and not (explained.significant and explained.part >= self.settings.minor)
 
+    def goes_before(self, base: Refit, term: Refit, other: Refit) -> bool:
+        """Tell whether a term goes before a drift or a disturbance of the records alone: other records confirm it, and
+        explain most of their misfit by it, or the other is likelier by no more than chance.
+
+        A parameter that drifts can follow any motion that changes in the course of a record, and no other record can
+        speak against it.
+        """
+        new, own = term.beside(base.candidates), other.beside(base.candidates)
+        if not (new and own and self._cache.validation) or not all(c.transferable for c in new):
+            return False
+        if all(c.transferable for c in own):
+            return False
+        explained = self.explained(base, term)
+        if explained is None or self.is_minor(explained):
+            return False
+        beyond = self.gain(base, other) - self.gain(base, term)
+        return explained.part > self.settings.half or beyond < self.needed(other, own[-1])
+
     def compared(self, base: Refit, one: Refit, other: Refit) -> Explained | None:
         """Return what another model explains that one does not, by blocks of the records beside the terms of a base
         where there are no other data."""

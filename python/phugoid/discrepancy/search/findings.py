@@ -9,7 +9,7 @@ import numpy as np
 
 from ...fit_result import FitResult
 from ..candidates.terms import where
-from ..misfit.phrases import number, percent
+from ..misfit.phrases import number, per_second, percent
 from .confirmation import Found
 from .disturbance import Disturbance
 from .evidence import is_physical
@@ -205,8 +205,8 @@ def _size(r: Remainder, fit: FitResult) -> tuple[float, float, str]:
     d = r.disturbance
     unit = fit.model.units.get(d.place.name, "")
     if r.filtered is not None:
-        found = r.filtered.parameters[f"q_{d.place.name}"]
-        return found.value, found.std_error, f"{unit}/√s" if unit else ""
+        per = f"{unit}/√s" if not r.filtered.tau else per_second(unit) if d.place.kind == "equation" else unit
+        return *r.filtered.intensity, (per if unit else "")
     # What the data say of each knot counts; the standard deviation of n values is known to 1 part in sqrt(2 n).
     known = float(np.sum(np.maximum(1.0 - d.marginal.deviations**2 / d.marginal.variance, 0.0)))
     value = d.intensity
@@ -233,7 +233,8 @@ def _explanation(r: Remainder) -> str:
         return f"something acts on {at} once, from {number(begin, 4)} to {number(end, 4)} s of '{name}'"
     if d.place.kind == "input":
         return f"what acts is not {at} as it is recorded, but differs from it at random (noise on a recorded input)"
-    slow = f", with a correlation time of about {number(d.correlation, 2)} s" if d.correlation else ""
+    lasting = r.filtered.correlation if r.filtered is not None else d.correlation
+    slow = f", with a correlation time of about {number(lasting, 2)} s" if lasting else ""
     return f"a random disturbance acts on {at} (process noise, such as gusts or turbulence){slow}"
 
 
@@ -254,6 +255,11 @@ def _advice(r: Remainder) -> str:
         return (
             f"With a noisy input the estimates are biased. Measure {d.place.name} better, smooth it, or estimate by "
             "FilterError with process noise on the states that it drives."
+        )
+    if r.filtered is not None and r.filtered.tau and d.place.kind == "equation":
+        return (
+            f"Estimate with a state w more, w' = -w/tau, that is added to {d.place.name}', and "
+            "transcription=FilterError('w'): it takes such noise into account."
         )
     if d.place.kind == "state":
         return (

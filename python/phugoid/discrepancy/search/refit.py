@@ -37,6 +37,7 @@ __all__ = [
     "predicted_blocks",
     "predicted_from_blocks",
     "refit",
+    "started_from",
 ]
 
 # A refit goes on from a fit nearby: one that needs more goes nowhere. What a scan elsewhere proposed may be farther.
@@ -151,7 +152,7 @@ def fitted_to(
     data: Sequence[Experiment],
     *,
     model: Model | None = None,
-    start: Mapping[str, float] | None = None,
+    start: FitResult | Mapping[str, float] | None = None,
     solver: Newton | None = _SOLVER,
 ) -> Refit | None:
     """Return the model of a refit, or another ``model``, estimated from other records, such as those with inputs that

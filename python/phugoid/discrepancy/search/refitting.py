@@ -64,6 +64,8 @@ class Refitting:
             for r, _ in self.rivals(at, candidate):
                 if r is at:
                     break
+                if without is not None and assess.goes_before(without, at, r):
+                    continue
                 # Another must be significant itself, whatever the filter of the first makes of it.
                 (new,) = r.beside(others)
                 sure = without is None or assess.gain(without, r) > assess.needed(r, new)

@@ -13,19 +13,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import PhugoidError
-from ...estimation.estimate import estimate
-from ...fit_result import FitResult, dataset
 from ...sensitivities.linearised import Linearised
 from ...sensitivities.trajectory import Place
 from ...sensitivities.whitened import Whitened
-from ...solvers.limits import Deadline, check_time
-from ...transcription.filter_error import FilterError
-from ...validation.frozen_model import freed_by_default, freeze_model, freeze_noise
+from ...validation.frozen_model import freed_by_default
 from ..candidates.candidate import Candidate, Effect, is_function
 from .disturbance import Disturbance, Disturbances, disturbance_at, functions_of
 from .evidence import is_structured
 from .free_run import Explained, Misfitting, Simulated
+from .process_noise import Filtered, filtered, filtered_elsewhere
 from .refit import Refit, fitted_to
 from .search import Search, SearchResult
 from .single_event import single_event
@@ -43,7 +39,9 @@ class RemainderSettings:
     structure  part of the residuals' power that their past predicts, below which there is nothing to explain.
     margin     by how much its log-likelihood, less its number of parameters, must be ahead of that of coloured noise.
     alike      other places of the same kind are told beside it where they are behind by less than this.
-    seconds    that a fit by the filter-error method may take.
+    filtered   places that are asked by the filter-error method, the likeliest to first order, and ``near``: by how much
+               others may be behind the first of them.
+    seconds    that a fit by it may take.
     most       part of the misfit below which the terms of a search do not explain most of it.
     functions  unknown functions that are fitted, the likeliest to first order.
     motion     correlation with what neighbours in the motion have, beyond which a time history is no random one.
@@ -52,6 +50,8 @@ class RemainderSettings:
     structure: float = 0.05
     margin: float = 8.0
     alike: float = 3.0
+    filtered: int = 2
+    near: float = 100.0
     seconds: float = 20.0
     most: float = 0.8
     functions: int = 2
@@ -67,7 +67,7 @@ class Remainder:
     gain         in log-likelihood over coloured noise of the sensors.
     held_out     the same on data held out; NaN where there are none, or none that can tell.
     rivals       others of its kind that the data do not tell from it: name -> gain.
-    filtered     the fit by the filter-error method, of a disturbance on a state.
+    filtered     the fit by the filter-error method.
     moves        whether the time history goes with the motion, as an unknown function of several variables does.
     explained    of a function: the part of the misfit that it explains in free simulation of data held out.
     fitted       the fit with an unknown function.
@@ -79,7 +79,7 @@ class Remainder:
     gain: float
     held_out: float
     rivals: Mapping[str, float] = field(default_factory=dict)
-    filtered: FitResult | None = None
+    filtered: Filtered | None = None
     moves: bool = False
     explained: Explained | None = None
     fitted: Refit | None = None
@@ -99,7 +99,7 @@ class _Option:
     at: Refit
     merit: float
     disturbance: Disturbance | None = None
-    filtered: FitResult | None = None
+    filtered: Filtered | None = None
     noise: Disturbance | None = None
 
 
@@ -139,8 +139,12 @@ def _rivals(of: _Option, options: Sequence[_Option], s: RemainderSettings) -> di
     found = {}
     for o in options:
         d = o.disturbance
-        if d is not None and d.kind == mine.kind and d.name != mine.name and d.merit > mine.merit - s.alike:
-            found[d.name] = d.merit - coloured
+        if d is None or d.kind != mine.kind or d.name == mine.name:
+            continue
+        both = of.filtered is not None and o.filtered is not None
+        behind = of.merit - o.merit if both else mine.merit - d.merit
+        if behind < s.alike:
+            found[d.name] = o.merit - coloured
     return found
 
 
@@ -207,36 +211,19 @@ def _options(at: Refit, known: Disturbances, s: RemainderSettings, white: bool =
     options.append(_Option(at, at.merit))
     options.sort(key=lambda o: -o.merit)
     noises = [o for o in options if o.disturbance is not None and o.disturbance.kind == "noise"]
-    first = next((o for o in noises if o.disturbance and o.disturbance.place.kind == "equation"), None)
     # Large disturbances move the vehicle far from the path of the fit, about which all else is linearised: there the
     # filter-error method itself is asked, where channels go together as disturbances make them.
-    asked = first is not None and first in noises[:2] and (at.together is not None or first is options[0])
-    if asked and first is not None and first.disturbance is not None:
-        filtered = _filtered(at, first.disturbance, s)
-        if filtered is not None:
-            options.remove(first)
-            merit = max(first.merit, filtered.log_likelihood - 1.0)
-            options.append(replace(first, merit=merit, filtered=filtered))
-            options.sort(key=lambda o: -o.merit)
+    if noises and (at.together is not None or noises[0] is options[0]):
+        for o in [o for o in noises[: s.filtered] if o.merit > noises[0].merit - s.near]:
+            assert o.disturbance is not None
+            found = filtered(at, o.disturbance, s.seconds)
+            if found is not None:
+                options.remove(o)
+                options.append(replace(o, merit=max(o.merit, found.merit), filtered=found))
+        options.sort(key=lambda o: -o.merit)
     coloured = next(o for o in options if o.disturbance is None)
     likely = [o for o in options if o.disturbance is not None and o.merit > coloured.merit + s.margin]
     return [*likely, coloured]
-
-
-def _filtered(at: Refit, of: Disturbance, s: RemainderSettings) -> FitResult | None:
-    """Return the fit by the filter-error method with process noise on the state of a disturbance; first states are
-    parameters, so that without noise the likelihood is that of output error."""
-    check_time()
-    model = at.fit.model
-    if model.delays or any(p.per_experiment for p in model.declared_parameters.values()):
-        return None
-    method = FilterError(of.place.name, initial=dict.fromkeys(model.state_names), time_limit=s.seconds)
-    try:
-        with Deadline(s.seconds).in_force():
-            found = estimate(model, dataset(at.fit), transcription=method, noise=at.fit.noise, start=at.fit)
-    except (PhugoidError, np.linalg.LinAlgError):
-        return None
-    return found if found.status == "converged" else None
 
 
 def _confirmed(search: Search, full: Refit, option: _Option, coloured: float, s: RemainderSettings) -> Remainder | None:
@@ -289,29 +276,24 @@ def _held_out(search: Search, option: _Option, d: Disturbance, other: Linearised
             return gain
         linear = again.linear
         return disturbance_at(linear, d) - Whitened(linear, filter.on(linear.structure)).log_likelihood
-    fit = option.filtered
-    free = freed_by_default(fit.model) if search.cache.biases is None else search.cache.biases
-    values = {n: e.value for n, e in fit.parameters.items()}
-    model = freeze_model(fit.model, values, free)
-    known = {d.place.name: values[f"q_{d.place.name}"]}
-    method = FilterError(
-        d.place.name, initial=dict.fromkeys(model.state_names), intensities=known, time_limit=s.seconds
-    )
-    try:
-        with Deadline(s.seconds).in_force():
-            found = estimate(model, list(search.cache.validation), transcription=method, noise=freeze_noise(fit)[0])
-    except (PhugoidError, np.linalg.LinAlgError):
-        return float("nan")
-    return found.log_likelihood - coloured if found.status == "converged" else float("nan")
+    free = freed_by_default(option.at.fit.model) if search.cache.biases is None else search.cache.biases
+    return filtered_elsewhere(option.filtered, search.cache.validation, free, s.seconds) - coloured
 
 
 # Neighbours in the motion that are asked, and the part of the record about a time that counts as the same pass.
 _NEIGHBOURS, _PASS = 5, 0.04
+# What is slow correlates with what is slow by chance: the history later or earlier, so many times, as a share of the
+# record; the quantile of its correlations that is to be exceeded; and a correlation that is none by chance (where the
+# motion is periodic, a history that goes with it does so with any phase).
+_SHIFTS, _CHANCE, _SURELY = 40, 0.95, 0.7
+# Of so few correlation times, as a history has in its records, chance is no excuse: it may be anything slow.
+_INDEPENDENT = 20.0
 
 
 def _goes_with_motion(linear: Linearised, of: Disturbance) -> float:
     """Return the correlation of a time history with what it was when the fitted motion was nearly the same at another
-    time: about 0 for gusts, which do not know of the path that the model simulates without them."""
+    time, 0 where it is so by chance: about 0 for gusts, which do not know of the path that the model simulates without
+    them."""
     columns, record = [], []
     first = 0
     for e, p in enumerate(linear.points):
@@ -330,7 +312,19 @@ def _goes_with_motion(linear: Linearised, of: Disturbance) -> float:
     same = (where[:, None] == where) & (np.abs(index[:, None] - index) < max(_PASS * index.size, 3.0))
     distance[same] = np.inf
     nearest = np.argsort(distance, axis=1)[:, :_NEIGHBOURS]
-    predicted = of.values[nearest].mean(axis=1)
-    if predicted.std() == 0.0 or of.values.std() == 0.0:
-        return 0.0
-    return float(np.corrcoef(predicted, of.values)[0, 1])
+
+    def correlation(values: _Array) -> float:
+        predicted = values[nearest].mean(axis=1)
+        spread = predicted.std() * values.std()
+        return float(np.cov(predicted, values, bias=True)[0, 1] / spread) if spread > 0.0 else 0.0
+
+    ends = np.cumsum(of.counts)[:-1]
+    shifted = [
+        np.concatenate([np.roll(v, round(share * v.size)) for v in np.split(of.values, ends)])
+        for share in np.linspace(0.1, 0.9, _SHIFTS)
+    ]
+    found = correlation(of.values)
+    if of.correlation * _INDEPENDENT > of.step * of.knots.size:
+        return found
+    chance = float(np.quantile([correlation(v) for v in shifted], _CHANCE))
+    return found if found > min(chance, _SURELY) else 0.0

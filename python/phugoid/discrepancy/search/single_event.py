@@ -20,6 +20,7 @@ from ...solvers import Newton
 from ...solvers.limits import check_time
 from .disturbance import Disturbance, histories_at
 from .evidence import is_structured
+from .process_noise import filtered
 from .refit import Refit, fitted_to, on_other_data, values_of
 from .refit_cache import RefitCache
 
@@ -30,6 +31,8 @@ __all__ = ["is_disturbed", "single_event"]
 _PARTS, _LONGEST = (0.7, 0.85, 0.95), 0.15
 # Samples of a record before or after the span that are worth an estimation of first states, and iterations of it.
 _SAMPLES, _ITERATIONS = 30, 60
+# Seconds that a fit by the filter-error method may take.
+_SECONDS = 10.0
 
 
 def single_event(
@@ -57,10 +60,15 @@ def single_event(
 
 
 def is_disturbed(at: Refit, of: Disturbance, structure: float, margin: float) -> bool:
-    """Tell whether residuals have structure, and more as a disturbance at the same place than as coloured noise."""
-    if not is_structured(at, structure):
+    """Tell whether residuals have structure, and more as a disturbance there than as coloured noise, to first
+    order or by the filter-error method."""
+    histories = histories_at(at, of.place) if is_structured(at, structure) else []
+    if not histories:
         return False
-    return max((h.merit for h in histories_at(at, of.place)), default=-np.inf) > at.merit + margin
+    if histories[0].merit > at.merit + margin:
+        return True
+    asked = filtered(at, histories[0], _SECONDS) if at.together is not None else None
+    return asked is not None and asked.merit > at.merit + margin
 
 
 def _in_validation(cache: RefitCache, without: Refit, of: Disturbance, structure: float, margin: float) -> bool:

@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...residual_noise.series import WITHIN, resolution_of
-from ...residual_noise.whitening import Whitening
 from .confirmation import Found
-from .refit import Refit
+from .motion import is_motion
 from .remainder import Remainder
 from .search import Search, SearchResult
 
@@ -25,13 +23,13 @@ __all__ = ["StandInSettings", "without_stand_ins"]
 class StandInSettings:
     """Set what terms must explain beside residuals that are error of the model.
 
-    most         part of the misfit that all named terms explain together beyond doubt, else something else is larger.
-    predictable  part of the power of an output's residuals that their past predicts, from which on they are a motion
-                 rather than noise of a sensor.
+    most        part of the misfit that all named terms explain together beyond doubt, else something else is larger.
+    persistent  autocorrelation of an output's residuals over a lag in which the output itself hardly moves, from which
+                on they are a motion rather than noise of a sensor (`persistence`).
     """
 
     most: float = 0.5
-    predictable: float = 0.95
+    persistent: float = 0.94
 
 
 def without_stand_ins(
@@ -45,7 +43,7 @@ def without_stand_ins(
     if not named:
         return result, remainder
     unknown = remainder is not None and (remainder.disturbance.kind == "function" or remainder.moves)
-    if not (unknown or _is_motion(final, s.predictable)):
+    if not (unknown or is_motion(final, s.persistent)):
         return result, remainder
     together = search.assessment.explained(search.cache.base, final)
     doubtful = together is None or together.interval[0] < s.most
@@ -71,16 +69,3 @@ def _of_its_own(found: Found, most: float) -> bool:
     if c is None or c.place.kind != "output" or found.explained is None:
         return False
     return found.explained.outputs.get(c.place.name, 0.0) >= most
-
-
-def _is_motion(at: Refit, predictable: float) -> bool:
-    """Tell whether the residuals of any output are a motion that the model does not have, above the resolution of its
-    sensor."""
-    linear = at.linear
-    filter = Whitening.of(linear.residuals, linear.structure)
-    for name, line, channel in zip(linear.model.output_names, linear.rows, filter.channels, strict=True):
-        power = float(np.mean(linear.residuals[line[0].start : line[-1].stop] ** 2))
-        rounded = (WITHIN * resolution_of([e.output(name) for e in linear.experiments])) ** 2
-        if power > rounded and channel.power < (1.0 - predictable) * power:
-            return True
-    return False

@@ -1,0 +1,86 @@
+"""Whether a disturbance is one event: the rest of the records, and data held out, are free of it."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import short_period
+from short_period import T
+
+import phugoid as ph
+from phugoid.discrepancy.search.disturbance import histories_at
+from phugoid.discrepancy.search.refit import Refit
+from phugoid.discrepancy.search.refit_cache import RefitCache
+from phugoid.discrepancy.search.remainder import RemainderSettings
+from phugoid.discrepancy.search.single_event import _parts, is_disturbed, single_event
+from phugoid.sensitivities.tangents import collocated
+from phugoid.sensitivities.trajectory import Place
+
+AT, LASTING = 8.0, 1.2
+PITCHING = Place("equation", "q")
+STRUCTURE, MARGIN = RemainderSettings.structure, RemainderSettings.margin
+
+
+def record(seed: int, event: float = 0.0, gust: float = 0.0) -> ph.Experiment:
+    """A moment of ``event`` rad/s² for 1.2 s, and gusts of ``gust`` all the time."""
+    rng = np.random.default_rng(seed)
+    de = short_period.elevator(rng, 0.05)
+    moment = np.zeros(T.size)
+    for k in range(1, T.size):
+        moment[k] = 0.93 * moment[k - 1] + 0.37 * gust * rng.standard_normal()
+    moment += event * ((T >= AT) & (T < AT + LASTING))
+
+    def slope(t: float, x: np.ndarray) -> np.ndarray:
+        acts = np.interp(t, T, moment) - 9.0 * np.interp(t, T, de)
+        return np.array([-1.1 * x[0] + x[1], -6.0 * x[0] - 1.6 * x[1] + acts])
+
+    return short_period.record(seed, rng, de, slope)
+
+
+@functools.cache
+def fitted(event: float, gust: float) -> Refit:
+    return Refit((), collocated(ph.estimate(short_period.model(), record(1, event, gust))))
+
+
+def asked(event: float, gust: float, held_out: ph.Experiment | None = None) -> tuple[object, bool]:
+    at = fitted(event, gust)
+    cache = RefitCache(at, [], [held_out] if held_out else [])
+    return single_event(cache, at, histories_at(at, PITCHING)[0], STRUCTURE, MARGIN)
+
+
+def test_an_event_is_found_with_its_span() -> None:
+    found, known = asked(2.0, 0.0, record(2))
+    assert known and found is not None
+    assert (found.kind, found.place, found.counts) == ("event", PITCHING, ())
+    name, begin, end = found.span
+    assert name == 0 and begin < AT + 0.2 and end > AT + LASTING - 0.2 and end - begin < 3.0 * LASTING
+    assert found.knots[0] == begin and found.knots[-1] == end
+    assert found.values.size == found.knots.size
+    assert np.argmax(np.abs(found.values)) not in (0, found.values.size - 1)
+
+
+def test_gusts_are_no_event() -> None:
+    found, _ = asked(0.0, 0.6)
+    assert found is None
+
+
+def test_what_other_records_have_too_is_no_event() -> None:
+    """The same span of the fitted record is left out, and the other record is disturbed all the time."""
+    found, known = asked(2.0, 0.0, record(2, gust=0.8))
+    assert found is None and known
+
+
+def test_records_are_disturbed_or_not() -> None:
+    of = histories_at(fitted(2.0, 0.0), PITCHING)[0]
+    assert is_disturbed(fitted(2.0, 0.0), of, STRUCTURE, MARGIN)
+    assert not is_disturbed(fitted(0.0, 0.0), of, STRUCTURE, MARGIN)
+
+
+def test_the_parts_beside_a_span_are_those_that_are_long_enough() -> None:
+    e = record(1)
+    before, after = _parts(e, 8.0, 9.0)
+    assert before.t[-1] < 8.0 and after.t[0] > 9.0
+    assert before.n + after.n == e.n - np.count_nonzero((e.t >= 8.0) & (e.t <= 9.0))
+    (after,) = _parts(e, 0.5, 9.0)
+    assert after.t[0] > 9.0

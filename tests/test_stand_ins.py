@@ -1,0 +1,141 @@
+"""Terms that stand in for something that no candidate describes, and what tells a motion from noise of a sensor."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import phugoid as ph
+from phugoid.discrepancy.search.disturbance import histories_at
+from phugoid.discrepancy.search.motion import is_motion, persistence
+from phugoid.discrepancy.search.refit import Refit
+from phugoid.discrepancy.search.remainder import Remainder
+from phugoid.discrepancy.search.search import Search, SearchResult
+from phugoid.discrepancy.search.stand_ins import StandInSettings, without_stand_ins
+from phugoid.residual_noise.whitening import Whitening
+from phugoid.sensitivities.tangents import collocated
+from phugoid.sensitivities.trajectory import Place
+
+STEP, LASTING = 0.01, 0.5
+T = np.arange(0.0, 40.0, STEP)
+
+
+def oscillator(cubic: float) -> ph.Model:
+    m = ph.Model("oscillator")
+    (u,), (x, v) = m.inputs("u"), m.states(x="m", v="m/s")
+    k, c = m.parameters(k=1.0, c=0.3)
+    m.dynamics(x=v, v=u - k * x - c * v - cubic * x**3)
+    m.outputs(x=x)
+    return m
+
+
+def fitted(cubic: float, coloured: bool, every: int) -> Refit:
+    """A linear oscillator fitted to one that may be stiffer where it is far out, with one sample in ``every``."""
+    rng = np.random.default_rng(2)
+    u = 1.5 * np.sin(0.8 * T + 0.004 * T**2)
+    record = ph.Experiment(T, {"u": u}, {})
+    x = ph.simulate(oscillator(cubic), {"k": 1.0, "c": 0.3}, record, initial={"x": 0.0, "v": 0.0})
+    noise = 0.02 * rng.standard_normal(T.size)
+    if coloured:
+        keep = float(np.exp(-STEP / LASTING))
+        for i in range(1, T.size):
+            noise[i] = keep * noise[i - 1] + np.sqrt(1.0 - keep**2) * noise[i]
+    y = x.outputs["x"] + noise
+    return Refit((), ph.estimate(oscillator(0.0), ph.Experiment(T[::every], {"u": u[::every]}, {"x": y[::every]})))
+
+
+def predictable(at: Refit) -> float:
+    """The part of the residuals' power that their past predicts from one sample to the next."""
+    (channel,) = Whitening.of(at.linear.residuals, at.linear.structure).channels
+    return 1.0 - channel.power / float(np.mean(at.linear.residuals**2))
+
+
+def test_a_motion_is_told_from_coloured_noise_at_any_sampling_rate() -> None:
+    least = StandInSettings.persistent
+    by_rate = []
+    for every in (1, 2, 4):
+        motion, noise = fitted(0.2, False, every), fitted(0.0, True, every)
+        assert is_motion(motion, least), f"one sample in {every}"
+        assert not is_motion(noise, least), f"one sample in {every}"
+        by_rate.append([*persistence(motion), *persistence(noise)])
+    assert np.ptp(by_rate, axis=0) == pytest.approx(0.0, abs=0.03)
+    # What the next sample is predicted to is another thing at each rate, and the noise is well predicted at the first.
+    assert predictable(fitted(0.0, True, 1)) > 0.95 > 0.9 > predictable(fitted(0.0, True, 4))
+
+
+BUMP, CUBE = "bump", "cube"
+
+
+def spring(kind: str) -> ph.Model:
+    """A force that no candidate has the shape of, or a cubic one."""
+    m = ph.Model("spring")
+    (u,), (x, v) = m.inputs("u"), m.states(x="m", v="m/s")
+    k, c = m.parameters(k=1.0, c=0.3)
+    force = {"": 0.0, BUMP: 1.2 * ph.exp(-(((x - 0.9) / 0.2) ** 2)), CUBE: 0.2 * x**3}[kind]
+    m.dynamics(x=v, v=u - k * x - c * v - force)
+    m.outputs(x=x, v=v)
+    return m
+
+
+def record(kind: str, seed: int) -> ph.Experiment:
+    t, rng = T[::4], np.random.default_rng(seed)
+    u = 1.2 * np.sin(0.8 * t + 0.008 * t**2 + seed) + 0.5 * np.sin(0.31 * t)
+    run = ph.simulate(spring(kind), {"k": 1.0, "c": 0.3}, ph.Experiment(t, {"u": u}), initial={"x": 0.0, "v": 0.0})
+    y = {n: z + 0.01 * rng.standard_normal(t.size) for n, z in run.outputs.items()}
+    return ph.Experiment(t, {"u": u}, y, name=f"record {seed}")
+
+
+@functools.cache
+def named(kind: str, cause: str) -> tuple[Search, SearchResult]:
+    """A search that named one cause."""
+    fit = ph.estimate(spring(""), record(kind, 1))
+    base = Refit((), collocated(fit))
+    search = Search(base, ph.candidates(fit.model, points=base.linear.points), [record(kind, 2)])
+    search.cache.try_validation()
+    search.screen.shortlist(base)
+    (candidate,) = [c for c in search.cache.candidates if c.name == cause][:1]
+    final = search.cache.refit([candidate])
+    assert final is not None
+    return search, SearchResult(final, final, (search.confirmation.found(final, candidate, True),))
+
+
+def test_a_term_that_leaves_a_larger_motion_is_a_surrogate() -> None:
+    search, result = named(BUMP, "v':u^2")
+    explained = search.assessment.explained(search.cache.base, result.final)
+    assert explained is not None and explained.interval[0] < StandInSettings.most
+    kept, remainder = without_stand_ins(search, result, None)
+    assert kept.surrogates == {"v':u^2"} and kept.final is search.cache.base and kept.full is result.full
+    assert remainder is None
+
+
+def test_a_term_that_leaves_noise_is_a_cause() -> None:
+    search, result = named(CUBE, "v':x^3")
+    assert not is_motion(result.final, StandInSettings.persistent)
+    assert without_stand_ins(search, result, None) == (result, None)
+
+
+def test_a_random_disturbance_beside_a_stand_in_is_not_told() -> None:
+    """It holds what the term stands for. Beside the model without terms it stays."""
+    search, result = named(BUMP, "v':u^2")
+    of = histories_at(result.final, Place("equation", "v"))[0]
+    beside, alone = (Remainder(of, at, 100.0, float("nan")) for at in (result.final, search.cache.base))
+    assert without_stand_ins(search, result, beside)[1] is None
+    assert without_stand_ins(search, result, alone)[1] is alone
+
+
+def test_a_likelier_function_takes_the_place_of_a_named_term() -> None:
+    search, result = named(CUBE, "v':x^3")
+    (found,) = result.found
+    of = replace(histories_at(search.cache.base, Place("equation", "v"))[0], kind="function", variable="x")
+    for gain, surrogates in ((0.5 * found.gain, set()), (2.0 * found.gain, {"v':x^3"})):
+        remainder = Remainder(of, search.cache.base, gain, float("nan"))
+        assert without_stand_ins(search, result, remainder)[0].surrogates == surrogates
+
+
+def test_what_nothing_was_named_for_is_left_as_it_is() -> None:
+    search, _ = named(CUBE, "v':x^3")
+    nothing = SearchResult(search.cache.base, search.cache.base)
+    assert without_stand_ins(search, nothing, None) == (nothing, None)
